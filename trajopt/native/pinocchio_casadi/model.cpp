@@ -1,0 +1,67 @@
+#include "model.hpp"
+
+#include <map>
+#include <stdexcept>
+
+namespace trajopt {
+namespace {
+
+using Collection = JointCollectionTpl<Scalar, 0>;
+using Maker = JointModel (*)(const Model::Vector3& axis);
+
+template <typename Kind>
+JointModel aligned(const Model::Vector3&) { return Kind(); }
+
+template <typename Kind>
+JointModel unaligned(const Model::Vector3& axis) { return Kind(axis[0], axis[1], axis[2]); }
+
+JointModel make_joint(const Joint& joint) {
+  static const std::map<std::string, Maker> makers = {
+      {"RX", aligned<Collection::JointModelRX>},
+      {"RY", aligned<Collection::JointModelRY>},
+      {"RZ", aligned<Collection::JointModelRZ>},
+      {"RUBX", aligned<Collection::JointModelRUBX>},
+      {"RUBY", aligned<Collection::JointModelRUBY>},
+      {"RUBZ", aligned<Collection::JointModelRUBZ>},
+      {"RevoluteUnaligned", unaligned<Collection::JointModelRevoluteUnaligned>},
+      {"RevoluteUnboundedUnaligned", unaligned<Collection::JointModelRevoluteUnboundedUnaligned>},
+      {"PX", aligned<Collection::JointModelPX>},
+      {"PY", aligned<Collection::JointModelPY>},
+      {"PZ", aligned<Collection::JointModelPZ>},
+      {"PrismaticUnaligned", unaligned<Collection::JointModelPrismaticUnaligned>},
+      {"Spherical", aligned<Collection::JointModelSpherical>},
+      {"SphericalZYX", aligned<Collection::JointModelSphericalZYX>},
+      {"Translation", aligned<Collection::JointModelTranslation>},
+      {"FreeFlyer", aligned<Collection::JointModelFreeFlyer>},
+      {"Planar", aligned<Collection::JointModelPlanar>},
+  };
+  const auto maker = makers.find(joint.kind);
+  if (maker == makers.end()) throw std::invalid_argument(joint.kind);
+  return maker->second(vector3(joint.axis).cast<Scalar>());
+}
+
+}  // namespace
+
+Model make_model(const Description& description) {
+  Model model;
+  for (const Joint& joint : description.joints) {
+    const Model::SE3 placement(matrix3(joint.rotation).cast<Scalar>(),
+                               vector3(joint.translation).cast<Scalar>());
+    const auto index = model.addJoint(joint.parent, make_joint(joint), placement, joint.name);
+    model.inertias[index] = Model::Inertia(
+        joint.mass, vector3(joint.lever).cast<Scalar>(),
+        pinocchio::Symmetric3Tpl<Scalar, 0>(matrix3(joint.inertia).cast<Scalar>().eval()));
+  }
+  for (int i = 0; i < model.nv; ++i) model.armature[i] = description.armature.at(i);
+  model.gravity.linear(vector3(description.gravity).cast<Scalar>());
+  return model;
+}
+
+Data make_data(const Model& model) { return Data(model); }
+
+Symbol::Symbol(const std::string& name, int size)
+    : matrix(casadi::SX::sym(name, size)), vector(size) {
+  for (int i = 0; i < size; ++i) vector[i] = matrix(i);
+}
+
+}  // namespace trajopt
