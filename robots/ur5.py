@@ -1,0 +1,29 @@
+"""UR5, the six-joint arm of Universal Robots, bolted to the ground; its tool frame is ``tool0``."""
+
+from __future__ import annotations
+
+from trajopt.robot import Robot
+from trajopt.robot_data import data_share, robot_file
+
+TOOL = "tool0"
+
+# Elbow up, tool pointing down in front of the base, far from the singular straight elbow and wrist.
+ELBOW_UP = {
+    "shoulder_pan_joint": 0.0,
+    "shoulder_lift_joint": -1.2,
+    "elbow_joint": 1.6,
+    "wrist_1_joint": -1.97,
+    "wrist_2_joint": -1.57,
+    "wrist_3_joint": 0.0,
+}
+
+
+def build() -> Robot:
+    """Return the UR5 with a fixed base and no contacts; limits are those of its URDF."""
+    return Robot.from_urdf(
+        robot_file("ur_description/urdf/ur5_robot.urdf"),
+        name="ur5",
+        base="fixed",
+        reference=ELBOW_UP,
+        package_dirs=[data_share()],
+    )

@@ -1,0 +1,61 @@
+"""A contact of a robot: a frame that may touch its surroundings, as a point or with a sole."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.errors import InputError
+
+ContactKind = Literal["point", "surface"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contact:
+    """A place where the robot may touch its surroundings.
+
+    ``frame`` is a frame of the model. A ``point`` transmits a force (3 rows). A ``surface`` is
+    a rectangular sole in the x-y plane of its frame, centred at the frame's origin, of
+    ``half_length`` (along x) and ``half_width`` (along y) in m, and transmits force and moment
+    (6 rows). ``name`` defaults to the frame's name. Raises `InputError`.
+    """
+
+    frame: str
+    name: str = ""
+    kind: ContactKind = "point"
+    half_length: float = 0.0
+    half_width: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            object.__setattr__(self, "name", self.frame)
+        if self.kind not in get_args(ContactKind):
+            raise InputError(f"contact '{self.name}' has kind={self.kind!r}", "'point' or 'surface'")
+        size = np.array([self.half_length, self.half_width], dtype=float)
+        if self.kind == "surface" and not (np.isfinite(size).all() and (size > 0).all()):
+            raise InputError(
+                f"surface contact '{self.name}' has half_length={size[0]}, half_width={size[1]}",
+                "positive lengths in m",
+            )
+        if self.kind == "point" and size.any():
+            raise InputError(f"point contact '{self.name}' has a size", "kind='surface' for a sole")
+
+    @property
+    def dimension(self) -> int:
+        """Rows of the contact: 3 for a point, 6 for a surface."""
+        return 3 if self.kind == "point" else 6
+
+
+def require_frame(model: pin.Model, frame: str, where: str) -> None:
+    """Raise `InputError` naming the closest frames if ``model`` has no ``frame``."""
+    names = [entry.name for entry in model.frames]
+    if frame not in names:
+        close = difflib.get_close_matches(frame, names, n=5, cutoff=0.4) or names[-8:]
+        raise InputError(
+            f"{where} names frame '{frame}', which the model does not have",
+            "close matches: " + ", ".join(close),
+        )

@@ -1,0 +1,292 @@
+"""The robot: numeric model, base kind, contacts, limits and reference posture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from trajopt import robot_building as building
+from trajopt.contact import Contact, require_frame
+from trajopt.errors import InputError
+from trajopt.robot_building import Base
+from trajopt.robot_data import VisualSource
+
+STANDARD_GRAVITY = 9.81
+# A reference posture may touch its limit: rounding of degrees in description files, rad or m.
+LIMIT_SLACK = 1e-6
+# A unit quaternion or (cos, sin) pair of a reference is given with this many digits at least.
+UNIT_SLACK = 1e-6
+# A base lower than this part of the reach does not stand on its contacts: it lies, or hangs.
+STANDING_PART = 0.05
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Robot:
+    """A robot as the problems see it. Arrays are copied and read-only.
+
+    name: word for tables and files.
+    model: numeric Pinocchio model; joint damping and friction in it are not part of the dynamics.
+    base: kind of the root joint. The base rows come first in v and are unactuated.
+    contacts: where it may touch its surroundings.
+    reference: posture (nq,), metres and radians in Pinocchio's convention, within the limits.
+    effort_limit: (nu,) torque or force on the joint side, N m or N; None without any limit.
+    velocity_limit: (nv,) rad/s or m/s, inf where there is none.
+    position_lower, position_upper: (nq,), -inf and inf where there is none.
+    visual: where the meshes are, for a replay.
+
+    Raises `InputError` at construction for an unknown frame, a wrong shape, a number that is
+    not finite, a reference outside the limits, or two contacts of one name.
+    """
+
+    name: str
+    model: pin.Model
+    base: Base
+    reference: np.ndarray
+    velocity_limit: np.ndarray
+    position_lower: np.ndarray
+    position_upper: np.ndarray
+    effort_limit: np.ndarray | None = None
+    contacts: tuple[Contact, ...] = ()
+    visual: VisualSource | None = None
+
+    def __post_init__(self) -> None:
+        building.require_base(self.base)
+        found = building.base_of(self.model)
+        if found != self.base:
+            raise InputError(
+                f"robot '{self.name}' has a {found} root joint but base={self.base!r}", f"{found!r}"
+            )
+        object.__setattr__(self, "contacts", tuple(self.contacts))
+        shapes = {
+            "reference": self.nq,
+            "velocity_limit": self.nv,
+            "position_lower": self.nq,
+            "position_upper": self.nq,
+            "effort_limit": self.nu,
+        }
+        for field, size in shapes.items():
+            if getattr(self, field) is not None:
+                object.__setattr__(self, field, self._read_only(field, size))
+        self._require_contacts()
+        self._require_limits()
+        self._require_reference()
+
+    def _read_only(self, field: str, size: int) -> np.ndarray:
+        try:
+            array = np.array(getattr(self, field), dtype=float)
+        except (TypeError, ValueError):
+            raise InputError(f"{field} of robot '{self.name}' is not numeric", f"shape ({size},)") from None
+        if array.shape != (size,):
+            raise InputError(f"{field} of robot '{self.name}' has shape {array.shape}", f"shape ({size},)")
+        array.setflags(write=False)
+        return array
+
+    def _require_contacts(self) -> None:
+        names = [contact.name for contact in self.contacts]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"robot '{self.name}' has two contacts named '{name}'", "different names")
+        for contact in self.contacts:
+            require_frame(self.model, contact.frame, f"contact '{contact.name}'")
+
+    def _require_limits(self) -> None:
+        if np.isnan(self.position_lower).any() or np.isnan(self.position_upper).any():
+            raise InputError(f"position limits of robot '{self.name}' hold NaN", "numbers, or -inf and inf")
+        for index in np.flatnonzero(self.position_lower > self.position_upper):
+            raise InputError(
+                f"position limits of robot '{self.name}' are empty at index {index}: "
+                f"{self.position_lower[index]} > {self.position_upper[index]}",
+                "lower <= upper",
+            )
+        for field in ("velocity_limit", "effort_limit"):
+            limit = getattr(self, field)
+            if limit is not None and not (limit >= 0).all():
+                raise InputError(f"{field} of robot '{self.name}' is negative or NaN", "numbers >= 0, or inf")
+
+    def _require_reference(self) -> None:
+        q = self.reference
+        if not np.isfinite(q).all():
+            raise InputError(f"reference of robot '{self.name}' is not finite", "metres and radians")
+        outside = np.maximum(self.position_lower - q, q - self.position_upper)
+        for joint in list(self.model.joints)[1:]:
+            name, rows = self.model.names[joint.id], slice(joint.idx_q, joint.idx_q + joint.nq)
+            if (outside[rows] > LIMIT_SLACK).any():
+                raise InputError(
+                    f"reference of robot '{self.name}' is outside its limits at joint '{name}': {q[rows]}",
+                    f"{self.position_lower[rows]} to {self.position_upper[rows]}",
+                )
+        if not pin.isNormalized(self.model, q, UNIT_SLACK):
+            raise InputError(
+                f"reference of robot '{self.name}' has a quaternion or (cos, sin) pair that is not unit",
+                "norm 1",
+            )
+
+    @property
+    def nq(self) -> int:
+        """Number of configuration coordinates."""
+        return int(self.model.nq)
+
+    @property
+    def nv(self) -> int:
+        """Number of velocity coordinates."""
+        return int(self.model.nv)
+
+    @property
+    def n_unactuated(self) -> int:
+        """Number of base rows, which come first and have no actuator: 6, 3 or 0."""
+        return building.BASE_ROWS[self.base]
+
+    @property
+    def nu(self) -> int:
+        """Number of actuated rows."""
+        return self.nv - self.n_unactuated
+
+    @cached_property
+    def mass(self) -> float:
+        """Total mass of the moving bodies in kg."""
+        return float(sum(inertia.mass for inertia in list(self.model.inertias)[1:]))
+
+    @cached_property
+    def weight(self) -> float:
+        """Scale of forces in N: mass times gravity, or times 9.81 m/s^2 without gravity."""
+        gravity = float(np.linalg.norm(self.model.gravity.linear))
+        return self.mass * (gravity if gravity > 0 else STANDARD_GRAVITY)
+
+    @cached_property
+    def length(self) -> float:
+        """Characteristic length in m, the scale of lengths and (with gravity) of time.
+
+        The mean height of the base above the contact frames in the reference posture, for a
+        robot that moves on contacts. Otherwise (fixed base, no contacts, or a base that does
+        not stand above them) the reach: the longest sum of link lengths from the root to any
+        frame or centre of mass. 1 m if the model has no extent.
+        """
+        extent = building.reach(self.model)
+        if self.base != "fixed" and self.contacts:
+            data = self.model.createData()
+            pin.framesForwardKinematics(self.model, data, self.reference)
+            feet = [
+                data.oMf[self.model.getFrameId(contact.frame)].translation[2] for contact in self.contacts
+            ]
+            height = float(data.oMi[1].translation[2] - np.mean(feet))
+            if height > STANDING_PART * extent:
+                return height
+        return extent if extent > 0 else 1.0
+
+    def contact(self, name: str) -> Contact:
+        """Return the contact of that name; raises `InputError` that lists the names."""
+        for contact in self.contacts:
+            if contact.name == name:
+                return contact
+        known = ", ".join(contact.name for contact in self.contacts) or "none"
+        raise InputError(f"robot '{self.name}' has no contact '{name}'", f"contacts: {known}")
+
+    def with_locked(self, joints: Sequence[str], reference: ArrayLike | None = None) -> Robot:
+        """Return this robot with ``joints`` welded at their value in ``reference`` (nq,), default its own."""
+        return lock(self, joints, self.reference if reference is None else np.asarray(reference, dtype=float))
+
+    @classmethod
+    def from_urdf(
+        cls,
+        path: str | Path,
+        *,
+        base: Base = "freeflyer",
+        contacts: Sequence[str | Contact] = (),
+        reference: ArrayLike | Mapping[str, float] | None = None,
+        locked: Sequence[str] = (),
+        name: str | None = None,
+        package_dirs: Sequence[str | Path] | None = None,
+    ) -> Robot:
+        """Build a robot from a URDF file.
+
+        base: "freeflyer", "planar" (in the world's x-z plane) or "fixed".
+        contacts: frame names (point contacts) or `Contact` objects.
+        reference: see `robot_building.reference_posture`; in terms of the joints before locking.
+        locked: names of joints to weld at the reference.
+        package_dirs: where ``package://`` paths of meshes start; default the file's own directory.
+
+        Raises `InputError` for a missing or malformed file and whatever `Robot` refuses.
+        """
+        model = building.read_urdf(path, base)
+        source = Path(path).expanduser().absolute()
+        directories = tuple(Path(entry).absolute() for entry in package_dirs or [source.parent])
+        return cls.from_model(
+            model,
+            base=base,
+            contacts=contacts,
+            reference=reference,
+            locked=locked,
+            name=name or model.name,
+            visual=VisualSource(urdf=source, package_dirs=directories),
+        )
+
+    @classmethod
+    def from_mjcf(cls, path: str | Path, *, base: Base | None = None, **options: Any) -> Robot:
+        """Build a robot from an MJCF file, as far as Pinocchio reads it; options as in `from_model`.
+
+        base: None takes the root joint of the file; a kind that contradicts it raises `InputError`.
+        MJCF actuator limits are not read by Pinocchio: the effort limit comes from the joints alone.
+        """
+        model = building.read_mjcf(path, base)
+        return cls.from_model(model, base=base, **options)
+
+    @classmethod
+    def from_model(
+        cls,
+        model: pin.Model,
+        *,
+        base: Base | None = None,
+        contacts: Sequence[str | Contact] = (),
+        reference: ArrayLike | Mapping[str, float] | None = None,
+        locked: Sequence[str] = (),
+        name: str | None = None,
+        visual: VisualSource | None = None,
+    ) -> Robot:
+        """Build a robot from a numeric Pinocchio model and its limits; arguments as in `from_urdf`."""
+        kind = base if base is not None else building.base_of(model)
+        building.require_base(kind)
+        named = tuple(entry if isinstance(entry, Contact) else Contact(frame=entry) for entry in contacts)
+        for contact in named:
+            require_frame(model, contact.frame, f"contact '{contact.name}'")
+        lower, upper = building.position_limits(model)
+        robot = cls(
+            name=name or model.name or "robot",
+            model=pin.Model(model),
+            base=kind,
+            contacts=named,
+            reference=building.reference_posture(
+                model, kind, [contact.frame for contact in named], reference
+            ),
+            effort_limit=building.effort_limit(model, kind),
+            velocity_limit=building.velocity_limit(model, kind),
+            position_lower=lower,
+            position_upper=upper,
+            visual=visual,
+        )
+        return robot.with_locked(locked) if locked else robot
+
+
+def lock(robot: Robot, joints: Sequence[str], reference: np.ndarray) -> Robot:
+    """Return ``robot`` with ``joints`` welded at ``reference`` (nq,); limits of the others are kept."""
+    replace(robot, reference=reference)  # refuses a reference of wrong shape or outside the limits
+    model = building.locked_model(robot.model, joints, reference)
+    kept = [robot.model.joints[robot.model.getJointId(name)] for name in list(model.names)[1:]]
+    rows_q = np.concatenate([np.arange(joint.idx_q, joint.idx_q + joint.nq) for joint in kept]).astype(int)
+    rows_v = np.concatenate([np.arange(joint.idx_v, joint.idx_v + joint.nv) for joint in kept]).astype(int)
+    actuated = rows_v[robot.n_unactuated :] - robot.n_unactuated
+    return replace(
+        robot,
+        model=model,
+        reference=reference[rows_q],
+        velocity_limit=robot.velocity_limit[rows_v],
+        position_lower=robot.position_lower[rows_q],
+        position_upper=robot.position_upper[rows_q],
+        effort_limit=None if robot.effort_limit is None else robot.effort_limit[actuated],
+    )

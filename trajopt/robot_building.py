@@ -1,0 +1,218 @@
+"""From a description file to a numeric `pin.Model` and the arrays of a `Robot`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from trajopt.errors import InputError, UnsupportedJointError
+
+Base = Literal["freeflyer", "planar", "fixed"]
+BASES: tuple[Base, ...] = ("freeflyer", "planar", "fixed")
+BASE_ROWS: dict[Base, int] = {"freeflyer": 6, "planar": 3, "fixed": 0}
+BASE_COORDINATES: dict[Base, int] = {"freeflyer": 7, "planar": 4, "fixed": 0}
+
+# Parsers write "no limit" as the largest double or as infinity; no robot reaches this.
+UNLIMITED = 1e20
+
+# Pinocchio's planar joint moves in its own x-y plane. This placement lays it in the
+# sagittal plane: its x is the world's x, its y is up, and it turns about the world's -y.
+SAGITTAL = pin.SE3(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]), np.zeros(3))
+
+
+def read_urdf(path: str | Path, base: Base) -> pin.Model:
+    """Read a URDF file with the given base; raises `InputError` if it is missing or malformed."""
+    source = existing_file(path, "URDF")
+    require_base(base)
+    try:
+        if base == "fixed":
+            return pin.buildModelFromUrdf(str(source))
+        if base == "freeflyer":
+            return pin.buildModelFromUrdf(str(source), pin.JointModelFreeFlyer())
+        return sagittal(pin.buildModelFromUrdf(str(source), pin.JointModelPlanar()))
+    except (ValueError, RuntimeError) as error:
+        raise InputError(f"{source} is not a readable URDF file: {_first_line(error)}") from None
+
+
+def read_mjcf(path: str | Path, base: Base | None) -> pin.Model:
+    """Read an MJCF file; ``base=None`` takes the base that the file has.
+
+    A file with a free joint of its own gives a floating base, whatever else is asked for:
+    a different ``base`` raises `InputError`. A file without one gets the base asked for.
+    """
+    source = existing_file(path, "MJCF")
+    try:
+        model = pin.buildModelFromMJCF(str(source))
+        own = base_of(model)
+        if base is None or base == own:
+            return model
+        require_base(base)
+        if own != "fixed":
+            raise InputError(
+                f"{source} has a {own} root joint of its own, base={base!r} contradicts it", f"{own!r}"
+            )
+        root = pin.JointModelFreeFlyer() if base == "freeflyer" else pin.JointModelPlanar()
+        model = pin.buildModelFromMJCFAndRootJoint(str(source), pin.JointModel(root))
+    except (ValueError, RuntimeError) as error:
+        raise InputError(f"{source} is not a readable MJCF file: {_first_line(error)}") from None
+    return sagittal(model) if base == "planar" else model
+
+
+def existing_file(path: str | Path, kind: str) -> Path:
+    source = Path(path).expanduser().absolute()
+    if not source.is_file():
+        raise InputError(f"{kind} file {source} does not exist")
+    return source
+
+
+def require_base(base: str) -> None:
+    if base not in BASES:
+        raise InputError(f"base={base!r} is unknown", "one of " + ", ".join(repr(name) for name in BASES))
+
+
+def base_of(model: pin.Model) -> Base:
+    """Return the kind of base of ``model``, read from its first joint."""
+    if model.njoints < 2:
+        return "fixed"
+    kinds: dict[str, Base] = {"JointModelFreeFlyer": "freeflyer", "JointModelPlanar": "planar"}
+    return kinds.get(model.joints[1].shortname(), "fixed")
+
+
+def sagittal(model: pin.Model) -> pin.Model:
+    """Return ``model`` with its planar root joint turned into the world's x-z plane.
+
+    The configuration of the root is (x, z, cos, sin) of the pitch, nose up; its velocity is
+    (forward, up) in the base's axes and the pitch rate. Bodies keep their pose at neutral.
+    """
+    turned = pin.Model(model)
+    inverse = SAGITTAL.inverse()
+    turned.jointPlacements[1] = turned.jointPlacements[1] * SAGITTAL
+    turned.inertias[1] = inverse.act(turned.inertias[1])
+    for joint in range(2, turned.njoints):
+        if turned.parents[joint] == 1:
+            turned.jointPlacements[joint] = inverse * turned.jointPlacements[joint]
+    for frame in turned.frames:
+        if frame.parentJoint == 1 and frame.type != pin.FrameType.JOINT:
+            frame.placement = inverse * frame.placement
+    return turned
+
+
+def locked_model(model: pin.Model, joints: Sequence[str], reference: np.ndarray) -> pin.Model:
+    """Return ``model`` with ``joints`` welded at their value in ``reference`` (nq,)."""
+    known = list(model.names)[1:]
+    for name in joints:
+        if name not in known:
+            raise InputError(f"joint '{name}' to lock is unknown", "one of " + ", ".join(known))
+    return pin.buildReducedModel(model, [model.getJointId(name) for name in joints], reference)
+
+
+def position_limits(model: pin.Model) -> tuple[np.ndarray, np.ndarray]:
+    """Return lower and upper limits (nq,); coordinates without a limit get -inf and +inf.
+
+    Quaternions and (cos, sin) pairs are coordinates on a manifold, not limited ones.
+    """
+    lower = np.where(np.abs(model.lowerPositionLimit) > UNLIMITED, -np.inf, model.lowerPositionLimit)
+    upper = np.where(np.abs(model.upperPositionLimit) > UNLIMITED, np.inf, model.upperPositionLimit)
+    for joint in list(model.joints)[1:]:
+        if joint.nq != joint.nv:
+            lower[joint.idx_q : joint.idx_q + joint.nq] = -np.inf
+            upper[joint.idx_q : joint.idx_q + joint.nq] = np.inf
+    return lower, upper
+
+
+def velocity_limit(model: pin.Model, base: Base) -> np.ndarray:
+    """Return the velocity limit (nv,), infinite where there is none and at the base."""
+    limit = np.where(np.abs(model.upperVelocityLimit) > UNLIMITED, np.inf, np.abs(model.upperVelocityLimit))
+    limit[: BASE_ROWS[base]] = np.inf
+    return limit
+
+
+def effort_limit(model: pin.Model, base: Base) -> np.ndarray | None:
+    """Return the effort limit (nu,) on the joint side, or None if no actuated row has one."""
+    effort = model.upperEffortLimit[BASE_ROWS[base] :]
+    limit = np.where(np.abs(effort) > UNLIMITED, np.inf, np.abs(effort))
+    return limit if np.isfinite(limit).any() else None
+
+
+def reference_posture(
+    model: pin.Model,
+    base: Base,
+    frames: Sequence[str],
+    posture: ArrayLike | Mapping[str, float] | None,
+) -> np.ndarray:
+    """Return the reference configuration (nq,).
+
+    ``posture`` is a whole configuration (nq,), taken as it is; or the joints behind the base
+    (nq - base) in order or by name (joints not named stay at neutral), or None for neutral
+    within the limits. Then the base is level, at x = y = 0, as high as puts the lowest of
+    the contact ``frames`` at height 0.
+    """
+    if posture is not None and not isinstance(posture, Mapping):
+        given = np.array(posture, dtype=float)
+        joints = model.nq - BASE_COORDINATES[base]
+        if given.shape == (model.nq,):
+            return given
+        if given.shape != (joints,):
+            raise InputError(
+                f"reference has shape {given.shape}", f"({model.nq},) or, joints alone, ({joints},)"
+            )
+        q = np.concatenate([pin.neutral(model)[: BASE_COORDINATES[base]], given])
+    else:
+        q = _named_posture(model, posture or {})
+    return standing(model, base, frames, q)
+
+
+def _named_posture(model: pin.Model, values: Mapping[str, float]) -> np.ndarray:
+    q = np.clip(pin.neutral(model), *position_limits(model))
+    for name, value in values.items():
+        if not model.existJointName(name):
+            raise InputError(f"joint '{name}' of the reference is unknown", ", ".join(list(model.names)[1:]))
+        joint = model.joints[model.getJointId(name)]
+        if joint.nv != 1:
+            raise UnsupportedJointError(name, joint.shortname(), "joints of one angle or one length, by name")
+        q[joint.idx_q] = np.cos(value) if joint.nq == 2 else value
+        if joint.nq == 2:
+            q[joint.idx_q + 1] = np.sin(value)
+    return q
+
+
+def standing(model: pin.Model, base: Base, frames: Sequence[str], q: np.ndarray) -> np.ndarray:
+    """Return ``q`` with the base moved up or down until the lowest of ``frames`` is at height 0."""
+    if base == "fixed" or not frames:
+        return q
+    upright = q.copy()
+    height = {"freeflyer": 2, "planar": 1}[base]
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, upright)
+    up = (model.jointPlacements[1].rotation.T @ np.array([0.0, 0.0, 1.0]))[height]
+    if abs(up) < 0.5:
+        return upright
+    lowest = min(data.oMf[model.getFrameId(frame)].translation[2] for frame in frames)
+    upright[height] -= lowest / up
+    return upright
+
+
+def reach(model: pin.Model) -> float:
+    """Return the longest sum of link lengths (m) from the root to any frame or centre of mass."""
+    along = np.zeros(model.njoints)
+    for joint in range(2, model.njoints):
+        step = np.linalg.norm(model.jointPlacements[joint].translation)
+        along[joint] = along[model.parents[joint]] + step
+    tips = [
+        along[frame.parentJoint] + np.linalg.norm(frame.placement.translation)
+        for frame in model.frames
+        if frame.parentJoint > 0
+    ]
+    centres = [
+        along[joint] + np.linalg.norm(model.inertias[joint].lever) for joint in range(1, model.njoints)
+    ]
+    return float(max([*tips, *centres], default=0.0))
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__

@@ -1,0 +1,93 @@
+"""Where robot descriptions and their meshes lie on this machine, in a form that travels."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import pinocchio as pin
+
+from trajopt.errors import InputError
+
+DATA_PACKAGE = "example-robot-data"
+# The wheel is built by cmeel: its files lie under this prefix of site-packages.
+DATA_SHARE = "cmeel.prefix/share"
+
+
+def data_share() -> Path:
+    """Return the directory that holds ``example-robot-data/robots``.
+
+    URDF files of the package name their meshes ``package://example-robot-data/...``,
+    so this is also their package directory. Raises `InputError` if the package is missing.
+    """
+    try:
+        distribution = importlib.metadata.distribution(DATA_PACKAGE)
+    except importlib.metadata.PackageNotFoundError:
+        raise InputError(
+            f"package '{DATA_PACKAGE}' is not installed", f"pip install {DATA_PACKAGE}"
+        ) from None
+    share = Path(str(distribution.locate_file(DATA_SHARE)))
+    if not (share / DATA_PACKAGE / "robots").is_dir():
+        raise InputError(
+            f"package '{DATA_PACKAGE}' has no {share / DATA_PACKAGE / 'robots'}", "version 5 or later"
+        )
+    return share
+
+
+def robot_file(relative: str) -> Path:
+    """Return the path of a description, ``relative`` to ``example-robot-data/robots``."""
+    return data_share() / DATA_PACKAGE / "robots" / relative
+
+
+@dataclass(frozen=True, kw_only=True)
+class VisualSource:
+    """Where a robot's meshes are found: a URDF file and the directories of its packages."""
+
+    urdf: Path
+    package_dirs: tuple[Path, ...] = ()
+
+    def to_meta(self) -> dict[str, Any]:
+        """Return the JSON form: paths inside the robot data package are relative to `data_share`."""
+        return {"urdf": _portable(self.urdf), "package_dirs": [_portable(path) for path in self.package_dirs]}
+
+    @classmethod
+    def from_meta(cls, meta: dict[str, Any]) -> VisualSource:
+        """Read the form of `to_meta`; relative paths are found in the installed robot data package."""
+        try:
+            directories = tuple(_located(path) for path in meta.get("package_dirs", ()))
+            return cls(urdf=_located(meta["urdf"]), package_dirs=directories)
+        except (KeyError, TypeError, AttributeError):
+            raise InputError(
+                "key 'visual' is malformed", "an object with 'urdf' and 'package_dirs'"
+            ) from None
+
+    def geometry(self, model: pin.Model) -> pin.GeometryModel:
+        """Return the visual geometries placed on ``model``; raises `InputError` if a file is missing."""
+        if not self.urdf.is_file():
+            raise InputError(f"URDF file {self.urdf} of the robot's meshes does not exist")
+        directories = [str(path) for path in self.package_dirs]
+        try:
+            return pin.buildGeomFromUrdf(
+                model, str(self.urdf), pin.GeometryType.VISUAL, package_dirs=directories
+            )
+        except (ValueError, RuntimeError) as error:
+            raise InputError(f"meshes of {self.urdf} cannot be read: {_first_line(error)}") from None
+
+
+def _portable(path: Path) -> str:
+    path = path.absolute()
+    try:
+        return str(PurePosixPath(path.relative_to(data_share())))
+    except (ValueError, InputError):
+        return str(path)
+
+
+def _located(text: str) -> Path:
+    path = Path(text)
+    return path if path.is_absolute() else data_share() / path
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
