@@ -180,6 +180,12 @@ class Robot:
                 return height
         return extent if extent > 0 else 1.0
 
+    def limited_model(self) -> pin.Model:
+        """Return a copy of the model that carries this robot's limits, as a solution file stores it."""
+        model = pin.Model(self.model)
+        model.lowerPositionLimit, model.upperPositionLimit = self.position_lower, self.position_upper
+        return model
+
     def contact(self, name: str) -> Contact:
         """Return the contact of that name; raises `InputError` that lists the names."""
         for contact in self.contacts:
