@@ -42,4 +42,16 @@ NB_MODULE(_pinocchio, module) {
   module.doc() = "Pinocchio's algorithms on casadi::SX, returned as serialised casadi functions.";
   bind_description(module);
   module.def("fused", &fused, "description"_a, "frames"_a);
+  module.def("rnea", &rnea, "description"_a);
+  module.def("bias_forces", &bias_forces, "description"_a);
+  module.def("mass_matrix", &mass_matrix, "description"_a);
+  module.def("frame_placement", &frame_placement, "description"_a, "frame"_a);
+  module.def("frame_velocity", &frame_velocity, "description"_a, "frame"_a, "reference"_a);
+  module.def("frame_acceleration", &frame_acceleration, "description"_a, "frame"_a, "reference"_a);
+  module.def("frame_jacobian", &frame_jacobian, "description"_a, "frame"_a, "reference"_a);
+  module.def("centre_of_mass", &centre_of_mass, "description"_a);
+  module.def("centroidal_momentum", &centroidal_momentum, "description"_a);
+  module.def("centroidal_momentum_rate", &centroidal_momentum_rate, "description"_a);
+  module.def("kinetic_energy", &kinetic_energy, "description"_a);
+  module.def("potential_energy", &potential_energy, "description"_a);
 }

@@ -1,0 +1,108 @@
+"""A numeric model as plain numbers: the key of the cache and the input of the extension."""
+
+from __future__ import annotations
+
+import difflib
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt import _pinocchio
+from trajopt.errors import InputError, UnsupportedJointError
+
+SUPPORTED_JOINTS = (
+    "FreeFlyer", "Planar", "RX", "RY", "RZ", "RUBX", "RUBY", "RUBZ", "RevoluteUnaligned",
+    "RevoluteUnboundedUnaligned", "PX", "PY", "PZ", "PrismaticUnaligned", "Spherical", "SphericalZYX",
+    "Translation",
+)  # fmt: skip
+
+_NO_AXIS = (0.0, 0.0, 0.0)
+_CLOSE_NAMES = 5
+_CLOSE_CUTOFF = 0.4  # of difflib's similarity, below its default 0.6: frame names are long
+
+
+def joint_kind(model: pin.Model, index: int) -> str:
+    """Kind of joint ``index`` as Pinocchio names it, without "JointModel".
+
+    Raises ``UnsupportedJointError`` for a kind that is not in ``SUPPORTED_JOINTS``.
+    """
+    kind = model.joints[index].shortname().removeprefix("JointModel")
+    if kind not in SUPPORTED_JOINTS:
+        raise UnsupportedJointError(model.names[index], kind, ", ".join(SUPPORTED_JOINTS))
+    return kind
+
+
+def model_content(model: pin.Model) -> tuple:
+    """Everything the algorithms read from ``model``, hashable: joints, armature, gravity.
+
+    Raises ``UnsupportedJointError``.
+    """
+    joints = tuple(_joint_content(model, index) for index in range(1, model.njoints))
+    return joints, tuple(model.armature.tolist()), tuple(model.gravity.linear.tolist())
+
+
+def frame_content(model: pin.Model, name: str, wrench_size: int = 0) -> tuple:
+    """Parent joint and placement of a frame, and the size of the wrench on it, hashable.
+
+    Raises ``InputError`` that lists close names when the frame does not exist.
+    """
+    if not model.existFrame(name):
+        known = [frame.name for frame in model.frames]
+        close = difflib.get_close_matches(name, known, n=_CLOSE_NAMES, cutoff=_CLOSE_CUTOFF)
+        allowed = f"close to it: {', '.join(close)}" if close else f"the frames are: {', '.join(known)}"
+        raise InputError(f"the model '{model.name}' has no frame '{name}'", allowed)
+    frame = model.frames[model.getFrameId(name)]
+    return int(frame.parentJoint), *_placement(frame.placement), int(wrench_size)
+
+
+def _joint_content(model: pin.Model, index: int) -> tuple:
+    kind = joint_kind(model, index)
+    inertia = model.inertias[index]
+    return (
+        model.names[index],
+        kind,
+        int(model.parents[index]),
+        *_placement(model.jointPlacements[index]),
+        _axis(model.joints[index]) if kind.endswith("Unaligned") else _NO_AXIS,
+        float(inertia.mass),
+        tuple(inertia.lever.tolist()),
+        tuple(np.ravel(inertia.inertia).tolist()),
+    )
+
+
+def _axis(joint: pin.JointModel) -> tuple:
+    """Axis of a joint of one degree of freedom, from its motion subspace.
+
+    Pinocchio's bindings do not show the axis of every kind.
+    """
+    data = joint.createData()
+    neutral = [1.0, 0.0] if joint.nq == 2 else [0.0]  # (cos, sin) of a continuous joint
+    joint.calc(data, np.array(neutral))
+    subspace = np.ravel(data.S)
+    return tuple((subspace[:3] + subspace[3:]).tolist())
+
+
+def _placement(placement: pin.SE3) -> tuple[tuple, tuple]:
+    return tuple(np.ravel(placement.rotation).tolist()), tuple(placement.translation.tolist())
+
+
+def description(content: tuple) -> _pinocchio.Description:
+    """The extension's form of ``model_content``."""
+    result = _pinocchio.Description()
+    joints, result.armature, result.gravity = content
+    result.joints = [_joint(joint) for joint in joints]
+    return result
+
+
+def _joint(content: tuple) -> _pinocchio.Joint:
+    joint = _pinocchio.Joint()
+    joint.name, joint.kind, joint.parent, joint.rotation, joint.translation, joint.axis = content[:6]
+    joint.mass, joint.lever, joint.inertia = content[6:]
+    return joint
+
+
+def frame(content: tuple) -> _pinocchio.Frame:
+    """The extension's form of ``frame_content``."""
+    result = _pinocchio.Frame()
+    result.joint, result.rotation, result.translation, result.wrench_size = content
+    return result
