@@ -33,7 +33,7 @@ _JOINTS = {
     "RUBY": pin.JointModelRUBY,
     "RUBZ": pin.JointModelRUBZ,
     "RevoluteUnaligned": lambda: pin.JointModelRevoluteUnaligned(*_AXIS),
-    "RevoluteUnboundedUnaligned": lambda: pin.JointModelRevoluteUnboundedUnaligned(*_AXIS),
+    "RevoluteUnboundedUnaligned": lambda: _continuous_joint(),
     "PX": pin.JointModelPX,
     "PY": pin.JointModelPY,
     "PZ": pin.JointModelPZ,
@@ -83,6 +83,16 @@ def random_state(model: pin.Model, seed: int) -> tuple[np.ndarray, np.ndarray, n
     generator = np.random.default_rng(seed)
     q = pin.integrate(model, pin.neutral(model), generator.uniform(-1, 1, model.nv))
     return q, generator.uniform(-1, 1, model.nv), generator.uniform(-1, 1, model.nv)
+
+
+def _continuous_joint() -> pin.JointModel:
+    """A continuous joint about ``_AXIS``: Python's bindings make one only out of a URDF."""
+    axis = " ".join(str(value) for value in _AXIS)
+    urdf = f"""<robot name="continuous"><link name="base"/><link name="body"/>
+        <joint name="joint" type="continuous">
+        <parent link="base"/><child link="body"/><axis xyz="{axis}"/>
+        </joint></robot>"""
+    return pin.buildModelFromXML(urdf).joints[1]
 
 
 def _placement(generator: np.random.Generator) -> pin.SE3:

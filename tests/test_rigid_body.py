@@ -16,6 +16,7 @@ from trajopt.versions import check_versions, installed_version
 # Both sides evaluate the same formulas in double precision; entries near zero need an absolute part.
 SAME = {"rtol": 1e-9, "atol": 1e-10}
 # Central differences of step 1e-6 on values of order 1 to 1e3.
+ROUNDING = 1e-14  # of configurations of order 1
 DIFFERENCE_STEP = 1e-6
 DIFFERENCE = {"rtol": 1e-5, "atol": 2e-5}
 
@@ -39,7 +40,7 @@ def case(request) -> tuple[pin.Model, str]:
 
 
 def evaluate(function: ca.Function, *arguments: np.ndarray) -> list[np.ndarray]:
-    return [np.array(value) for value in function.call([ca.DM(argument) for argument in arguments])]
+    return [value.full() for value in function.call([ca.DM(argument) for argument in arguments])]
 
 
 def assert_same(function: ca.Function, arguments: tuple, *expected: np.ndarray) -> None:
@@ -79,7 +80,9 @@ def test_fused_function_equals_numeric_pinocchio(case, seed):
     indices = [model.getFrameId(name) for name in frames]
     aligned = pin.LOCAL_WORLD_ALIGNED
     velocity = [pin.getFrameVelocity(model, data, index, aligned).vector for index in indices]
-    acceleration = [pin.getFrameClassicalAcceleration(model, data, index, aligned).vector for index in indices]
+    acceleration = [
+        pin.getFrameClassicalAcceleration(model, data, index, aligned).vector for index in indices
+    ]
     assert_same(
         rigid_body.fused(model, frames, sizes),
         (q, v, a, w),
@@ -132,11 +135,15 @@ def test_centroidal_functions_and_energies_equal_numeric_pinocchio(case, seed):
     pin.computeCentroidalMomentumTimeVariation(model, data, q, v, a)
     assert_same(rigid_body.centroidal_momentum(model), (q, v), data.hg.vector)
     assert_same(rigid_body.centroidal_momentum_rate(model), (q, v, a), data.hg.vector, data.dhg.vector)
-    assert_same(rigid_body.kinetic_energy(model), (q, v), np.array(pin.computeKineticEnergy(model, data, q, v)))
-    assert_same(rigid_body.potential_energy(model), (q,), np.array(pin.computePotentialEnergy(model, data, q)))
+    assert_same(
+        rigid_body.kinetic_energy(model), (q, v), np.array(pin.computeKineticEnergy(model, data, q, v))
+    )
+    assert_same(
+        rigid_body.potential_energy(model), (q,), np.array(pin.computePotentialEnergy(model, data, q))
+    )
 
 
-@pytest.mark.parametrize("length", [1e-9, 1e-3, 0.05, 1.0, 1.7])
+@pytest.mark.parametrize("length", [1e-3, 0.05, 1.0, 1.7])
 def test_integrate_and_difference_equal_numeric_pinocchio_at_any_length(case, length):
     model, _ = case
     q, v, _ = random_state(model, 3)
@@ -144,6 +151,16 @@ def test_integrate_and_difference_equal_numeric_pinocchio_at_any_length(case, le
     end = pin.integrate(model, q, step)
     assert_same(rigid_body.integrate(model), (q, step), end)
     assert_same(rigid_body.difference(model), (q, end), pin.difference(model, q, end))
+
+
+@pytest.mark.parametrize("length", [0.0, 1e-12, 1e-6, 0.199, 0.201, 1.7])
+def test_difference_undoes_integrate(case, length):
+    model, _ = case
+    q, v, _ = random_state(model, 6)
+    end = rigid_body.integrate(model)(q, length * v)
+    assert_allclose(
+        rigid_body.difference(model)(q, end).full().ravel(), length * v, rtol=1e-12, atol=ROUNDING
+    )
 
 
 @pytest.mark.parametrize("length", [0.0, 1e-12, 0.05, 1.0])
@@ -156,7 +173,7 @@ def test_derivatives_of_integrate_equal_pinocchios_also_at_zero(case, length):
     arrival = difference(pin.integrate(model, q, step), integrate(q, step + u))
     jacobian = ca.Function("jacobian", [u], [ca.jacobian(arrival, u)])
     expected = pin.dIntegrate(model, q, step, pin.ARG1)
-    assert_allclose(np.array(jacobian(np.zeros(model.nv))), expected, rtol=1e-7, atol=1e-7)
+    assert_allclose(jacobian(np.zeros(model.nv)).full(), expected, rtol=1e-7, atol=1e-7)
 
 
 def test_second_derivatives_of_difference_are_finite_at_identity(case):
@@ -164,25 +181,21 @@ def test_second_derivatives_of_difference_are_finite_at_identity(case):
     q, _, _ = random_state(model, 4)
     q1 = ca.SX.sym("q1", model.nq)
     hessian = ca.hessian(ca.sum1(rigid_body.difference(model)(q, q1)), q1)[0]
-    assert np.isfinite(np.array(ca.Function("hessian", [q1], [hessian])(q))).all()
+    assert np.isfinite(ca.Function("hessian", [q1], [hessian])(q).full()).all()
 
 
 @pytest.mark.parametrize("name", ["solo12", "kinova", "go2_planar"])
 def test_jacobian_of_the_fused_function_equals_finite_differences(name):
     model, frame = robot(name)
     function = rigid_body.fused(model, [frame], [3])
-    x = ca.vertcat(*(function.sx_in(i) for i in range(4)))
-    outputs = ca.vertcat(*(ca.vec(y) for y in function.call(list(ca.vertsplit(x, offsets(function))))))
-    values = ca.Function("values", [x], [outputs])
-    jacobian = np.array(values.jacobian()(np.concatenate([*random_state(model, 1), [1, 2, 3]]), 0))
+    inputs = [function.sx_in(i) for i in range(function.n_in())]
+    outputs = ca.vertcat(*(ca.vec(output) for output in function.call(inputs)))
+    values = ca.Function("values", [ca.vertcat(*inputs)], [outputs])
     point = np.concatenate([*random_state(model, 1), [1.0, 2.0, 3.0]])
-    steps = DIFFERENCE_STEP * np.eye(len(point))
-    columns = [np.ravel(values(point + step) - values(point - step)) / (2 * DIFFERENCE_STEP) for step in steps]
-    assert_allclose(jacobian, np.transpose(columns), **DIFFERENCE)
-
-
-def offsets(function: ca.Function) -> list[int]:
-    return [0, *np.cumsum([function.size1_in(i) for i in range(function.n_in())]).tolist()]
+    jacobian = values.jacobian()(point, 0).full()
+    for entry, step in enumerate(DIFFERENCE_STEP * np.eye(len(point))):
+        slope = (values(point + step) - values(point - step)).full().ravel() / (2 * DIFFERENCE_STEP)
+        assert_allclose(jacobian[:, entry], slope, **DIFFERENCE)
 
 
 def test_a_function_is_built_once_for_the_content_of_a_model():
@@ -197,7 +210,7 @@ def test_a_function_is_built_once_for_the_content_of_a_model():
 def test_unsupported_joint_is_named_with_its_kind(joint):
     model = pin.Model()
     model.addJoint(0, joint, pin.SE3.Identity(), "wrist")
-    with pytest.raises(UnsupportedJointError, match="'wrist' is of kind (Universal|HX)"):
+    with pytest.raises(UnsupportedJointError, match=r"'wrist' is of kind (Universal|HX)"):
         rigid_body.rnea(model)
     with pytest.raises(UnsupportedJointError):
         rigid_body.integrate(model)
@@ -222,7 +235,9 @@ def test_wrong_wrench_size_and_reference_are_refused():
 
 def test_wheels_of_other_versions_are_refused_in_one_line():
     check_versions({"casadi": installed_version("casadi")})
-    with pytest.raises(VersionMismatchError, match=r"casadi .*against casadi 0\.0\.1; run: .*casadi==0\.0\.1"):
+    with pytest.raises(
+        VersionMismatchError, match=r"casadi .*against casadi 0\.0\.1; run: .*casadi==0\.0\.1"
+    ):
         check_versions({"casadi": "0.0.1"})
     with pytest.raises(VersionMismatchError, match="no-such-wheel none"):
         check_versions({"no-such-wheel": "1"})

@@ -42,7 +42,9 @@ def fused(model: pin.Model, frames: Sequence[str], wrench_kinds: Sequence[int]) 
       angular) in world-aligned axes at the frame's origin.
     """
     if len(frames) != len(wrench_kinds) or not set(wrench_kinds) <= set(WRENCH_SIZES):
-        raise InputError(f"wrench sizes {list(wrench_kinds)} for frames {list(frames)}", "one of 0, 3, 6 a frame")
+        raise InputError(
+            f"wrench sizes {list(wrench_kinds)} for frames {list(frames)}", "one of 0, 3, 6 a frame"
+        )
     pairs = zip(frames, wrench_kinds, strict=True)
     return _fused(model_content(model), tuple(frame_content(model, name, size) for name, size in pairs))
 
