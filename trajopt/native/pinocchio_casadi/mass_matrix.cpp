@@ -10,7 +10,7 @@ std::string mass_matrix(const Description& description) {
   const Model model = make_model(description);
   Data data = make_data(model);
   const Symbol q("q", model.nq);
-  pinocchio::crba(model, data, q.vector, pinocchio::Convention::LOCAL);
+  pinocchio::impl::crbaLocalConvention(model, data, q.vector);
   data.M.triangularView<Eigen::StrictlyLower>() = data.M.transpose();
   return casadi::Function("mass_matrix", {q.matrix}, {dense(data.M)}, {"q"}, {"M"}).serialize();
 }
