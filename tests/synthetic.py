@@ -106,7 +106,6 @@ def arm_motion(robot: Robot, duration: float = 1.0) -> Motion:
 def tumbling_flight(robot: Robot, duration: float = 0.3) -> Motion:
     """A floating robot thrown up and spinning; joint torques linear in time, integrated to 1e-12."""
     model, data = robot.model, robot.model.createData()
-    contacts = len(robot.contacts)
     first, slope = np.linspace(-0.02, 0.02, robot.nu), np.linspace(0.05, -0.1, robot.nu)
     q0, v0 = robot.reference.copy(), np.zeros(robot.nv)
     q0[2] += 1.0
@@ -115,42 +114,12 @@ def tumbling_flight(robot: Robot, duration: float = 0.3) -> Motion:
     def tau(t: float) -> np.ndarray:
         return first + slope * t
 
-    def acceleration(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        return pin.aba(model, data, q, v, np.concatenate([np.zeros(6), tau(t)])).copy()
-
     def rate(t: float, state: np.ndarray) -> np.ndarray:
-        q, v = state[: robot.nq], state[robot.nq :]
-        quaternion = pin.Quaternion(q[3:7])
-        turning = 0.5 * (quaternion * pin.Quaternion(np.append(v[3:6], 0.0))).coeffs()
-        moving = quaternion.toRotationMatrix() @ v[:3]
-        return np.concatenate([moving, turning, v[6:], acceleration(t, pin.normalize(model, q), v)])
+        q, v = pin.normalize(model, state[: robot.nq]), state[robot.nq :]
+        acceleration = pin.aba(model, data, q, v, np.concatenate([np.zeros(6), tau(t)]))
+        return np.concatenate([freeflyer_rate(state[: robot.nq], v), v[6:], acceleration])
 
-    path = solve_ivp(
-        rate,
-        (0, duration),
-        np.concatenate([q0, v0]),
-        method="DOP853",
-        rtol=1e-13,
-        atol=1e-14,
-        dense_output=True,
-        max_step=duration / 40,
-    ).sol
-
-    def q(t: float) -> np.ndarray:
-        return pin.normalize(model, path(t)[: robot.nq])
-
-    def v(t: float) -> np.ndarray:
-        return path(t)[robot.nq :]
-
-    return Motion(
-        duration=duration,
-        contacts=(),
-        q=q,
-        v=v,
-        a=lambda t: acceleration(t, q(t), v(t)),
-        tau=tau,
-        f=lambda t: np.zeros((contacts, 6)),
-    )
+    return _from_path(robot, np.concatenate([q0, v0]), rate, duration, (), tau, None)
 
 
 def standing(robot: Robot, duration: float = 0.4) -> Motion:
@@ -182,4 +151,97 @@ def standing(robot: Robot, duration: float = 0.4) -> Motion:
         a=lambda t: still,
         tau=lambda t: torque,
         f=lambda t: forces,
+    )
+
+
+def planar_flight(robot: Robot, duration: float = 0.3) -> Motion:
+    """A planar robot thrown up and spinning without torques, integrated to 1e-12."""
+    model, data, nq = robot.model, robot.model.createData(), robot.nq
+    v0 = np.concatenate([[0.5, 1.0, 3.0], np.linspace(-0.5, 0.5, robot.nu)])
+
+    def rate(t: float, state: np.ndarray) -> np.ndarray:
+        q, v = pin.normalize(model, state[:nq]), state[nq:]
+        cosine, sine = q[2:4]
+        base = [cosine * v[0] - sine * v[1], sine * v[0] + cosine * v[1], -sine * v[2], cosine * v[2]]
+        return np.concatenate([base, v[3:], pin.aba(model, data, q, v, np.zeros(robot.nv))])
+
+    start = np.concatenate([robot.reference + np.eye(nq)[1], v0])
+    return _from_path(robot, start, rate, duration, (), lambda t: np.zeros(robot.nu), None)
+
+
+def pushing_off(robot: Robot, duration: float = 0.15) -> Motion:
+    """A legged robot that rises on its four feet: holding torques and a linear ramp, integrated to 1e-12.
+
+    Accelerations and contact forces come from a least-squares solution of the whole KKT system.
+    """
+    model, data = robot.model, robot.model.createData()
+    stance = standing(robot)
+    frames = [model.getFrameId(contact.frame) for contact in robot.contacts]
+    ramp = np.array([0.0, 0.0, 2.0] * 2 + [0.0, 0.0, -2.0] * 2)  # knees stretch: front forward, hind back
+
+    def tau(t: float) -> np.ndarray:
+        return stance.tau(0.0) + ramp * t
+
+    def kkt(t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        inertia = np.triu(pin.crba(model, data, q))
+        inertia = inertia + np.triu(inertia, 1).T
+        bias = pin.nle(model, data, q, v).copy()
+        pin.forwardKinematics(model, data, q, v, np.zeros(robot.nv))
+        pin.computeJointJacobians(model, data, q)
+        pin.updateFramePlacements(model, data)
+        axes = pin.LOCAL_WORLD_ALIGNED
+        jacobian = np.vstack([pin.getFrameJacobian(model, data, frame, axes)[:3] for frame in frames])
+        drift = [pin.getFrameClassicalAcceleration(model, data, frame, axes).linear for frame in frames]
+        matrix = np.block([[inertia, -jacobian.T], [jacobian, np.zeros((12, 12))]])
+        right = np.concatenate([np.concatenate([np.zeros(6), tau(t)]) - bias, -np.concatenate(drift)])
+        both = np.linalg.lstsq(matrix, right, rcond=None)[0]
+        return both[: robot.nv], both[robot.nv :]
+
+    def rate(t: float, state: np.ndarray) -> np.ndarray:
+        q, v = pin.normalize(model, state[: robot.nq]), state[robot.nq :]
+        return np.concatenate([freeflyer_rate(state[: robot.nq], v), v[6:], kkt(t, q, v)[0]])
+
+    def force(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return np.hstack([kkt(t, q, v)[1].reshape(4, 3), np.zeros((4, 3))])
+
+    start = np.concatenate([robot.reference, np.zeros(robot.nv)])
+    return _from_path(robot, start, rate, duration, stance.contacts, tau, force)
+
+
+def freeflyer_rate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Time derivative (7,) of the position and quaternion of a floating base."""
+    quaternion = pin.Quaternion(q[3:7])
+    turning = 0.5 * (quaternion * pin.Quaternion(np.append(v[3:6], 0.0))).coeffs()
+    return np.concatenate([quaternion.toRotationMatrix() @ v[:3], turning])
+
+
+def _from_path(robot, start, rate, duration, contacts, tau, force):  # type: ignore[no-untyped-def]
+    path = solve_ivp(
+        rate,
+        (0, duration),
+        start,
+        method="DOP853",
+        rtol=1e-13,
+        atol=1e-14,
+        dense_output=True,
+        max_step=duration / 40,
+    ).sol
+
+    def q(t: float) -> np.ndarray:
+        return pin.normalize(robot.model, path(t)[: robot.nq])
+
+    def v(t: float) -> np.ndarray:
+        return path(t)[robot.nq :]
+
+    def f(t: float) -> np.ndarray:
+        return np.zeros((len(robot.contacts), 6)) if force is None else force(t, q(t), v(t))
+
+    return Motion(
+        duration=duration,
+        contacts=contacts,
+        q=q,
+        v=v,
+        a=lambda t: rate(t, path(t))[-robot.nv :],
+        tau=tau,
+        f=f,
     )

@@ -188,7 +188,22 @@ def _wrong_meta(meta: dict[str, Any]) -> str:
             and all(entry is None or (_is_number(entry) and entry >= 0) for entry in limit)
         ):
             return f"{key} of meta is not null or a list of numbers >= 0"
-    return "" if isinstance(meta["success"], bool) else "success of meta is not true or false"
+    if not isinstance(meta["success"], bool):
+        return "success of meta is not true or false"
+    return _wrong_sizes(meta.get("contact_sizes"), kinds)
+
+
+def _wrong_sizes(sizes: Any, kinds: list[str]) -> str:
+    """Optional key of meta: [half_length, half_width] (m) of each sole, null for a point."""
+    if sizes is None:
+        return ""
+    pairs = isinstance(sizes, list) and all(
+        size is None or (isinstance(size, list) and len(size) == 2 and all(_is_number(x) for x in size))
+        for size in sizes
+    )
+    if not pairs or len(sizes) != len(kinds):
+        return "contact_sizes of meta is not a list of null or [half_length, half_width] for each contact"
+    return ""
 
 
 def _is_number(value: Any) -> bool:

@@ -1,0 +1,68 @@
+"""Free motion in phases without contact: the centre of mass follows a parabola, momentum is constant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.robot_building import base_of, reach
+from trajopt.solution import Solution
+
+# A body that hardly turns has no momentum to compare with: then this part of m l sqrt(g l), the
+# momentum of the robot's mass at its reach l falling over l, is the scale.
+QUIET_MOMENTUM = 1e-2
+# Shorter travels of the centre of mass (m) than this are not a flight one can measure against.
+LEAST_TRAVEL = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightError:
+    """Deviation of the centre of mass over its travel, of angular momentum over its scale."""
+
+    ballistic: float
+    momentum: float
+
+
+def flight_errors(solution: Solution, phase: range) -> FlightError | None:
+    """Return the errors of free motion in ``phase``, or None with contacts or a fixed base.
+
+    ballistic: max |c - c_0 - c'_0 t - g t^2 / 2| over the phase's max |c - c_0|.
+    momentum: max |h - h_0| over max(|h|, ``QUIET_MOMENTUM`` m l sqrt(g l)), with h the angular
+    momentum about the centre of mass, l the reach. For a planar base only what its plane leaves free.
+    """
+    model = solution.model
+    base = base_of(model)
+    samples = slice(phase.start, phase.stop)
+    if base == "fixed" or solution.active[samples].any():
+        return None
+    t = solution.t[samples] - solution.t[phase.start]
+    com, velocity, momentum, mass = _centroidal(solution, phase)
+    gravity = np.asarray(model.gravity.linear)
+    deviation = com - com[0] - np.outer(t, velocity[0]) - 0.5 * np.outer(t**2, gravity)
+    if base == "planar":
+        axes = model.jointPlacements[1].rotation
+        deviation, momentum = deviation @ axes[:, :2], momentum @ axes[:, 2:]
+    travel = max(float(np.linalg.norm(com - com[0], axis=1).max()), LEAST_TRAVEL)
+    length, fall = reach(model), float(np.linalg.norm(gravity)) or 1.0
+    quiet = QUIET_MOMENTUM * mass * length * np.sqrt(fall * length)
+    scale = max(float(np.linalg.norm(momentum, axis=1).max()), quiet)
+    return FlightError(
+        ballistic=float(np.linalg.norm(deviation, axis=1).max()) / travel,
+        momentum=float(np.linalg.norm(momentum - momentum[0], axis=1).max()) / scale,
+    )
+
+
+def _centroidal(solution: Solution, phase: range) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Centre of mass (n, 3), its velocity (n, 3), angular momentum about it (n, 3), mass (kg)."""
+    model = solution.model
+    data = model.createData()
+    com, velocity, momentum = [], [], []
+    for row in phase:
+        total = pin.computeCentroidalMomentum(model, data, solution.q[row], solution.v[row])
+        mass = pin.computeTotalMass(model, data)
+        com.append(pin.centerOfMass(model, data, solution.q[row]).copy())
+        velocity.append(total.linear / mass)
+        momentum.append(total.angular.copy())
+    return np.array(com), np.array(velocity), np.array(momentum), float(mass)

@@ -1,0 +1,90 @@
+"""Numeric Pinocchio at every sample of a solution: generalised forces and motion of the contacts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.errors import SolutionFileError
+from trajopt.solution import Solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class Samples:
+    """What the robot does at K samples; contact quantities in world axes at the frame's origin.
+
+    generalized_force: (K, nv) RNEA(q, v, a) - sum J^T f.
+    position (K, nc, 3), rotation (K, nc, 3, 3), velocity (K, nc, 6), acceleration (K, nc, 6,
+    classical): of the contact frames, linear rows first.
+    """
+
+    generalized_force: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+
+
+def evaluate(solution: Solution) -> Samples:
+    """Evaluate every sample of ``solution``."""
+    model = solution.model
+    data = model.createData()
+    frames = [model.getFrameId(frame) for frame in solution.contact_frames]
+    count, contacts = solution.n_samples, len(frames)
+    force = np.zeros((count, model.nv))
+    position, rotation = np.zeros((count, contacts, 3)), np.zeros((count, contacts, 3, 3))
+    velocity, acceleration = np.zeros((count, contacts, 6)), np.zeros((count, contacts, 6))
+    axes = pin.LOCAL_WORLD_ALIGNED
+    for row in range(count):
+        q, v, a = solution.q[row], solution.v[row], solution.a[row]
+        force[row] = pin.rnea(model, data, q, v, a)
+        pin.forwardKinematics(model, data, q, v, a)
+        pin.computeJointJacobians(model, data)
+        for index, frame in enumerate(frames):
+            placement = pin.updateFramePlacement(model, data, frame)
+            position[row, index], rotation[row, index] = placement.translation, placement.rotation
+            velocity[row, index] = pin.getFrameVelocity(model, data, frame, axes).vector
+            acceleration[row, index] = pin.getFrameClassicalAcceleration(model, data, frame, axes).vector
+            force[row] -= pin.getFrameJacobian(model, data, frame, axes).T @ solution.f[row, index]
+    return Samples(
+        generalized_force=force,
+        position=position,
+        rotation=rotation,
+        velocity=velocity,
+        acceleration=acceleration,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plane:
+    """Flat terrain: a point on it and its unit normal, m, world axes."""
+
+    point: np.ndarray
+    normal: np.ndarray
+
+    def height(self, position: np.ndarray) -> np.ndarray:
+        """Signed distance (...) of world positions (..., 3), positive above."""
+        return np.asarray((position - self.point) @ self.normal)
+
+
+def terrain_plane(terrain: Any) -> Plane | None:
+    """Read ``meta["terrain"]``; None where there is none. Raises `SolutionFileError` for another kind."""
+    if terrain is None:
+        return None
+    if not isinstance(terrain, dict) or terrain.get("kind") != "flat":
+        kind = terrain.get("kind") if isinstance(terrain, dict) else terrain
+        raise SolutionFileError(
+            f"terrain of kind {kind!r} in meta is not known to this version", "'flat' or null"
+        )
+    try:
+        normal = np.array(terrain.get("normal", (0.0, 0.0, 1.0)), dtype=float)
+        height = float(terrain.get("height", 0.0))
+    except (TypeError, ValueError):
+        raise SolutionFileError("terrain in meta has no numeric 'height' and 'normal'") from None
+    norm = float(np.linalg.norm(normal)) if normal.shape == (3,) else 0.0
+    if not (np.isfinite(height) and np.isfinite(norm) and norm > 0):
+        raise SolutionFileError("terrain in meta has no finite 'height' and 'normal' (3,)")
+    return Plane(point=np.array([0.0, 0.0, height]), normal=normal / norm)
