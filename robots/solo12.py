@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from trajopt.robot import Robot
-from trajopt.robot_data import data_share, robot_file
+from trajopt.robot_data import robot_file
 
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
 
@@ -38,5 +38,4 @@ def build() -> Robot:
         base="freeflyer",
         contacts=FEET,
         reference=STANDING,
-        package_dirs=[data_share()],
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from trajopt.robot import Robot
-from trajopt.robot_data import data_share, robot_file
+from trajopt.robot_data import robot_file
 
 TOOL = "tool0"
 
@@ -25,5 +25,4 @@ def build() -> Robot:
         name="ur5",
         base="fixed",
         reference=ELBOW_UP,
-        package_dirs=[data_share()],
     )

@@ -57,8 +57,10 @@ def meta_of(robot: Robot, **changes: Any) -> dict[str, Any]:
     }
 
 
-def sampled(robot: Robot, motions: list[Motion], intervals: int, **meta: Any) -> Solution:
-    """Sample every motion with ``intervals`` intervals of two Legendre points each."""
+def sampled(
+    robot: Robot, motions: list[Motion], intervals: int, points: tuple[float, ...] = LEGENDRE, **meta: Any
+) -> Solution:
+    """Sample every motion with ``intervals`` intervals of the same collocation ``points`` each."""
     names = [contact.name for contact in robot.contacts]
     columns: dict[str, list[Any]] = {name: [] for name in Solution.__dataclass_fields__}
     start, number = 0.0, 0
@@ -66,14 +68,14 @@ def sampled(robot: Robot, motions: list[Motion], intervals: int, **meta: Any) ->
         step = motion.duration / intervals
         for k in range(intervals):
             columns["interval_t"].append([start + k * step, start + (k + 1) * step])
-            for fraction in (0.0, *LEGENDRE, 1.0):
+            for order, fraction in enumerate((0.0, *points, 1.0)):
                 local = (k + fraction) * step
                 for name in ("q", "v", "a", "tau", "f"):
                     columns[name].append(getattr(motion, name)(local))
                 columns["t"].append(start + local)
                 columns["phase"].append(phase)
                 columns["interval"].append(number)
-                columns["collocation"].append(0.0 < fraction < 1.0)
+                columns["collocation"].append(0 < order <= len(points))
                 columns["active"].append([name in motion.contacts for name in names])
             number += 1
         start += motion.duration

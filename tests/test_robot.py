@@ -175,6 +175,25 @@ def test_visual_source_travels_as_a_relative_path():
     assert source.geometry(robots.load("solo12").model).ngeoms > 10
 
 
+def test_meshes_of_a_package_beside_the_file_are_found(tmp_path):
+    folder = tmp_path / "my_robot" / "urdf"
+    (tmp_path / "my_robot" / "meshes").mkdir(parents=True)
+    folder.mkdir()
+    (tmp_path / "my_robot" / "meshes" / "part.stl").write_text(
+        "solid part\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"
+        "endloop\nendfacet\nendsolid part\n"
+    )
+    urdf = folder / "robot.urdf"
+    urdf.write_text(
+        '<robot name="r"><link name="base"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" '
+        'ixy="0" ixz="0" iyz="0"/></inertial><visual><geometry><mesh '
+        'filename="package://my_robot/meshes/part.stl"/></geometry></visual></link></robot>'
+    )
+    robot = Robot.from_urdf(urdf)
+    assert robot.visual.geometry(robot.model).ngeoms == 1
+    assert Path(robot.visual.to_meta()["urdf"]) == urdf
+
+
 def test_surface_contact_has_six_rows():
     assert Contact(frame="sole", kind="surface", half_length=0.1, half_width=0.05).dimension == 6
     assert Contact(frame="toe").dimension == 3

@@ -162,6 +162,7 @@ def test_foreign_file_is_refused(saved, write, message):
         ({"effort_limit": [1.0]}, "effort_limit of meta has 1 entries, expected 6"),
         ({"velocity_limit": "fast"}, "velocity_limit of meta is not null"),
         ({"success": "yes"}, "success of meta"),
+        ({"contact_sizes": [[0.1, 0.1]]}, "contact_sizes of meta"),
         ({"terrain": "drop"}, "meta lacks 'terrain'"),
     ],
 )

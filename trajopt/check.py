@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from trajopt.report import PhaseReport, Report
 from trajopt.robot_building import position_limits
 from trajopt.samples import Plane, Samples, evaluate, terrain_plane
 from trajopt.solution import Solution
+from trajopt.solution_file import consistent_meta
 
 STANDARD_GRAVITY = 9.81
 
@@ -23,9 +25,10 @@ def check(solution: Solution | str | Path) -> Report:
     """Recompute every figure of ``solution``, or of the file at that path.
 
     Nothing of the transcription takes part: only the file's arrays, its model, and numeric
-    Pinocchio. Raises `SolutionFileError` for a file that cannot be trusted to be a solution.
+    Pinocchio. Raises `SolutionFileError` for a file, `InputError` for a solution, that is
+    inconsistent or not finite.
     """
-    given = solution if isinstance(solution, Solution) else Solution.load(solution)
+    given = _trusted(solution)
     plan = _on_manifold(given)
     terrain = terrain_plane(plan.meta["terrain"])
     samples = evaluate(plan)
@@ -46,6 +49,12 @@ def check(solution: Solution | str | Path) -> Report:
         open_loop_joints=max(phase.open_loop_joints for phase in phases),
         phases=phases,
     )
+
+
+def _trusted(solution: Solution | str | Path) -> Solution:
+    if not isinstance(solution, Solution):
+        return Solution.load(solution)
+    return replace(solution, meta=json.loads(consistent_meta(solution)))
 
 
 def _on_manifold(plan: Solution) -> Solution:

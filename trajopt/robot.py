@@ -16,7 +16,7 @@ from trajopt import robot_building as building
 from trajopt.contact import Contact, require_frame
 from trajopt.errors import InputError
 from trajopt.robot_building import Base
-from trajopt.robot_data import VisualSource
+from trajopt.robot_data import VisualSource, package_directories
 
 STANDARD_GRAVITY = 9.81
 # A reference posture may touch its limit: rounding of degrees in description files, rad or m.
@@ -216,13 +216,14 @@ class Robot:
         contacts: frame names (point contacts) or `Contact` objects.
         reference: see `robot_building.reference_posture`; in terms of the joints before locking.
         locked: names of joints to weld at the reference.
-        package_dirs: where ``package://`` paths of meshes start; default the file's own directory.
+        package_dirs: where ``package://`` paths of meshes start; default the folders above the file.
 
         Raises `InputError` for a missing or malformed file and whatever `Robot` refuses.
         """
         model = building.read_urdf(path, base)
         source = Path(path).expanduser().absolute()
-        directories = tuple(Path(entry).absolute() for entry in package_dirs or [source.parent])
+        given = None if package_dirs is None else tuple(Path(entry).absolute() for entry in package_dirs)
+        directories = package_directories(source) if given is None else given
         return cls.from_model(
             model,
             base=base,

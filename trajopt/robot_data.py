@@ -15,6 +15,9 @@ DATA_PACKAGE = "example-robot-data"
 # The wheel is built by cmeel: its files lie under this prefix of site-packages.
 DATA_SHARE = "cmeel.prefix/share"
 
+# "package://name/..." is found beside the package: parents of <packages>/name/urdf/robot.urdf.
+PACKAGE_LEVELS = 3
+
 
 def data_share() -> Path:
     """Return the directory that holds ``example-robot-data/robots``.
@@ -39,6 +42,16 @@ def data_share() -> Path:
 def robot_file(relative: str) -> Path:
     """Return the path of a description, ``relative`` to ``example-robot-data/robots``."""
     return data_share() / DATA_PACKAGE / "robots" / relative
+
+
+def package_directories(urdf: Path) -> tuple[Path, ...]:
+    """Where ``package://`` paths of ``urdf`` may start: a package holds it in a folder or two."""
+    nearby = tuple(urdf.parents)[:PACKAGE_LEVELS]
+    try:
+        share = data_share()
+    except InputError:
+        return nearby
+    return (*nearby, share) if urdf.is_relative_to(share) else nearby
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -51,7 +51,7 @@ class Solution:
     impulse, impact_index: (J, nc, 6) N s and N m s, (J,) sample just after; None without impacts.
 
     Raises `InputError` for an array that is not of these numbers or dimensions. The full test
-    of consistency is `solution_file.inconsistency`, made when a file is written and read.
+    of consistency is `solution_consistency.inconsistency`, made when a file is written and read.
     """
 
     meta: dict[str, Any]

@@ -15,49 +15,16 @@ import numpy as np
 
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.solution import OTHERS, SAMPLED, Solution
+from trajopt.solution_consistency import inconsistency
 
 FORMAT = "trajopt-solution"
 VERSION = 1
-
-META_KEYS = (
-    "format",
-    "version",
-    "problem",
-    "parameters",
-    "robot",
-    "contact_frames",
-    "contact_kinds",
-    "friction",
-    "effort_limit",
-    "velocity_limit",
-    "terrain",
-    "transcription",
-    "solver",
-    "status",
-    "success",
-    "iterations",
-    "objective",
-    "tolerance",
-    "wall_time_s",
-    "gravity",
-    "versions",
-)
-
-# Times are sums of steps: equal up to rounding, relative to the duration.
-SAME_TIME = 1e-9
 
 
 def write(solution: Solution, path: str | Path) -> Path:
     """Write ``solution`` to a temporary file beside ``path`` and rename it; see `Solution.save`."""
     target = Path(path).expanduser()
-    meta = {**solution.meta, "format": FORMAT, "version": VERSION}
-    try:
-        text = json.dumps(_jsonable(meta), allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"meta of the solution cannot be written as JSON: {error}") from None
-    problem = inconsistency(solution, json.loads(text))
-    if problem:
-        raise InputError(f"the solution is inconsistent and was not written to {target}: {problem}")
+    text = consistent_meta(solution)
     arrays = {
         name: getattr(solution, name) for name in (*SAMPLED, *OTHERS) if getattr(solution, name) is not None
     }
@@ -68,6 +35,19 @@ def write(solution: Solution, path: str | Path) -> Path:
             f"cannot write {target}: {error.strerror or error}", "a file in an existing folder"
         ) from None
     return target
+
+
+def consistent_meta(solution: Solution) -> str:
+    """Return meta as JSON; raises `InputError` if it is none or the solution is inconsistent."""
+    meta = {**solution.meta, "format": FORMAT, "version": VERSION}
+    try:
+        text = json.dumps(_jsonable(meta), allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"meta of the solution cannot be written as JSON: {error}") from None
+    problem = inconsistency(solution, json.loads(text))
+    if problem:
+        raise InputError(f"the solution is inconsistent: {problem}")
+    return text
 
 
 def _replace(target: Path, arrays: dict[str, np.ndarray]) -> None:
@@ -159,135 +139,3 @@ def _meta(source: Path, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
     if meta.get("version") != VERSION or isinstance(meta.get("version"), bool):
         raise SolutionFileError(f"{source} is of version {meta.get('version')!r}", f"version {VERSION}")
     return meta
-
-
-def inconsistency(solution: Solution, meta: dict[str, Any]) -> str:
-    """Return the first thing wrong with ``solution`` and its JSON ``meta``, or an empty text."""
-    return (
-        _wrong_meta(meta) or _wrong_shape(solution, meta) or _wrong_number(solution) or _wrong_time(solution)
-    )
-
-
-def _wrong_meta(meta: dict[str, Any]) -> str:
-    missing = [key for key in META_KEYS if key not in meta]
-    if missing:
-        return "meta lacks " + ", ".join(repr(key) for key in missing)
-    frames, kinds, friction = meta["contact_frames"], meta["contact_kinds"], meta["friction"]
-    if not all(isinstance(entry, list) for entry in (frames, kinds, friction)):
-        return "contact_frames, contact_kinds and friction of meta must be lists"
-    if not len(frames) == len(kinds) == len(friction):
-        return f"meta has {len(frames)} contact_frames, {len(kinds)} contact_kinds, {len(friction)} friction"
-    if not all(kind in ("point", "surface") for kind in kinds):
-        return f"contact_kinds {kinds} are not all 'point' or 'surface'"
-    if not all(_is_number(mu) and mu >= 0 for mu in friction):
-        return f"friction {friction} is not a list of numbers >= 0"
-    for key in ("effort_limit", "velocity_limit"):
-        limit = meta[key]
-        if limit is not None and not (
-            isinstance(limit, list)
-            and all(entry is None or (_is_number(entry) and entry >= 0) for entry in limit)
-        ):
-            return f"{key} of meta is not null or a list of numbers >= 0"
-    if not isinstance(meta["success"], bool):
-        return "success of meta is not true or false"
-    return _wrong_sizes(meta.get("contact_sizes"), kinds)
-
-
-def _wrong_sizes(sizes: Any, kinds: list[str]) -> str:
-    """Optional key of meta: [half_length, half_width] (m) of each sole, null for a point."""
-    if sizes is None:
-        return ""
-    pairs = isinstance(sizes, list) and all(
-        size is None or (isinstance(size, list) and len(size) == 2 and all(_is_number(x) for x in size))
-        for size in sizes
-    )
-    if not pairs or len(sizes) != len(kinds):
-        return "contact_sizes of meta is not a list of null or [half_length, half_width] for each contact"
-    return ""
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _wrong_shape(solution: Solution, meta: dict[str, Any]) -> str:
-    model, contacts, samples = solution.model, len(meta["contact_frames"]), solution.n_samples
-    actuated = solution.tau.shape[-1] if solution.tau.ndim == 2 else 0
-    expected = {
-        "q": (samples, model.nq),
-        "v": (samples, model.nv),
-        "a": (samples, model.nv),
-        "f": (samples, contacts, 6),
-        "active": (samples, contacts),
-        "tau": (samples, actuated),
-        "interval_t": (len(solution.interval_t), 2),
-    }
-    for name, shape in expected.items():
-        if getattr(solution, name).shape != shape:
-            return f"'{name}' has shape {getattr(solution, name).shape}, expected {shape}"
-    if actuated > model.nv:
-        return f"'tau' has {actuated} columns, more than nv = {model.nv}"
-    for key, size in (("effort_limit", actuated), ("velocity_limit", model.nv)):
-        if meta[key] is not None and len(meta[key]) != size:
-            return f"{key} of meta has {len(meta[key])} entries, expected {size}"
-    for frame in meta["contact_frames"]:
-        if not isinstance(frame, str) or not model.existFrame(frame):
-            return f"contact frame {frame!r} is not in the model"
-    return _wrong_impacts(solution, contacts)
-
-
-def _wrong_impacts(solution: Solution, contacts: int) -> str:
-    impulse, index = solution.impulse, solution.impact_index
-    if impulse is None and index is None:
-        return ""
-    if impulse is None or index is None:
-        return "'impulse' and 'impact_index' must come together"
-    if index.ndim != 1 or impulse.shape != (len(index), contacts, 6):
-        return f"'impulse' has shape {impulse.shape}, expected (J, {contacts}, 6) with J as 'impact_index'"
-    if not np.isin(index, np.arange(solution.n_samples)).all():
-        return f"'impact_index' is not within 0 to {solution.n_samples - 1}"
-    return ""
-
-
-def _wrong_number(solution: Solution) -> str:
-    for name, kind in {**SAMPLED, **OTHERS}.items():
-        array = getattr(solution, name)
-        if array is not None and kind is float and not np.isfinite(array).all():
-            first = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
-            return f"'{name}' holds NaN or infinity, first at {first}"
-    return ""
-
-
-def _wrong_time(solution: Solution) -> str:
-    if solution.n_samples < 2:
-        return f"{solution.n_samples} samples, at least 2 are needed"
-    for name in ("interval", "phase"):
-        index = getattr(solution, name)
-        if index[0] != 0 or not np.isin(np.diff(index), (0, 1)).all():
-            return f"'{name}' does not count up from 0 in steps of one"
-    edges = solution.interval_t
-    if len(edges) != solution.interval[-1] + 1:
-        return f"'interval_t' has {len(edges)} rows for {solution.interval[-1] + 1} intervals"
-    same = SAME_TIME * max(abs(float(edges[-1, 1] - edges[0, 0])), 1e-3)
-    if not (edges[:, 1] > edges[:, 0]).all() or (np.abs(edges[1:, 0] - edges[:-1, 1]) > same).any():
-        return "'interval_t' is not increasing and without gaps"
-    for number, rows in enumerate(solution.intervals):
-        wrong = _wrong_interval(solution, rows, edges[number], same)
-        if wrong:
-            return f"interval {number}: {wrong}"
-    return ""
-
-
-def _wrong_interval(solution: Solution, rows: range, edges: np.ndarray, same: float) -> str:
-    t, points = solution.t[rows.start : rows.stop], solution.collocation[rows.start : rows.stop]
-    if len(rows) < 2 or abs(t[0] - edges[0]) > same or abs(t[-1] - edges[1]) > same:
-        return "its samples do not start and end with its nodes"
-    if (np.diff(t) < 0).any():
-        return "'t' decreases"
-    if not points.any() or (np.diff(t[points]) <= 0).any():
-        return "it has no collocation points, or two at one time"
-    if len(np.unique(solution.phase[rows.start : rows.stop])) > 1:
-        return "'phase' changes within it"
-    if len(np.unique(solution.active[rows.start : rows.stop], axis=0)) > 1:
-        return "'active' changes within it"
-    return ""

@@ -1,0 +1,84 @@
+"""Open-loop re-integration: forward dynamics under contacts, and errors that mean something."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from synthetic import arm_motion, pushing_off, sampled, standing, tumbling_flight
+
+import robots
+from trajopt.check import check
+from trajopt.reintegration import ContactDynamics, open_loop
+from trajopt.report import Tolerances
+from trajopt.robot import Robot
+from trajopt.solution import Solution
+
+INTERVALS = 20
+EXACT = 1e-9  # motions are integrated to 1e-13; the numbers here are of order one
+
+
+@pytest.fixture(scope="module")
+def solo() -> Robot:
+    return robots.load("solo12")
+
+
+@pytest.fixture(scope="module")
+def flight(solo: Robot) -> Solution:
+    return sampled(solo, [tumbling_flight(solo)], INTERVALS)
+
+
+@pytest.fixture(scope="module")
+def push(solo: Robot) -> Solution:
+    return sampled(solo, [pushing_off(solo)], INTERVALS)
+
+
+def test_open_loop_error_of_interpolated_torques_falls_with_the_fourth_power():
+    robot = robots.load("ur5")
+    coarse, fine = (check(sampled(robot, [arm_motion(robot)], n)).open_loop_joints for n in (20, 40))
+    assert np.log2(coarse / fine) == pytest.approx(4, abs=0.3)
+
+
+def test_wrong_torque_shows_in_the_open_loop(push):
+    wrong = replace(push, tau=push.tau + 1e-2)
+    assert check(wrong).open_loop_joints > 1e-3
+
+
+def test_open_loop_runs_phase_by_phase(solo):
+    both = sampled(solo, [standing(solo), tumbling_flight(solo)], INTERVALS)
+    stance_error, flight_error = open_loop(replace(both, tau=both.tau + 0.1 * (both.phase == 1)[:, None]))
+    assert stance_error.position < EXACT
+    assert flight_error.joints > 0.1
+    report = check(both)
+    assert [phase.contacts for phase in report.phases] == [both.contact_frames, ()]
+    assert report.phases[1].ballistic_error < EXACT
+
+
+def test_torque_that_runs_away_is_reported_as_infinite(flight):
+    report = check(replace(flight, tau=flight.tau * 1e12))
+    assert report.open_loop_joints == np.inf
+    assert report.to_dict()["open_loop_joints"] is None
+    assert not report.within(Tolerances(open_loop_joints=1.0))
+
+
+def test_redundant_contacts_give_the_acceleration_of_the_independent_ones(solo):
+    model = solo.model
+    frames = [model.getFrameId(contact.frame) for contact in solo.contacts]
+    random = np.random.default_rng(4)
+    q = pin.integrate(model, solo.reference, 0.1 * random.standard_normal(solo.nv))
+    v, force = random.standard_normal(solo.nv), random.standard_normal(solo.nv)
+    once = ContactDynamics(model, frames, [3] * 4).acceleration(q, v, force)
+    twice = ContactDynamics(model, frames * 2, [3] * 8).acceleration(q, v, force)
+    np.testing.assert_allclose(twice, once, rtol=1e-8, atol=1e-8)
+
+
+def test_forward_dynamics_without_contacts_is_that_of_pinocchio(solo):
+    random = np.random.default_rng(5)
+    q = pin.integrate(solo.model, solo.reference, random.standard_normal(solo.nv))
+    v, force = random.standard_normal(solo.nv), random.standard_normal(solo.nv)
+    expected = pin.aba(solo.model, solo.model.createData(), q, v, force)
+    np.testing.assert_allclose(
+        ContactDynamics(solo.model, [], []).acceleration(q, v, force), expected, rtol=1e-9
+    )
