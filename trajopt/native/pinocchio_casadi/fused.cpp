@@ -46,17 +46,21 @@ void fill(casadi::SX& matrix, int row, int column, const Vector3& values) {
 }
 
 // Motion of the frame's origin in world-aligned axes; the linear acceleration is classical.
-void fill_motion(FrameColumns& columns, int column, const Data& data, const Frame& frame) {
+// The forward pass accelerates everything by -gravity: that is undone in the world, where it
+// is a constant.
+void fill_motion(FrameColumns& columns, int column, const Model& model, const Data& data,
+                 const Frame& frame) {
   const Model::SE3& joint = data.oMi[frame.joint];
   const Vector3 origin = vector3(frame.translation).cast<Scalar>();
   const Vector3 omega = data.v[frame.joint].angular();
-  const Vector3 alpha = data.a[frame.joint].angular();
+  const Vector3 alpha = data.a_gf[frame.joint].angular();
   const Vector3 velocity = data.v[frame.joint].linear() + omega.cross(origin);
   const Vector3 acceleration =
-      data.a[frame.joint].linear() + alpha.cross(origin) + omega.cross(velocity);
+      data.a_gf[frame.joint].linear() + alpha.cross(origin) + omega.cross(velocity);
   fill(columns.velocity, 0, column, joint.rotation() * velocity);
   fill(columns.velocity, 3, column, joint.rotation() * omega);
-  fill(columns.acceleration, 0, column, joint.rotation() * acceleration);
+  fill(columns.acceleration, 0, column,
+       joint.rotation() * acceleration + Vector3(model.gravity.linear()));
   fill(columns.acceleration, 3, column, joint.rotation() * alpha);
 }
 
@@ -81,7 +85,7 @@ std::string fused(const Description& description, const std::vector<Frame>& fram
   FrameColumns columns(frames.size());
   for (std::size_t k = 0; k < frames.size(); ++k) {
     fill_placement(columns, k, data, frames[k]);
-    fill_motion(columns, k, data, frames[k]);
+    fill_motion(columns, k, model, data, frames[k]);
   }
   return casadi::Function("fused", {q.matrix, v.matrix, a.matrix, w.matrix},
                           {dense(tau), columns.rotation, columns.position, columns.velocity,
