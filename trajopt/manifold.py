@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
@@ -74,11 +74,18 @@ def rotation_matrix(quaternion: ca.SX) -> ca.SX:
     return ca.SX.eye(3) + 2 * quaternion[3] * cross + 2 * ca.mtimes(cross, cross)
 
 
-def body_rates(theta: ca.SX, dtheta: ca.SX, ddtheta: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Angular velocity and acceleration in the body frame from exponential coordinates."""
+@lru_cache(maxsize=1)
+def _body_rates() -> ca.Function:
+    theta, dtheta, ddtheta = (ca.SX.sym(name, 3) for name in ("theta", "dtheta", "ddtheta"))
     jacobian = right_jacobian(theta)
     omega = ca.mtimes(jacobian, dtheta)
     domega = ca.mtimes(jacobian, ddtheta) + ca.jtimes(omega, theta, dtheta)
+    return ca.Function("body_rates", [theta, dtheta, ddtheta], [omega, domega])
+
+
+def body_rates(theta: ca.SX, dtheta: ca.SX, ddtheta: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Angular velocity and acceleration in the body frame from exponential coordinates."""
+    omega, domega = _body_rates()(theta, dtheta, ddtheta)
     return omega, domega
 
 
@@ -237,3 +244,31 @@ class Coordinates:
             elif joint.kind == "plain":
                 xi[joint.v] = qj
         return np.concatenate([*rotations, xi[self.additive_index], rates])
+
+    def continued(self, node: np.ndarray, previous: np.ndarray) -> np.ndarray:
+        """The same node with the quaternion signs and whole turns that continue ``previous``."""
+        node = node.copy()
+        for i in range(self.n_rotations):
+            four = slice(4 * i, 4 * i + 4)
+            if node[four] @ previous[four] < 0:
+                node[four] = -node[four]
+        for joint in self.joints:
+            if joint.kind in ("planar", "continuous"):
+                at = 4 * self.n_rotations + int(np.searchsorted(self.additive_index, joint.v.stop - 1))
+                node[at] += 2 * math.pi * round((previous[at] - node[at]) / (2 * math.pi))
+        return node
+
+    def acceleration_from_pinocchio(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Second derivative of the local coordinates (nv,) at the start of an interval there."""
+        ddxi = np.array(a, dtype=float)
+        for joint in self.joints:
+            if joint.kind == "freeflyer":
+                rotation = pin.Quaternion(*q[joint.q][[6, 3, 4, 5]]).toRotationMatrix()
+                linear, omega = v[joint.v][:3], v[joint.v][3:]
+                ddxi[joint.v][:3] = rotation @ (a[joint.v][:3] + np.cross(omega, linear))
+            elif joint.kind == "planar":
+                c, s = q[joint.q][2:]
+                vx, vy, rate = v[joint.v]
+                ax, ay, _ = a[joint.v]
+                ddxi[joint.v][:2] = np.array([[c, -s], [s, c]]) @ [ax - rate * vy, ay + rate * vx]
+        return ddxi

@@ -1,0 +1,176 @@
+"""A jump of Solo12: stance, flight, landing on the footholds of the target pose, rest."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+
+import robots
+from trajopt.errors import InputError
+from trajopt.family import Family, Parameter
+from trajopt.node_terms import FrameHeight, SwingClearance, TerminalRest, TerminalState
+from trajopt.problem import Problem
+from trajopt.robot import Robot
+from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.terms import (
+    AccelerationCost,
+    EffortLimits,
+    FrictionPyramid,
+    PositionLimits,
+    PostureCost,
+    TorqueCost,
+    VelocityCost,
+    VelocityLimits,
+    WrenchCost,
+)
+
+GRAVITY = 9.81
+# A flight shorter than this leaves no time to move the feet to their new places, s.
+SHORTEST_FLIGHT = 0.3
+# Rise of the base over its standing height at take-off in the guess, m: legs not yet straight.
+TAKEOFF_RISE = 0.04
+# Least height of a foot over the ground in mid flight, m.
+CLEARANCE = 0.03
+
+
+def _pose(robot: Robot, x: float, y: float, z: float, yaw: float) -> np.ndarray:
+    """Reference posture with the base displaced by (x, y, z) m and turned by yaw rad."""
+    q = robot.reference.copy()
+    q[:3] += [x, y, z]
+    q[3:7] = pin.Quaternion(pin.rpy.rpyToMatrix(0.0, 0.0, yaw)).coeffs()
+    return q
+
+
+def _footholds(robot: Robot, q: np.ndarray) -> dict[str, np.ndarray]:
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, q)
+    return {c.name: data.oMf[robot.model.getFrameId(c.frame)].translation.copy() for c in robot.contacts}
+
+
+class _Guess:
+    """Base on a smooth push, a parabola and a smooth landing; joints at the reference posture."""
+
+    def __init__(self, robot: Robot, distance: float, yaw: float, durations: tuple[float, float, float]) -> None:
+        self.robot, self.durations = robot, durations
+        stance, flight, landing = durations
+        share = 0.15 * (stance + landing)
+        speed, turn = distance / (flight + share), yaw / (flight + share)
+        climb = GRAVITY * flight / 2
+        self.rates = np.array([speed, climb, turn])
+        rise = np.array([0.15 * stance * speed, TAKEOFF_RISE, 0.15 * stance * turn])
+        self.takeoff = rise
+        self.touchdown = rise + [speed * flight, 0.0, turn * flight]
+        self.end = np.array([distance, 0.0, yaw])
+
+    def __call__(self, t: float) -> np.ndarray:
+        stance, flight, landing = self.durations
+        if t <= stance:
+            x, z, yaw = _hermite(t / stance, stance, np.zeros(3), np.zeros(3), self.takeoff, self.rates)
+        elif t <= stance + flight:
+            s = t - stance
+            x, z, yaw = self.takeoff + self.rates * s - np.array([0.0, GRAVITY * s * s / 2, 0.0])
+        else:
+            rates = self.rates * [1, -1, 1]
+            fraction = min(1.0, (t - stance - flight) / landing)
+            x, z, yaw = _hermite(fraction, landing, self.touchdown, rates, self.end, np.zeros(3))
+        return _pose(self.robot, x, 0.0, z, yaw)
+
+
+def _hermite(s, duration, start, start_rate, end, end_rate):  # type: ignore[no-untyped-def]
+    """Cubic through values and rates at both ends, at the fraction s of the duration."""
+    return (
+        (1 + 2 * s) * (1 - s) ** 2 * start
+        + s * (1 - s) ** 2 * duration * start_rate
+        + s * s * (3 - 2 * s) * end
+        + s * s * (s - 1) * duration * end_rate
+    )
+
+
+def build(
+    *,
+    distance: float,
+    height: float,
+    yaw: float,
+    stance: float,
+    flight: float | None,
+    landing: float,
+    friction: float,
+    effort: float | None,
+) -> Problem:
+    """Build the jump; see ``FAMILY`` for the parameters. Raises InputError."""
+    robot = robots.load("solo12")
+    # Apex of a parabola from and to the standing height, with the rise that straight legs add.
+    needed = 2 * math.sqrt(2 * max(height - TAKEOFF_RISE, 0.0) / GRAVITY)
+    flight = max(SHORTEST_FLIGHT, needed) if flight is None else flight
+    end = _pose(robot, distance, 0.0, 0.0, yaw)
+    feet = tuple(contact.name for contact in robot.contacts)
+    schedule = Schedule(
+        (
+            Phase(name="stance", duration=stance, contacts=feet),
+            Phase(name="flight", duration=flight),
+            Phase(name="landing", duration=landing, contacts=feet, footholds=_footholds(robot, end)),
+        )
+    )
+    ground = FlatGround(friction=friction)
+    base = robot.model.frames[robot.model.getFrameId("base_link")].name
+    limit = robot.effort_limit if effort is None else np.full(robot.nu, effort)
+    if limit is None:
+        raise InputError("robot 'solo12' has no effort limit")
+    terms = (
+        TorqueCost(weight=1.0),
+        AccelerationCost(weight=1e-3),
+        VelocityCost(weight=1e-2),
+        PostureCost(weight=1e-1),
+        WrenchCost(weight=1e-2),
+        EffortLimits(limit=limit),
+        PositionLimits(),
+        VelocityLimits(),
+        FrictionPyramid(friction=friction),
+        SwingClearance(height=CLEARANCE, terrain=ground),
+        FrameHeight(frame=base, height=robot.reference[2] + height, phase="flight"),
+        TerminalState(q=end),
+        TerminalRest(q=end),
+    )
+    return Problem(
+        name="solo12-jump",
+        robot=robot,
+        schedule=schedule,
+        terrain=ground,
+        initial_q=robot.reference,
+        initial_v=np.zeros(robot.nv),
+        terms=terms,
+        guess=_Guess(robot, distance, yaw, (stance, flight, landing)),
+        parameters={
+            "distance": distance, "height": height, "yaw": yaw, "stance": stance,
+            "flight": flight, "landing": landing, "friction": friction, "effort": effort,
+        },  # fmt: skip
+    )
+
+
+FAMILY = Family(
+    name="solo12-jump",
+    robot="solo12",
+    phases=("stance", "flight", "landing"),
+    summary="jump from stance to a target pose, land on its footholds and come to rest",
+    parameters=(
+        Parameter(name="distance", default=0.3, unit="m", lower=-1.0, upper=1.0, meaning="forward displacement"),
+        Parameter(
+            name="height", default=0.0, unit="m", lower=0.0, upper=0.6,
+            meaning="least rise of the base over standing in mid flight",
+        ),
+        Parameter(name="yaw", default=0.0, unit="rad", lower=-math.pi / 2, upper=math.pi / 2, meaning="turn to the left"),
+        Parameter(name="stance", default=0.4, unit="s", lower=1e-3, upper=10.0, meaning="duration of the push"),
+        Parameter(
+            name="flight", default=None, unit="s", lower=1e-3, upper=2.0,
+            meaning="duration of the flight (default: from the height, at least 0.3)",
+        ),
+        Parameter(name="landing", default=0.5, unit="s", lower=1e-3, upper=10.0, meaning="duration from touchdown to rest"),
+        Parameter(name="friction", default=0.7, unit="", lower=0.0, upper=10.0, meaning="Coulomb coefficient"),
+        Parameter(
+            name="effort", default=None, unit="N m", lower=0.0, upper=1e4, meaning="torque limit (default: the URDF's)",
+        ),
+    ),
+    build=build,
+)  # fmt: skip

@@ -1,0 +1,191 @@
+"""Derivatives of point functions, compiled to C once and kept in a disk cache.
+
+Three levels trade compile time for evaluation time: ``none`` (CasADi's virtual machine, no
+compiler), ``quick`` and ``fast`` (the C compiler's -O1 and -O3 with -ffast-math). An entry is named by a hash of
+the point function's graph, the versions of what made it, the level and the compiler, so that
+nothing stale is ever read; entries are written to a temporary folder and renamed, so that
+processes may share the cache. The graph does not know the scheme, the step or the number of
+intervals, so neither does the entry.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+import warnings
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import casadi as ca
+import platformdirs
+
+from trajopt import stage_functions
+from trajopt.errors import InputError, TrajoptError
+from trajopt.stage_functions import PointFunction, derivatives
+
+FLAGS = {"none": None, "quick": ("-O1",), "fast": ("-O3", "-ffast-math", "-march=native")}
+LEVELS = tuple(FLAGS)
+DEFAULT_LEVEL = "quick"
+FUNCTION_NAMES = ("value", "first", "second")
+CACHE_VARIABLE = "TRAJOPT_CACHE_DIR"
+
+
+@dataclass(frozen=True)
+class CompiledPoint:
+    """Where the three functions of a point live, and the patterns of their derivatives.
+
+    ``sources`` maps value, first, second to serialised text (virtual machine) or to
+    (library, name); ``c_bytes`` is the size of the generated C, 0 without.
+    """
+
+    key: str
+    sources: Mapping[str, str | tuple[str, str]]
+    jacobian: ca.Sparsity
+    hessian: ca.Sparsity
+    c_bytes: int
+
+
+@dataclass(frozen=True)
+class CompilationReport:
+    """What a call cost: seconds of building graphs and of the C compiler, and hits in the cache."""
+
+    level: str
+    build_time: float
+    compile_time: float
+    cached: int
+    built: int
+
+
+def cache_directory() -> Path:
+    """The cache's folder: $TRAJOPT_CACHE_DIR, or the user's cache folder of this platform."""
+    return Path(os.environ.get(CACHE_VARIABLE) or platformdirs.user_cache_dir("trajopt", appauthor=False))
+
+
+@lru_cache(maxsize=1)
+def compiler() -> tuple[str, str] | None:
+    """Path and version line of the C compiler ($CC, cc, gcc or clang), or None."""
+    for name in (os.environ.get("CC"), "cc", "gcc", "clang"):
+        path = shutil.which(name) if name else None
+        if path:
+            version = subprocess.run([path, "--version"], capture_output=True, text=True, check=False).stdout
+            return path, version.splitlines()[0] if version else ""
+    return None
+
+
+def effective_level(level: str) -> str:
+    """The level that can be had here: ``none`` where there is no C compiler. Raises InputError."""
+    if level not in LEVELS:
+        raise InputError(f"unknown compile level '{level}'", f"allowed: {', '.join(LEVELS)}")
+    if level != "none" and compiler() is None:
+        warnings.warn("no C compiler found (cc, gcc, clang): evaluating on CasADi's virtual machine", stacklevel=2)
+        return "none"
+    return level
+
+
+@lru_cache(maxsize=1)
+def _maker() -> str:
+    """What makes an entry besides the graph: versions, and the code of the chain rule."""
+    versions = [importlib.metadata.version(name) for name in ("casadi", "libpinocchio")]
+    return "|".join([*versions, Path(stage_functions.__file__).read_text(encoding="utf-8")])
+
+
+def entry_key(point: PointFunction, level: str) -> str:
+    """Name of a point function's cache entry at a level."""
+    flags = FLAGS[level]
+    made_by = "" if flags is None else "|".join([*flags, *(compiler() or ())])
+    text = "\n".join([point.serialize(), _maker(), level, made_by])
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def compile_points(
+    points: Iterable[PointFunction], level: str = DEFAULT_LEVEL
+) -> tuple[dict[str, CompiledPoint], CompilationReport]:
+    """Derivatives of all points, by entry key, from the cache or made now."""
+    level = effective_level(level)
+    wanted = {entry_key(point, level): point for point in points}
+    folder = cache_directory()
+    missing = {key: point for key, point in wanted.items() if not (folder / key / "entry.json").is_file()}
+    start = time.perf_counter()
+    jobs = [_Job(key, point, level, folder) for key, point in missing.items()]
+    built = time.perf_counter()
+    for job in jobs:
+        job.finish()
+    done = time.perf_counter()
+    report = CompilationReport(level, built - start, done - built, len(wanted) - len(missing), len(missing))
+    return {key: _load(folder / key, key) for key in wanted}, report
+
+
+class _Job:
+    """One entry in the making: graphs are built and C compilers started at once, joined in finish()."""
+
+    def __init__(self, key: str, point: PointFunction, level: str, folder: Path) -> None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self.temporary = Path(tempfile.mkdtemp(prefix=f".{key}.", dir=folder))
+        except OSError as error:
+            raise InputError(
+                f"cannot write the cache folder {folder} ({error.strerror})",
+                f"set {CACHE_VARIABLE} to a folder that can be written",
+            ) from None
+        self.final = folder / key
+        self.entry: dict[str, object] = {"point": point.name, "level": level, "c_bytes": 0}
+        self.processes: list[subprocess.Popen[bytes]] = []
+        made = derivatives(point)
+        for name in reversed(FUNCTION_NAMES):
+            function = getattr(made, name)
+            if level == "none":
+                (self.temporary / f"{name}.casadi").write_text(function.serialize(), encoding="utf-8")
+            else:
+                self._compile(name, function, FLAGS[level] or ())
+
+    def _compile(self, name: str, function: ca.Function, flags: tuple[str, ...]) -> None:
+        generator = ca.CodeGenerator(f"{name}.c", {"with_header": False})
+        generator.add(function)
+        generator.generate(f"{self.temporary}{os.sep}")
+        source = self.temporary / f"{name}.c"
+        self.entry["c_bytes"] = int(self.entry["c_bytes"]) + source.stat().st_size  # type: ignore[call-overload]
+        found = compiler()
+        assert found is not None
+        command = [found[0], *flags, "-fPIC", "-shared", "-w", str(source), "-o", str(source.with_suffix(".so")), "-lm"]
+        self.processes.append(subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE))
+
+    def finish(self) -> None:
+        """Wait for the compilers and move the entry into place."""
+        for process in self.processes:
+            _, text = process.communicate()
+            if process.returncode != 0:
+                last = text.decode(errors="replace").strip().splitlines()[-1:] or [f"exit status {process.returncode}"]
+                raise TrajoptError(f"the C compiler failed on a stage function: {last[0]}; try --compile none")
+        for source in self.temporary.glob("*.c"):
+            source.unlink()
+        (self.temporary / "entry.json").write_text(json.dumps(self.entry), encoding="utf-8")
+        try:
+            self.temporary.rename(self.final)
+        except OSError:  # another process was first: its entry is as good
+            shutil.rmtree(self.temporary, ignore_errors=True)
+
+
+def _load(entry: Path, key: str) -> CompiledPoint:
+    description = json.loads((entry / "entry.json").read_text(encoding="utf-8"))
+    sources: dict[str, str | tuple[str, str]] = {}
+    functions = {}
+    for name in FUNCTION_NAMES:
+        library = entry / f"{name}.so"
+        if library.is_file():
+            sources[name] = (str(library), name)
+            functions[name] = ca.external(name, str(library))
+        else:
+            text = (entry / f"{name}.casadi").read_text(encoding="utf-8")
+            sources[name] = text
+            functions[name] = ca.Function.deserialize(text)
+    return CompiledPoint(
+        key, sources, functions["first"].sparsity_out(3), functions["second"].sparsity_out(0), int(description["c_bytes"])
+    )

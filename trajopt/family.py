@@ -1,0 +1,70 @@
+"""Problem families: a name, parameters with units and ranges, and a function that builds a Problem."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from trajopt.errors import InputError
+from trajopt.problem import Problem
+
+_SUFFIXES = {"deg": math.pi / 180, "rad": 1.0, "m": 1.0, "s": 1.0, "cm": 0.01, "mm": 0.001, "ms": 0.001}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """One parameter of a family: ``lower <= value <= upper`` in ``unit``; ``default`` None means derived."""
+
+    name: str
+    default: float | None
+    unit: str
+    lower: float
+    upper: float
+    meaning: str
+
+    def parse(self, value: object) -> float:
+        """The value as a number within range; text may carry a unit, as in ``45deg``. Raises InputError."""
+        allowed = f"allowed: {self.lower:g} to {self.upper:g} {self.unit}".rstrip()
+        if isinstance(value, str):
+            match = re.fullmatch(r"\s*([-+0-9.eE]+|[-+]?(?:nan|inf))\s*([a-z]*)\s*", value)
+            if not match or (match[2] and match[2] not in _SUFFIXES):
+                raise InputError(f"parameter {self.name}={value!r} is not a number", allowed)
+            try:
+                number = float(match[1]) * _SUFFIXES.get(match[2], 1.0)
+            except ValueError:
+                raise InputError(f"parameter {self.name}={value!r} is not a number", allowed) from None
+        elif isinstance(value, (int, float)) and not isinstance(value, bool):
+            number = float(value)
+        else:
+            raise InputError(f"parameter {self.name}={value!r} is not a number", allowed)
+        if not (math.isfinite(number) and self.lower <= number <= self.upper):
+            hint = f" (for degrees write {self.name}={value}deg)" if self.unit == "rad" and abs(number) > math.pi else ""
+            raise InputError(f"parameter {self.name} is {number:g}", allowed + hint)
+        return number
+
+
+@dataclass(frozen=True, kw_only=True)
+class Family:
+    """A problem family; ``build`` takes every parameter by name."""
+
+    name: str
+    robot: str
+    phases: tuple[str, ...]
+    summary: str
+    parameters: tuple[Parameter, ...]
+    build: Callable[..., Problem]
+
+    def load(self, values: Mapping[str, object]) -> Problem:
+        """Build the problem with ``values`` over the defaults. Raises InputError."""
+        known = {parameter.name: parameter for parameter in self.parameters}
+        for name in values:
+            if name not in known:
+                close = difflib.get_close_matches(name, known, 1)
+                hint = f"did you mean {close[0]}? " if close else ""
+                raise InputError(f"{self.name} has no parameter '{name}'", f"{hint}allowed: {', '.join(known)}")
+        chosen = {name: parameter.default for name, parameter in known.items()}
+        chosen |= {name: known[name].parse(value) for name, value in values.items()}
+        return self.build(**chosen)

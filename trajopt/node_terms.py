@@ -1,0 +1,240 @@
+"""Constraints at nodes: where a contact lands, how high a foot swings, where the motion ends."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+
+from trajopt.context import Context
+from trajopt.errors import InputError
+from trajopt.manifold import Coordinates, rotation_matrix
+from trajopt.robot import Robot
+from trajopt.schedule import FlatGround, Phase
+from trajopt.terms import Rows, Term
+from trajopt.units import Units
+
+# Singular values of a contact Jacobian below this fraction of the largest count as zero.
+RANK_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class NodePlace:
+    """A node within its phase: ``index`` of ``count`` intervals; ``last`` of the whole schedule."""
+
+    phase: Phase
+    index: int
+    count: int
+    last: bool
+
+    @property
+    def fraction(self) -> float:
+        """Fraction of the phase's duration at this node, 0 to 1."""
+        return self.index / self.count
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodeConstraint(Term):
+    """A constraint at some nodes. ``key`` groups nodes that share one function."""
+
+    def acts_at(self, place: NodePlace) -> bool:
+        """Whether the constraint acts at this node; default: at the end of the schedule."""
+        return place.last
+
+    @abstractmethod
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        """Rows at the node; only bounds and parameter values may depend on ``place``."""
+
+
+def rotation_error(target: ca.SX, rotation: ca.SX) -> ca.SX:
+    """2 tan(angle / 2) times the axis of target^T rotation, (3,): smooth, zero only where equal.
+
+    Twice the Rodrigues vector vee(R - R^T) / (1 + tr R); infinite at an angle of pi, so no false
+    zero exists there.
+    """
+    error = ca.mtimes(target.T, rotation)
+    vee = ca.vertcat(error[2, 1] - error[1, 2], error[0, 2] - error[2, 0], error[1, 0] - error[0, 1])
+    return 2 * vee / (1 + ca.trace(error))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactLanding(NodeConstraint):
+    """New contacts of a phase lie on the terrain (or on their footholds) and do not move."""
+
+    phase: str
+    contacts: tuple[str, ...]
+    terrain: FlatGround
+
+    def acts_at(self, place: NodePlace) -> bool:
+        return place.phase.name == self.phase and place.index == 0
+
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        expressions, targets, scales = [], [], []
+        for name in self.contacts:
+            contact = context.robot.contact(name)
+            frame = context.frame(contact.frame)
+            foothold = place.phase.footholds.get(name)
+            expressions.append(frame.position[2] if foothold is None else frame.position)
+            targets.append([self.terrain.height] if foothold is None else foothold)
+            scales.append(np.full(len(targets[-1]), units.length))
+            if contact.dimension == 6:
+                expressions.append(frame.rotation[2, :2].T)  # the sole is level
+                targets.append(np.zeros(2))
+                scales.append(np.ones(2))
+            expressions.append(frame.velocity[: contact.dimension])
+            targets.append(np.zeros(contact.dimension))
+            speed = units.length / units.time
+            scales.append(np.array([speed] * 3 + [1 / units.time] * 3)[: contact.dimension])
+        bound = np.concatenate(targets)
+        return Rows.create(ca.vertcat(*expressions), bound, bound, np.concatenate(scales))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SwingClearance(NodeConstraint):
+    """Contact frames that are not in contact stay above the ground at the nodes inside a phase.
+
+    The least height over the ground is ``height`` times 4 s (1 - s), s the fraction of the phase, m.
+    """
+
+    height: float
+    terrain: FlatGround
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.height) and self.height >= 0):
+            raise InputError(f"swing clearance is {self.height:g} m", "allowed: finite and >= 0")
+
+    def acts_at(self, place: NodePlace) -> bool:
+        return place.index > 0 and not place.last and self.acts_in(place.phase.name)
+
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        swing = [c for c in context.robot.contacts if c.name not in place.phase.contacts]
+        heights = [context.frame(contact.frame).position[2] for contact in swing]
+        least = self.terrain.height + self.height * 4 * place.fraction * (1 - place.fraction)
+        return Rows.create(ca.vertcat(*heights), least, np.inf, units.length)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameHeight(NodeConstraint):
+    """A frame at least ``height`` m high at the node nearest to ``fraction`` of the phase ``phase``."""
+
+    frame: str
+    height: float
+    phase: str
+    fraction: float = 0.5
+
+    def acts_at(self, place: NodePlace) -> bool:
+        return place.phase.name == self.phase and place.index == round(self.fraction * place.count)
+
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        return Rows.create(context.frame(self.frame).position[2], self.height, np.inf, units.length)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FramePose(NodeConstraint):
+    """A frame's pose at the end: ``position`` (3,) m and ``rotation`` (3, 3), world; either may be None."""
+
+    frame: str
+    position: np.ndarray | None = None
+    rotation: np.ndarray | None = None
+
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        frame = context.frame(self.frame)
+        expressions, targets, scales = [], [], []
+        if self.position is not None:
+            expressions.append(frame.position)
+            targets.append(np.asarray(self.position, dtype=float))
+            scales.append(np.full(3, units.length))
+        if self.rotation is not None:
+            expressions.append(rotation_error(context.parameter(self.rotation), frame.rotation))
+            targets.append(np.zeros(3))
+            scales.append(np.ones(3))
+        bound = np.concatenate(targets)
+        return Rows.create(ca.vertcat(*expressions), bound, bound, np.concatenate(scales))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameVelocity(NodeConstraint):
+    """A frame's velocity at the end: ``velocity`` (6,), linear m/s and angular rad/s, world axes."""
+
+    frame: str
+    velocity: np.ndarray
+
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        scale = np.array([units.length / units.time] * 3 + [1 / units.time] * 3)
+        return Rows.create(context.frame(self.frame).velocity, self.velocity, self.velocity, scale)
+
+
+def free_directions(robot: Robot, q: np.ndarray, contacts: Sequence[str]) -> np.ndarray:
+    """Orthonormal basis (nv, n) of the local rates that active contacts leave free at q (nq,).
+
+    The null space of the contact Jacobian over the rates of the local coordinates (world linear and
+    body angular velocity of a free-flyer). To ask "at rest" or "there" of these directions only is
+    what keeps the rows independent of the contact rows.
+    """
+    coordinates = Coordinates(robot.model)
+    data = robot.model.createData()
+    to_pinocchio = np.column_stack(
+        [coordinates.node_to_pinocchio(_node_with_rate(coordinates, q, i))[1][0] for i in range(robot.nv)]
+    )
+    blocks = []
+    for name in contacts:
+        contact = robot.contact(name)
+        frame = robot.model.getFrameId(contact.frame)
+        jacobian = pin.computeFrameJacobian(robot.model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
+        blocks.append(jacobian[: contact.dimension] @ to_pinocchio)
+    if not blocks:
+        return np.eye(robot.nv)
+    _, singular, vt = np.linalg.svd(np.vstack(blocks))
+    rank = int(np.sum(singular > RANK_TOLERANCE * singular[0]))
+    return vt[rank:].T
+
+
+def _node_with_rate(coordinates: Coordinates, q: np.ndarray, index: int) -> np.ndarray:
+    node = coordinates.node_from_pinocchio(q, np.zeros(coordinates.nv))
+    node[len(node) - coordinates.nv + index] = 1.0
+    return node
+
+
+@dataclass(frozen=True, kw_only=True)
+class TerminalState(NodeConstraint):
+    """The final configuration is ``q`` (nq,), in the directions that active contacts leave free."""
+
+    q: np.ndarray
+
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        basis = free_directions(context.robot, self.q, place.phase.contacts)
+        error = _difference(context, self.q) / units.position
+        return Rows.create(ca.mtimes(context.parameter(basis).T, error), 0, 0, 1.0)
+
+
+def _difference(context: Context, q: np.ndarray) -> ca.SX:
+    """Local coordinates (nv,) of the context's configuration relative to q."""
+    coordinates = context.coordinates
+    goal = coordinates.node_from_pinocchio(q, np.zeros(coordinates.nv))
+    n4, additive = 4 * coordinates.n_rotations, coordinates.additive_index
+    error = context.xi - 0
+    target = context.parameter(goal[n4 : n4 + len(additive)])
+    for row, index in enumerate(additive):
+        error[int(index)] = context.xi[int(index)] - target[row]
+    for i in range(coordinates.n_rotations):
+        quaternion = context.parameter(goal[4 * i : 4 * i + 4])
+        three = coordinates.rotation_index[3 * i : 3 * i + 3]
+        relative = rotation_error(rotation_matrix(quaternion), rotation_matrix(context.rotations[4 * i : 4 * i + 4]))
+        for row, index in enumerate(three):
+            error[int(index)] = relative[row]
+    return error
+
+
+@dataclass(frozen=True, kw_only=True)
+class TerminalRest(NodeConstraint):
+    """The motion ends at rest, in the directions that active contacts leave free at ``q`` (nq,)."""
+
+    q: np.ndarray
+
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        basis = free_directions(context.robot, self.q, place.phase.contacts)
+        return Rows.create(ca.mtimes(context.parameter(basis).T, context.dxi / units.velocity), 0, 0, 1.0)

@@ -1,0 +1,108 @@
+"""The robot's functions at one point as a chain of layers, from local coordinates to forces.
+
+For a free-flyer the inverse dynamics and the contacts' accelerations need no orientation once all is
+in base axes: gravity enters as an acceleration of the base, and wrenches are turned into base axes.
+So three layers replace one graph over (q, v, a, w), and the rigid-body algorithm is
+differentiated over 7 inputs less:
+
+    z -> (quaternion, omega, omega', p', p'', joints, w)           exponential coordinates
+      -> (v_b, a_b + g - R^T g, joints, R^T w)                     base axes
+      -> (tau, contact accelerations)                              Pinocchio, base at the identity
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from trajopt import rigid_body
+from trajopt.context import Context
+from trajopt.manifold import body_rates, exp_quaternion, quaternion_product, rotation_matrix
+
+Layers = tuple[ca.Function, ...]
+
+
+def robot_layers(context: Context, expression: ca.SX) -> tuple[ca.SX, Layers]:
+    """Symbols o that ``expression`` uses, and the layers that compute them from the context's z."""
+    groups = [context.dynamics_symbols(), context.frame_symbols()]
+    outputs = ca.vertcat(*groups)
+    pattern = ca.jacobian_sparsity(expression, outputs)
+    used = np.unique(pattern.get_triplet()[1]).astype(int)
+    if len(used) == 0:
+        return ca.SX(0, 1), ()
+    split = groups[0].numel()
+    if np.all(used < split) and context.has_free_flyer:
+        return outputs[used.tolist()], _base_axes_layers(context, used.tolist())
+    return outputs[used.tolist()], _plain_layers(context, used.tolist())
+
+
+def _plain_layers(context: Context, used: list[int]) -> Layers:
+    """z -> (q, v, a, w) -> o."""
+    wrench = ca.vertcat(*context.wrenches.values())
+    sizes = [part.numel() for part in (context.q, context.v, context.a, wrench)]
+    first = ca.Function("to_pinocchio", [context.z], [ca.vertcat(context.q, context.v, context.a, wrench)])
+    s = ca.SX.sym("s", sum(sizes))
+    q, v, a, w = ca.vertsplit(s, [0, *np.cumsum(sizes).tolist()])
+    frames, dimensions = _frames(context)
+    tau, rotation, position, velocity, acceleration = rigid_body.fused(context.robot.model, frames, dimensions)(q, v, a, w)
+    parts = [tau] if context.uses_dynamics else []
+    for contact in context.used_accelerations:
+        parts.append(acceleration[: contact.dimension, frames.index(contact.frame)])
+    for name in context.frames:
+        i = frames.index(name)
+        parts += [rotation[:, i], position[:, i], velocity[:, i], acceleration[:, i]]
+    return first, ca.Function("fused", [s], [ca.vertcat(*parts)[used]])
+
+
+def _frames(context: Context) -> tuple[list[str], list[int]]:
+    """Frames of the fused function: active contacts with their wrenches, then those terms ask for."""
+    frames = [contact.frame for contact in context.contacts]
+    dimensions = [contact.dimension for contact in context.contacts]
+    extra = [name for name in context.frames if name not in frames]
+    return frames + extra, dimensions + [0] * len(extra)
+
+
+def _base_axes_layers(context: Context, used: list[int]) -> Layers:
+    joints = ca.vertcat(context.q[7:], context.v[6:], context.a[6:])
+    wrench = ca.vertcat(*context.wrenches.values())
+    quaternion = quaternion_product(context.rotations[:4], exp_quaternion(context.xi[3:6]))
+    omega, domega = body_rates(context.xi[3:6], context.dxi[3:6], context.ddxi[3:6])
+    rates = ca.vertcat(quaternion, omega, domega, context.dxi[:3], context.ddxi[:3], joints, wrench)
+    return (
+        ca.Function("body_rates", [context.z], [rates]),
+        _to_base_axes(context, joints.numel(), wrench.numel()),
+        _at_identity(context, joints.numel(), wrench.numel(), used),
+    )
+
+
+def _to_base_axes(context: Context, n_joints: int, n_wrench: int) -> ca.Function:
+    """(quaternion, omega, omega', p', p'', joints, w) -> (v, omega, a, omega', joints, w, g - R^T g), base axes.
+
+    Pinocchio at the identity pose adds -g; the acceleration a is such that the sum is R^T (p'' - g)
+    less the transport term. The last three entries are what a contact's acceleration gains by it.
+    """
+    gravity = ca.DM(context.robot.model.gravity.linear)
+    cuts = np.cumsum([0, 4, 3, 3, 3, 3, n_joints, n_wrench]).tolist()
+    s = ca.SX.sym("s", cuts[-1])
+    quaternion, omega, domega, velocity, acceleration, joints, wrench = ca.vertsplit(s, cuts)
+    to_base = rotation_matrix(quaternion).T
+    linear, gain = ca.mtimes(to_base, velocity), gravity - ca.mtimes(to_base, gravity)
+    felt = ca.mtimes(to_base, acceleration) - ca.cross(omega, linear) + gain
+    turned = ca.vec(ca.mtimes(to_base, ca.reshape(wrench, 3, -1))) if n_wrench else wrench
+    return ca.Function("base_axes", [s], [ca.vertcat(linear, omega, felt, domega, joints, turned, gain)])
+
+
+def _at_identity(context: Context, n_joints: int, n_wrench: int, used: list[int]) -> ca.Function:
+    """(v, omega, a, omega', joints, w, gain) -> (tau, contact accelerations), base axes."""
+    n_v = context.coordinates.nv - 6
+    cuts = np.cumsum([0, 6, 6, n_joints - 2 * n_v, n_v, n_v, n_wrench, 3]).tolist()
+    s = ca.SX.sym("s", cuts[-1])
+    twist, rate, qj, vj, aj, wrench, gain = ca.vertsplit(s, cuts)
+    q, v, a = ca.vertcat(0, 0, 0, 0, 0, 0, 1, qj), ca.vertcat(twist, vj), ca.vertcat(rate, aj)
+    frames, dimensions = _frames(context)
+    tau, *_, acceleration = rigid_body.fused(context.robot.model, frames, dimensions)(q, v, a, wrench)
+    parts = [tau] if context.uses_dynamics else []
+    for contact in context.used_accelerations:
+        linear_gain = ca.vertcat(gain, ca.SX.zeros(contact.dimension - 3))
+        parts.append(acceleration[: contact.dimension, frames.index(contact.frame)] - linear_gain)
+    return ca.Function("fused", [s], [ca.vertcat(*parts)[used]])

@@ -1,0 +1,69 @@
+"""Constant sparse maps of derivatives through z = G xi: built once, applied by the engine.
+
+The engine computes, for every stage, target_t = sum_e coefficient_e * nonzero[source_e] over the
+entries e of t: from nonzeros of a point function's derivatives to nonzeros of the NLP's matrices.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from scipy import sparse
+
+
+@dataclass(frozen=True)
+class DerivativeMap:
+    """Targets (row, column) in local indices, and the CSR of their sources and coefficients."""
+
+    row: np.ndarray
+    column: np.ndarray
+    indptr: np.ndarray
+    source: np.ndarray
+    coefficient: np.ndarray
+
+
+def _expand(matrix: sparse.csr_matrix, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Entries of the listed rows: (position in the list, column, value)."""
+    counts = np.diff(matrix.indptr)[rows]
+    which = np.repeat(np.arange(len(rows)), counts)
+    start = np.repeat(matrix.indptr[rows], counts)
+    within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    entry = start + within
+    return which, matrix.indices[entry], matrix.data[entry]
+
+
+def _collect(row, column, source, coefficient, width: int) -> DerivativeMap:  # type: ignore[no-untyped-def]
+    key = row.astype(np.int64) * width + column
+    targets, target = np.unique(key, return_inverse=True)
+    n_sources = int(source.max()) + 1 if len(source) else 0
+    matrix = sparse.csr_matrix((coefficient, (target, source)), shape=(len(targets), n_sources))
+    return DerivativeMap(
+        (targets // width).astype(np.int32),
+        (targets % width).astype(np.int32),
+        matrix.indptr.astype(np.int32),
+        matrix.indices.astype(np.int32),
+        matrix.data,
+    )
+
+
+def jacobian_map(pattern: ca.Sparsity, gather: sparse.csr_matrix, row_scale: np.ndarray) -> DerivativeMap:
+    """Map of d phi / dz with ``pattern`` (n_rows, n_z) to scaled rows over the window's unknowns."""
+    rows, columns = (np.array(part, dtype=np.int64) for part in pattern.get_triplet())
+    which, unknown, value = _expand(gather, columns)
+    return _collect(rows[which], unknown, which, value * row_scale[rows[which]], gather.shape[1])
+
+
+def hessian_map(pattern: ca.Sparsity, gather: sparse.csr_matrix) -> DerivativeMap:
+    """Map of the lower triangle of d2 gamma / dz2 to the lower triangle over the window's unknowns."""
+    lower = [np.array(part, dtype=np.int64) for part in pattern.get_triplet()]
+    off_diagonal = np.flatnonzero(lower[0] != lower[1])
+    i = np.concatenate([lower[0], lower[1][off_diagonal]])
+    j = np.concatenate([lower[1], lower[0][off_diagonal]])
+    source = np.concatenate([np.arange(len(lower[0])), off_diagonal])
+    first, m, left = _expand(gather, i)
+    second, n, right = _expand(gather, j[first])
+    m, source = m[second], source[first[second]]
+    keep = m >= n
+    return _collect(m[keep], n[keep], source[keep], (left[second] * right)[keep], gather.shape[1])
