@@ -1,0 +1,122 @@
+// A sparse NLP made of small functions evaluated at many stages; see docs/architecture.md.
+#pragma once
+
+#include <casadi/casadi.hpp>
+
+#include <chrono>
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace trajopt {
+
+using Reals = std::vector<double>;
+using Indices = std::vector<int>;
+
+// Rows of entries (index, coefficient).
+struct Csr {
+  Indices indptr, index;
+  Reals coefficient;
+  int rows() const { return static_cast<int>(indptr.size()) - 1; }
+};
+
+// Text of casadi::Function::serialize(), or the name of a function in a shared library.
+struct Source {
+  std::string text, library, name;
+  casadi::Function load() const;
+};
+
+// One point function at the same place of n stages.
+struct Group {
+  Source value, first, second;
+  int n_local = 0, n_stages = 0, n_p = 0, n_phi = 0;
+  Indices x_offset;        // (n_stages)
+  Csr gather;              // z = gather * window
+  Reals p;                 // (n_stages, n_p)
+  Reals cost_weight;       // (n_stages)
+  Indices row;             // (n_stages, n_phi)
+  Reals row_scale;         // (n_phi)
+  Csr jacobian, hessian;   // targets from nonzeros of the function's derivatives
+  Indices jacobian_target, hessian_target;  // (n_stages, targets)
+};
+
+struct Problem {
+  int n_x = 0, n_g = 0, threads = 1;
+  Csr linear;
+  Indices jac_row, jac_col, hess_row, hess_col;
+  Reals jac_constant;
+  std::vector<Group> groups;
+};
+
+// Where a function value or derivative is not finite.
+struct NonFinite {
+  int group, stage, index;
+  std::string output;
+};
+
+struct Timing {
+  double seconds = 0;
+  int count = 0;
+};
+
+// Evaluates f, g and their derivatives; each distinct x is evaluated once a kind.
+class Nlp {
+ public:
+  explicit Nlp(Problem problem);
+
+  double f(const double* x);
+  const Reals& g(const double* x);
+  const Reals& gradient(const double* x);
+  const Reals& jacobian(const double* x);
+  const Reals& hessian(const double* x, double sigma, const double* lambda);
+  std::optional<NonFinite> first_nonfinite(const double* x);
+
+  const Problem& problem() const { return problem_; }
+  void reset_timings();
+  double function_seconds() const;
+  const Timing& timing(int kind) const { return timings_[kind]; }
+
+ private:
+  enum Kind { kValue = 0, kFirst = 1, kSecond = 2 };
+
+  // A function with the buffers of one thread.
+  struct Worker {
+    casadi::Function function;
+    int memory = 0;
+    std::vector<const double*> arg;
+    std::vector<double*> res;
+    std::vector<casadi_int> iw;
+    Reals w, z, lambda;
+  };
+
+  // Outputs of a group's function at all its stages, contiguous.
+  struct Outputs {
+    Indices size, offset;
+    int width = 0;
+    Reals data;
+    const double* at(int stage, int output) const {
+      return data.data() + static_cast<std::size_t>(stage) * width + offset[output];
+    }
+  };
+
+  void prepare(Kind kind);
+  void run(Kind kind, const double* x, double sigma, const double* lambda);
+  void run_stage(Kind kind, int group, int stage, Worker& worker, const double* x, double sigma,
+                 const double* lambda);
+  bool same_point(Kind kind, const double* x);
+  void update_value(const double* x);
+  void update_first(const double* x);
+  void scatter_rows(const Outputs& outputs, const Group& group);
+
+  Problem problem_;
+  std::vector<std::vector<std::vector<Worker>>> workers_;  // kind, group, thread
+  std::vector<std::vector<Outputs>> outputs_;              // kind, group
+  Reals seen_[2];
+  bool valid_[2] = {false, false};
+  double f_ = 0;
+  Reals g_, gradient_, jacobian_, hessian_;
+  Timing timings_[3];
+};
+
+}  // namespace trajopt

@@ -1,0 +1,172 @@
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/map.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/variant.h>
+#include <nanobind/stl/vector.h>
+
+#include <memory>
+#include <stdexcept>
+
+#include "read.hpp"
+#include "solve.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+using namespace trajopt;
+
+namespace {
+
+using Output = nb::ndarray<nb::numpy, double, nb::ndim<1>>;
+
+Output to_numpy(const Reals& values) {
+  auto* copy = new Reals(values);
+  nb::capsule owner(copy, [](void* p) noexcept { delete static_cast<Reals*>(p); });
+  return Output(copy->data(), {copy->size()}, owner);
+}
+
+const double* point(const Nlp& nlp, const RealArray& x) {
+  require(static_cast<int>(x.size()) == nlp.problem().n_x, "x has a wrong size");
+  return x.data();
+}
+
+// Python's callback: an exception in it stops the solver and is raised after it has returned.
+class PythonCallback {
+ public:
+  explicit PythonCallback(nb::object function) : function_(std::move(function)) {}
+
+  bool operator()(const Iteration& info) {
+    nb::gil_scoped_acquire lock;
+    if (function_.is_none()) return PyErr_CheckSignals() == 0;
+    nb::dict given;
+    given["iteration"] = info.iteration;
+    given["objective"] = info.objective;
+    given["primal"] = info.primal;
+    given["dual"] = info.dual;
+    given["barrier"] = info.barrier;
+    given["step"] = info.step;
+    given["regularization"] = info.regularization;
+    given["line_search"] = info.line_search;
+    given["restoration"] = info.restoration;
+    try {
+      return nb::cast<bool>(function_(given));
+    } catch (...) {
+      error_ = std::current_exception();
+      return false;
+    }
+  }
+
+  void raise() const {
+    if (error_) std::rethrow_exception(error_);
+  }
+
+ private:
+  nb::object function_;
+  std::exception_ptr error_;
+};
+
+nb::dict to_dict(const Outcome& outcome) {
+  nb::dict result;
+  result["x"] = to_numpy(outcome.x);
+  result["lam_g"] = to_numpy(outcome.lambda_g);
+  result["f"] = outcome.objective;
+  result["primal"] = outcome.primal;
+  result["dual"] = outcome.dual;
+  result["iterations"] = outcome.iterations;
+  result["status"] = outcome.status;
+  result["wall_time"] = outcome.wall_seconds;
+  result["function_time"] = outcome.function_seconds;
+  return result;
+}
+
+template <class Solve>
+nb::dict solve(nb::object callback, Solve&& run) {
+  PythonCallback python(std::move(callback));
+  Outcome outcome;
+  {
+    nb::gil_scoped_release unlock;
+    outcome = run([&python](const Iteration& info) { return python(info); });
+  }
+  python.raise();
+  return to_dict(outcome);
+}
+
+Bounds to_bounds(const Nlp& nlp, const RealArray& lbx, const RealArray& ubx, const RealArray& lbg,
+                 const RealArray& ubg) {
+  Bounds bounds{reals(lbx), reals(ubx), reals(lbg), reals(ubg)};
+  const std::size_t n = nlp.problem().n_x, m = nlp.problem().n_g;
+  require(bounds.lower_x.size() == n && bounds.upper_x.size() == n, "lbx and ubx must have n_x entries");
+  require(bounds.lower_g.size() == m && bounds.upper_g.size() == m, "lbg and ubg must have n_g entries");
+  return bounds;
+}
+
+void bind_nlp(nb::module_& module) {
+  nb::class_<Nlp>(module, "Nlp")
+      .def("__init__", [](Nlp* self, const nb::kwargs& given) { new (self) Nlp(read_problem(given)); })
+      .def_prop_ro("n_x", [](const Nlp& nlp) { return nlp.problem().n_x; })
+      .def_prop_ro("n_g", [](const Nlp& nlp) { return nlp.problem().n_g; })
+      .def("f", [](Nlp& nlp, const RealArray& x) { return nlp.f(point(nlp, x)); })
+      .def("g", [](Nlp& nlp, const RealArray& x) { return to_numpy(nlp.g(point(nlp, x))); })
+      .def("gradient", [](Nlp& nlp, const RealArray& x) { return to_numpy(nlp.gradient(point(nlp, x))); })
+      .def("jacobian", [](Nlp& nlp, const RealArray& x) { return to_numpy(nlp.jacobian(point(nlp, x))); })
+      .def("hessian",
+           [](Nlp& nlp, const RealArray& x, double sigma, const RealArray& lambda) {
+             require(static_cast<int>(lambda.size()) == nlp.problem().n_g, "lambda has a wrong size");
+             return to_numpy(nlp.hessian(point(nlp, x), sigma, lambda.data()));
+           })
+      .def("first_nonfinite",
+           [](Nlp& nlp, const RealArray& x) -> nb::object {
+             const auto found = nlp.first_nonfinite(point(nlp, x));
+             if (!found) return nb::none();
+             return nb::make_tuple(found->group, found->stage, found->output, found->index);
+           })
+      .def("timings", [](const Nlp& nlp) {
+        std::map<std::string, std::pair<double, int>> result;
+        const char* names[] = {"value", "first", "second"};
+        for (int kind = 0; kind < 3; ++kind)
+          result[names[kind]] = {nlp.timing(kind).seconds, nlp.timing(kind).count};
+        return result;
+      });
+}
+
+void bind_solvers(nb::module_& module) {
+  module.def(
+      "solve_ipopt",
+      [](Nlp& nlp, const RealArray& x0, const RealArray& lbx, const RealArray& ubx, const RealArray& lbg,
+         const RealArray& ubg, const Options& options, nb::object callback, const RealArray& lam_g0) {
+        point(nlp, x0);
+        const Bounds bounds = to_bounds(nlp, lbx, ubx, lbg, ubg);
+        const Reals start = reals(x0), lambda = reals(lam_g0);
+        return solve(std::move(callback), [&](const Callback& call) {
+          return solve_ipopt(nlp, start, bounds, options, call, lambda);
+        });
+      },
+      "nlp"_a, "x0"_a, "lbx"_a, "ubx"_a, "lbg"_a, "ubg"_a, "options"_a, "callback"_a.none(), "lam_g0"_a);
+#ifdef TRAJOPT_WITH_FATROP
+  module.def(
+      "solve_fatrop",
+      [](Nlp& nlp, const IndexArray& nx, const IndexArray& nu, const IndexArray& ng, const RealArray& x0,
+         const RealArray& lbx, const RealArray& ubx, const RealArray& lbg, const RealArray& ubg,
+         const Options& options, nb::object callback) {
+        point(nlp, x0);
+        const Bounds bounds = to_bounds(nlp, lbx, ubx, lbg, ubg);
+        const Stages stages{indices(nx), indices(nu), indices(ng)};
+        const Reals start = reals(x0);
+        return solve(std::move(callback), [&](const Callback& call) {
+          return solve_fatrop(nlp, stages, start, bounds, options, call);
+        });
+      },
+      "nlp"_a, "nx"_a, "nu"_a, "ng"_a, "x0"_a, "lbx"_a, "ubx"_a, "lbg"_a, "ubg"_a, "options"_a,
+      "callback"_a.none());
+#endif
+}
+
+}  // namespace
+
+NB_MODULE(_engine, module) {
+  bind_nlp(module);
+  bind_solvers(module);
+}

@@ -1,0 +1,110 @@
+"""IPOPT and FATROP on the same NLP, with defaults chosen by measurement (docs/measurements.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajopt import _engine
+from trajopt.errors import InputError
+from trajopt.nlp import Nlp
+from trajopt.solvers.status import Status
+
+Option = str | int | float
+Callback = Callable[[dict[str, float]], bool]
+
+# The NLP comes scaled by units, so the solvers' own scaling is off; a solution "to an
+# acceptable level" is no solution. The bound relaxation is far below the tolerance.
+IPOPT_OPTIONS: dict[str, Option] = {
+    "nlp_scaling_method": "none",
+    "mu_strategy": "adaptive",
+    "acceptable_iter": 0,
+    "bound_relax_factor": 1e-9,
+    "print_level": 0,
+    "sb": "yes",
+}
+FATROP_OPTIONS: dict[str, Option] = {}
+
+_IPOPT_STATUS = {
+    "Solve_Succeeded": Status.SOLVED,
+    "Solved_To_Acceptable_Level": Status.STEP_FAILED,
+    "Feasible_Point_Found": Status.STEP_FAILED,
+    "Infeasible_Problem_Detected": Status.INFEASIBLE,
+    "Search_Direction_Becomes_Too_Small": Status.STEP_FAILED,
+    "Diverging_Iterates": Status.UNBOUNDED,
+    "User_Requested_Stop": Status.INTERRUPTED,
+    "Maximum_Iterations_Exceeded": Status.ITERATION_LIMIT,
+    "Restoration_Failed": Status.INFEASIBLE,
+    "Error_In_Step_Computation": Status.STEP_FAILED,
+    "Maximum_CpuTime_Exceeded": Status.TIME_LIMIT,
+    "Maximum_WallTime_Exceeded": Status.TIME_LIMIT,
+    "Not_Enough_Degrees_Of_Freedom": Status.INVALID,
+    "Invalid_Problem_Definition": Status.INVALID,
+    "Invalid_Number_Detected": Status.NOT_FINITE,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """Outcome of a solve in scaled units; ``wall_time`` and ``function_time`` in s."""
+
+    x: np.ndarray
+    lam_g: np.ndarray
+    status: Status
+    solver_status: str
+    iterations: int
+    objective: float
+    wall_time: float
+    function_time: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stop:
+    """When to stop: optimality and feasibility ``tolerance`` in scaled units, iterations, s."""
+
+    tolerance: float = 1e-6
+    max_iterations: int = 500
+    max_time: float = 600.0
+
+
+def _ipopt(nlp: Nlp, x0: np.ndarray, stop: Stop, options: Mapping[str, Option], callback: Callback) -> Result:
+    t = nlp.transcription
+    chosen = {
+        **IPOPT_OPTIONS,
+        "tol": stop.tolerance,
+        "max_iter": stop.max_iterations,
+        "max_wall_time": stop.max_time,
+        **options,
+    }
+    raw = _engine.solve_ipopt(nlp.engine, x0, t.lower_x, t.upper_x, t.lower_g, t.upper_g, chosen, callback, np.zeros(0))
+    return _result(raw, _IPOPT_STATUS.get(raw["status"], Status.FAILED))
+
+
+SOLVERS = {"ipopt": _ipopt}
+
+
+def _result(raw: dict, status: Status) -> Result:  # type: ignore[type-arg]
+    return Result(
+        x=raw["x"],
+        lam_g=raw["lam_g"],
+        status=status,
+        solver_status=raw["status"],
+        iterations=raw["iterations"],
+        objective=raw["f"],
+        wall_time=raw["wall_time"],
+        function_time=raw["function_time"],
+    )
+
+
+def run(
+    nlp: Nlp, x0: np.ndarray, solver: str, stop: Stop, options: Mapping[str, Option], callback: Callback
+) -> Result:
+    """Solve from ``x0`` with the solver of that name. Raises InputError for an unknown solver or option."""
+    if solver not in SOLVERS:
+        raise InputError(f"unknown solver '{solver}'", f"allowed: {', '.join(SOLVERS)}")
+    try:
+        return SOLVERS[solver](nlp, x0, stop, options, callback)
+    except ValueError as error:
+        raise InputError(f"{solver}: {error}") from None

@@ -1,0 +1,34 @@
+"""What a solver's stop means, and what to try."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Status(Enum):
+    """Result of a solve; the value is advice to the user."""
+
+    SOLVED = "solved to tolerance"
+    INFEASIBLE = (
+        "no feasible point was found near the last iterate: look at the worst blocks; relax the goal, lengthen "
+        "a phase or raise a limit"
+    )
+    ITERATION_LIMIT = "the iteration limit was reached: raise --max-iterations, or start from a better guess"
+    TIME_LIMIT = "the time limit was reached: raise --max-time, or use fewer intervals"
+    INTERRUPTED = "stopped by the user: the iterate at that moment is kept, it is not a solution"
+    NOT_FINITE = "a function value or derivative is not finite: look at the block named, and at the guess there"
+    STEP_FAILED = "no step makes progress any more: try another solver, a finer grid or a perturbed start"
+    INACCURATE = "the solver says solved but rows are violated beyond tolerance: tighten --tol or change the solver"
+    UNBOUNDED = "iterates diverge: a cost or limit is missing that bounds the motion or the forces"
+    INVALID = "the problem has more equations than unknowns, or the solver refused it: look at goals that repeat"
+    FAILED = "the solver stopped for another reason: see the solver's own status"
+
+    @property
+    def advice(self) -> str:
+        """What the status means and what to try."""
+        return self.value
+
+    @property
+    def word(self) -> str:
+        """The status as one lower-case word, as files and JSON carry it."""
+        return self.name.lower()
