@@ -99,6 +99,14 @@ class Transcription:
     scale: np.ndarray
     gap_rows: np.ndarray
 
+    def stage_sizes(self) -> tuple[list[int], list[int], list[int]]:
+        """Numbers of states, controls and path rows of each stage, as a stage-structured solver wants them."""
+        layout, n = self.layout, self.layout.coordinates.n_node
+        controls = [layout.n_control(int(phase)) for phase in layout.phase_of]
+        rows = np.bincount(self.rows.stage, minlength=layout.n_intervals + 1)
+        paths = [int(count) - n for count in rows[:-1]] + [int(rows[-1])]
+        return [n] * (layout.n_intervals + 1), [*controls, 0], paths
+
 
 @dataclass(frozen=True)
 class _PointKind:

@@ -82,7 +82,27 @@ def _ipopt(nlp: Nlp, x0: np.ndarray, stop: Stop, options: Mapping[str, Option], 
     return _result(raw, _IPOPT_STATUS.get(raw["status"], Status.FAILED))
 
 
-SOLVERS = {"ipopt": _ipopt}
+_FATROP_STATUS = {
+    "Success": Status.SOLVED,
+    "MaxIterExceeded": Status.ITERATION_LIMIT,
+    "StopAtAcceptablePoint": Status.STEP_FAILED,
+    "LocalInfeasibility": Status.INFEASIBLE,
+    "LineSearchFailed": Status.STEP_FAILED,
+    "ErrorInStepComputation": Status.STEP_FAILED,
+    "UserRequestedStop": Status.INTERRUPTED,
+}
+
+
+def _fatrop(nlp: Nlp, x0: np.ndarray, stop: Stop, options: Mapping[str, Option], callback: Callback) -> Result:
+    t = nlp.transcription
+    chosen = {**FATROP_OPTIONS, "tolerance": stop.tolerance, "max_iter": stop.max_iterations, **options}
+    sizes = [np.array(part, dtype=np.int32) for part in t.stage_sizes()]
+    bounds = (t.lower_x, t.upper_x, t.lower_g, t.upper_g)
+    raw = _engine.solve_fatrop(nlp.engine, *sizes, x0, *bounds, chosen, callback)
+    return _result(raw, _FATROP_STATUS.get(raw["status"], Status.FAILED))
+
+
+SOLVERS = {"ipopt": _ipopt, "fatrop": _fatrop}
 
 
 def _result(raw: dict, status: Status) -> Result:  # type: ignore[type-arg]

@@ -145,7 +145,7 @@ void bind_solvers(nb::module_& module) {
         });
       },
       "nlp"_a, "x0"_a, "lbx"_a, "ubx"_a, "lbg"_a, "ubg"_a, "options"_a, "callback"_a.none(), "lam_g0"_a);
-#ifdef TRAJOPT_WITH_FATROP
+
   module.def(
       "solve_fatrop",
       [](Nlp& nlp, const IndexArray& nx, const IndexArray& nu, const IndexArray& ng, const RealArray& x0,
@@ -161,7 +161,7 @@ void bind_solvers(nb::module_& module) {
       },
       "nlp"_a, "nx"_a, "nu"_a, "ng"_a, "x0"_a, "lbx"_a, "ubx"_a, "lbg"_a, "ubg"_a, "options"_a,
       "callback"_a.none());
-#endif
+
 }
 
 }  // namespace

@@ -17,6 +17,11 @@ struct Bounds {
   Reals lower_x, upper_x, lower_g, upper_g;
 };
 
+// Multipliers to start from; empty where there are none.
+struct Multipliers {
+  Reals g, x;
+};
+
 // One iteration, for a progress line.
 struct Iteration {
   int iteration = 0, line_search = 0;
@@ -27,23 +32,30 @@ struct Iteration {
 // Returns false to stop at the current iterate.
 using Callback = std::function<bool(const Iteration&)>;
 
+// The iterate a solver ended at. The Lagrangian is f + lambda_g . g + lambda_x . x.
 struct Outcome {
-  Reals x, lambda_g;
-  double objective = 0, primal = 0, dual = 0;
+  Reals x, g, lambda_g, lambda_x;
+  double objective = 0, primal = 0, dual = 0, complementarity = 0, max_violation = 0;
   int iterations = 0;
   std::string status;
   double wall_seconds = 0, function_seconds = 0;
 };
 
+// Fills in what is recomputed from x alone, and the times since `start`.
+void complete(Outcome& outcome, Nlp& nlp, const Bounds& bounds, std::chrono::steady_clock::time_point start);
+
+bool all_finite(const Reals& values);
+
 Outcome solve_ipopt(Nlp& nlp, const Reals& x0, const Bounds& bounds, const Options& options, const Callback& callback,
-                    const Reals& lambda0);
+                    const Multipliers& multipliers);
 
 // Sizes of the stages: states, controls, path rows; gap rows come first in each stage.
 struct Stages {
   Indices n_state, n_control, n_path;
 };
 
+// Besides FATROP's own, the option max_wall_time (s) is known.
 Outcome solve_fatrop(Nlp& nlp, const Stages& stages, const Reals& x0, const Bounds& bounds, const Options& options,
-                     const Callback& callback);
+                     const Callback& callback, const Reals& lambda_g);
 
 }  // namespace trajopt
