@@ -1,6 +1,7 @@
 #include <IpIpoptApplication.hpp>
 #include <IpIpoptCalculatedQuantities.hpp>
 #include <IpIpoptData.hpp>
+#include <IpSolveStatistics.hpp>
 #include <IpTNLP.hpp>
 
 #include <algorithm>
@@ -15,10 +16,6 @@ namespace {
 
 using Ipopt::Index;
 using Ipopt::Number;
-
-bool finite(const Reals& values) {
-  return std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); });
-}
 
 const char* status_name(Ipopt::ApplicationReturnStatus status) {
   switch (status) {
@@ -47,10 +44,11 @@ const char* status_name(Ipopt::ApplicationReturnStatus status) {
 
 class Adapter : public Ipopt::TNLP {
  public:
-  Adapter(Nlp& nlp, const Reals& x0, const Bounds& bounds, const Callback& callback, const Reals& lambda0)
-      : nlp_(nlp), x0_(x0), bounds_(bounds), callback_(callback), lambda0_(lambda0) {
+  Adapter(Nlp& nlp, const Reals& x0, const Bounds& bounds, const Callback& callback, const Multipliers& start)
+      : nlp_(nlp), x0_(x0), bounds_(bounds), callback_(callback), start_(start) {
     outcome.x = x0;
     outcome.lambda_g.assign(nlp.problem().n_g, 0.0);
+    outcome.lambda_x.assign(nlp.problem().n_x, 0.0);
   }
 
   bool get_nlp_info(Index& n, Index& m, Index& nnz_jac, Index& nnz_h, IndexStyleEnum& style) override {
@@ -74,11 +72,12 @@ class Adapter : public Ipopt::TNLP {
   bool get_starting_point(Index n, bool, Number* x, bool init_z, Number* zl, Number* zu, Index m, bool init_lambda,
                           Number* lambda) override {
     std::copy(x0_.begin(), x0_.end(), x);
-    if (init_z) {
-      std::fill(zl, zl + n, 0.0);
-      std::fill(zu, zu + n, 0.0);
+    for (Index i = 0; init_z && i < n; ++i) {
+      const double multiplier = start_.x.empty() ? 0.0 : start_.x[i];
+      zl[i] = std::max(0.0, -multiplier);
+      zu[i] = std::max(0.0, multiplier);
     }
-    if (init_lambda && static_cast<Index>(lambda0_.size()) == m) std::copy(lambda0_.begin(), lambda0_.end(), lambda);
+    for (Index i = 0; init_lambda && i < m; ++i) lambda[i] = start_.g.empty() ? 0.0 : start_.g[i];
     return true;
   }
 
@@ -116,18 +115,18 @@ class Adapter : public Ipopt::TNLP {
                    mode == Ipopt::RestorationPhaseMode};
     if (!callback_ || callback_(info)) return true;
     const Problem& p = nlp_.problem();
-    Reals z(p.n_x), g(p.n_g);
-    get_curr_iterate(data, quantities, false, p.n_x, outcome.x.data(), z.data(), z.data(), p.n_g, g.data(),
-                     outcome.lambda_g.data());
+    Reals x(p.n_x), zl(p.n_x), zu(p.n_x), g(p.n_g), lambda(p.n_g);
+    taken_ = get_curr_iterate(data, quantities, false, p.n_x, x.data(), zl.data(), zu.data(), p.n_g, g.data(),
+                              lambda.data());
+    if (taken_) take(x.data(), zl.data(), zu.data(), lambda.data());
     return false;
   }
 
-  void finalize_solution(Ipopt::SolverReturn status, Index n, const Number* x, const Number*, const Number*, Index m,
+  void finalize_solution(Ipopt::SolverReturn status, Index, const Number* x, const Number* zl, const Number* zu, Index,
                          const Number*, const Number* lambda, Number, const Ipopt::IpoptData*,
                          Ipopt::IpoptCalculatedQuantities*) override {
-    if (status == Ipopt::USER_REQUESTED_STOP) return;  // the iterate was taken when it was stopped
-    outcome.x.assign(x, x + n);
-    outcome.lambda_g.assign(lambda, lambda + m);
+    if (status == Ipopt::USER_REQUESTED_STOP && taken_) return;
+    take(x, zl, zu, lambda);
   }
 
   Outcome outcome;
@@ -135,14 +134,22 @@ class Adapter : public Ipopt::TNLP {
  private:
   static bool give(const Reals& values, Number* out) {
     std::copy(values.begin(), values.end(), out);
-    return finite(values);
+    return all_finite(values);
+  }
+
+  void take(const Number* x, const Number* zl, const Number* zu, const Number* lambda) {
+    const int n = nlp_.problem().n_x;
+    outcome.x.assign(x, x + n);
+    outcome.lambda_g.assign(lambda, lambda + nlp_.problem().n_g);
+    for (int i = 0; i < n; ++i) outcome.lambda_x[i] = zu[i] - zl[i];
   }
 
   Nlp& nlp_;
   const Reals& x0_;
   const Bounds& bounds_;
   const Callback& callback_;
-  const Reals& lambda0_;
+  const Multipliers& start_;
+  bool taken_ = false;  // the iterate was taken when the callback stopped the solver
 };
 
 bool set_option(Ipopt::OptionsList& list, const std::string& name, const Option& value) {
@@ -155,24 +162,35 @@ bool set_option(Ipopt::OptionsList& list, const std::string& name, const Option&
   return list.SetStringValue(name, std::get<std::string>(value), true, true);
 }
 
+// Fills in IPOPT's own unscaled measures of the last iterate, where it got so far.
+void take_statistics(Outcome& outcome, Ipopt::IpoptApplication& application) {
+  const Ipopt::SmartPtr<Ipopt::SolveStatistics> statistics = application.Statistics();
+  if (Ipopt::IsNull(statistics)) return;
+  Number bounds = 0, total = 0;
+  statistics->Infeasibilities(outcome.dual, outcome.primal, bounds, outcome.complementarity, total);
+  outcome.iterations = statistics->IterationCount();
+}
+
 }  // namespace
 
 Outcome solve_ipopt(Nlp& nlp, const Reals& x0, const Bounds& bounds, const Options& options, const Callback& callback,
-                    const Reals& lambda0) {
+                    const Multipliers& multipliers) {
   nlp.reset_timings();
+  const auto start = std::chrono::steady_clock::now();
   Ipopt::SmartPtr<Ipopt::IpoptApplication> application = new Ipopt::IpoptApplication(false, false);
-  for (const auto& [name, value] : options)
+  Options chosen{{"print_level", 0L}, {"sb", std::string("yes")}};
+  if (!multipliers.g.empty() || !multipliers.x.empty()) chosen["warm_start_init_point"] = std::string("yes");
+  for (const auto& [name, value] : options) chosen[name] = value;
+  for (const auto& [name, value] : chosen)
     if (!set_option(*application->Options(), name, value))
       throw std::invalid_argument("option '" + name + "' is unknown or its value is not allowed");
-  Ipopt::SmartPtr<Adapter> adapter = new Adapter(nlp, x0, bounds, callback, lambda0);
-  const auto start = std::chrono::steady_clock::now();
+  Ipopt::SmartPtr<Adapter> adapter = new Adapter(nlp, x0, bounds, callback, multipliers);
   Ipopt::ApplicationReturnStatus status = application->Initialize("");
   if (status == Ipopt::Solve_Succeeded) status = application->OptimizeTNLP(adapter);
   Outcome outcome = std::move(adapter->outcome);
-  outcome.wall_seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-  outcome.function_seconds = nlp.function_seconds();
   outcome.status = status_name(status);
-  outcome.objective = nlp.f(outcome.x.data());
+  take_statistics(outcome, *application);
+  complete(outcome, nlp, bounds, start);
   return outcome;
 }
 

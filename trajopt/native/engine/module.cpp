@@ -33,14 +33,14 @@ const double* point(const Nlp& nlp, const RealArray& x) {
   return x.data();
 }
 
-// Python's callback: an exception in it stops the solver and is raised after it has returned.
+// Python's callback: an exception in it stops the solver and is raised after it has returned; an
+// interrupt from the keyboard asks for the current iterate, as returning False does.
 class PythonCallback {
  public:
   explicit PythonCallback(nb::object function) : function_(std::move(function)) {}
 
   bool operator()(const Iteration& info) {
     nb::gil_scoped_acquire lock;
-    if (function_.is_none()) return PyErr_CheckSignals() == 0;
     nb::dict given;
     given["iteration"] = info.iteration;
     given["objective"] = info.objective;
@@ -52,7 +52,11 @@ class PythonCallback {
     given["line_search"] = info.line_search;
     given["restoration"] = info.restoration;
     try {
-      return nb::cast<bool>(function_(given));
+      if (PyErr_CheckSignals() != 0) throw nb::python_error();
+      return function_.is_none() || nb::cast<bool>(function_(given));
+    } catch (nb::python_error& error) {
+      if (!error.matches(PyExc_KeyboardInterrupt)) error_ = std::current_exception();
+      return false;
     } catch (...) {
       error_ = std::current_exception();
       return false;
@@ -68,22 +72,33 @@ class PythonCallback {
   std::exception_ptr error_;
 };
 
-nb::dict to_dict(const Outcome& outcome) {
+std::map<std::string, std::pair<double, int>> timings(const Nlp& nlp) {
+  return {{"value", {nlp.timing(0).seconds, nlp.timing(0).count}},
+          {"first", {nlp.timing(1).seconds, nlp.timing(1).count}},
+          {"second", {nlp.timing(2).seconds, nlp.timing(2).count}}};
+}
+
+nb::dict to_dict(const Outcome& outcome, const Nlp& nlp) {
   nb::dict result;
   result["x"] = to_numpy(outcome.x);
+  result["g"] = to_numpy(outcome.g);
   result["lam_g"] = to_numpy(outcome.lambda_g);
+  result["lam_x"] = to_numpy(outcome.lambda_x);
   result["f"] = outcome.objective;
   result["primal"] = outcome.primal;
   result["dual"] = outcome.dual;
+  result["complementarity"] = outcome.complementarity;
+  result["max_violation"] = outcome.max_violation;
   result["iterations"] = outcome.iterations;
   result["status"] = outcome.status;
   result["wall_time"] = outcome.wall_seconds;
   result["function_time"] = outcome.function_seconds;
+  result["timings"] = timings(nlp);
   return result;
 }
 
 template <class Solve>
-nb::dict solve(nb::object callback, Solve&& run) {
+nb::dict solve(const Nlp& nlp, nb::object callback, Solve&& run) {
   PythonCallback python(std::move(callback));
   Outcome outcome;
   {
@@ -91,7 +106,7 @@ nb::dict solve(nb::object callback, Solve&& run) {
     outcome = run([&python](const Iteration& info) { return python(info); });
   }
   python.raise();
-  return to_dict(outcome);
+  return to_dict(outcome, nlp);
 }
 
 Bounds to_bounds(const Nlp& nlp, const RealArray& lbx, const RealArray& ubx, const RealArray& lbg,
@@ -101,6 +116,13 @@ Bounds to_bounds(const Nlp& nlp, const RealArray& lbx, const RealArray& ubx, con
   require(bounds.lower_x.size() == n && bounds.upper_x.size() == n, "lbx and ubx must have n_x entries");
   require(bounds.lower_g.size() == m && bounds.upper_g.size() == m, "lbg and ubg must have n_g entries");
   return bounds;
+}
+
+// Multipliers to start from: none, or as many as there must be.
+Reals given(const std::optional<RealArray>& multipliers, int size, const char* name) {
+  if (!multipliers || multipliers->size() == 0) return {};
+  require(static_cast<int>(multipliers->size()) == size, std::string(name) + " has a wrong size");
+  return reals(*multipliers);
 }
 
 void bind_nlp(nb::module_& module) {
@@ -123,45 +145,41 @@ void bind_nlp(nb::module_& module) {
              if (!found) return nb::none();
              return nb::make_tuple(found->group, found->stage, found->output, found->index);
            })
-      .def("timings", [](const Nlp& nlp) {
-        std::map<std::string, std::pair<double, int>> result;
-        const char* names[] = {"value", "first", "second"};
-        for (int kind = 0; kind < 3; ++kind)
-          result[names[kind]] = {nlp.timing(kind).seconds, nlp.timing(kind).count};
-        return result;
-      });
+      .def("timings", &timings);
 }
 
 void bind_solvers(nb::module_& module) {
   module.def(
       "solve_ipopt",
       [](Nlp& nlp, const RealArray& x0, const RealArray& lbx, const RealArray& ubx, const RealArray& lbg,
-         const RealArray& ubg, const Options& options, nb::object callback, const RealArray& lam_g0) {
+         const RealArray& ubg, const Options& options, nb::object callback, std::optional<RealArray> lam_g0,
+         std::optional<RealArray> lam_x0) {
         point(nlp, x0);
         const Bounds bounds = to_bounds(nlp, lbx, ubx, lbg, ubg);
-        const Reals start = reals(x0), lambda = reals(lam_g0);
-        return solve(std::move(callback), [&](const Callback& call) {
-          return solve_ipopt(nlp, start, bounds, options, call, lambda);
+        const Reals start = reals(x0);
+        const Multipliers multipliers{given(lam_g0, nlp.problem().n_g, "lam_g0"),
+                                      given(lam_x0, nlp.problem().n_x, "lam_x0")};
+        return solve(nlp, std::move(callback), [&](const Callback& call) {
+          return solve_ipopt(nlp, start, bounds, options, call, multipliers);
         });
       },
-      "nlp"_a, "x0"_a, "lbx"_a, "ubx"_a, "lbg"_a, "ubg"_a, "options"_a, "callback"_a.none(), "lam_g0"_a);
-
+      "nlp"_a, "x0"_a, "lbx"_a, "ubx"_a, "lbg"_a, "ubg"_a, "options"_a, "callback"_a.none(),
+      "lam_g0"_a = nb::none(), "lam_x0"_a = nb::none());
   module.def(
       "solve_fatrop",
       [](Nlp& nlp, const IndexArray& nx, const IndexArray& nu, const IndexArray& ng, const RealArray& x0,
          const RealArray& lbx, const RealArray& ubx, const RealArray& lbg, const RealArray& ubg,
-         const Options& options, nb::object callback) {
+         const Options& options, nb::object callback, std::optional<RealArray> lam_g0) {
         point(nlp, x0);
         const Bounds bounds = to_bounds(nlp, lbx, ubx, lbg, ubg);
         const Stages stages{indices(nx), indices(nu), indices(ng)};
-        const Reals start = reals(x0);
-        return solve(std::move(callback), [&](const Callback& call) {
-          return solve_fatrop(nlp, stages, start, bounds, options, call);
+        const Reals start = reals(x0), lambda = given(lam_g0, nlp.problem().n_g, "lam_g0");
+        return solve(nlp, std::move(callback), [&](const Callback& call) {
+          return solve_fatrop(nlp, stages, start, bounds, options, call, lambda);
         });
       },
       "nlp"_a, "nx"_a, "nu"_a, "ng"_a, "x0"_a, "lbx"_a, "ubx"_a, "lbg"_a, "ubg"_a, "options"_a,
-      "callback"_a.none());
-
+      "callback"_a.none(), "lam_g0"_a = nb::none());
 }
 
 }  // namespace
