@@ -1,0 +1,179 @@
+"""Triangles, normals and colours of a COLLADA file.
+
+Meshcat's own reader drops parts of files in which one geometry has several materials, as
+those of many arms have. This one reads what description files hold: triangles and polygons
+under a tree of nodes, with plain colours; textures are not read. Anything else raises
+`ColladaError`. Numbers are taken as they are, in m and without turning the file's up axis,
+as Pinocchio takes them.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as Tree
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+TRANSFORMATIONS = ("matrix", "translate", "scale", "rotate")
+GREY = np.array([0.8, 0.8, 0.8])
+
+
+class ColladaError(ValueError):
+    """The file is not COLLADA, or holds something other than coloured triangles."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColouredMesh:
+    """vertices, normals, colours: (n, 3), colours from 0 to 1; triangles: (m, 3) indices."""
+
+    vertices: np.ndarray
+    normals: np.ndarray
+    colours: np.ndarray
+    triangles: np.ndarray
+
+
+def read(path: str | Path, plain: np.ndarray = GREY) -> ColouredMesh:
+    """Return the mesh of a file in m; ``plain`` (3,) colours what has no plain colour in the file.
+
+    Raises `ColladaError`, or `OSError` if the file cannot be opened.
+    """
+    try:
+        root = Tree.parse(path).getroot()
+        for element in root.iter():
+            element.tag = element.tag.rpartition("}")[2]
+        return _Reader(root, plain).mesh()
+    except (Tree.ParseError, KeyError, IndexError, StopIteration, ValueError) as error:
+        raise ColladaError(f"{path}: {error}") from None
+
+
+class _Reader:
+    def __init__(self, root: Tree.Element, plain: np.ndarray) -> None:
+        self._plain = plain
+        self._root = root
+        self._by_id = {f"#{element.get('id')}": element for element in root.iter() if element.get("id")}
+        self._parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []  # corners, normals, colour
+
+    def mesh(self) -> ColouredMesh:
+        for node in self._child(self._root, "scene/instance_visual_scene", "url"):
+            self._node(node, np.eye(4))
+        if not self._parts:
+            raise ColladaError("no triangles")
+        corners, normals = (np.concatenate([part[k] for part in self._parts]) for k in (0, 1))
+        colours = np.concatenate([np.tile(colour, (len(points), 1)) for points, _, colour in self._parts])
+        rows = np.column_stack([corners, normals, colours]).astype(np.float32)
+        distinct, index = np.unique(rows, axis=0, return_inverse=True)
+        return ColouredMesh(
+            vertices=distinct[:, :3],
+            normals=distinct[:, 3:6],
+            colours=distinct[:, 6:],
+            triangles=index.reshape(-1, 3).astype(np.uint32),
+        )
+
+    def _child(self, parent: Tree.Element, path: str, attribute: str) -> Tree.Element:
+        """The element to which an element below ``parent`` refers."""
+        reference = parent.find(path)
+        if reference is None:
+            raise ColladaError(f"no {path}")
+        return self._by_id[reference.get(attribute, "")]
+
+    def _node(self, node: Tree.Element, parent: np.ndarray) -> None:
+        if node.tag != "node":
+            return
+        placement = parent @ _transform(node)
+        for child in node:
+            if child.tag == "node":
+                self._node(child, placement)
+            elif child.tag == "instance_node":
+                self._node(self._by_id[child.get("url", "")], placement)
+            elif child.tag == "instance_geometry":
+                self._geometry(child, placement)
+            elif child.tag == "instance_controller":
+                raise ColladaError("skins are not read")
+
+    def _geometry(self, instance: Tree.Element, placement: np.ndarray) -> None:
+        bound = {entry.get("symbol"): entry.get("target", "") for entry in instance.iter("instance_material")}
+        turn = np.linalg.inv(placement[:3, :3])  # normals go with the inverse transpose
+        for primitive in self._by_id[instance.get("url", "")].iterfind("mesh/*"):
+            if primitive.tag in ("triangles", "polylist"):
+                points, normals = self._corners(primitive)
+                points, normals = points @ placement[:3, :3].T + placement[:3, 3], normals @ turn
+                if np.linalg.det(placement[:3, :3]) < 0:
+                    points, normals = _turned_over(points), _turned_over(normals)
+                length = np.linalg.norm(normals, axis=1, keepdims=True)
+                colour = self._colour(bound.get(primitive.get("material")))
+                self._parts.append((points, normals / np.where(length > 0, length, 1.0), colour))
+
+    def _corners(self, primitive: Tree.Element) -> tuple[np.ndarray, np.ndarray]:
+        """Position and normal of every corner, three rows a triangle."""
+        inputs = {entry.get("semantic"): entry for entry in primitive.findall("input")}
+        stride = 1 + max(int(entry.get("offset", 0)) for entry in primitive.findall("input"))
+        index = np.array((primitive.findtext("p") or "").split(), dtype=int).reshape(-1, stride)
+        if primitive.tag == "polylist":
+            index = index[_fans(np.array((primitive.findtext("vcount") or "").split(), dtype=int))]
+        vertices = self._by_id[inputs["VERTEX"].get("source", "")]
+        attributes = {entry.get("semantic"): entry for entry in vertices.findall("input")}
+        at = index[:, int(inputs["VERTEX"].get("offset", 0))]
+        points = self._source(attributes["POSITION"])[at]
+        if "NORMAL" in inputs:
+            return points, self._source(inputs["NORMAL"])[index[:, int(inputs["NORMAL"].get("offset", 0))]]
+        if "NORMAL" in attributes:
+            return points, self._source(attributes["NORMAL"])[at]
+        sides = points.reshape(-1, 3, 3)
+        flat = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])
+        return points, np.repeat(flat, 3, axis=0)
+
+    def _source(self, entry: Tree.Element) -> np.ndarray:
+        source = self._by_id[entry.get("source", "")]
+        accessor = next(source.iter("accessor"))
+        stride = int(accessor.get("stride", 1))
+        numbers = np.array((source.findtext("float_array") or "").split(), dtype=float)
+        return numbers.reshape(-1, stride)[:, :3]
+
+    def _colour(self, material: str | None) -> np.ndarray:
+        if material is None:
+            return self._plain
+        effect = self._child(self._by_id[material], "instance_effect", "url")
+        text = effect.findtext(".//diffuse/color")
+        return np.array(text.split()[:3], dtype=float) if text else self._plain
+
+
+def _turned_over(corners: np.ndarray) -> np.ndarray:
+    """The corners of every triangle in the other order."""
+    return corners.reshape(-1, 3, 3)[:, ::-1].reshape(-1, 3)
+
+
+def _transform(node: Tree.Element) -> np.ndarray:
+    """Placement (4, 4) of a node in its parent: its transformations in the order of the file."""
+    result = np.eye(4)
+    for element in node:
+        if element.tag not in TRANSFORMATIONS:
+            continue
+        step, numbers = np.eye(4), np.array((element.text or "").split(), dtype=float)
+        if element.tag == "matrix":
+            step = numbers.reshape(4, 4)
+        elif element.tag == "translate":
+            step[:3, 3] = numbers
+        elif element.tag == "scale":
+            step[:3, :3] = np.diag(numbers)
+        elif element.tag == "rotate":
+            step[:3, :3] = _rotation(numbers[:3], np.radians(numbers[3]))
+        result = result @ step
+    return result
+
+
+def _rotation(axis: np.ndarray, angle: float) -> np.ndarray:
+    x, y, z = axis / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def _fans(counts: np.ndarray) -> np.ndarray:
+    """Corners of the triangles into which polygons of ``counts`` corners are cut."""
+    first = np.cumsum(counts) - counts
+    triangles = [
+        (start, start + k, start + k + 1)
+        for start, count in zip(first.tolist(), counts.tolist(), strict=True)
+        for k in range(1, count - 1)
+    ]
+    return np.array(triangles, dtype=int).ravel()

@@ -1,0 +1,68 @@
+"""Messages to a Meshcat viewer: recorded commands and animated properties."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import umsgpack  # type: ignore[import-untyped]
+
+# msgpack extension of a Float32Array, as Meshcat's viewer decodes it.
+FLOAT32 = 0x17
+
+
+@dataclass(frozen=True)
+class Command:
+    """One message to a Meshcat viewer."""
+
+    message: dict[str, Any]
+
+    def lower(self) -> dict[str, Any]:
+        """Return the message, as Meshcat's window asks for it."""
+        return self.message
+
+
+class Recorder:
+    """A Meshcat window that keeps what it is told instead of sending it to a server."""
+
+    def __init__(self) -> None:
+        self.commands: list[Command] = []
+
+    def send(self, command: Any) -> None:
+        """Keep the command."""
+        self.commands.append(Command(command.lower()))
+
+
+class Tracks:
+    """Animated properties by place in the scene tree, all sampled at the same frames."""
+
+    def __init__(self, n_frames: int, frame_rate: float) -> None:
+        self._times = umsgpack.Ext(FLOAT32, np.arange(n_frames, dtype=np.float32).tobytes())
+        self._frame_rate = frame_rate
+        self._clips: dict[str, list[dict[str, Any]]] = {}
+
+    def add(self, node: Any, name: str, kind: str, values: np.ndarray) -> None:
+        """Animate property ``name``, of three.js type ``kind``, of ``node``: a row of ``values`` a frame."""
+        packed = (
+            values.ravel().tolist()
+            if kind == "boolean"
+            else umsgpack.Ext(FLOAT32, np.ascontiguousarray(values, dtype=np.float32).tobytes())
+        )
+        track = {"name": f".{name}", "type": kind, "times": self._times, "values": packed}
+        self._clips.setdefault(node.path.lower(), []).append(track)
+
+    def command(self) -> Command:
+        """Return the message that loads and plays the animation, again and again."""
+        animations = [
+            {"path": path, "clip": {"fps": self._frame_rate, "name": "default", "tracks": tracks}}
+            for path, tracks in self._clips.items()
+        ]
+        options = {"play": True, "repetitions": float("inf")}
+        return Command({"type": "set_animation", "path": "", "animations": animations, "options": options})
+
+
+def without_shadow(node: Any) -> None:
+    """Let the object of ``node`` cast no shadow; Meshcat's own set_property loses the capital of the name."""
+    message = {"type": "set_property", "property": "castShadow", "value": False}
+    node.window.send(Command({**message, "path": node["<object>"].path.lower()}))

@@ -1,0 +1,204 @@
+"""The robot of a replay: its visual meshes hung on the joints, or a skeleton where there are none."""
+
+from __future__ import annotations
+
+import itertools
+import warnings
+from dataclasses import dataclass, field
+from typing import Any
+
+import coal  # type: ignore[import-untyped]
+import meshcat.geometry as shapes
+import numpy as np
+import pinocchio as pin
+from pinocchio.visualize.meshcat_visualizer import MeshcatVisualizer, loadMesh
+
+from trajopt import collada
+from trajopt.errors import InputError
+from trajopt.robot_building import reach
+from trajopt.robot_data import VisualSource
+from trajopt.solution import Solution
+
+BONE_COLOUR, JOINT_COLOUR, FOOT_COLOUR = 0x8A93A0, 0x2F6DB5, 0x303438
+# Radii of a skeleton over its reach.
+BONE_RADIUS, JOINT_RADIUS = 0.012, 0.02
+# Directions in which a round shape is probed for its extent: 2 % of its radius.
+ROUND_PROBES = 200
+
+
+@dataclass
+class DrawnRobot:
+    """Points of the drawn robot, (k, 3) m in the frame of each joint, and a note if meshes are missing."""
+
+    points: dict[int, list[np.ndarray]] = field(default_factory=dict)
+    note: str = ""
+
+    def add(self, joint: int, points: np.ndarray) -> None:
+        """Note that ``points`` (k, 3) in the frame of ``joint`` are part of the picture."""
+        self.points.setdefault(joint, []).append(np.asarray(points, dtype=float))
+
+
+def joint_path(model: pin.Model, joint: int) -> str:
+    """Return the place in the scene tree that moves with ``joint``."""
+    return "robot/" + str(model.names[joint]).replace("/", "_")
+
+
+def draw_robot(vis: Any, solution: Solution) -> DrawnRobot:
+    """Draw the robot of ``solution`` into the Meshcat node ``vis``: meshes if they are found, else bones."""
+    name = solution.meta.get("robot") or solution.model.name or "robot"
+    visual = solution.meta.get("visual")
+    try:
+        if not visual:
+            raise InputError("the solution names no URDF file")
+        geometry = VisualSource.from_meta(visual).geometry(solution.model)
+        if geometry.ngeoms == 0:
+            raise InputError(f"{visual['urdf']} has no visual geometry")
+    except InputError as error:
+        drawn = draw_skeleton(vis, solution)
+        drawn.note = f"'{name}' is drawn as a skeleton: {error}"
+        return drawn
+    return _draw_meshes(vis, solution.model, geometry)
+
+
+class _JointTree(MeshcatVisualizer):
+    """Pinocchio's loader of geometry and materials, with every geometry hung on its joint."""
+
+    def getViewerNodeName(self, geometry_object: Any, geometry_type: Any) -> str:
+        return f"{joint_path(self.model, geometry_object.parentJoint)}/{_plain(geometry_object.name)}"
+
+    def loadMeshFromFile(self, geometry_object: Any) -> Any:
+        if not geometry_object.meshPath.lower().endswith(".dae"):
+            return super().loadMeshFromFile(geometry_object)
+        try:
+            mesh = collada.read(geometry_object.meshPath, np.asarray(geometry_object.meshColor)[:3])
+        except collada.ColladaError:
+            whole = loadMesh(geometry_object.geometry)  # one colour; scaled already, as the node does
+            whole.vertices = whole.vertices / np.asarray(geometry_object.meshScale, dtype=np.float32)
+            return whole
+        return shapes.Mesh(_Triangles(mesh), shapes.MeshPhongMaterial(vertexColors=True))
+
+
+class _Triangles(shapes.Geometry):
+    """A coloured mesh with its own normals, which Meshcat's mesh geometry does not carry."""
+
+    def __init__(self, mesh: collada.ColouredMesh) -> None:
+        super().__init__()
+        self._mesh = mesh
+
+    def lower(self, object_data: Any) -> dict[str, Any]:
+        """Return the geometry in the JSON of three.js."""
+        mesh = self._mesh
+        colours = shapes.pack_numpy_array(np.round(255 * mesh.colours).astype(np.uint8).T)
+        attributes = {
+            "position": shapes.pack_numpy_array(mesh.vertices.T),
+            "normal": shapes.pack_numpy_array(mesh.normals.T),
+            "color": {**colours, "normalized": True},
+        }
+        index = shapes.pack_numpy_array(mesh.triangles.T)
+        return {
+            "uuid": self.uuid,
+            "type": "BufferGeometry",
+            "data": {"attributes": attributes, "index": index},
+        }
+
+
+def _draw_meshes(vis: Any, model: pin.Model, geometry: pin.GeometryModel) -> DrawnRobot:
+    loader, drawn, missing = _JointTree(model, None, geometry), DrawnRobot(), []
+    loader.initViewer(viewer=vis)
+    for entry in geometry.geometryObjects:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            loader.loadViewerGeometryObject(entry, pin.GeometryType.VISUAL)
+        if any(issubclass(warning.category, UserWarning) for warning in caught):
+            missing.append(entry.name)
+            continue
+        node = vis[loader.getViewerNodeName(entry, pin.GeometryType.VISUAL)]
+        scale = np.diag([*entry.meshScale, 1.0])
+        node.set_transform(entry.placement.homogeneous @ scale)
+        vertices = _vertices(entry.geometry)
+        drawn.add(entry.parentJoint, vertices @ entry.placement.rotation.T + entry.placement.translation)
+    if missing:
+        drawn.note = f"geometry that Meshcat cannot show is left out: {', '.join(missing)}"
+    return drawn
+
+
+def _vertices(geometry: Any) -> np.ndarray:
+    """Points (k, 3) that span a geometry; those of a mesh are scaled already, as Pinocchio loads them."""
+    if isinstance(geometry, coal.BVHModelBase):
+        return np.asarray(geometry.vertices())
+    if isinstance(geometry, coal.Sphere):
+        return geometry.radius * _round_probes()
+    geometry.computeLocalAABB()
+    corners = np.array([geometry.aabb_local.min_, geometry.aabb_local.max_])
+    return np.array(list(itertools.product(*corners.T)))
+
+
+def _round_probes() -> np.ndarray:
+    """Even directions (k, 3): a Fibonacci lattice on the sphere."""
+    k = np.arange(ROUND_PROBES) + 0.5
+    height, angle = 1 - 2 * k / ROUND_PROBES, np.pi * (1 + 5**0.5) * k
+    radius = np.sqrt(1 - height**2)
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
+
+
+def draw_skeleton(vis: Any, solution: Solution) -> DrawnRobot:
+    """Draw joints as spheres, links as rods from joint to joint, and rods to contacts and tips."""
+    model, drawn = solution.model, DrawnRobot()
+    rods = _rods(solution)
+    length_scale = reach(model) or 1.0
+    bone, ball = BONE_RADIUS * length_scale, JOINT_RADIUS * length_scale
+    for joint in range(1, model.njoints):
+        node = vis[joint_path(model, joint)]
+        node["joint"].set_object(shapes.Sphere(ball), shapes.MeshPhongMaterial(color=JOINT_COLOUR))
+        drawn.add(joint, np.zeros((1, 3)))
+    for number, (joint, end, is_tip) in enumerate(rods):
+        node, length = vis[joint_path(model, joint)], float(np.linalg.norm(end))
+        drawn.add(joint, end[None])
+        if is_tip:
+            node[f"tip{number}"].set_object(shapes.Sphere(ball), shapes.MeshPhongMaterial(color=FOOT_COLOUR))
+            node[f"tip{number}"].set_transform(pin.SE3(np.eye(3), end).homogeneous)
+        if length > ball:
+            rod = shapes.Cylinder(length, bone)
+            node[f"rod{number}"].set_object(rod, shapes.MeshPhongMaterial(color=BONE_COLOUR))
+            node[f"rod{number}"].set_transform(_rod_placement(end))
+    return drawn
+
+
+def _rods(solution: Solution) -> list[tuple[int, np.ndarray, bool]]:
+    """(joint, end in its frame, is a tip) of every rod: to child joints, contact frames and tips."""
+    model = solution.model
+    rods = []
+    for child in range(1, model.njoints):
+        parent = int(model.parents[child])
+        if parent > 0 or model.joints[child].nv == 1:  # a floating base hangs on nothing
+            rods.append((parent, model.jointPlacements[child].translation.copy(), False))
+    tips = {model.getFrameId(name) for name in solution.contact_frames} | set(tip_frames(model))
+    for frame in sorted(tips):
+        rods.append(
+            (int(model.frames[frame].parentJoint), model.frames[frame].placement.translation.copy(), True)
+        )
+    return rods
+
+
+def tip_frames(model: pin.Model) -> list[int]:
+    """Return, for each joint without child, its frame that lies furthest from it."""
+    leaves = set(range(1, model.njoints)) - {int(parent) for parent in model.parents}
+    tips = []
+    for joint in sorted(leaves):
+        frames = [number for number, frame in enumerate(model.frames) if frame.parentJoint == joint]
+        if frames:
+            tips.append(
+                max(frames, key=lambda number: np.linalg.norm(model.frames[number].placement.translation))
+            )
+    return tips
+
+
+def _rod_placement(end: np.ndarray) -> np.ndarray:
+    """Placement of a Meshcat cylinder (along y, centred) from the origin to ``end``."""
+    rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 1.0, 0.0]), end).toRotationMatrix()
+    placement: np.ndarray = pin.SE3(rotation, end / 2).homogeneous
+    return placement
+
+
+def _plain(name: str) -> str:
+    return name.replace("/", "_")

@@ -1,0 +1,173 @@
+"""The scene of a replay as Meshcat commands: robot, ground, force arrows, trails, camera, animation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import meshcat
+import meshcat.geometry as shapes
+import numpy as np
+import pinocchio as pin
+
+from trajopt.replay_commands import Command, Recorder, Tracks, without_shadow
+from trajopt.replay_ground import ground_height, light_and_ground
+from trajopt.replay_motion import Motion
+from trajopt.replay_robot import DrawnRobot, draw_robot, joint_path, tip_frames
+from trajopt.solution import Solution
+
+FORCE_COLOUR = 0xD9421F
+TRAIL_COLOURS = (0x1F77B4, 0x2CA02C, 0x9467BD, 0xC77700)
+# An arrow of the robot's weight is this part of the robot's largest extent long.
+WEIGHT_ARROW = 0.8
+# Arrow over the robot's extent; a head never takes more than half of its arrow.
+SHAFT_RADIUS, HEAD_RADIUS, HEAD_LENGTH = 0.007, 0.02, 0.055
+HIDDEN_OPACITY = 0.55
+# Forces below this part of the weight are not drawn.
+LEAST_FORCE = 1e-3
+# Vertical field of view in degrees: little perspective.
+FIELD_OF_VIEW = 35.0
+# Direction from the robot to the camera: from its right and ahead, slightly above.
+CAMERA_DIRECTION = np.array([0.62, -1.0, 0.42])
+# The camera travels with the base if the motion is longer than this many times the robot.
+FOLLOW_FROM = 3.0
+# Frames at which the extent of the motion is measured.
+MEASURED_FRAMES = 12
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Commands in order; ``note`` if the robot is not drawn in full; ``weight_arrow`` in m."""
+
+    commands: list[Command]
+    note: str
+    weight_arrow: float
+
+
+def build_scene(solution: Solution, motion: Motion) -> Scene:
+    """Return everything that a Meshcat viewer has to be told to show ``motion``."""
+    recorder = Recorder()
+    vis = meshcat.Visualizer(window=recorder)
+    tracks = Tracks(motion.n_frames, motion.frame_rate)
+    robot = draw_robot(vis, solution)
+    for joint in range(1, solution.model.njoints):
+        _animate_placement(tracks, vis[joint_path(solution.model, joint)], motion.joints[:, joint])
+    cloud = _cloud(robot, motion)
+    size = max(float(np.ptp(cloud[0], axis=0).max()), 1e-3)
+    ground = ground_height(solution, motion, robot, size)
+    box = np.array([cloud.min(axis=(0, 1)), cloud.max(axis=(0, 1))])
+    light_and_ground(vis, box, ground, size)
+    for contact, frame in enumerate(solution.contact_frames):
+        _arrow(vis["forces"][frame.replace("/", "_")], tracks, motion, contact, size)
+    _trails(vis["trails"], solution, motion)
+    _camera(vis, tracks, motion, box, ground, size)
+    recorder.commands.append(tracks.command())
+    return Scene(recorder.commands, robot.note, WEIGHT_ARROW * size)
+
+
+def _animate_placement(tracks: Tracks, node: Any, placements: np.ndarray) -> None:
+    quaternions = [pin.Quaternion(matrix[:3, :3]).coeffs() for matrix in placements]
+    tracks.add(node, "position", "vector3", placements[:, :3, 3])
+    tracks.add(node, "quaternion", "quaternion", np.array(quaternions))
+
+
+def _cloud(robot: DrawnRobot, motion: Motion) -> np.ndarray:
+    """World points (frames, k, 3) of the drawn robot at a few frames, the first included."""
+    rows = np.unique(np.linspace(0, motion.n_frames - 1, MEASURED_FRAMES).astype(int))
+    parts = []
+    for joint, points in robot.points.items():
+        placement = motion.joints[rows, joint]
+        local = np.concatenate(points)
+        parts.append(local @ placement[:, :3, :3].transpose(0, 2, 1) + placement[:, None, :3, 3])
+    return np.concatenate(parts, axis=1)
+
+
+def _arrow(node: Any, tracks: Tracks, motion: Motion, contact: int, size: float) -> None:
+    """Animate the arrow of one contact: length proportional to force over weight, from where it acts."""
+    force = motion.force[:, contact]
+    norm = np.linalg.norm(force, axis=1)
+    shown = motion.active[:, contact] & (norm > LEAST_FORCE * motion.weight)
+    length = np.where(shown, norm / motion.weight * WEIGHT_ARROW * size, size)
+    head = np.minimum(1.0, length / (2 * HEAD_LENGTH * size))
+    neck = length - head * HEAD_LENGTH * size
+    across = np.zeros_like(neck)
+    _draw_arrow(node, size)
+    tracks.add(node, "position", "vector3", motion.pressed[:, contact])
+    tracks.add(node, "quaternion", "quaternion", _turns_to(force, shown))
+    tracks.add(node, "visible", "boolean", shown)
+    tracks.add(node["shaft"], "scale", "vector3", np.column_stack([head, head, neck]))
+    tracks.add(node["head"], "scale", "vector3", np.column_stack([head, head, head]))
+    tracks.add(node["head"], "position", "vector3", np.column_stack([across, across, neck]))
+
+
+def _draw_arrow(node: Any, size: float) -> None:
+    """Shaft of length one and head, along z; where the robot hides them, they shine through."""
+    tip = HEAD_LENGTH * size
+    parts = {
+        "shaft": (shapes.Cylinder(1.0, SHAFT_RADIUS * size), 0.5),
+        "head": (shapes.Cylinder(tip, radiusTop=0.0, radiusBottom=HEAD_RADIUS * size), tip / 2),
+    }
+    through = {"opacity": HIDDEN_OPACITY, "depthTest": False, "depthWrite": False, "side": 0}
+    upright = pin.utils.rotate("x", np.pi / 2)  # Meshcat's cylinders lie along y
+    for name, (shape, height) in parts.items():
+        for part, options in (("solid", {}), ("hidden", through)):
+            place = node[name][part]
+            place.set_object(shape, shapes.MeshLambertMaterial(color=FORCE_COLOUR, **options))
+            without_shadow(place)
+            place.set_transform(pin.SE3(upright, np.array([0.0, 0.0, height])).homogeneous)
+
+
+def _turns_to(force: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """Quaternions (n, 4) that turn z to each force; the identity where none is shown."""
+    vertical = np.array([0.0, 0.0, 1.0])
+    turns = [
+        pin.Quaternion.FromTwoVectors(vertical, entry).coeffs() if visible else np.array([0.0, 0, 0, 1])
+        for entry, visible in zip(force, shown, strict=True)
+    ]
+    return np.array(turns)
+
+
+def _trails(node: Any, solution: Solution, motion: Motion) -> None:
+    """Draw the path of each contact frame as a thin line; of each tip if there are no contacts."""
+    names, paths = list(solution.contact_frames), motion.feet
+    if not names:
+        frames = tip_frames(solution.model)
+        names = [solution.model.frames[frame].name for frame in frames]
+        paths = _frame_paths(solution.model, motion, frames)
+    for number, name in enumerate(names):
+        points = shapes.PointsGeometry(position=paths[:, number].T.astype(np.float32))
+        colour = TRAIL_COLOURS[number % len(TRAIL_COLOURS)]
+        trail = node[name.replace("/", "_")]
+        trail.set_object(shapes.Line(points, shapes.LineBasicMaterial(color=colour)))
+        without_shadow(trail)
+
+
+def _frame_paths(model: pin.Model, motion: Motion, frames: list[int]) -> np.ndarray:
+    paths = np.empty((motion.n_frames, len(frames), 3))
+    for column, frame in enumerate(frames):
+        joint = model.frames[frame].parentJoint
+        local = np.append(model.frames[frame].placement.translation, 1.0)
+        paths[:, column] = (motion.joints[:, joint] @ local)[:, :3]
+    return paths
+
+
+def _camera(vis: Any, tracks: Tracks, motion: Motion, box: np.ndarray, ground: float, size: float) -> None:
+    """Frame the whole motion, or travel with the base if the motion is long.
+
+    Meshcat's camera always looks at the origin of the viewer: the world is moved there instead.
+    """
+    base = motion.joints[:, 1, :3, 3] if motion.joints.shape[1] > 1 else motion.joints[:, 0, :3, 3]
+    travel = base - base[0]
+    low, high = np.array([*box[0, :2], min(ground, box[0, 2])]), box[1]
+    follows = float(np.ptp(travel[:, :2], axis=0).max()) > FOLLOW_FROM * size
+    if follows:
+        low, high = base[0] - 0.75 * size, base[0] + 0.75 * size
+    target = (low + high) / 2
+    distance = float(np.linalg.norm(high - low)) / 2 / np.sin(np.radians(FIELD_OF_VIEW) / 2)
+    offset = distance * CAMERA_DIRECTION / np.linalg.norm(CAMERA_DIRECTION)
+    lens = vis["/Cameras/default/rotated/<object>"]
+    lens.set_property("fov", FIELD_OF_VIEW)
+    lens.set_property("position", [float(offset[0]), float(offset[2]), float(-offset[1])])  # y is up there
+    vis.set_transform(pin.SE3(np.eye(3), -target).homogeneous)
+    if follows:
+        tracks.add(vis, "position", "vector3", -target - travel * [1, 1, 0])
