@@ -10,6 +10,7 @@ import pinocchio as pin
 import robots
 from trajopt.errors import InputError
 from trajopt.family import Family, Parameter
+from trajopt.kinematics import inverse_kinematics
 from trajopt.node_terms import FrameHeight, SwingClearance, TerminalRest, TerminalState
 from trajopt.problem import Problem
 from trajopt.robot import Robot
@@ -31,6 +32,8 @@ GRAVITY = 9.81
 SHORTEST_FLIGHT = 0.3
 # Rise of the base over its standing height at take-off in the guess, m: legs not yet straight.
 TAKEOFF_RISE = 0.04
+# Part of the take-off speed times its duration that the base travels while the feet are on the ground.
+GROUND_SHARE = 0.15
 # Least height of a foot over the ground in mid flight, m.
 CLEARANCE = 0.03
 
@@ -50,32 +53,68 @@ def _footholds(robot: Robot, q: np.ndarray) -> dict[str, np.ndarray]:
 
 
 class _Guess:
-    """Base on a smooth push, a parabola and a smooth landing; joints at the reference posture."""
+    """Base on a smooth push, a parabola and a smooth landing; legs follow the feet by inverse kinematics."""
 
-    def __init__(self, robot: Robot, distance: float, yaw: float, durations: tuple[float, float, float]) -> None:
+    def __init__(self, robot: Robot, end: np.ndarray, path: np.ndarray, durations: tuple[float, float, float]) -> None:
         self.robot, self.durations = robot, durations
+        frames = {contact.name: contact.frame for contact in robot.contacts}
+        self.start_feet, self.end_feet = (
+            {frames[name]: point for name, point in _footholds(robot, q).items()} for q in (robot.reference, end)
+        )
         stance, flight, landing = durations
-        share = 0.15 * (stance + landing)
-        speed, turn = distance / (flight + share), yaw / (flight + share)
-        climb = GRAVITY * flight / 2
-        self.rates = np.array([speed, climb, turn])
-        rise = np.array([0.15 * stance * speed, TAKEOFF_RISE, 0.15 * stance * turn])
-        self.takeoff = rise
-        self.touchdown = rise + [speed * flight, 0.0, turn * flight]
-        self.end = np.array([distance, 0.0, yaw])
+        share = GROUND_SHARE * (stance + landing)
+        self.rates = path / (flight + share) + [0.0, GRAVITY * flight / 2, 0.0]
+        self.takeoff = GROUND_SHARE * stance * self.rates * [1, 0, 1] + [0.0, TAKEOFF_RISE, 0.0]
+        self.touchdown = self.takeoff + self.rates * flight * [1, 0, 1]
+        self.end = path
 
     def __call__(self, t: float) -> np.ndarray:
+        pose = self._pose(t)
+        return inverse_kinematics(self.robot, pose, self._feet(t, pose)).q
+
+    def _pose(self, t: float) -> np.ndarray:
+        x, z, yaw = self._base(t)
+        return _pose(self.robot, x, 0.0, z, yaw)
+
+    def _base(self, t: float) -> np.ndarray:
+        """Forward and upward displacement (m) and yaw (rad) of the base."""
         stance, flight, landing = self.durations
         if t <= stance:
-            x, z, yaw = _hermite(t / stance, stance, np.zeros(3), np.zeros(3), self.takeoff, self.rates)
-        elif t <= stance + flight:
+            return _hermite(max(t, 0.0) / stance, stance, np.zeros(3), np.zeros(3), self.takeoff, self.rates)
+        if t <= stance + flight:
             s = t - stance
-            x, z, yaw = self.takeoff + self.rates * s - np.array([0.0, GRAVITY * s * s / 2, 0.0])
-        else:
-            rates = self.rates * [1, -1, 1]
-            fraction = min(1.0, (t - stance - flight) / landing)
-            x, z, yaw = _hermite(fraction, landing, self.touchdown, rates, self.end, np.zeros(3))
-        return _pose(self.robot, x, 0.0, z, yaw)
+            return self.takeoff + self.rates * s - np.array([0.0, GRAVITY * s * s / 2, 0.0])
+        fraction = min(1.0, (t - stance - flight) / landing)
+        return _hermite(fraction, landing, self.touchdown, self.rates * [1, -1, 1], self.end, np.zeros(3))
+
+    def _feet(self, t: float, pose: np.ndarray) -> dict[str, np.ndarray]:
+        """Feet on their footholds; in flight carried by the base, from one stance to the other."""
+        stance, flight, _ = self.durations
+        if t <= stance:
+            return self.start_feet
+        if t >= stance + flight:
+            return self.end_feet
+        s = (t - stance) / flight
+        smooth = s * s * (3 - 2 * s)
+        before, after = self._pose(stance), self._pose(stance + flight)
+        return {
+            frame: _carried(pose, (1 - smooth) * _seen(before, start) + smooth * _seen(after, self.end_feet[frame]))
+            for frame, start in self.start_feet.items()
+        }
+
+
+def _base_placement(q: np.ndarray) -> pin.SE3:
+    return pin.SE3(pin.Quaternion(*q[[6, 3, 4, 5]]).toRotationMatrix(), q[:3])
+
+
+def _seen(q: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """A point of the world in base axes, m."""
+    return _base_placement(q).actInv(point)
+
+
+def _carried(q: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """A point in base axes as a point of the world, m."""
+    return _base_placement(q).act(point)
 
 
 def _hermite(s, duration, start, start_rate, end, end_rate):  # type: ignore[no-untyped-def]
@@ -141,7 +180,7 @@ def build(
         initial_q=robot.reference,
         initial_v=np.zeros(robot.nv),
         terms=terms,
-        guess=_Guess(robot, distance, yaw, (stance, flight, landing)),
+        guess=_Guess(robot, end, np.array([distance, 0.0, yaw]), (stance, flight, landing)),
         parameters={
             "distance": distance, "height": height, "yaw": yaw, "stance": stance,
             "flight": flight, "landing": landing, "friction": friction, "effort": effort,

@@ -4,4 +4,26 @@ from trajopt.versions import check_installation
 
 check_installation()
 
+from trajopt.check import check  # noqa: E402
+from trajopt.errors import InputError, TrajoptError  # noqa: E402
+from trajopt.problem import Problem  # noqa: E402
+from trajopt.robot import Contact, Robot  # noqa: E402
+from trajopt.schedule import FlatGround, Phase, Schedule  # noqa: E402
+from trajopt.solution import Solution  # noqa: E402
+from trajopt.solving import solve  # noqa: E402
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "Contact",
+    "FlatGround",
+    "InputError",
+    "Phase",
+    "Problem",
+    "Robot",
+    "Schedule",
+    "Solution",
+    "TrajoptError",
+    "check",
+    "solve",
+]

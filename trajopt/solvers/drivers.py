@@ -25,7 +25,7 @@ IPOPT_OPTIONS: dict[str, Option] = {
     "print_level": 0,
     "sb": "yes",
 }
-FATROP_OPTIONS: dict[str, Option] = {}
+FATROP_OPTIONS: dict[str, Option] = {"print_level": 0}
 
 _IPOPT_STATUS = {
     "Solve_Succeeded": Status.SOLVED,

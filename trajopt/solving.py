@@ -1,0 +1,163 @@
+"""Problem -> transcription -> compiled NLP -> solver -> Solution, in one call."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from trajopt.compilation import DEFAULT_LEVEL, CompilationReport, compile_points, entry_key
+from trajopt.errors import InputError
+from trajopt.extraction import extract
+from trajopt.guess import initial_guess, perturbed
+from trajopt.nlp import Nlp, assemble
+from trajopt.problem import Problem
+from trajopt.solution import Solution
+from trajopt.solvers import Result, Status, run
+from trajopt.solvers.drivers import SOLVERS, Option, Stop
+from trajopt.transcription import Transcription, transcribe
+from trajopt.violations import nonfinite_place, row_violations, worst_blocks
+
+Progress = Callable[[dict[str, float]], bool]
+
+# A solver's "solved" is believed up to this multiple of its tolerance, measured anew on all rows.
+TRUSTED_VIOLATION = 10.0
+DEFAULT_SOLVER = "ipopt"
+MAX_PERTURBATION = 100.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prepared:
+    """A problem ready to be solved from its guess; ``build_time`` in s is all but the C compiler."""
+
+    transcription: Transcription
+    nlp: Nlp
+    guess: np.ndarray
+    compilation: CompilationReport
+    build_time: float
+
+
+def prepare(
+    problem: Problem,
+    *,
+    transcription: str | None = None,
+    intervals: int | None = None,
+    compile: str = DEFAULT_LEVEL,
+    threads: int = 1,
+) -> Prepared:
+    """Transcribe, compile (or fetch from the cache) and assemble. Raises InputError."""
+    start = time.perf_counter()
+    transcribed = transcribe(problem, transcription, intervals)
+    points = {id(group.point): group.point for group in transcribed.groups}
+    compiled, report = compile_points(points.values(), compile)
+    by_point = {key: compiled[entry_key(point, report.level)] for key, point in points.items()}
+    nlp = assemble(transcribed, by_point, threads)
+    guess = initial_guess(transcribed)
+    build_time = time.perf_counter() - start - report.compile_time
+    return Prepared(transcription=transcribed, nlp=nlp, guess=guess, compilation=report, build_time=build_time)
+
+
+def solve(
+    problem: Problem,
+    *,
+    transcription: str | None = None,
+    intervals: int | None = None,
+    solver: str = DEFAULT_SOLVER,
+    tolerance: float = 1e-6,
+    max_iterations: int = 500,
+    max_time: float = 600.0,
+    seed: int = 0,
+    perturb: float = 0.0,
+    compile: str = DEFAULT_LEVEL,
+    threads: int = 1,
+    options: Mapping[str, Option] | None = None,
+    progress: Progress | None = None,
+) -> Solution:
+    """Solve a problem; never raises because the solver did not converge.
+
+    transcription: scheme by name, for example ``legendre:2``; default: the problem's.
+    intervals: number over the whole schedule; default: the problem's.
+    solver: ``ipopt`` or ``fatrop``; ``options`` are its own, refused when unknown.
+    tolerance: on feasibility and optimality, in natural units (weight, length, sqrt(l/g)).
+    seed, perturb: noise on the guess, standard deviation in scaled units.
+    compile: ``none``, ``quick`` or ``fast``. threads: for evaluating functions.
+    progress: called at each iteration with its figures; returns False to stop there.
+
+    Returns a Solution whose ``meta`` has status, success, advice, iterations, objective, times and the
+    worst blocks of rows. Raises InputError for a value that is not allowed.
+    """
+    _check_settings(solver, tolerance, max_iterations, max_time, perturb)
+    prepared = prepare(problem, transcription=transcription, intervals=intervals, compile=compile, threads=threads)
+    start = perturbed(prepared.transcription, prepared.guess, seed, perturb) if perturb else prepared.guess
+    place = nonfinite_place(prepared.nlp, start)
+    stop = Stop(tolerance=tolerance, max_iterations=max_iterations, max_time=max_time)
+    if place is None:
+        result = run(prepared.nlp, start, solver, stop, options or {}, progress or _continue)
+    else:
+        result = _not_finite(prepared, start)
+    return _solution(prepared, result, solver, tolerance, place, {"seed": seed, "perturb": perturb})
+
+
+def _continue(_: dict[str, float]) -> bool:
+    return True
+
+
+def _check_settings(solver: str, tolerance: float, max_iterations: int, max_time: float, perturb: float) -> None:
+    if solver not in SOLVERS:
+        raise InputError(f"unknown solver '{solver}'", f"allowed: {', '.join(SOLVERS)}")
+    if not (math.isfinite(tolerance) and 0 < tolerance < 1):
+        raise InputError(f"tolerance is {tolerance:g}", "allowed: between 0 and 1")
+    if max_iterations < 0:
+        raise InputError(f"max_iterations is {max_iterations}", "allowed: 0 or more")
+    if not max_time > 0:
+        raise InputError(f"max_time is {max_time:g} s", "allowed: > 0")
+    if not (math.isfinite(perturb) and 0 <= perturb <= MAX_PERTURBATION):
+        raise InputError(f"perturb is {perturb:g}", f"allowed: 0 to {MAX_PERTURBATION:g}")
+
+
+def _not_finite(prepared: Prepared, x: np.ndarray) -> Result:
+    return Result(
+        x=x, lam_g=np.zeros(prepared.transcription.n_rows), status=Status.NOT_FINITE, solver_status="not started",
+        iterations=0, objective=math.nan, wall_time=0.0, function_time=0.0,
+    )  # fmt: skip
+
+
+def _solution(
+    prepared: Prepared, result: Result, solver: str, tolerance: float, place: str | None, start: dict[str, Any]
+) -> Solution:
+    t, report = prepared.transcription, prepared.compilation
+    violations = row_violations(prepared.nlp, result.x)
+    worst = float(violations.max()) if np.all(np.isfinite(violations)) else math.nan
+    status = result.status
+    if status is Status.SOLVED and not worst <= TRUSTED_VIOLATION * tolerance:
+        status = Status.INACCURATE
+    success = status is Status.SOLVED
+    meta = {
+        "solver": solver,
+        "status": status.word,
+        "solver_status": result.solver_status,
+        "success": success,
+        "advice": status.advice if place is None else f"{status.advice}: {place}",
+        "iterations": result.iterations,
+        "objective": _number(result.objective),
+        "tolerance": tolerance,
+        "variables": t.layout.n_unknowns,
+        "constraints": t.n_rows,
+        "max_violation": _number(worst),
+        "worst_blocks": worst_blocks(t, violations, 3),
+        "wall_time_s": result.wall_time,
+        "function_time_s": result.function_time,
+        "build_time_s": prepared.build_time,
+        "compile_time_s": report.compile_time,
+        "compile": report.level,
+        **start,
+    }
+    return extract(t, result.x, meta)
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,74 @@
+"""Which rows are violated, by block, phase and node; and where a function is not finite."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from trajopt.nlp import Nlp
+from trajopt.transcription import Transcription
+
+
+def row_violations(nlp: Nlp, x: np.ndarray) -> np.ndarray:
+    """Violation of every row, then of every variable's bounds, in scaled units (n_rows + n_unknowns,)."""
+    t = nlp.transcription
+    g = np.asarray(nlp.engine.g(x))
+    return np.concatenate([_outside(g, t.lower_g, t.upper_g), _outside(x, t.lower_x, t.upper_x)])
+
+
+def _outside(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    return np.maximum(0.0, np.maximum(lower - values, values - upper))
+
+
+def worst_blocks(t: Transcription, violations: np.ndarray, count: int) -> list[dict[str, Any]]:
+    """The ``count`` blocks of rows with the largest violation, each at its worst place.
+
+    Each has ``block``, ``phase``, ``node`` (the interval's for a point), ``point`` (or null), ``time``
+    in s and ``violation`` in natural units. A value that is not finite counts as the worst of all.
+    """
+    rows = np.where(np.isfinite(violations[: t.n_rows]), violations[: t.n_rows], np.inf)
+    entries = []
+    for index, name in enumerate(t.rows.names):
+        members = np.flatnonzero(t.rows.block == index)
+        worst = members[np.argmax(rows[members])]
+        entries.append((rows[worst], name, int(t.rows.stage[worst]), int(t.rows.point[worst])))
+    entries.append(_worst_bound(t, violations[t.n_rows :]))
+    entries.sort(key=lambda entry: -entry[0])
+    return [_describe(t, *entry) for entry in entries[:count]]
+
+
+def _worst_bound(t: Transcription, violations: np.ndarray) -> tuple[float, str, int, int]:
+    worst = int(np.argmax(violations))
+    node = int(np.searchsorted(t.layout.node_offset, worst, side="right")) - 1
+    return float(violations[worst]), "bounds", node, -1
+
+
+def _describe(t: Transcription, violation: float, name: str, stage: int, point: int) -> dict[str, Any]:
+    layout = t.layout
+    time = float(layout.node_times[stage])
+    if point >= 0:
+        time += float(layout.scheme.c[point] * layout.steps[stage])
+    return {
+        "block": name,
+        "phase": layout.place(stage).phase.name,
+        "node": stage,
+        "point": point if point >= 0 else None,
+        "time": time,
+        "violation": float(violation) if np.isfinite(violation) else None,
+    }
+
+
+def nonfinite_place(nlp: Nlp, x: np.ndarray) -> str | None:
+    """In words, the first function that is not finite at x, or None."""
+    found = nlp.engine.first_nonfinite(x)
+    if found is None:
+        return None
+    group, stage, output, index = found
+    t = nlp.transcription
+    members = t.groups[group]
+    node = int(members.stages[stage])
+    block = ""
+    if output == "rows":
+        block = f" of block '{t.rows.names[t.rows.block[members.rows[stage, index]]]}'"
+    return f"{output}{block} in phase '{t.layout.place(node).phase.name}', node {node}"
