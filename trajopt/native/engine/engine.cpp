@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <exception>
+#include <limits>
 #include <thread>
 
 namespace trajopt {
@@ -25,10 +27,6 @@ void scatter(const Csr& map, const double* nonzeros, const int* target, Reals& o
 
 }  // namespace
 
-casadi::Function Source::load() const {
-  return text.empty() ? casadi::external(name, library) : casadi::Function::deserialize(text);
-}
-
 Nlp::Nlp(Problem problem) : problem_(std::move(problem)) {
   workers_.resize(3);
   outputs_.resize(3);
@@ -41,8 +39,7 @@ Nlp::Nlp(Problem problem) : problem_(std::move(problem)) {
 
 void Nlp::prepare(Kind kind) {
   for (const Group& group : problem_.groups) {
-    const Source& source = kind == kValue ? group.value : kind == kFirst ? group.first : group.second;
-    casadi::Function function = source.load();
+    const casadi::Function& function = kind == kValue ? group.value : kind == kFirst ? group.first : group.second;
     Outputs outputs;
     for (casadi_int i = 0; i < function.n_out(); ++i) {
       outputs.offset.push_back(outputs.width);
@@ -80,25 +77,38 @@ void Nlp::run_stage(Kind kind, int index, int stage, Worker& worker, const doubl
     worker.arg[2] = &weighted;
     worker.arg[3] = worker.lambda.data();
   }
-  for (std::size_t i = 0; i < outputs.size.size(); ++i)
-    worker.res[i] = outputs.data.data() + static_cast<std::size_t>(stage) * outputs.width + outputs.offset[i];
-  worker.function(worker.arg.data(), worker.res.data(), worker.iw.data(), worker.w.data(), worker.memory);
+  double* out = outputs.data.data() + static_cast<std::size_t>(stage) * outputs.width;
+  for (std::size_t i = 0; i < outputs.size.size(); ++i) worker.res[i] = out + outputs.offset[i];
+  const int failed =
+      worker.function(worker.arg.data(), worker.res.data(), worker.iw.data(), worker.w.data(), worker.memory);
+  if (failed) std::fill_n(out, outputs.width, std::numeric_limits<double>::quiet_NaN());
+}
+
+void Nlp::run_share(Kind kind, int thread, const double* x, double sigma, const double* lambda) {
+  for (std::size_t index = 0; index < problem_.groups.size(); ++index) {
+    const int n = problem_.groups[index].n_stages;
+    const int from = n * thread / problem_.threads, to = n * (thread + 1) / problem_.threads;
+    for (int stage = from; stage < to; ++stage)
+      run_stage(kind, static_cast<int>(index), stage, workers_[kind][index][thread], x, sigma, lambda);
+  }
 }
 
 void Nlp::run(Kind kind, const double* x, double sigma, const double* lambda) {
   const auto start = std::chrono::steady_clock::now();
+  std::vector<std::exception_ptr> errors(problem_.threads);
   auto share = [&](int thread) {
-    for (std::size_t index = 0; index < problem_.groups.size(); ++index) {
-      const int n = problem_.groups[index].n_stages;
-      const int from = n * thread / problem_.threads, to = n * (thread + 1) / problem_.threads;
-      for (int stage = from; stage < to; ++stage)
-        run_stage(kind, static_cast<int>(index), stage, workers_[kind][index][thread], x, sigma, lambda);
+    try {
+      run_share(kind, thread, x, sigma, lambda);
+    } catch (...) {  // must not leave a thread
+      errors[thread] = std::current_exception();
     }
   };
   std::vector<std::thread> others;
   for (int thread = 1; thread < problem_.threads; ++thread) others.emplace_back(share, thread);
   share(0);
   for (std::thread& other : others) other.join();
+  for (const std::exception_ptr& error : errors)
+    if (error) std::rethrow_exception(error);
   timings_[kind].seconds += seconds_since(start);
   ++timings_[kind].count;
 }
@@ -106,8 +116,8 @@ void Nlp::run(Kind kind, const double* x, double sigma, const double* lambda) {
 bool Nlp::same_point(Kind kind, const double* x) {
   Reals& seen = seen_[kind];
   if (valid_[kind] && std::memcmp(seen.data(), x, seen.size() * sizeof(double)) == 0) return true;
+  valid_[kind] = false;
   seen.assign(x, x + problem_.n_x);
-  valid_[kind] = true;
   return false;
 }
 
@@ -116,7 +126,7 @@ void Nlp::scatter_rows(const Outputs& outputs, const Group& group) {
     const double* phi = outputs.at(stage, 1);
     const int* row = group.row.data() + static_cast<std::size_t>(stage) * group.n_phi;
     for (int j = 0; j < group.n_phi; ++j) g_[row[j]] += group.row_scale[j] * phi[j];
-    f_ += group.cost_weight[stage] * outputs.at(stage, 0)[0];
+    if (outputs.has(0) && group.cost_weight[stage] != 0) f_ += group.cost_weight[stage] * outputs.at(stage, 0)[0];
   }
 }
 
@@ -127,6 +137,7 @@ void Nlp::update_value(const double* x) {
   f_ = 0;
   for (int row = 0; row < problem_.n_g; ++row) g_[row] = apply(problem_.linear, row, x);
   for (std::size_t i = 0; i < problem_.groups.size(); ++i) scatter_rows(outputs_[kValue][i], problem_.groups[i]);
+  valid_[kValue] = true;
   timings_[kValue].seconds += seconds_since(start);
 }
 
@@ -142,15 +153,23 @@ void Nlp::update_first(const double* x) {
     for (int stage = 0; stage < group.n_stages; ++stage) {
       const std::size_t targets = static_cast<std::size_t>(stage) * group.jacobian.rows();
       scatter(group.jacobian, outputs.at(stage, 3), group.jacobian_target.data() + targets, jacobian_);
-      if (group.cost_weight[stage] == 0) continue;
-      const double* slope = outputs.at(stage, 2);
-      double* out = gradient_.data() + group.x_offset[stage];
-      for (int i = 0; i < group.gather.rows(); ++i)
-        for (int e = group.gather.indptr[i]; e < group.gather.indptr[i + 1]; ++e)
-          out[group.gather.index[e]] += group.cost_weight[stage] * group.gather.coefficient[e] * slope[i];
     }
+    scatter_gradient(outputs, group);
   }
+  valid_[kFirst] = true;
   timings_[kFirst].seconds += seconds_since(start);
+}
+
+void Nlp::scatter_gradient(const Outputs& outputs, const Group& group) {
+  if (!outputs.has(2)) return;
+  const Csr& gather = group.gather;
+  for (int stage = 0; stage < group.n_stages; ++stage) {
+    const double weight = group.cost_weight[stage], *slope = outputs.at(stage, 2);
+    double* out = gradient_.data() + group.x_offset[stage];
+    for (int i = 0; weight != 0 && i < gather.rows(); ++i)
+      for (int e = gather.indptr[i]; e < gather.indptr[i + 1]; ++e)
+        out[gather.index[e]] += weight * gather.coefficient[e] * slope[i];
+  }
 }
 
 double Nlp::f(const double* x) {
@@ -193,7 +212,6 @@ std::optional<NonFinite> Nlp::first_nonfinite(const double* x) {
   const Reals ones(problem_.n_g, 1.0);
   for (Kind kind : {kFirst, kSecond}) {
     run(kind, x, 1.0, ones.data());
-    valid_[0] = valid_[1] = false;
     for (std::size_t index = 0; index < problem_.groups.size(); ++index) {
       const Outputs& outputs = outputs_[kind][index];
       for (int stage = 0; stage < problem_.groups[index].n_stages; ++stage)

@@ -21,15 +21,9 @@ struct Csr {
   int rows() const { return static_cast<int>(indptr.size()) - 1; }
 };
 
-// Text of casadi::Function::serialize(), or the name of a function in a shared library.
-struct Source {
-  std::string text, library, name;
-  casadi::Function load() const;
-};
-
 // One point function at the same place of n stages.
 struct Group {
-  Source value, first, second;
+  casadi::Function value, first, second;
   int n_local = 0, n_stages = 0, n_p = 0, n_phi = 0;
   Indices x_offset;        // (n_stages)
   Csr gather;              // z = gather * window
@@ -95,6 +89,7 @@ class Nlp {
     Indices size, offset;
     int width = 0;
     Reals data;
+    bool has(int output) const { return size[output] > 0; }
     const double* at(int stage, int output) const {
       return data.data() + static_cast<std::size_t>(stage) * width + offset[output];
     }
@@ -102,12 +97,14 @@ class Nlp {
 
   void prepare(Kind kind);
   void run(Kind kind, const double* x, double sigma, const double* lambda);
+  void run_share(Kind kind, int thread, const double* x, double sigma, const double* lambda);
   void run_stage(Kind kind, int group, int stage, Worker& worker, const double* x, double sigma,
                  const double* lambda);
   bool same_point(Kind kind, const double* x);
   void update_value(const double* x);
   void update_first(const double* x);
   void scatter_rows(const Outputs& outputs, const Group& group);
+  void scatter_gradient(const Outputs& outputs, const Group& group);
 
   Problem problem_;
   std::vector<std::vector<std::vector<Worker>>> workers_;  // kind, group, thread

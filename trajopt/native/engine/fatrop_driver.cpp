@@ -1,165 +1,25 @@
-#include "fatrop_stages.hpp"
-
-// FATROP's print level and banner are inline variables: they must be the library's own.
-#pragma GCC visibility push(default)
-#include <fatrop/fatrop.hpp>
-#pragma GCC visibility pop
-
 #include <algorithm>
 #include <cmath>
 #include <memory>
 #include <stdexcept>
 
+#include "fatrop_adapter.hpp"
+
 namespace trajopt {
 
 namespace {
 
+using Clock = std::chrono::steady_clock;
 using fatrop::Index;
 using fatrop::OcpType;
 using fatrop::Scalar;
-using fatrop::VecRealView;
-using Matrices = std::vector<fatrop::MatRealAllocated>;
 using Data = fatrop::IpData<OcpType>;
+
+constexpr const char* kInvalidNumber = "InvalidNumber";
 
 // Thrown through FATROP, which has no other way to be stopped between iterations.
 struct Stop {
   const char* status;
-};
-
-void clear(Matrices& matrices, int n_rows_kept) {
-  for (auto& matrix : matrices) blasfeo_dgese(matrix.m() - n_rows_kept, matrix.n(), 0.0, &matrix.mat(), 0, 0);
-}
-
-void put(Matrices& matrices, const std::vector<Entry>& entries, const Reals& nonzeros, double sign) {
-  for (const Entry& e : entries)
-    BLASFEO_DMATEL(&matrices[e.stage].mat(), e.row, e.column) += sign * nonzeros[e.nonzero];
-}
-
-void put_ones(Matrices& matrices, const std::vector<Entry>& entries) {
-  for (const Entry& e : entries) BLASFEO_DMATEL(&matrices[e.stage].mat(), e.row, e.column) = 1.0;
-}
-
-void residuals(const std::vector<Link>& links, const double* values, Scalar* out) {
-  for (const Link& link : links) out[link.position] = link.sign * (values[link.index] - link.constant);
-}
-
-void multipliers(const std::vector<Link>& links, const Scalar* from, Reals& out) {
-  for (const Link& link : links) out[link.index] = link.sign * from[link.position];
-}
-
-fatrop::NlpDims total(const StageInfo& info) {
-  return fatrop::NlpDims(info.number_of_primal_variables, info.number_of_eq_constraints,
-                         info.number_of_slack_variables);
-}
-
-// The NLP as FATROP's: whole vectors in, blocks of stages out.
-class Adapter : public fatrop::Nlp<OcpType> {
- public:
-  using Tick = std::function<void(bool restoration)>;
-
-  Adapter(trajopt::Nlp& nlp, const StageMap& map, const Reals& x0)
-      : nlp_(nlp), map_(map), x0_(x0), totals_(total(map.info)), x_(x0.size()), lambda_(nlp.problem().n_g) {}
-
-  Tick tick;
-  bool finite_derivatives = true;
-
-  const fatrop::NlpDims& nlp_dims() const override { return totals_; }
-  const StageDims& problem_dims() const override { return map_.dims; }
-
-  Index eval_lag_hess(const StageInfo&, const Scalar scale, const VecRealView& x, const VecRealView&,
-                      const VecRealView& lambda, fatrop::Hessian<OcpType>& hessian) override {
-    // Only the outer algorithm calls back: a Hessian without a call before it is restoration's.
-    if (!called_back_ && tick) tick(true);
-    called_back_ = false;
-    multipliers(map_.from_rows, lambda.data(), lambda_);
-    const Reals& values = watch(nlp_.hessian(unknowns(x), scale, lambda_.data()));
-    clear(hessian.RSQrqt, kRightHandSide);
-    put(hessian.RSQrqt, map_.hessian, values, 1.0);
-    return 0;
-  }
-
-  Index eval_constr_jac(const StageInfo&, const VecRealView& x, const VecRealView&,
-                        fatrop::Jacobian<OcpType>& jacobian) override {
-    const Reals& values = watch(nlp_.jacobian(unknowns(x)));
-    for (Matrices* matrices : {&jacobian.BAbt, &jacobian.Gg_eqt, &jacobian.Gg_ineqt}) clear(*matrices, kRightHandSide);
-    put(jacobian.BAbt, map_.dynamics, values, -1.0);
-    put(jacobian.Gg_eqt, map_.equality, values, 1.0);
-    put(jacobian.Gg_ineqt, map_.inequality, values, 1.0);
-    put_ones(jacobian.Gg_eqt, map_.unit_equality);
-    put_ones(jacobian.Gg_ineqt, map_.unit_inequality);
-    return 0;
-  }
-
-  Index eval_constraint_violation(const StageInfo& info, const VecRealView& x, const VecRealView& slack,
-                                  VecRealView& result) override {
-    const double* values = unknowns(x);
-    Scalar* out = result.data();
-    residuals(map_.from_rows, nlp_.g(values).data(), out);
-    residuals(map_.from_unknowns, values, out);
-    for (Index i = 0; i < info.number_of_slack_variables; ++i) out[info.offset_g_eq_slack + i] -= slack(i);
-    return 0;
-  }
-
-  Index eval_objective_gradient(const StageInfo&, const Scalar scale, const VecRealView& x, const VecRealView&,
-                                VecRealView& gradient_x, VecRealView& gradient_s) override {
-    const Reals& gradient = watch(nlp_.gradient(unknowns(x)));
-    Scalar* out = gradient_x.data();
-    for (std::size_t i = 0; i < gradient.size(); ++i) out[map_.position[i]] = scale * gradient[i];
-    gradient_s = 0.0;
-    return 0;
-  }
-
-  Index eval_objective(const StageInfo&, const Scalar scale, const VecRealView& x, const VecRealView&,
-                       Scalar& result) override {
-    result = scale * nlp_.f(unknowns(x));
-    return 0;
-  }
-
-  Index get_bounds(const StageInfo&, VecRealView& lower, VecRealView& upper) override {
-    std::copy(map_.lower.begin(), map_.lower.end(), lower.data());
-    std::copy(map_.upper.begin(), map_.upper.end(), upper.data());
-    return 0;
-  }
-
-  Index get_initial_primal(const StageInfo&, VecRealView& x) override {
-    for (std::size_t i = 0; i < x0_.size(); ++i) x(map_.position[i]) = x0_[i];
-    return 0;
-  }
-
-  void get_primal_damping(const StageInfo&, VecRealView& damping) override { damping = 0.0; }
-
-  void apply_jacobian_s_transpose(const StageInfo& info, const VecRealView& lambda, const Scalar alpha,
-                                  const VecRealView& y, VecRealView& out) override {
-    for (Index i = 0; i < info.number_of_slack_variables; ++i)
-      out(i) = alpha * y(i) - lambda(info.offset_g_eq_slack + i);
-  }
-
-  void callback(const Data&) override {
-    called_back_ = true;
-    if (tick) tick(false);
-  }
-
-  // FATROP's vector in the NLP's order.
-  const double* unknowns(const VecRealView& x) {
-    const Scalar* from = x.data();
-    for (std::size_t i = 0; i < x_.size(); ++i) x_[i] = from[map_.position[i]];
-    return x_.data();
-  }
-
- private:
-  static constexpr int kRightHandSide = 1;  // the last row of every matrix is FATROP's own
-
-  const Reals& watch(const Reals& values) {
-    finite_derivatives = finite_derivatives && all_finite(values);
-    return values;
-  }
-
-  trajopt::Nlp& nlp_;
-  const StageMap& map_;
-  const Reals& x0_;
-  fatrop::NlpDims totals_;
-  Reals x_, lambda_;
-  bool called_back_ = false;
 };
 
 // FATROP writes to a stream of the process: silent while this lives.
@@ -222,6 +82,10 @@ const char* flag_name(fatrop::IpSolverReturnFlag flag) {
   }
 }
 
+bool finite_at(trajopt::Nlp& nlp, const double* x) {
+  return std::isfinite(nlp.f(x)) && all_finite(nlp.g(x)) && all_finite(nlp.gradient(x)) && all_finite(nlp.jacobian(x));
+}
+
 double dual_infeasibility(fatrop::IpIterate<OcpType>& iterate) {
   return std::max(iterate.dual_infeasibility_x_inf(), iterate.dual_infeasibility_s_inf());
 }
@@ -248,53 +112,77 @@ void set_multipliers(const StageMap& map, const Reals& lambda, Data& data) {
   data.current_iterate().set_dual_eq(dual);
 }
 
-void take_iterate(Outcome& outcome, const StageMap& map, Adapter& adapter, Data& data) {
-  auto& iterate = data.current_iterate();
-  const double* x = adapter.unknowns(iterate.primal_x());
-  outcome.x.assign(x, x + map.position.size());
-  outcome.lambda_x.assign(outcome.x.size(), 0.0);
-  multipliers(map.from_rows, iterate.dual_eq().data(), outcome.lambda_g);
-  multipliers(map.from_unknowns, iterate.dual_eq().data(), outcome.lambda_x);
-  outcome.primal = iterate.constr_viol_inf();
-  outcome.dual = dual_infeasibility(iterate);
-  outcome.complementarity =
-      std::max(norm_inf(iterate.complementarity_l()), norm_inf(iterate.complementarity_u()));
-  outcome.iterations = data.iteration_number();
-}
+// FATROP's algorithm on the NLP, built and with its options set.
+class Run {
+ public:
+  Run(trajopt::Nlp& nlp, const StageMap& map, const Reals& x0, const Options& options)
+      : map_(map), adapter_(std::make_shared<FatropAdapter>(nlp, map, x0)) {
+    fatrop::IpAlgBuilder<OcpType> builder(adapter_);
+    algorithm_ = builder.with_options_registry(&registry_).build();
+    data_ = builder.get_ipdata();
+    for (const auto& [name, value] : options) set_option(registry_, name, value);
+  }
+
+  std::string optimize(const Callback& callback, const Reals& lambda_g, Clock::time_point deadline) {
+    int reported = -1;
+    adapter_->tick = [&](bool restoration) {
+      if (reported < 0 && !lambda_g.empty()) set_multipliers(map_, lambda_g, *data_);
+      reported = data_->iteration_number();
+      if (callback && !callback(describe(*data_, restoration))) throw Stop{"UserRequestedStop"};
+      if (Clock::now() > deadline) throw Stop{"MaxWallTimeExceeded"};
+    };
+    try {
+      const std::string status = flag_name(algorithm_->optimize());
+      // FATROP calls back before every step, not after the last.
+      if (callback && reported != data_->iteration_number()) callback(describe(*data_, false));
+      return status == "Success" || adapter_->finite_derivatives ? status : kInvalidNumber;
+    } catch (const Stop& stop) {
+      return stop.status;
+    }
+  }
+
+  void take_iterate(Outcome& outcome) {
+    auto& iterate = data_->current_iterate();
+    const double* x = adapter_->unknowns(iterate.primal_x());
+    outcome.x.assign(x, x + map_.position.size());
+    read_multipliers(map_.from_rows, iterate.dual_eq().data(), outcome.lambda_g);
+    read_multipliers(map_.from_unknowns, iterate.dual_eq().data(), outcome.lambda_x);
+    outcome.primal = iterate.constr_viol_inf();
+    outcome.dual = dual_infeasibility(iterate);
+    outcome.complementarity = std::max(norm_inf(iterate.complementarity_l()), norm_inf(iterate.complementarity_u()));
+    outcome.iterations = data_->iteration_number();
+  }
+
+ private:
+  const StageMap& map_;
+  std::shared_ptr<FatropAdapter> adapter_;
+  fatrop::OptionRegistry registry_;
+  std::shared_ptr<fatrop::IpAlgorithm<OcpType>> algorithm_;
+  std::shared_ptr<Data> data_;
+};
 
 }  // namespace
 
 Outcome solve_fatrop(trajopt::Nlp& nlp, const Stages& stages, const Reals& x0, const Bounds& bounds,
                      const Options& options, const Callback& callback, const Reals& lambda_g) {
-  using Clock = std::chrono::steady_clock;
   nlp.reset_timings();
   const auto start = Clock::now();
   const StageMap map(nlp.problem(), stages, bounds);
   require_identity(map, nlp.jacobian(x0.data()));
   const Silence silence;
-  const auto adapter = std::make_shared<Adapter>(nlp, map, x0);
-  fatrop::OptionRegistry registry;
-  fatrop::IpAlgBuilder<OcpType> builder(adapter);
-  const auto algorithm = builder.with_options_registry(&registry).build();
-  const std::shared_ptr<Data> data = builder.get_ipdata();
   Options own = options;
-  const double max_wall_time = take_max_wall_time(own);
-  for (const auto& [name, value] : own) set_option(registry, name, value);
-  adapter->tick = [&](bool restoration) {
-    if (data->iteration_number() == 0 && !restoration && !lambda_g.empty()) set_multipliers(map, lambda_g, *data);
-    if (callback && !callback(describe(*data, restoration))) throw Stop{"UserRequestedStop"};
-    if (std::chrono::duration<double>(Clock::now() - start).count() > max_wall_time)
-      throw Stop{"MaxWallTimeExceeded"};
-  };
+  const double max_wall_time = std::min(take_max_wall_time(own), 1e9);  // s; what a clock can count
+  const auto deadline = start + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(max_wall_time));
+  Run run(nlp, map, x0, own);
   Outcome outcome;
+  outcome.x = x0;
   outcome.lambda_g.resize(nlp.problem().n_g);
-  try {
-    outcome.status = flag_name(algorithm->optimize());
-  } catch (const Stop& stop) {
-    outcome.status = stop.status;
+  outcome.lambda_x.resize(nlp.problem().n_x);
+  outcome.status = kInvalidNumber;
+  if (finite_at(nlp, x0.data())) {
+    outcome.status = run.optimize(callback, lambda_g, deadline);
+    run.take_iterate(outcome);
   }
-  if (!adapter->finite_derivatives && outcome.status != "Success") outcome.status = "InvalidNumber";
-  take_iterate(outcome, map, *adapter, *data);
   complete(outcome, nlp, bounds, start);
   return outcome;
 }

@@ -43,6 +43,10 @@ StageDims make_dims(const Stages& stages, const Indices& n_equality, const Indic
 
 }  // namespace
 
+void read_multipliers(const std::vector<Link>& links, const double* from, Reals& out) {
+  for (const Link& link : links) out[link.index] = link.sign * from[link.position];
+}
+
 StageMap::StageMap(const Problem& problem, const Stages& stages, const Bounds& bounds)
     : StageMap(problem, stages, bounds, assign_roles(problem, stages, bounds)) {}
 

@@ -26,6 +26,9 @@ struct Link {
   double sign, constant;
 };
 
+// Multipliers of the NLP from FATROP's.
+void read_multipliers(const std::vector<Link>& links, const double* from, Reals& out);
+
 // FATROP orders a stage's variables controls first, and wants of a stage: dynamics F(x, u) - x_next,
 // equalities, inequalities; bounds on unknowns are rows like the others.
 class StageMap {

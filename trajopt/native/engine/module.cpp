@@ -53,7 +53,9 @@ class PythonCallback {
     given["restoration"] = info.restoration;
     try {
       if (PyErr_CheckSignals() != 0) throw nb::python_error();
-      return function_.is_none() || nb::cast<bool>(function_(given));
+      if (function_.is_none()) return true;
+      const nb::object answer = function_(given);
+      return answer.is_none() || nb::cast<bool>(answer);
     } catch (nb::python_error& error) {
       if (!error.matches(PyExc_KeyboardInterrupt)) error_ = std::current_exception();
       return false;

@@ -1,8 +1,10 @@
 #include "read.hpp"
 
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 
 #include <algorithm>
+#include <map>
 #include <stdexcept>
 
 namespace nb = nanobind;
@@ -15,6 +17,12 @@ template <class Map>
 nb::object item(const Map& given, const char* name) {
   require(given.contains(name), std::string("the engine needs '") + name + "'");
   return nb::borrow<nb::object>(given[name]);
+}
+
+int whole(const nb::object& value, const char* name) {
+  int result = 0;
+  require(nb::try_cast(value, result), std::string("'") + name + "' must be an int");
+  return result;
 }
 
 template <class Array, class Map>
@@ -39,42 +47,59 @@ Csr read_csr(const Map& given, const char* indptr, const char* index, const char
   const std::string name = indptr;
   require(!csr.indptr.empty() && csr.indptr.front() == 0 && std::is_sorted(csr.indptr.begin(), csr.indptr.end()) &&
               csr.indptr.back() == static_cast<int>(csr.index.size()) && csr.index.size() == csr.coefficient.size(),
-          "'" + name + "' does not fit its indices and data");
+          "'" + name + "', '" + index + "' and '" + data + "' do not fit each other");
   require_range(csr.index, columns, index);
   return csr;
 }
 
-Source read_source(const nb::dict& given, const char* name) {
+// Functions already loaded: groups of one point function share it.
+using Loaded = std::map<std::pair<std::string, std::string>, casadi::Function>;
+
+casadi::Function read_function(const nb::dict& given, const char* name, Loaded& loaded) {
   const nb::object value = item(given, name);
-  Source source;
-  if (nb::isinstance<nb::str>(value)) {
-    source.text = nb::cast<std::string>(value);
-  } else {
-    const nb::tuple pair = nb::cast<nb::tuple>(value);
-    require(pair.size() == 2, std::string("'") + name + "' must be a text or (library, name)");
-    source.library = nb::cast<std::string>(pair[0]);
-    source.name = nb::cast<std::string>(pair[1]);
+  std::pair<std::string, std::string> source;  // text, or library and function
+  require(nb::try_cast(value, source.first) || nb::try_cast(value, source),
+          std::string("'") + name + "' must be a serialised function or (library, name)");
+  const auto found = loaded.find(source);
+  if (found != loaded.end()) return found->second;
+  try {
+    return loaded[source] = source.second.empty() ? casadi::Function::deserialize(source.first)
+                                                  : casadi::external(source.second, source.first);
+  } catch (const std::exception& error) {
+    const std::string text = error.what();
+    throw std::invalid_argument(std::string("'") + name + "' cannot be loaded: " + text.substr(0, text.find('\n')));
   }
-  return source;
+}
+
+void require_sizes(const casadi::Function& function, const char* name, const std::vector<int>& in,
+                   const std::vector<int>& out) {
+  const std::string which = std::string("'") + name + "' has ";
+  require(function.n_in() == static_cast<int>(in.size()) && function.n_out() == static_cast<int>(out.size()),
+          which + std::to_string(function.n_in()) + " inputs and " + std::to_string(function.n_out()) + " outputs");
+  for (std::size_t i = 0; i < in.size(); ++i)
+    require(function.nnz_in(i) == in[i], which + std::to_string(function.nnz_in(i)) + " values as input " +
+                                             std::to_string(i) + ", the group gives " + std::to_string(in[i]));
+  constexpr int kAny = -1;
+  for (std::size_t i = 0; i < out.size(); ++i)
+    require(out[i] == kAny || function.nnz_out(i) == out[i],
+            which + std::to_string(function.nnz_out(i)) + " values as output " + std::to_string(i) +
+                ", the group wants " + std::to_string(out[i]));
 }
 
 void check_functions(const Group& group) {
-  const casadi::Function first = group.first.load(), second = group.second.load();
-  require(first.n_in() == 2 && first.n_out() == 4 && second.n_in() == 4 && second.n_out() == 1,
-          "a group's functions have wrong numbers of inputs or outputs");
-  require(first.nnz_in(0) == group.gather.rows(), "'gather' does not fit the function's first input");
-  require(first.nnz_in(1) == group.n_p, "'p' does not fit the function's second input");
-  require(first.nnz_out(1) == group.n_phi, "'row' does not fit the function's rows");
-  require_range(group.jacobian.index, static_cast<int>(first.nnz_out(3)), "jac_src");
-  require_range(group.hessian.index, static_cast<int>(second.nnz_out(0)), "hess_src");
+  const int nz = group.gather.rows(), np = group.n_p, n = group.n_phi;
+  const int cost = group.value.n_out() > 0 && group.value.nnz_out(0) == 0 ? 0 : 1;  // a group may have no cost
+  const int slope = group.first.n_out() > 2 && group.first.nnz_out(2) == 0 ? 0 : nz;
+  require_sizes(group.value, "value", {nz, np}, {cost, n});
+  require_sizes(group.first, "first", {nz, np}, {cost, n, slope, -1});
+  require_sizes(group.second, "second", {nz, np, 1, n}, {-1});
+  require_range(group.jacobian.index, static_cast<int>(group.first.nnz_out(3)), "jac_src");
+  require_range(group.hessian.index, static_cast<int>(group.second.nnz_out(0)), "hess_src");
 }
 
-Group read_group(const nb::dict& given, const Problem& problem) {
-  Group group;
-  group.value = read_source(given, "value");
-  group.first = read_source(given, "first");
-  group.second = read_source(given, "second");
-  group.n_local = nb::cast<int>(item(given, "nloc"));
+// Where the group's functions are evaluated, with which parameters, and where their rows go.
+void read_stages(const nb::dict& given, const Problem& problem, Group& group) {
+  group.n_local = whole(item(given, "nloc"), "nloc");
   group.x_offset = values<IndexArray>(given, "x_offset");
   group.n_stages = static_cast<int>(group.x_offset.size());
   require(group.n_stages > 0, "a group needs a stage");
@@ -82,13 +107,22 @@ Group read_group(const nb::dict& given, const Problem& problem) {
   group.gather = read_csr(given, "gather_indptr", "gather_indices", "gather_data", group.n_local);
   group.p = values<RealArray>(given, "p");
   group.n_p = static_cast<int>(group.p.size()) / group.n_stages;
+  require(group.n_p * group.n_stages == static_cast<int>(group.p.size()), "'p' needs (stages, parameters) entries");
   group.cost_weight = values<RealArray>(given, "cost_weight");
   require(static_cast<int>(group.cost_weight.size()) == group.n_stages, "'cost_weight' needs one entry a stage");
   group.row_scale = values<RealArray>(given, "row_scale");
   group.n_phi = static_cast<int>(group.row_scale.size());
   group.row = values<IndexArray>(given, "row");
-  require(static_cast<int>(group.row.size()) == group.n_stages * group.n_phi, "'row' needs (stages, rows) entries");
+  require(static_cast<int>(group.row.size()) == group.n_stages * group.n_phi, "'row' needs (stages, rows) entries, 'row_scale' one a row");
   require_range(group.row, problem.n_g, "row");
+}
+
+Group read_group(const nb::dict& given, const Problem& problem, Loaded& loaded) {
+  Group group;
+  group.value = read_function(given, "value", loaded);
+  group.first = read_function(given, "first", loaded);
+  group.second = read_function(given, "second", loaded);
+  read_stages(given, problem, group);
   constexpr int kAny = 1 << 30;  // bounded by the functions' own sizes below
   group.jacobian = read_csr(given, "jac_indptr", "jac_src", "jac_coef", kAny);
   group.hessian = read_csr(given, "hess_indptr", "hess_src", "hess_coef", kAny);
@@ -104,6 +138,22 @@ Group read_group(const nb::dict& given, const Problem& problem) {
   return group;
 }
 
+void read_groups(const nb::kwargs& given, Problem& problem) {
+  nb::list groups;
+  require(nb::try_cast(item(given, "groups"), groups), "'groups' must be a list");
+  Loaded loaded;
+  for (std::size_t index = 0; index < groups.size(); ++index) {
+    const std::string which = "group " + std::to_string(index) + ": ";
+    nb::dict group;
+    require(nb::try_cast(groups[index], group), which + "must be a dict");
+    try {
+      problem.groups.push_back(read_group(group, problem, loaded));
+    } catch (const std::invalid_argument& error) {
+      throw std::invalid_argument(which + error.what());
+    }
+  }
+}
+
 }  // namespace
 
 void require(bool condition, const std::string& message) {
@@ -116,9 +166,9 @@ Indices indices(const IndexArray& array) { return Indices(array.data(), array.da
 
 Problem read_problem(const nb::kwargs& given) {
   Problem problem;
-  problem.n_x = nb::cast<int>(item(given, "n_x"));
-  problem.n_g = nb::cast<int>(item(given, "n_g"));
-  problem.threads = nb::cast<int>(item(given, "threads"));
+  problem.n_x = whole(item(given, "n_x"), "n_x");
+  problem.n_g = whole(item(given, "n_g"), "n_g");
+  if (given.contains("threads")) problem.threads = whole(item(given, "threads"), "threads");
   require(problem.n_x > 0 && problem.n_g >= 0, "n_x must be positive and n_g not negative");
   require(problem.threads >= 1, "threads must be at least 1");
   problem.linear = read_csr(given, "a_indptr", "a_indices", "a_data", problem.n_x);
@@ -135,8 +185,9 @@ Problem read_problem(const nb::kwargs& given) {
   require(problem.hess_row.size() == problem.hess_col.size(), "'hess_row' and 'hess_col' must have one length");
   require_range(problem.hess_row, problem.n_x, "hess_row");
   require_range(problem.hess_col, problem.n_x, "hess_col");
-  for (nb::handle group : nb::cast<nb::list>(item(given, "groups")))
-    problem.groups.push_back(read_group(nb::cast<nb::dict>(group), problem));
+  for (std::size_t e = 0; e < problem.hess_row.size(); ++e)
+    require(problem.hess_row[e] >= problem.hess_col[e], "'hess_row' and 'hess_col' must be a lower triangle");
+  read_groups(given, problem);
   return problem;
 }
 
