@@ -94,7 +94,7 @@ def _semi_implicit_euler() -> Scheme:
 def scheme(name: str) -> Scheme:
     """Scheme by name, for example ``legendre:2``; see ``SCHEME_NAMES``. Raises InputError."""
     family, _, degree = name.partition(":")
-    if family in ("legendre", "radau") and degree.isdigit() and 1 <= int(degree) <= MAX_DEGREE:
+    if family in ("legendre", "radau") and degree in map(str, range(1, MAX_DEGREE + 1)):
         return _collocation(family, int(degree))
     if name == "trapezoidal":
         return _lobatto(name, 2, np.array([0.0, 1.0]))
