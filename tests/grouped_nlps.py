@@ -125,10 +125,15 @@ def arguments(problem: GroupedProblem, folder: Path | None = None, threads: int 
     jacobian.update(zip(linear.row.tolist(), linear.col.tolist(), strict=True))
     for index, group in enumerate(problem.groups):
         made = functions(group)
-        first, second = _jacobian_map(made[1].sparsity_out(3), group), _hessian_map(made[2].sparsity_out(0), group)
+        first, second = (
+            _jacobian_map(made[1].sparsity_out(3), group),
+            _hessian_map(made[2].sparsity_out(0), group),
+        )
         at_stage = [
-            ([(int(group.row[k, j]), o + int(m)) for j, m in zip(*first[:2], strict=True)],
-             [(o + int(m), o + int(n)) for m, n in zip(*second[:2], strict=True)])
+            (
+                [(int(group.row[k, j]), o + int(m)) for j, m in zip(*first[:2], strict=True)],
+                [(o + int(m), o + int(n)) for m, n in zip(*second[:2], strict=True)],
+            )
             for k, o in enumerate(group.offset)
         ]
         for rows, curvature in at_stage:
@@ -164,7 +169,8 @@ def arguments(problem: GroupedProblem, folder: Path | None = None, threads: int 
     csr = problem.linear
     return {
         "n_x": problem.n_x, "n_g": problem.n_g, "threads": threads, "groups": groups,
-        "a_indptr": csr.indptr.astype(np.int32), "a_indices": csr.indices.astype(np.int32), "a_data": csr.data,
+        "a_indptr": csr.indptr.astype(np.int32), "a_indices": csr.indices.astype(np.int32),
+        "a_data": csr.data,
         "jac_row": jac_row, "jac_col": jac_col, "jac_const": constant,
         "hess_row": hess_row, "hess_col": hess_col,
     }  # fmt: skip

@@ -67,7 +67,9 @@ def solve_ipopt(nlp, problem, options=None, callback=None, **start):
 def solve_fatrop(nlp, problem, options=None, callback=None, **start):
     bounds = (problem.lbx, problem.ubx, problem.lbg, problem.ubg)
     sizes = (problem.nx, problem.nu, problem.ng)
-    return _engine.solve_fatrop(nlp, *sizes, problem.x0, *bounds, {**FATROP, **(options or {})}, callback, **start)
+    return _engine.solve_fatrop(
+        nlp, *sizes, problem.x0, *bounds, {**FATROP, **(options or {})}, callback, **start
+    )
 
 
 SOLVERS = {"ipopt": solve_ipopt, "fatrop": solve_fatrop}
@@ -124,7 +126,9 @@ def test_derivatives_are_limits_of_differences(nlp, problem, point):
     def slope(x):
         return 0.3 * nlp.gradient(x) + jacobian(nlp, problem, x).T @ lam
 
-    assert_allclose(hessian(nlp, problem, point, 0.3, lam), difference_quotients(slope, point), atol=DIFFERENCES)
+    assert_allclose(
+        hessian(nlp, problem, point, 0.3, lam), difference_quotients(slope, point), atol=DIFFERENCES
+    )
 
 
 def every_number(nlp, problem, x):
@@ -147,7 +151,11 @@ def test_a_point_is_evaluated_once_a_kind(problem, point):
     nlp = _engine.Nlp(**arguments(problem))
     for _ in range(3):
         nlp.f(point), nlp.g(point), nlp.gradient(point), nlp.jacobian(point)
-    assert {kind: count for kind, (_, count) in nlp.timings().items()} == {"value": 1, "first": 1, "second": 0}
+    assert {kind: count for kind, (_, count) in nlp.timings().items()} == {
+        "value": 1,
+        "first": 1,
+        "second": 0,
+    }
     nlp.f(point + 1e-3)
     assert nlp.timings()["value"][1] == 2
 
@@ -167,7 +175,9 @@ def test_solutions_and_multipliers_are_those_of_casadi(nlp, problem, solver):
 
 def test_a_solution_is_stationary_with_its_multipliers(nlp, problem, solver):
     result = SOLVERS[solver](nlp, problem)
-    slope = nlp.gradient(result["x"]) + jacobian(nlp, problem, result["x"]).T @ result["lam_g"] + result["lam_x"]
+    slope = (
+        nlp.gradient(result["x"]) + jacobian(nlp, problem, result["x"]).T @ result["lam_g"] + result["lam_x"]
+    )
     assert_allclose(slope, 0, atol=10 * SOLVED)
 
 

@@ -181,7 +181,7 @@ void bind_solvers(nb::module_& module) {
         });
       },
       "nlp"_a, "nx"_a, "nu"_a, "ng"_a, "x0"_a, "lbx"_a, "ubx"_a, "lbg"_a, "ubg"_a, "options"_a,
-      "callback"_a.none(), "lam_g0"_a = nb::none());
+      "callback"_a.none(), nb::kw_only(), "lam_g0"_a = nb::none());
 }
 
 }  // namespace

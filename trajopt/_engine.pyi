@@ -1,0 +1,130 @@
+"""The extension of trajopt/native/engine: a sparse NLP of small functions at many stages, and its solvers."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+Reals = NDArray[np.float64]
+Indices = NDArray[np.int32]
+Source = str | tuple[str, str]
+"""Text of ``casadi.Function.serialize()``, or (shared library, name) of a compiled function."""
+
+class Group(TypedDict):
+    """One point function at n stages, on ``z = gather x[x_offset[k] : x_offset[k] + nloc]``.
+
+    ``value(z, p) -> (L, phi)``, ``first(z, p) -> (L, phi, dense gradient of L, Jacobian of phi)``,
+    ``second(z, p, sigma, lam) -> lower triangle of the Hessian of sigma L + lam . phi``. Stage k adds
+    ``cost_weight[k] L`` to the objective and ``row_scale[j] phi[j]`` to row ``row[k, j]``. The Jacobian's
+    nonzero ``jac_target[k, t]`` gains ``sum(jac_coef[e] * nonzeros[jac_src[e]])`` over the entries
+    ``jac_indptr[t] <= e < jac_indptr[t + 1]``, with the scale of rows in ``jac_coef``; so does the Hessian.
+    """
+
+    value: Source
+    first: Source
+    second: Source
+    x_offset: Indices
+    nloc: int
+    gather_indptr: Indices
+    gather_indices: Indices
+    gather_data: Reals
+    p: Reals
+    cost_weight: Reals
+    row: Indices
+    row_scale: Reals
+    jac_indptr: Indices
+    jac_src: Indices
+    jac_coef: Reals
+    jac_target: Indices
+    hess_indptr: Indices
+    hess_src: Indices
+    hess_coef: Reals
+    hess_target: Indices
+
+class Nlp:
+    """Minimise f(x) with rows g(x): the groups' contributions and the linear rows ``A x``.
+
+    ``jac_const`` is A on the Jacobian's pattern. Raises ValueError that names what does not fit.
+    """
+
+    def __init__(
+        self,
+        *,
+        n_x: int,
+        n_g: int,
+        a_indptr: Indices,
+        a_indices: Indices,
+        a_data: Reals,
+        jac_row: Indices,
+        jac_col: Indices,
+        jac_const: Reals,
+        hess_row: Indices,
+        hess_col: Indices,
+        groups: list[Any],
+        threads: int = 1,
+    ) -> None: ...
+    @property
+    def n_x(self) -> int: ...
+    @property
+    def n_g(self) -> int: ...
+    def f(self, x: Reals, /) -> float: ...
+    def g(self, x: Reals, /) -> Reals: ...
+    def gradient(self, x: Reals, /) -> Reals: ...
+    def jacobian(self, x: Reals, /) -> Reals:
+        """Nonzeros in the order of ``jac_row``, ``jac_col``."""
+    def hessian(self, x: Reals, sigma: float, lam: Reals, /) -> Reals:
+        """Nonzeros of ``sigma f + lam . g``, in the order of ``hess_row``, ``hess_col``."""
+    def first_nonfinite(self, x: Reals, /) -> tuple[int, int, str, int] | None:
+        """Where the first NaN or inf is: group, stage, output, index.
+
+        The output is cost, rows, gradient, jacobian or hessian.
+        """
+    def timings(self) -> dict[str, tuple[float, int]]:
+        """Seconds and evaluations of value, first and second since the last solve began."""
+
+def solve_ipopt(
+    nlp: Nlp,
+    x0: Reals,
+    lbx: Reals,
+    ubx: Reals,
+    lbg: Reals,
+    ubg: Reals,
+    options: Mapping[str, str | int | float],
+    callback: Callable[[dict[str, Any]], bool | None] | None,
+    lam_g0: Reals | None = None,
+    lam_x0: Reals | None = None,
+) -> dict[str, Any]:
+    """Solve with IPOPT; multipliers given make it a warm start.
+
+    The result has x, g, lam_g, lam_x (Lagrangian ``f + lam_g . g + lam_x . x``), f, primal, dual,
+    complementarity (IPOPT's own, unscaled), max_violation (of rows and bounds, recomputed),
+    iterations, status (ApplicationReturnStatus), wall_time, function_time, timings. ``callback`` gets
+    iteration, objective, primal, dual, barrier, step, regularization, line_search, restoration;
+    False or KeyboardInterrupt stops with the current iterate, another exception is raised when the
+    solver has stopped. Raises ValueError that names an unknown option or a value not allowed.
+    """
+
+def solve_fatrop(
+    nlp: Nlp,
+    nx: Indices,
+    nu: Indices,
+    ng: Indices,
+    x0: Reals,
+    lbx: Reals,
+    ubx: Reals,
+    lbg: Reals,
+    ubg: Reals,
+    options: Mapping[str, str | int | float],
+    callback: Callable[[dict[str, Any]], bool | None] | None,
+    *,
+    lam_g0: Reals | None = None,
+) -> dict[str, Any]:
+    """Solve with FATROP; results, callback and errors are as of ``solve_ipopt``.
+
+    Besides FATROP's own options there is ``max_wall_time`` (s).
+
+    Stage k has the unknowns x_k (``nx[k]``), u_k (``nu[k]``) and the rows ``x_(k+1) - F(x_k, u_k)``
+    followed by ``ng[k]`` rows of its own unknowns; the last stage has no gap rows. ``status`` is the
+    name of FATROP's return flag, or UserRequestedStop, MaxWallTimeExceeded or InvalidNumber.
+    """
