@@ -1,19 +1,22 @@
 """Derivatives of point functions, compiled to C once and kept in a disk cache.
 
 Three levels trade compile time for evaluation time: ``none`` (CasADi's virtual machine, no
-compiler), ``quick`` and ``fast`` (the C compiler's -O1 and -O3 with -ffast-math). An entry is named by a hash of
-the point function's graph, the versions of what made it, the level and the compiler, so that
-nothing stale is ever read; entries are written to a temporary folder and renamed, so that
-processes may share the cache. The graph does not know the scheme, the step or the number of
-intervals, so neither does the entry.
+compiler), ``quick`` and ``fast`` (the C compiler's -O1 and -O3 with -ffast-math). An entry is named
+by a hash of the point function's graph, the versions of what made it, the level and the compiler, so
+that nothing stale is ever read; entries are written to a temporary folder and renamed, so that
+processes may share the cache. An entry whose files are not those that were written (a full disk, a
+lost machine) is made anew: a truncated library would crash the process that loads it. The graph
+does not know the scheme, the step or the number of intervals, so neither does the entry.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.metadata
 import json
 import os
+import platform
 import shutil
 import subprocess
 import tempfile
@@ -36,6 +39,7 @@ LEVELS = tuple(FLAGS)
 DEFAULT_LEVEL = "quick"
 FUNCTION_NAMES = ("value", "first", "second")
 CACHE_VARIABLE = "TRAJOPT_CACHE_DIR"
+ENTRY = "entry.json"
 
 
 @dataclass(frozen=True)
@@ -97,10 +101,22 @@ def _maker() -> str:
     return "|".join([*versions, Path(stage_functions.__file__).read_text(encoding="utf-8")])
 
 
+@lru_cache(maxsize=1)
+def _processor() -> str:
+    """Instruction sets of this processor: code made for it alone may not run on another."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    return next((line for line in lines if line.startswith(("flags", "Features"))), platform.processor())
+
+
 def entry_key(point: PointFunction, level: str) -> str:
     """Name of a point function's cache entry at a level."""
     flags = FLAGS[level]
-    made_by = "" if flags is None else "|".join([*flags, *(compiler() or ())])
+    made_by = "" if flags is None else "|".join([*flags, *(compiler() or ()), platform.machine()])
+    if flags is not None and "-march=native" in flags:
+        made_by += _processor()
     text = "\n".join([point.serialize(), _maker(), level, made_by])
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
@@ -112,12 +128,18 @@ def compile_points(
     level = effective_level(level)
     wanted = {entry_key(point, level): point for point in points}
     folder = cache_directory()
-    missing = {key: point for key, point in wanted.items() if not (folder / key / "entry.json").is_file()}
+    missing = {key: point for key, point in wanted.items() if not _intact(folder / key)}
     start = time.perf_counter()
-    jobs = [_Job(key, point, level, folder) for key, point in missing.items()]
-    built = time.perf_counter()
-    for job in jobs:
-        job.finish()
+    jobs: list[_Job] = []
+    try:
+        for key, point in missing.items():
+            jobs.append(_Job(key, point, level, folder))
+        built = time.perf_counter()
+        for job in jobs:
+            job.finish()
+    finally:
+        for job in jobs:
+            job.discard()
     done = time.perf_counter()
     report = CompilationReport(level, built - start, done - built, len(wanted) - len(missing), len(missing))
     return {key: _load(folder / key, key) for key in wanted}, report
@@ -166,15 +188,45 @@ class _Job:
                 raise TrajoptError(f"the C compiler failed on a stage function: {last[0]}; try --compile none")
         for source in self.temporary.glob("*.c"):
             source.unlink()
-        (self.temporary / "entry.json").write_text(json.dumps(self.entry), encoding="utf-8")
-        try:
+        self.entry["files"] = {file.name: _digest(file) for file in self.temporary.iterdir()}
+        (self.temporary / ENTRY).write_text(json.dumps(self.entry), encoding="utf-8")
+        if self.final.exists() and not _intact(self.final):
+            self._set_aside()
+        with contextlib.suppress(OSError):  # another process was first: its entry is as good
             self.temporary.rename(self.final)
-        except OSError:  # another process was first: its entry is as good
-            shutil.rmtree(self.temporary, ignore_errors=True)
+
+    def discard(self) -> None:
+        """Stop compilers that still run and remove what was not moved into place."""
+        for process in self.processes:
+            if process.poll() is None:
+                process.kill()
+                process.communicate()
+        shutil.rmtree(self.temporary, ignore_errors=True)
+
+    def _set_aside(self) -> None:
+        """Take a damaged entry away; a process that has loaded it keeps its own view of the files."""
+        aside = Path(tempfile.mkdtemp(prefix=f".{self.final.name}.", dir=self.final.parent))
+        with contextlib.suppress(OSError):  # another process took it away
+            self.final.rename(aside / "damaged")
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def _digest(file: Path) -> str:
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _intact(entry: Path) -> bool:
+    """Whether an entry is there with the very files that were written."""
+    try:
+        files = json.loads((entry / ENTRY).read_text(encoding="utf-8"))["files"]
+        return all(_digest(entry / name) == digest for name, digest in files.items())
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return False
 
 
 def _load(entry: Path, key: str) -> CompiledPoint:
-    description = json.loads((entry / "entry.json").read_text(encoding="utf-8"))
+    description = json.loads((entry / ENTRY).read_text(encoding="utf-8"))
     sources: dict[str, str | tuple[str, str]] = {}
     functions = {}
     for name in FUNCTION_NAMES:
