@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -73,8 +74,6 @@ def functions(group: Group) -> tuple[ca.Function, ca.Function, ca.Function]:
 
 def compiled(function: ca.Function, folder: Path) -> tuple[str, str]:
     """Library and name of a function as C compiled by the system's compiler."""
-    import subprocess
-
     folder.mkdir(parents=True, exist_ok=True)
     generator = ca.CodeGenerator(f"{function.name()}.c")
     generator.add(function)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+from pathlib import Path
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -296,6 +299,45 @@ def test_a_start_out_of_the_domain_is_reported(solver):
     assert result["status"] in ("Invalid_Number_Detected", "InvalidNumber")
 
 
+def changed(arguments, key, change):
+    """A copy with one entry, of the NLP or of its first group, changed."""
+    copy = {**arguments, "groups": [dict(group) for group in arguments["groups"]]}
+    target = copy if key in copy else copy["groups"][0]
+    target[key] = change(target[key])
+    return copy
+
+
+def test_an_evaluation_that_fails_gives_no_number(tmp_path):
+    well = logarithm_well()
+    given = arguments(well, tmp_path)
+    library, name = given["groups"][0]["value"]
+    source = Path(library).with_suffix(".c")
+    entry = f"{name}(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem){{"
+    code = source.read_text()
+    assert code.count(entry) == 1
+    source.write_text(code.replace(entry, entry + " return 1;"))
+    failing = str(tmp_path / "failing.so")
+    subprocess.run(["gcc", "-fPIC", "-shared", "-w", str(source), "-o", failing, "-lm"], check=True)
+    given["groups"][0]["value"] = (failing, name)
+    assert np.isnan(_engine.Nlp(**given).f(well.x0))
+
+
+def test_a_group_may_have_no_cost(problem, point):
+    given = arguments(problem)
+    z, p = ca.SX.sym("z", 5), ca.SX.sym("p", 1)
+    phi = problem.groups[0].rows(z, p)
+    none = ca.SX(1, 1)
+    free = changed(given, "value", lambda _: ca.Function("value", [z, p], [none, phi]).serialize())
+    first = ca.Function("first", [z, p], [none, phi, ca.SX(5, 1), ca.jacobian(phi, z)]).serialize()
+    nlp = _engine.Nlp(**changed(free, "first", lambda _: first))
+    goal, full = GroupedProblem(**{**vars(problem), "groups": problem.groups[1:]}), _engine.Nlp(**given)
+    e = goal.expression()
+    cost = ca.Function("cost", [e["x"]], [e["f"], ca.gradient(e["f"], e["x"])])
+    assert_allclose(nlp.f(point), float(cost(point)[0]), rtol=ROUNDING)
+    assert_allclose(nlp.gradient(point), np.array(cost(point)[1]).ravel(), atol=ROUNDING)
+    assert_array_equal(nlp.jacobian(point), full.jacobian(point))
+
+
 def test_the_first_number_that_is_not_finite_is_named(nlp, problem, point):
     assert nlp.first_nonfinite(point) is None
     well = logarithm_well()
@@ -303,14 +345,6 @@ def test_the_first_number_that_is_not_finite_is_named(nlp, problem, point):
     point[5 * 3 + 1] = np.nan
     group, stage, output, _ = nlp.first_nonfinite(point)
     assert (group, stage, output) == (0, 3, "cost") or (group, stage, output) == (0, 3, "rows")
-
-
-def changed(arguments, key, change):
-    """A copy with one entry, of the NLP or of its first group, changed."""
-    copy = {**arguments, "groups": [dict(group) for group in arguments["groups"]]}
-    target = copy if key in copy else copy["groups"][0]
-    target[key] = change(target[key])
-    return copy
 
 
 @pytest.mark.parametrize(
