@@ -172,7 +172,8 @@ Outcome solve_fatrop(trajopt::Nlp& nlp, const Stages& stages, const Reals& x0, c
   const Silence silence;
   Options own = options;
   const double max_wall_time = std::min(take_max_wall_time(own), 1e9);  // s; what a clock can count
-  const auto deadline = start + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(max_wall_time));
+  const std::chrono::duration<double> allowed(max_wall_time);
+  const auto deadline = start + std::chrono::duration_cast<Clock::duration>(allowed);
   Run run(nlp, map, x0, own);
   Outcome outcome;
   outcome.x = x0;

@@ -88,7 +88,8 @@ void require_sizes(const casadi::Function& function, const char* name, const std
 
 void check_functions(const Group& group) {
   const int nz = group.gather.rows(), np = group.n_p, n = group.n_phi;
-  const int cost = group.value.n_out() > 0 && group.value.nnz_out(0) == 0 ? 0 : 1;  // a group may have no cost
+  // A group may have no cost.
+  const int cost = group.value.n_out() > 0 && group.value.nnz_out(0) == 0 ? 0 : 1;
   const int slope = group.first.n_out() > 2 && group.first.nnz_out(2) == 0 ? 0 : nz;
   require_sizes(group.value, "value", {nz, np}, {cost, n});
   require_sizes(group.first, "first", {nz, np}, {cost, n, slope, -1});
@@ -113,7 +114,8 @@ void read_stages(const nb::dict& given, const Problem& problem, Group& group) {
   group.row_scale = values<RealArray>(given, "row_scale");
   group.n_phi = static_cast<int>(group.row_scale.size());
   group.row = values<IndexArray>(given, "row");
-  require(static_cast<int>(group.row.size()) == group.n_stages * group.n_phi, "'row' needs (stages, rows) entries, 'row_scale' one a row");
+  require(static_cast<int>(group.row.size()) == group.n_stages * group.n_phi,
+          "'row' needs (stages, rows) entries, 'row_scale' one a row");
   require_range(group.row, problem.n_g, "row");
 }
 
