@@ -9,6 +9,7 @@ import numpy as np
 
 from trajopt import _engine
 from trajopt.compilation import CompiledPoint
+from trajopt.errors import InputError
 from trajopt.sparse_maps import DerivativeMap, hessian_map, jacobian_map
 from trajopt.transcription import Group, Transcription
 
@@ -49,7 +50,12 @@ class _Pattern:
 
 
 def assemble(transcription: Transcription, compiled: Mapping[int, CompiledPoint], threads: int = 1) -> Nlp:
-    """Build the engine's NLP; ``compiled`` maps id(point function) to its compiled derivatives."""
+    """Build the engine's NLP; ``compiled`` maps id(point function) to its compiled derivatives.
+
+    Raises InputError unless ``threads`` is a whole number of at least 1.
+    """
+    if not isinstance(threads, int) or threads < 1:
+        raise InputError(f"threads is {threads!r}", "allowed: 1 or more")
     n = transcription.layout.n_unknowns
     jacobian, hessian = _Pattern(n), _Pattern(n)
     linear = transcription.linear.tocoo()

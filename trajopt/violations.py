@@ -27,7 +27,8 @@ def worst_blocks(t: Transcription, violations: np.ndarray, count: int) -> list[d
     Each has ``block``, ``phase``, ``node`` (the interval's for a point), ``point`` (or null), ``time``
     in s and ``violation`` in natural units. A value that is not finite counts as the worst of all.
     """
-    rows = np.where(np.isfinite(violations[: t.n_rows]), violations[: t.n_rows], np.inf)
+    violations = np.where(np.isfinite(violations), violations, np.inf)
+    rows = violations[: t.n_rows]
     entries = []
     for index, name in enumerate(t.rows.names):
         members = np.flatnonzero(t.rows.block == index)
