@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import pkgutil
 from functools import lru_cache
 
-from trajopt.errors import InputError
-from trajopt.family import Family
+from trajopt.family import Family, choose
 from trajopt.problem import Problem
 
 
@@ -22,12 +20,7 @@ def families() -> dict[str, Family]:
 
 def family(name: str) -> Family:
     """The family of that name; raises `InputError` that lists the known names."""
-    known = families()
-    if name not in known:
-        close = difflib.get_close_matches(name, known, 1)
-        hint = f"did you mean {close[0]}? " if close else ""
-        raise InputError(f"problem '{name}' is unknown", f"{hint}allowed: {', '.join(known)}")
-    return known[name]
+    return choose(families(), name)
 
 
 def load(name: str, **parameters: object) -> Problem:

@@ -68,3 +68,12 @@ class Family:
         chosen = {name: parameter.default for name, parameter in known.items()}
         chosen |= {name: known[name].parse(value) for name, value in values.items()}
         return self.build(**chosen)
+
+
+def choose(families: Mapping[str, Family], name: str) -> Family:
+    """The family of that name; raises InputError that lists the known names."""
+    if name not in families:
+        close = difflib.get_close_matches(name, families, 1)
+        hint = f"did you mean {close[0]}? " if close else ""
+        raise InputError(f"problem '{name}' is unknown", f"{hint}allowed: {', '.join(families)}")
+    return families[name]

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from scipy.integrate import DOP853
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from trajopt.robot_building import BASE_ROWS, base_of
@@ -174,6 +173,8 @@ def integrate_interval(
 
 def _run(rate, state: np.ndarray) -> np.ndarray | None:  # type: ignore[no-untyped-def]
     """Integrate from 0 to 1, or return None if that takes too many steps or is not finite."""
+    from scipy.integrate import DOP853  # takes longer to load than all the rest
+
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             method = DOP853(rate, 0.0, state, 1.0, rtol=RELATIVE_ERROR, atol=ABSOLUTE_ERROR)

@@ -53,6 +53,8 @@ def consistent_meta(solution: Solution) -> str:
 def _replace(target: Path, arrays: dict[str, np.ndarray]) -> None:
     if target.is_dir():
         raise IsADirectoryError(0, "it is a folder")
+    if target.exists() and not target.is_file():
+        raise OSError(0, "it is no regular file")
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
     try:
         with os.fdopen(handle, "wb") as file:

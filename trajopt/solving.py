@@ -90,7 +90,7 @@ def solve(
     Returns a Solution whose ``meta`` has status, success, advice, iterations, objective, times and the
     worst blocks of rows. Raises InputError for a value that is not allowed.
     """
-    _check_settings(solver, tolerance, max_iterations, max_time, perturb)
+    _check_settings(solver, tolerance, max_iterations, max_time, perturb, seed)
     prepared = prepare(problem, transcription=transcription, intervals=intervals, compile=compile, threads=threads)
     start = perturbed(prepared.transcription, prepared.guess, seed, perturb) if perturb else prepared.guess
     place = nonfinite_place(prepared.nlp, start)
@@ -106,7 +106,9 @@ def _continue(_: dict[str, float]) -> bool:
     return True
 
 
-def _check_settings(solver: str, tolerance: float, max_iterations: int, max_time: float, perturb: float) -> None:
+def _check_settings(
+    solver: str, tolerance: float, max_iterations: int, max_time: float, perturb: float, seed: int
+) -> None:
     if solver not in SOLVERS:
         raise InputError(f"unknown solver '{solver}'", f"allowed: {', '.join(SOLVERS)}")
     if not (math.isfinite(tolerance) and 0 < tolerance < 1):
@@ -117,6 +119,8 @@ def _check_settings(solver: str, tolerance: float, max_iterations: int, max_time
         raise InputError(f"max_time is {max_time:g} s", "allowed: > 0")
     if not (math.isfinite(perturb) and 0 <= perturb <= MAX_PERTURBATION):
         raise InputError(f"perturb is {perturb:g}", f"allowed: 0 to {MAX_PERTURBATION:g}")
+    if seed < 0:
+        raise InputError(f"seed is {seed}", "allowed: 0 or more")
 
 
 def _not_finite(prepared: Prepared, x: np.ndarray) -> Result:

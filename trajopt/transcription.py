@@ -376,7 +376,7 @@ def transcribe(problem: Problem, transcription: str | None = None, intervals: in
 
     Raises InputError for an unknown scheme or fewer intervals than phases.
     """
-    method = scheme(transcription or problem.default_transcription)
+    method = scheme(problem.default_transcription if transcription is None else transcription)
     total = problem.default_intervals if intervals is None else intervals
     if not isinstance(total, int) or isinstance(total, bool):
         raise InputError(f"intervals is {total!r}", "allowed: a whole number")

@@ -1,0 +1,48 @@
+"""Problem families of all installed packages, found through the entry-point group ``trajopt.problems``.
+
+Each entry names a module with ``families() -> dict[str, Family]``; the library imports none by name.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING
+
+from trajopt.errors import TrajoptError
+
+if TYPE_CHECKING:
+    from trajopt.family import Family
+
+GROUP = "trajopt.problems"
+
+
+def families() -> dict[str, Family]:
+    """Return all families by name, sorted; a package that cannot be loaded is left out with a warning.
+
+    Raises `TrajoptError` when there is none, or when two packages use one name.
+    """
+    found: dict[str, Family] = {}
+    origin: dict[str, str] = {}
+    for entry in {entry.value: entry for entry in entry_points(group=GROUP)}.values():
+        for name, family in _families_of(entry).items():
+            if name in found:
+                raise TrajoptError(f"problem '{name}' is offered by both {origin[name]} and {entry.value}")
+            found[name], origin[name] = family, entry.value
+    if not found:
+        raise TrajoptError(
+            f"no problem families are installed: no usable entry point in the group '{GROUP}'; "
+            "install the package that offers them again"
+        )
+    return dict(sorted(found.items()))
+
+
+def _families_of(entry: EntryPoint) -> Mapping[str, Family]:
+    try:
+        offered: Mapping[str, Family] = entry.load().families()
+    except Exception as error:  # whatever a foreign package raises must not take the others down
+        reason = f"{type(error).__name__}: {error}"
+        warnings.warn(f"problems of '{entry.value}' cannot be loaded: {reason}", stacklevel=3)
+        return {}
+    return offered
