@@ -162,6 +162,14 @@ def hop(kind: str = "point", **changes: object) -> Problem:
     })  # fmt: skip
 
 
+def lean() -> Problem:
+    """The hopper on its foot for a moment, pushed over: one basin, where a hop has several."""
+    terms = tuple(term for term in hop().terms if not isinstance(term, FrameHeight))
+    stance = Schedule((Phase(name="stance", duration=0.1, contacts=(FOOT,)),))
+    push = np.array([0.0, 0.0, 0.0, 0.3, -0.4, 0.5, 0.2, 0.1])
+    return hop(schedule=stance, initial_v=push, terms=terms)
+
+
 def point_of(
     robot: Robot, contacts: tuple[str, ...], terms: tuple[Term, ...], kind: type[Context] = Context
 ) -> tuple[PointFunction, np.ndarray]:

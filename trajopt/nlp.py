@@ -54,7 +54,7 @@ def assemble(transcription: Transcription, compiled: Mapping[int, CompiledPoint]
 
     Raises InputError unless ``threads`` is a whole number of at least 1.
     """
-    if not isinstance(threads, int) or threads < 1:
+    if not isinstance(threads, (int, np.integer)) or threads < 1:
         raise InputError(f"threads is {threads!r}", "allowed: 1 or more")
     n = transcription.layout.n_unknowns
     jacobian, hessian = _Pattern(n), _Pattern(n)
