@@ -172,6 +172,10 @@ def test_number_of_intervals_that_is_no_whole_number_is_refused(intervals):
         transcribe(hop(), "legendre:1", intervals)
 
 
+def test_number_of_intervals_may_come_out_of_an_array():
+    assert transcribe(hop(), "legendre:1", np.arange(9)[8]).layout.n_intervals == 8
+
+
 def test_start_is_fixed_and_limits_bound_the_later_nodes():
     problem = hop()
     t = transcribe(problem, "legendre:1", 8)

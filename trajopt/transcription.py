@@ -378,6 +378,6 @@ def transcribe(problem: Problem, transcription: str | None = None, intervals: in
     """
     method = scheme(problem.default_transcription if transcription is None else transcription)
     total = problem.default_intervals if intervals is None else intervals
-    if not isinstance(total, int) or isinstance(total, bool):
+    if not isinstance(total, (int, np.integer)) or isinstance(total, bool):
         raise InputError(f"intervals is {total!r}", "allowed: a whole number")
     return Transcriber(problem, method, problem.schedule.intervals(total)).build()
