@@ -1,0 +1,265 @@
+"""The command line: a thin layer over the library.
+
+Exit status: 0 done; 1 ran but not solved (``solve``) or not within tolerance (``check``); 2 bad
+input, with one line on stderr; 130 cancelled by Ctrl-C. ``solve`` goes by the solver's verdict alone: a
+solved problem whose motion a check finds beyond its tolerances is noted in the summary (and in
+``accuracy`` of the JSON), and its exit status is 0, because a finer grid, not another solve, mends it.
+
+Modules that take long to load are imported in the commands.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from rich.console import Console
+
+from trajopt import cli_report
+from trajopt.cli_input import check_output, options_of, values_of
+from trajopt.errors import TrajoptError
+from trajopt.progress import CANCELLED, stdout_to_stderr, watched
+
+if TYPE_CHECKING:
+    from trajopt.report import Report
+    from trajopt.solution import Solution
+
+BAD_INPUT = 2
+NOT_REACHED = 1
+# Columns of a table that goes to a file or a pipe, which tells no width.
+PIPE_WIDTH = 120
+
+
+class WholeNumber(click.IntRange):
+    """A whole number within a range, called so in messages."""
+
+    name = "whole number"
+
+
+# Solvers count with C's int.
+COUNT = WholeNumber(0, 2**31 - 1)
+# A finer grid takes tens of gigabytes before anything is solved.
+GRID = WholeNumber(max=100_000)
+
+
+class CommandLine(click.Group):
+    """A group that answers every bad input with one line on stderr and exit status 2."""
+
+    def main(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, prog_name: str | None = None, **extra: Any
+    ) -> None:
+        """Run and leave with the exit status."""
+        extra["standalone_mode"] = False
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of libraries, about their own future
+            warnings.simplefilter("always", UserWarning)
+            warnings.showwarning = _show_warning
+            sys.exit(self._status(args, prog_name or "trajopt", extra))
+
+    def _status(self, args: Sequence[str] | None, prog_name: str, extra: dict[str, Any]) -> int:
+        try:
+            status = super().main(args, prog_name, **extra)
+            return status if isinstance(status, int) else 0
+        except click.UsageError as error:
+            return _refuse(_usage(error))
+        except click.ClickException as error:
+            return _refuse(error.format_message())
+        except TrajoptError as error:
+            return _refuse(str(error))
+        except OSError as error:
+            return _refuse(f"{error.filename or 'input or output'}: {error.strerror or error}")
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command; an unknown one is refused with those that are known."""
+        if args[0] not in self.commands:
+            raise click.UsageError(
+                f"no command '{args[0]}', allowed: {', '.join(sorted(self.commands))}", ctx
+            )
+        return super().resolve_command(ctx, args)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; Ctrl-C ends it with one line instead of click's empty one."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            click.echo("trajopt: cancelled", err=True)
+            return CANCELLED
+
+
+def _refuse(message: str) -> int:
+    click.echo(f"trajopt: {' '.join(message.split())}", err=True)
+    return BAD_INPUT
+
+
+def _usage(error: click.UsageError) -> str:
+    where = error.ctx.command_path if error.ctx else "trajopt"
+    return f"{error.format_message().rstrip('.')}; see '{where} --help'"
+
+
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    click.echo(f"trajopt: warning: {' '.join(str(message).split())}", err=True)
+
+
+@click.group(cls=CommandLine, no_args_is_help=False, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="trajopt")
+def main() -> None:
+    """Trajectory optimisation for robots with contacts."""
+
+
+@main.command("list")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def list_problems(as_json: bool) -> None:
+    """List the problems with robot, phases and parameters."""
+    from trajopt.catalogue import families
+
+    found = families()
+    if as_json:
+        click.echo(cli_report.to_json(cli_report.list_dict(found)))
+        return
+    console = Console(highlight=False, markup=False)
+    if not console.is_terminal:
+        console.width = PIPE_WIDTH
+    for family in found.values():
+        console.print(cli_report.family_heading(family), soft_wrap=True)
+        console.print(cli_report.parameter_table(family))
+
+
+@main.command()
+@click.argument("problem")
+@click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A parameter, e.g. yaw=45deg.")
+@click.option("--transcription", metavar="NAME", help="Scheme, e.g. legendre:2.  [default: the problem's]")
+@click.option(
+    "--intervals", type=GRID, metavar="N", help="Over the whole schedule.  [default: the problem's]"
+)
+@click.option("--solver", default="ipopt", metavar="NAME", show_default=True, help="ipopt or fatrop.")
+@click.option(
+    "--tol", "tolerance", type=float, default=1e-6, metavar="TOL", show_default=True, help="Tolerance."
+)
+@click.option("--seed", type=COUNT, default=0, metavar="K", show_default=True, help="Seed of --perturb.")
+@click.option(
+    "--perturb",
+    type=float,
+    default=0.0,
+    metavar="SIGMA",
+    show_default=True,
+    help="Noise on the guess, scaled units.",
+)
+@click.option(
+    "--max-iterations", type=COUNT, default=500, metavar="N", show_default=True, help="Iteration limit."
+)
+@click.option(
+    "--max-time", type=float, default=600.0, metavar="S", show_default=True, help="Time limit in s."
+)
+@click.option("--compile", default="quick", metavar="LEVEL", show_default=True, help="none, quick or fast.")
+@click.option(
+    "--threads", type=WholeNumber(min=1), default=1, metavar="N", show_default=True, help="For functions."
+)
+@click.option(
+    "--solver-option", "solver_options", multiple=True, metavar="NAME=VALUE", help="The solver's own option."
+)
+@click.option("--output", type=Path, metavar="FILE", help="Solution file.  [default: PROBLEM.npz]")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def solve(
+    problem: str,
+    settings: tuple[str, ...],
+    solver_options: tuple[str, ...],
+    output: Path | None,
+    as_json: bool,
+    **arguments: Any,
+) -> int:
+    """Solve PROBLEM and write the solution file.
+
+    Exit status 0 when the solver has solved it, 1 when not: the file then holds its last iterate, and
+    its status and worst rows are printed. Ctrl-C stops the solver, keeps that iterate and ends with 1.
+    """
+    from trajopt.catalogue import families
+    from trajopt.family import choose
+    from trajopt.solving import solve as run
+
+    options = options_of(solver_options)
+    loaded = choose(families(), problem).load(values_of(settings, "--set"))
+    target = check_output(output or Path(f"{problem}.npz"))
+    with stdout_to_stderr(), watched(problem) as progress:
+        solution = run(loaded, options=options, progress=progress, **arguments)
+    file, notes = _saved(solution, target)
+    report = _checked(solution, notes)
+    if as_json:
+        click.echo(cli_report.to_json(cli_report.solve_dict(solution, report, file)))
+    else:
+        click.echo(cli_report.summary(solution, report, file, notes))
+    return 0 if solution.success else NOT_REACHED
+
+
+def _saved(solution: Solution, target: Path) -> tuple[Path | None, list[str]]:
+    """Write the solution; an iterate that is no motion (not finite) has no file, and a note says so."""
+    from trajopt.errors import InputError
+    from trajopt.solution_file import consistent_meta
+
+    try:
+        consistent_meta(solution)
+    except InputError as error:
+        return None, [f"no file: {error}"]
+    return solution.save(target), []
+
+
+def _checked(solution: Solution, notes: list[str]) -> Report | None:
+    """The check of a solve, or None and a note where there is nothing that can be checked."""
+    import numpy as np
+
+    from trajopt.check import check
+
+    try:
+        with np.errstate(all="ignore"):  # an iterate that is no solution may overflow: its figures say so
+            report = check(solution)
+    except (TrajoptError, ArithmeticError, ValueError) as error:
+        notes.append(f"accuracy cannot be computed: {error}")
+        return None
+    beyond = cli_report.beyond(report)
+    if beyond and solution.success:
+        notes.append(f"beyond the tolerances of a check: {beyond}; try more intervals")
+    return report
+
+
+@main.command()
+@click.argument("file", type=Path)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def check(file: Path, as_json: bool) -> int:
+    """Recompute all figures of FILE with numeric Pinocchio alone.
+
+    Exit status 1 when a figure is beyond its tolerance.
+    """
+    from trajopt.check import check as run
+
+    report = run(file)
+    click.echo(cli_report.to_json(report.to_dict()) if as_json else report.table())
+    return 0 if report.ok else NOT_REACHED
+
+
+@main.command()
+@click.argument("file", type=Path)
+@click.option("--html", type=Path, metavar="OUT", help="Write one self-contained page instead.")
+@click.option("--no-open", is_flag=True, help="Do not open a browser.")
+def replay(file: Path, html: Path | None, no_open: bool) -> None:
+    """Show FILE in Meshcat until Ctrl-C, or write it to a page."""
+    from trajopt.replay import replay as show
+    from trajopt.replay import serve
+    from trajopt.solution import Solution
+
+    shown = show(Solution.load(file), html=html, open_browser=not no_open)
+    if shown.html is not None:
+        click.echo(f"{shown.html}: {shown.duration:.2f} s, {shown.size / 1e6:.1f} MB")
+        return
+    sys.stdout.flush()  # where it is shown, before waiting
+    try:
+        click.echo("Ctrl-C stops the server", err=True)
+        serve(shown)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        shown.close()

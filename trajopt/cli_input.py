@@ -1,0 +1,77 @@
+"""What the command line is given: NAME=VALUE settings, solver options, the place of the output."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from trajopt.errors import InputError
+
+_INTEGER = re.compile(r"[-+]?[0-9]+", re.ASCII)
+# Solvers count with C's int.
+_LARGEST_INTEGER = 2**31 - 1
+
+
+def values_of(settings: Sequence[str], option: str) -> dict[str, str]:
+    """Values by name of repeated NAME=VALUE; raises `InputError` for another form or a name given twice."""
+    values: dict[str, str] = {}
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        name = name.strip()
+        if not (name and equals):
+            raise InputError(f"{option} '{setting}' is not of that form", "allowed: NAME=VALUE")
+        if name in values:
+            raise InputError(f"{option} gives '{name}' twice: {values[name]} and {value}", "allowed: once")
+        values[name] = value
+    return values
+
+
+def options_of(settings: Sequence[str]) -> dict[str, str | int | float]:
+    """Solver options by name, as whole numbers, numbers or words; raises `InputError`."""
+    values = values_of(settings, "--solver-option")
+    return {name: _option(name, text.strip()) for name, text in values.items()}
+
+
+def _option(name: str, text: str) -> str | int | float:
+    if _INTEGER.fullmatch(text) and abs(int(text)) <= _LARGEST_INTEGER:
+        return int(text)
+    try:
+        number = float(text)
+    except ValueError:
+        return text
+    if number != number:
+        raise InputError(f"--solver-option {name} is {text}", "allowed: a number or a word")
+    return number
+
+
+def check_output(path: Path) -> Path:
+    """The path, if a solution can be written there; raises `InputError` before anything is computed."""
+    target = path.expanduser()
+    allowed = "allowed: a file in an existing folder that can be written"
+    with contextlib.suppress(OSError):
+        if target.is_dir():
+            raise InputError(f"cannot write {target}: it is a folder", allowed)
+        if target.exists() and not target.is_file():
+            raise InputError(f"cannot write {target}: it is no regular file", allowed)
+    try:  # as the solution file is written: a temporary file beside it, renamed
+        handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
+        os.close(handle)
+        os.unlink(name)
+    except OSError as error:
+        reason = _reason(target) or error.strerror or str(error)
+        raise InputError(f"cannot write {target}: {reason}", allowed) from None
+    return target
+
+
+def _reason(target: Path) -> str:
+    folder = target.parent
+    with contextlib.suppress(OSError):
+        if not folder.exists():
+            return f"the folder {folder} does not exist"
+        if not folder.is_dir():
+            return f"{folder} is not a folder"
+    return ""
