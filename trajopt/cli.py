@@ -20,7 +20,7 @@ import click
 from rich.console import Console
 
 from trajopt import cli_report
-from trajopt.cli_input import check_output, options_of, values_of
+from trajopt.cli_input import COUNT, GRID, THREADS, check_output, options_of, values_of
 from trajopt.errors import TrajoptError
 from trajopt.progress import CANCELLED, stdout_to_stderr, watched
 
@@ -32,18 +32,6 @@ BAD_INPUT = 2
 NOT_REACHED = 1
 # Columns of a table that goes to a file or a pipe, which tells no width.
 PIPE_WIDTH = 120
-
-
-class WholeNumber(click.IntRange):
-    """A whole number within a range, called so in messages."""
-
-    name = "whole number"
-
-
-# Solvers count with C's int.
-COUNT = WholeNumber(0, 2**31 - 1)
-# A finer grid takes tens of gigabytes before anything is solved.
-GRID = WholeNumber(max=100_000)
 
 
 class CommandLine(click.Group):
@@ -157,9 +145,7 @@ def list_problems(as_json: bool) -> None:
     "--max-time", type=float, default=600.0, metavar="S", show_default=True, help="Time limit in s."
 )
 @click.option("--compile", default="quick", metavar="LEVEL", show_default=True, help="none, quick or fast.")
-@click.option(
-    "--threads", type=WholeNumber(min=1), default=1, metavar="N", show_default=True, help="For functions."
-)
+@click.option("--threads", type=THREADS, default=1, metavar="N", show_default=True, help="For functions.")
 @click.option(
     "--solver-option", "solver_options", multiple=True, metavar="NAME=VALUE", help="The solver's own option."
 )

@@ -8,12 +8,41 @@ import re
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
+
+import click
 
 from trajopt.errors import InputError
 
 _INTEGER = re.compile(r"[-+]?[0-9]+", re.ASCII)
 # Solvers count with C's int.
-_LARGEST_INTEGER = 2**31 - 1
+LARGEST_INTEGER = 2**31 - 1
+
+
+class WholeNumber(click.ParamType):
+    """A whole number from ``least`` to ``most``."""
+
+    name = "whole number"
+
+    def __init__(self, least: int, most: int) -> None:
+        self.least, self.most = least, most
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """The number; anything else is a usage error."""
+        try:
+            number = int(value)
+        except ValueError:
+            self.fail(f"'{value}' is no whole number", param, ctx)
+        if not self.least <= number <= self.most:
+            self.fail(f"{number} is not within {self.least} to {self.most}", param, ctx)
+        return number
+
+
+# Solvers count with C's int.
+COUNT = WholeNumber(0, LARGEST_INTEGER)
+# A finer grid takes tens of gigabytes before anything is solved; a problem knows its coarsest.
+GRID = WholeNumber(-LARGEST_INTEGER, 100_000)
+THREADS = WholeNumber(1, 1024)
 
 
 def values_of(settings: Sequence[str], option: str) -> dict[str, str]:
@@ -37,7 +66,7 @@ def options_of(settings: Sequence[str]) -> dict[str, str | int | float]:
 
 
 def _option(name: str, text: str) -> str | int | float:
-    if _INTEGER.fullmatch(text) and abs(int(text)) <= _LARGEST_INTEGER:
+    if _INTEGER.fullmatch(text) and abs(int(text)) <= LARGEST_INTEGER:
         return int(text)
     try:
         number = float(text)
