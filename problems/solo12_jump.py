@@ -159,7 +159,7 @@ def build(
         raise InputError("robot 'solo12' has no effort limit")
     terms = (
         TorqueCost(weight=1.0),
-        AccelerationCost(weight=1e-3),
+        AccelerationCost(weight=2e-2),
         VelocityCost(weight=1e-2),
         PostureCost(weight=1e-1),
         WrenchCost(weight=1e-2),

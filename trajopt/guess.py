@@ -8,7 +8,7 @@ import pinocchio as pin
 from trajopt.layout import Layout
 from trajopt.transcription import Transcription
 
-# Step of the central differences that turn q(t) into v and a, s: errors far below a guess's own.
+# Step of the differences that turn q(t) into v and a, s: errors far below a guess's own.
 DIFFERENCE_STEP = 1e-3
 
 
@@ -20,25 +20,39 @@ def initial_guess(transcription: Transcription) -> np.ndarray:
     previous = coordinates.node_from_pinocchio(problem.initial_q, problem.initial_v)
     x[layout.node(0)] = previous
     for k in range(1, layout.n_intervals + 1):
-        q, v, _ = _state(transcription, layout.node_times[k])
+        q, v, _ = _state(transcription, layout.node_times[k], _firmer_phase(layout, k))
         previous = coordinates.continued(coordinates.node_from_pinocchio(q, v), previous)
         x[layout.node(k)] = previous
     for k in range(layout.n_intervals):
         phase = int(layout.phase_of[k])
         window = x[layout.node_offset[k] : layout.node_offset[k + 1]]
         for i, c in enumerate(layout.scheme.c):
-            q, v, a = _state(transcription, layout.node_times[k] + c * layout.steps[k])
+            q, v, a = _state(transcription, layout.node_times[k] + c * layout.steps[k], phase)
             window[layout.local_acceleration(phase, i)] = coordinates.acceleration_from_pinocchio(q, v, a)
             window[layout.local_wrench(phase, i)] = _carrying_wrenches(layout, phase, q, v, a)
     return x / transcription.scale
 
 
-def _state(transcription: Transcription, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(q, v, a) of the guess at time t, by central differences on the manifold."""
-    model, motion = transcription.problem.robot.model, transcription.problem.guess
-    before, q, after = (motion(t + offset) for offset in (-DIFFERENCE_STEP, 0.0, DIFFERENCE_STEP))
-    forward, backward = pin.difference(model, q, after), pin.difference(model, before, q)
-    return q, (forward + backward) / (2 * DIFFERENCE_STEP), (forward - backward) / DIFFERENCE_STEP**2
+def _firmer_phase(layout: Layout, k: int) -> int:
+    """Of the phases that meet at node k, the one with more contacts: its feet do not move there."""
+    before = int(layout.phase_of[k - 1])
+    after = int(layout.phase_of[min(k, layout.n_intervals - 1)])
+    return before if len(layout.contacts[before]) > len(layout.contacts[after]) else after
+
+
+def _state(transcription: Transcription, t: float, phase: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(q, v, a) of the guess at time t by differences on the manifold, taken within the phase.
+
+    A motion may have kinks between phases (a foot that leaves, a push that ends).
+    """
+    model, motion, layout = transcription.problem.robot.model, transcription.problem.guess, transcription.layout
+    stages = layout.intervals_of(phase)
+    low, high = layout.node_times[stages[0]], layout.node_times[stages[-1] + 1]
+    step = min(DIFFERENCE_STEP, (high - low) / 4)
+    middle = min(max(t, low + step), high - step)
+    before, centre, after = (motion(middle + offset) for offset in (-step, 0.0, step))
+    forward, backward = pin.difference(model, centre, after), pin.difference(model, before, centre)
+    return motion(t), (forward + backward) / (2 * step), (forward - backward) / step**2
 
 
 def _carrying_wrenches(layout: Layout, phase: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:

@@ -16,16 +16,19 @@ Option = str | int | float
 Callback = Callable[[dict[str, float]], bool]
 
 # The NLP comes scaled by units, so the solvers' own scaling is off; a solution "to an
-# acceptable level" is no solution. The bound relaxation is far below the tolerance.
+# acceptable level" is no solution. The bound relaxation is far below the tolerance. Multipliers
+# start at zero: least-squares estimates at a guess off the constraints are large and make the first
+# Hessians indefinite, which doubles the iterations of IPOPT on the jump.
 IPOPT_OPTIONS: dict[str, Option] = {
     "nlp_scaling_method": "none",
     "mu_strategy": "adaptive",
     "acceptable_iter": 0,
     "bound_relax_factor": 1e-9,
+    "constr_mult_init_max": 0.0,
     "print_level": 0,
     "sb": "yes",
 }
-FATROP_OPTIONS: dict[str, Option] = {"print_level": 0}
+FATROP_OPTIONS: dict[str, Option] = {"print_level": 0, "lam_max": 0.0, "mu_init": 0.03}
 
 _IPOPT_STATUS = {
     "Solve_Succeeded": Status.SOLVED,
@@ -78,7 +81,9 @@ def _ipopt(nlp: Nlp, x0: np.ndarray, stop: Stop, options: Mapping[str, Option], 
         "max_wall_time": stop.max_time,
         **options,
     }
-    raw = _engine.solve_ipopt(nlp.engine, x0, t.lower_x, t.upper_x, t.lower_g, t.upper_g, chosen, callback, np.zeros(0))
+    raw = _engine.solve_ipopt(nlp.engine, x0, t.lower_x, t.upper_x, t.lower_g, t.upper_g, chosen, callback)
+    if raw["status"] == "Invalid_Option":
+        raise ValueError("the value of an option cannot be had here, such as a linear_solver that is not installed")
     return _result(raw, _IPOPT_STATUS.get(raw["status"], Status.FAILED))
 
 
@@ -90,15 +95,24 @@ _FATROP_STATUS = {
     "LineSearchFailed": Status.STEP_FAILED,
     "ErrorInStepComputation": Status.STEP_FAILED,
     "UserRequestedStop": Status.INTERRUPTED,
+    "MaxWallTimeExceeded": Status.TIME_LIMIT,
+    "InvalidNumber": Status.NOT_FINITE,
 }
 
 
 def _fatrop(nlp: Nlp, x0: np.ndarray, stop: Stop, options: Mapping[str, Option], callback: Callback) -> Result:
     t = nlp.transcription
-    chosen = {**FATROP_OPTIONS, "tolerance": stop.tolerance, "max_iter": stop.max_iterations, **options}
-    sizes = [np.array(part, dtype=np.int32) for part in t.stage_sizes()]
-    bounds = (t.lower_x, t.upper_x, t.lower_g, t.upper_g)
-    raw = _engine.solve_fatrop(nlp.engine, *sizes, x0, *bounds, chosen, callback)
+    chosen = {
+        **FATROP_OPTIONS,
+        "tolerance": stop.tolerance,
+        "max_iter": stop.max_iterations,
+        "max_wall_time": stop.max_time,
+        **options,
+    }
+    nx, nu, ng = (np.array(part, dtype=np.int32) for part in t.stage_sizes())
+    raw = _engine.solve_fatrop(
+        nlp.engine, nx, nu, ng, x0, t.lower_x, t.upper_x, t.lower_g, t.upper_g, chosen, callback
+    )
     return _result(raw, _FATROP_STATUS.get(raw["status"], Status.FAILED))
 
 
