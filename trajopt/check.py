@@ -44,6 +44,8 @@ def check(solution: Solution | str | Path) -> Report:
         velocity_gap=gaps.velocity,
         ballistic_error=_worst([phase.ballistic_error for phase in phases]),
         momentum_error=_worst([phase.momentum_error for phase in phases]),
+        ballistic_error_between=_worst([phase.ballistic_error_between for phase in phases]),
+        momentum_error_between=_worst([phase.momentum_error_between for phase in phases]),
         open_loop_position=_worst([phase.open_loop_position for phase in phases]),
         open_loop_orientation=_worst([phase.open_loop_orientation for phase in phases]),
         open_loop_joints=max(phase.open_loop_joints for phase in phases),
@@ -223,4 +225,6 @@ def _phase(plan: Solution, phase: range, error: OpenLoopError) -> PhaseReport:
         open_loop_joints=error.joints,
         ballistic_error=None if flight is None else flight.ballistic,
         momentum_error=None if flight is None else flight.momentum,
+        ballistic_error_between=None if flight is None else flight.ballistic_between,
+        momentum_error_between=None if flight is None else flight.momentum_between,
     )

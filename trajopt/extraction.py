@@ -29,7 +29,11 @@ class _Points:
 
 
 def extract(transcription: Transcription, x: np.ndarray, meta: dict[str, Any]) -> Solution:
-    """Solution of scaled unknowns ``x``; ``meta`` adds what the solver knows to what the problem says."""
+    """Solution of scaled unknowns ``x``; ``meta`` adds what the solver knows to what the problem says.
+
+    Rotations are normalised: they leave the manifold only by what the solver's tolerance leaves in the
+    defects, which ``rotation_norm_error`` in meta keeps on record.
+    """
     layout = transcription.layout
     unknowns = x * transcription.scale
     nodes_q, nodes_v = layout.coordinates.node_to_pinocchio(
@@ -47,8 +51,11 @@ def extract(transcription: Transcription, x: np.ndarray, meta: dict[str, Any]) -
             inner = getattr(points, name)
             outer = np.tensordot(ends, inner, axes=1)
             columns[name].append(np.concatenate([outer[:1], inner, outer[1:]]))
+    raw = np.concatenate(columns.pop("q"))
+    q = np.array([pin.normalize(layout.robot.model, row) for row in raw])
     return Solution(
-        meta={**_problem_meta(transcription), **meta},
+        meta={**_problem_meta(transcription), "rotation_norm_error": float(np.abs(q - raw).max()), **meta},
+        q=q,
         model_text=transcription.problem.robot.limited_model().saveToString(),
         interval_t=np.column_stack([layout.node_times[:-1], layout.node_times[1:]]),
         **{name: np.concatenate(parts) for name, parts in columns.items()},

@@ -19,10 +19,15 @@ LEAST_TRAVEL = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class FlightError:
-    """Deviation of the centre of mass over its travel, of angular momentum over its scale."""
+    """Deviation of the centre of mass over its travel, of angular momentum over its scale.
+
+    At nodes, where a scheme has its full order, and at the collocation points between them.
+    """
 
     ballistic: float
     momentum: float
+    ballistic_between: float
+    momentum_between: float
 
 
 def flight_errors(solution: Solution, phase: range) -> FlightError | None:
@@ -48,9 +53,14 @@ def flight_errors(solution: Solution, phase: range) -> FlightError | None:
     length, fall = reach(model), float(np.linalg.norm(gravity)) or 1.0
     quiet = QUIET_MOMENTUM * mass * length * np.sqrt(fall * length)
     scale = max(float(np.linalg.norm(momentum, axis=1).max()), quiet)
+    ballistic = np.linalg.norm(deviation, axis=1) / travel
+    change = np.linalg.norm(momentum - momentum[0], axis=1) / scale
+    node = ~solution.collocation[samples]
     return FlightError(
-        ballistic=float(np.linalg.norm(deviation, axis=1).max()) / travel,
-        momentum=float(np.linalg.norm(momentum - momentum[0], axis=1).max()) / scale,
+        ballistic=float(ballistic[node].max()),
+        momentum=float(change[node].max()),
+        ballistic_between=float(ballistic[~node].max()),
+        momentum_between=float(change[~node].max()),
     )
 
 

@@ -50,6 +50,8 @@ class PhaseReport:
     open_loop_joints: float
     ballistic_error: float | None
     momentum_error: float | None
+    ballistic_error_between: float | None
+    momentum_error_between: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +87,8 @@ FIGURES: dict[str, Figure] = {
     "velocity_gap": Figure(text="v against the integral of a", unit="m/s, rad/s"),
     "ballistic_error": Figure(text="flight against the parabola", unit="travel", tolerance="flight"),
     "momentum_error": Figure(text="angular momentum in flight", unit="scale", tolerance="flight"),
+    "ballistic_error_between": Figure(text="flight against the parabola, between nodes", unit="travel"),
+    "momentum_error_between": Figure(text="angular momentum in flight, between nodes", unit="scale"),
     "open_loop_position": Figure(text="open loop, base position", unit="m", tolerance="open_loop_position"),
     "open_loop_orientation": Figure(
         text="open loop, base orientation", unit="rad", tolerance="open_loop_orientation"
@@ -107,7 +111,8 @@ class Report:
     position_excess: largest part of the joint's range beyond its limit; negative is reserve.
     penetration, quaternion_error, contact_velocity, foot_drift, foot_turn: at all samples.
     landing_height: height over the terrain of active contacts at their phase's start, unsigned.
-    position_gap, velocity_gap: see `consistency.interval_gaps`. ballistic_error, momentum_error: see
+    position_gap, velocity_gap: see `consistency.interval_gaps`. ballistic_error, momentum_error: at
+        nodes, ``..._between`` at collocation points, see
         `flight.flight_errors`. open_loop_...: see `reintegration.open_loop`; inf where it diverged.
     """
 
@@ -133,6 +138,8 @@ class Report:
     velocity_gap: float
     ballistic_error: float | None
     momentum_error: float | None
+    ballistic_error_between: float | None
+    momentum_error_between: float | None
     open_loop_position: float | None
     open_loop_orientation: float | None
     open_loop_joints: float

@@ -28,7 +28,9 @@ IPOPT_OPTIONS: dict[str, Option] = {
     "print_level": 0,
     "sb": "yes",
 }
-FATROP_OPTIONS: dict[str, Option] = {"print_level": 0, "lam_max": 0.0, "mu_init": 0.03}
+# A first barrier below FATROP's 0.1 suits a guess that is nearly feasible; the pivot tolerance calls a
+# stage's rows dependent early enough that its linear algebra does not repeat a step for ever.
+FATROP_OPTIONS: dict[str, Option] = {"print_level": 0, "lam_max": 0.0, "mu_init": 0.03, "linsol_lu_fact_tol": 1e-3}
 
 _IPOPT_STATUS = {
     "Solve_Succeeded": Status.SOLVED,

@@ -16,11 +16,17 @@ class Status(Enum):
     ITERATION_LIMIT = "the iteration limit was reached: raise --max-iterations, or start from a better guess"
     TIME_LIMIT = "the time limit was reached: raise --max-time, or use fewer intervals"
     INTERRUPTED = "stopped by the user: the iterate at that moment is kept, it is not a solution"
-    NOT_FINITE = "a function value or derivative is not finite: look at the block named, and at the guess there"
+    NOT_FINITE = (
+        "a function value or derivative is not finite: look at the block named, and at the guess there"
+    )
     STEP_FAILED = "no step makes progress any more: try another solver, a finer grid or a perturbed start"
-    INACCURATE = "the solver says solved but rows are violated beyond tolerance: tighten --tol or change the solver"
+    INACCURATE = (
+        "the solver says solved but rows are violated beyond tolerance: tighten --tol or change the solver"
+    )
     UNBOUNDED = "iterates diverge: a cost or limit is missing that bounds the motion or the forces"
-    INVALID = "the problem has more equations than unknowns, or the solver refused it: look at goals that repeat"
+    INVALID = (
+        "the problem has more equations than unknowns, or the solver refused it: look at goals that repeat"
+    )
     FAILED = "the solver stopped for another reason: see the solver's own status"
 
     @property
