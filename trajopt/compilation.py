@@ -96,7 +96,9 @@ def effective_level(level: str) -> str:
     if level not in LEVELS:
         raise InputError(f"unknown compile level '{level}'", f"allowed: {', '.join(LEVELS)}")
     if level != "none" and compiler() is None:
-        warnings.warn("no C compiler found (cc, gcc, clang): evaluating on CasADi's virtual machine", stacklevel=2)
+        warnings.warn(
+            "no C compiler found (cc, gcc, clang): evaluating on CasADi's virtual machine", stacklevel=2
+        )
         return "none"
     return level
 
@@ -183,7 +185,17 @@ class _Job:
         self.entry["c_bytes"] = int(self.entry["c_bytes"]) + source.stat().st_size  # type: ignore[call-overload]
         found = compiler()
         assert found is not None
-        command = [found[0], *flags, "-fPIC", "-shared", "-w", str(source), "-o", str(source.with_suffix(".so")), "-lm"]
+        command = [
+            found[0],
+            *flags,
+            "-fPIC",
+            "-shared",
+            "-w",
+            str(source),
+            "-o",
+            str(source.with_suffix(".so")),
+            "-lm",
+        ]
         self.processes.append(subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE))
 
     def finish(self) -> None:
@@ -191,8 +203,12 @@ class _Job:
         for process in self.processes:
             _, text = process.communicate()
             if process.returncode != 0:
-                last = text.decode(errors="replace").strip().splitlines()[-1:] or [f"exit status {process.returncode}"]
-                raise TrajoptError(f"the C compiler failed on a stage function: {last[0]}; try --compile none")
+                last = text.decode(errors="replace").strip().splitlines()[-1:] or [
+                    f"exit status {process.returncode}"
+                ]
+                raise TrajoptError(
+                    f"the C compiler failed on a stage function: {last[0]}; try --compile none"
+                )
         for source in self.temporary.glob("*.c"):
             source.unlink()
         self.entry["files"] = {file.name: _digest(file) for file in self.temporary.iterdir()}
@@ -246,5 +262,9 @@ def _load(entry: Path, key: str) -> CompiledPoint:
             sources[name] = text
             functions[name] = ca.Function.deserialize(text)
     return CompiledPoint(
-        key, sources, functions["first"].sparsity_out(3), functions["second"].sparsity_out(0), int(description["c_bytes"])
+        key,
+        sources,
+        functions["first"].sparsity_out(3),
+        functions["second"].sparsity_out(0),
+        int(description["c_bytes"]),
     )

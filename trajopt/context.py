@@ -50,7 +50,9 @@ class Context:
     ``a`` Pinocchio's; wrenches act on the robot, world axes at the contact frame's origin, N and N m.
     """
 
-    def __init__(self, robot: Robot, coordinates: Coordinates, contacts: tuple[Contact, ...], *, node: bool) -> None:
+    def __init__(
+        self, robot: Robot, coordinates: Coordinates, contacts: tuple[Contact, ...], *, node: bool
+    ) -> None:
         self.robot, self.coordinates, self.contacts = robot, coordinates, contacts
         nv = coordinates.nv
         if node:
@@ -61,7 +63,9 @@ class Context:
         else:
             self.rotations = ca.SX.sym("r", 4 * coordinates.n_rotations)
             self.xi, self.dxi, self.ddxi = (ca.SX.sym(name, nv) for name in ("xi", "dxi", "ddxi"))
-            self.wrenches = {contact.name: ca.SX.sym(f"w_{contact.name}", contact.dimension) for contact in contacts}
+            self.wrenches = {
+                contact.name: ca.SX.sym(f"w_{contact.name}", contact.dimension) for contact in contacts
+            }
             self.z = ca.vertcat(self.rotations, self.xi, self.dxi, self.ddxi, *self.wrenches.values())
         self.is_node = node
         self.q, self.v, self.a = coordinates.to_pinocchio(self.rotations, self.xi, self.dxi, self.ddxi)
@@ -99,7 +103,9 @@ class Context:
         array = np.atleast_1d(np.asarray(value, dtype=float))
         if not np.all(np.isfinite(array)):
             raise InputError(f"a term's parameter is {array}", "allowed: finite numbers")
-        symbol = ca.SX.sym(f"p{len(self._parameters)}", *(array.shape if array.ndim == 2 else (array.size, 1)))
+        symbol = ca.SX.sym(
+            f"p{len(self._parameters)}", *(array.shape if array.ndim == 2 else (array.size, 1))
+        )
         self._parameters.append(ca.vec(symbol))
         self._values.append(array.flatten(order="F"))
         return symbol

@@ -25,7 +25,9 @@ class UnsupportedJointError(InputError):
     def __init__(self, joint: str, kind: str, allowed: str) -> None:
         self.joint = joint
         self.kind = kind
-        super().__init__(f"joint '{joint}' is of kind {kind}, which is not supported", f"supported: {allowed}")
+        super().__init__(
+            f"joint '{joint}' is of kind {kind}, which is not supported", f"supported: {allowed}"
+        )
 
 
 class SolutionFileError(InputError):

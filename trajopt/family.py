@@ -41,7 +41,11 @@ class Parameter:
         else:
             raise InputError(f"parameter {self.name}={value!r} is not a number", allowed)
         if not (math.isfinite(number) and self.lower <= number <= self.upper):
-            hint = f" (for degrees write {self.name}={value}deg)" if self.unit == "rad" and abs(number) > math.pi else ""
+            hint = (
+                f" (for degrees write {self.name}={value}deg)"
+                if self.unit == "rad" and abs(number) > math.pi
+                else ""
+            )
             raise InputError(f"parameter {self.name} is {number:g}", allowed + hint)
         return number
 
@@ -64,7 +68,9 @@ class Family:
             if name not in known:
                 close = difflib.get_close_matches(name, known, 1)
                 hint = f"did you mean {close[0]}? " if close else ""
-                raise InputError(f"{self.name} has no parameter '{name}'", f"{hint}allowed: {', '.join(known)}")
+                raise InputError(
+                    f"{self.name} has no parameter '{name}'", f"{hint}allowed: {', '.join(known)}"
+                )
         chosen = {name: parameter.default for name, parameter in known.items()}
         chosen |= {name: known[name].parse(value) for name, value in values.items()}
         return self.build(**chosen)

@@ -45,7 +45,11 @@ def _state(transcription: Transcription, t: float, phase: int) -> tuple[np.ndarr
 
     A motion may have kinks between phases (a foot that leaves, a push that ends).
     """
-    model, motion, layout = transcription.problem.robot.model, transcription.problem.guess, transcription.layout
+    model, motion, layout = (
+        transcription.problem.robot.model,
+        transcription.problem.guess,
+        transcription.layout,
+    )
     stages = layout.intervals_of(phase)
     low, high = layout.node_times[stages[0]], layout.node_times[stages[-1] + 1]
     step = min(DIFFERENCE_STEP, (high - low) / 4)

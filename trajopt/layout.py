@@ -42,7 +42,9 @@ class Layout:
     @cached_property
     def steps(self) -> np.ndarray:
         """Duration of each interval in s (N,)."""
-        durations = [phase.duration / count for phase, count in zip(self.schedule.phases, self.intervals, strict=True)]
+        durations = [
+            phase.duration / count for phase, count in zip(self.schedule.phases, self.intervals, strict=True)
+        ]
         return np.array(durations)[self.phase_of]
 
     @cached_property
@@ -53,7 +55,9 @@ class Layout:
     @cached_property
     def contacts(self) -> tuple[tuple[Contact, ...], ...]:
         """Active contacts of each phase."""
-        return tuple(tuple(self.robot.contact(name) for name in phase.contacts) for phase in self.schedule.phases)
+        return tuple(
+            tuple(self.robot.contact(name) for name in phase.contacts) for phase in self.schedule.phases
+        )
 
     def n_wrench(self, phase: int) -> int:
         """Size of all wrenches at a point of a phase."""
@@ -120,6 +124,8 @@ class Layout:
         first = int(self.intervals_of(phase)[0])
         return NodePlace(self.schedule.phases[phase], k - first, self.intervals[phase], last)
 
-    def window_scale(self, phase: int, node_scale: np.ndarray, y_scale: np.ndarray, w_scale: np.ndarray) -> np.ndarray:
+    def window_scale(
+        self, phase: int, node_scale: np.ndarray, y_scale: np.ndarray, w_scale: np.ndarray
+    ) -> np.ndarray:
         """Scales of a window from those of a node, of y and of all wrenches at a point."""
         return np.concatenate([node_scale, *[np.concatenate([y_scale, w_scale])] * self.scheme.s])

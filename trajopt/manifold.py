@@ -36,9 +36,22 @@ from trajopt.errors import UnsupportedJointError
 # 1e-11 up to 2 pi, without a branch and so without 0/0 in any derivative.
 _SERIES_TERMS = 16
 
-_PLAIN = ("RX", "RY", "RZ", "RevoluteUnaligned", "PX", "PY", "PZ", "PrismaticUnaligned", "Translation", "SphericalZYX")
+_PLAIN = (
+    "RX",
+    "RY",
+    "RZ",
+    "RevoluteUnaligned",
+    "PX",
+    "PY",
+    "PZ",
+    "PrismaticUnaligned",
+    "Translation",
+    "SphericalZYX",
+)
 _CONTINUOUS = ("RUBX", "RUBY", "RUBZ", "RevoluteUnboundedUnalignedTpl", "RevoluteUnboundedUnaligned")
-SUPPORTED_JOINTS = "free-flyer, planar, spherical, revolute, continuous, prismatic, translation, spherical ZYX"
+SUPPORTED_JOINTS = (
+    "free-flyer, planar, spherical, revolute, continuous, prismatic, translation, spherical ZYX"
+)
 
 
 def _series(t: ca.SX, first_factorial: int) -> ca.SX:
@@ -159,7 +172,9 @@ class Coordinates:
             xi[int(index)] = x[n4 + row]
         return x[:n4], xi, x[n4 + len(self.additive_index) :]
 
-    def to_pinocchio(self, rotations: ca.SX, xi: ca.SX, dxi: ca.SX, ddxi: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    def to_pinocchio(
+        self, rotations: ca.SX, xi: ca.SX, dxi: ca.SX, ddxi: ca.SX
+    ) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Pinocchio's (q, v, a) from the start rotations and the local coordinates and their derivatives."""
         q, v, a = [], [], []
         quaternions = iter(ca.vertsplit(rotations, 4)) if self.n_rotations else iter(())
@@ -177,7 +192,9 @@ class Coordinates:
             return ca.vertcat(ca.cos(x), ca.sin(x)), dx, ddx
         if joint.kind == "planar":
             rate = ca.vertcat(0, 0, dx[2])
-            to_body = ca.vertcat(ca.horzcat(ca.cos(x[2]), ca.sin(x[2])), ca.horzcat(-ca.sin(x[2]), ca.cos(x[2])))
+            to_body = ca.vertcat(
+                ca.horzcat(ca.cos(x[2]), ca.sin(x[2])), ca.horzcat(-ca.sin(x[2]), ca.cos(x[2]))
+            )
             linear = ca.mtimes(to_body, dx[:2])
             transport = ca.cross(rate, ca.vertcat(linear, 0))[:2]
             acceleration = ca.mtimes(to_body, ddx[:2]) - transport
@@ -214,7 +231,10 @@ class Coordinates:
 
     @cached_property
     def _local_to_pinocchio(self) -> ca.Function:
-        symbols = [ca.SX.sym(name, size) for name, size in zip("rxyz", (4 * self.n_rotations, *[self.nv] * 3), strict=True)]
+        symbols = [
+            ca.SX.sym(name, size)
+            for name, size in zip("rxyz", (4 * self.n_rotations, *[self.nv] * 3), strict=True)
+        ]
         return ca.Function("local_to_pinocchio", symbols, list(self.to_pinocchio(*symbols)))
 
     def node_to_pinocchio(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -67,7 +67,9 @@ def assemble(transcription: Transcription, compiled: Mapping[int, CompiledPoint]
         first = jacobian_map(point.jacobian, group.gather, group.row_scale)
         second = hessian_map(point.hessian, group.gather)
         first_key = jacobian.add(group.rows[:, first.row], offset[:, None] + first.column[None, :])
-        second_key = hessian.add(offset[:, None] + second.row[None, :], offset[:, None] + second.column[None, :])
+        second_key = hessian.add(
+            offset[:, None] + second.row[None, :], offset[:, None] + second.column[None, :]
+        )
         prepared.append((group, point, offset, first, first_key, second, second_key))
     row, column = jacobian.close()
     hessian_row, hessian_column = hessian.close()
@@ -103,7 +105,13 @@ def assemble(transcription: Transcription, compiled: Mapping[int, CompiledPoint]
 
 
 def _engine_group(  # type: ignore[no-untyped-def]
-    group: Group, point: CompiledPoint, offset, first: DerivativeMap, jac_target, second: DerivativeMap, hess_target
+    group: Group,
+    point: CompiledPoint,
+    offset,
+    first: DerivativeMap,
+    jac_target,
+    second: DerivativeMap,
+    hess_target,
 ) -> dict[str, object]:
     gather = group.gather
     return {

@@ -223,7 +223,9 @@ def _difference(context: Context, q: np.ndarray) -> ca.SX:
     for i in range(coordinates.n_rotations):
         quaternion = context.parameter(goal[4 * i : 4 * i + 4])
         three = coordinates.rotation_index[3 * i : 3 * i + 3]
-        relative = rotation_error(rotation_matrix(quaternion), rotation_matrix(context.rotations[4 * i : 4 * i + 4]))
+        relative = rotation_error(
+            rotation_matrix(quaternion), rotation_matrix(context.rotations[4 * i : 4 * i + 4])
+        )
         for row, index in enumerate(three):
             error[int(index)] = relative[row]
     return error

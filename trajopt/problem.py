@@ -43,7 +43,9 @@ class Problem:
         for label, size in (("initial_q", self.robot.nq), ("initial_v", self.robot.nv)):
             array = np.array(getattr(self, label), dtype=float)
             if array.shape != (size,) or not np.all(np.isfinite(array)):
-                raise InputError(f"{label} of problem '{self.name}' has shape {array.shape}", f"allowed: ({size},), finite")
+                raise InputError(
+                    f"{label} of problem '{self.name}' has shape {array.shape}", f"allowed: ({size},), finite"
+                )
             array.setflags(write=False)
             object.__setattr__(self, label, array)
         object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))

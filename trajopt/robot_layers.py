@@ -44,7 +44,9 @@ def _plain_layers(context: Context, used: list[int]) -> Layers:
     s = ca.SX.sym("s", sum(sizes))
     q, v, a, w = ca.vertsplit(s, [0, *np.cumsum(sizes).tolist()])
     frames, dimensions = _frames(context)
-    tau, rotation, position, velocity, acceleration = rigid_body.fused(context.robot.model, frames, dimensions)(q, v, a, w)
+    tau, rotation, position, velocity, acceleration = rigid_body.fused(
+        context.robot.model, frames, dimensions
+    )(q, v, a, w)
     parts = [tau] if context.uses_dynamics else []
     for contact in context.used_accelerations:
         parts.append(acceleration[: contact.dimension, frames.index(contact.frame)])

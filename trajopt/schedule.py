@@ -28,7 +28,9 @@ class Phase:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.duration) and self.duration > 0):
-            raise InputError(f"duration of phase '{self.name}' is {self.duration:g} s", "allowed: finite and > 0")
+            raise InputError(
+                f"duration of phase '{self.name}' is {self.duration:g} s", "allowed: finite and > 0"
+            )
         if len(set(self.contacts)) != len(self.contacts):
             raise InputError(f"phase '{self.name}' names a contact twice: {', '.join(self.contacts)}")
         unknown = set(self.footholds) - set(self.contacts)
@@ -40,7 +42,9 @@ class Phase:
         points = {name: np.array(point, dtype=float) for name, point in self.footholds.items()}
         for name, point in points.items():
             if point.shape != (3,) or not np.all(np.isfinite(point)):
-                raise InputError(f"foothold of '{name}' in phase '{self.name}' is {point}", "allowed: 3 finite numbers, m")
+                raise InputError(
+                    f"foothold of '{name}' in phase '{self.name}' is {point}", "allowed: 3 finite numbers, m"
+                )
             point.setflags(write=False)
         object.__setattr__(self, "contacts", tuple(self.contacts))
         object.__setattr__(self, "footholds", MappingProxyType(points))

@@ -58,7 +58,9 @@ def _lagrange(points: np.ndarray) -> list[Polynomial]:
     bases = []
     for i, point in enumerate(points):
         others = np.delete(points, i)
-        bases.append(Polynomial.fromroots(others) / np.prod(point - others) if len(others) else Polynomial([1.0]))
+        bases.append(
+            Polynomial.fromroots(others) / np.prod(point - others) if len(others) else Polynomial([1.0])
+        )
     return bases
 
 
@@ -88,7 +90,9 @@ def _lobatto(name: str, order: int, c: np.ndarray) -> Scheme:
 
 def _semi_implicit_euler() -> Scheme:
     zero, one = np.zeros((1, 1)), np.ones(1)
-    return Scheme(name="semi-implicit-euler", order=1, c=np.zeros(1), A1=zero, A2=zero.copy(), b1=one, b2=one.copy())
+    return Scheme(
+        name="semi-implicit-euler", order=1, c=np.zeros(1), A1=zero, A2=zero.copy(), b1=one, b2=one.copy()
+    )
 
 
 def scheme(name: str) -> Scheme:

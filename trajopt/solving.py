@@ -58,7 +58,9 @@ def prepare(
     nlp = assemble(transcribed, by_point, threads)
     guess = initial_guess(transcribed)
     build_time = time.perf_counter() - start - report.compile_time
-    return Prepared(transcription=transcribed, nlp=nlp, guess=guess, compilation=report, build_time=build_time)
+    return Prepared(
+        transcription=transcribed, nlp=nlp, guess=guess, compilation=report, build_time=build_time
+    )
 
 
 def solve(
@@ -91,7 +93,9 @@ def solve(
     worst blocks of rows. Raises InputError for a value that is not allowed.
     """
     _check_settings(solver, tolerance, max_iterations, max_time, perturb, seed)
-    prepared = prepare(problem, transcription=transcription, intervals=intervals, compile=compile, threads=threads)
+    prepared = prepare(
+        problem, transcription=transcription, intervals=intervals, compile=compile, threads=threads
+    )
     start = perturbed(prepared.transcription, prepared.guess, seed, perturb) if perturb else prepared.guess
     place = nonfinite_place(prepared.nlp, start)
     stop = Stop(tolerance=tolerance, max_iterations=max_iterations, max_time=max_time)
@@ -131,7 +135,12 @@ def _not_finite(prepared: Prepared, x: np.ndarray) -> Result:
 
 
 def _solution(
-    prepared: Prepared, result: Result, solver: str, tolerance: float, place: str | None, start: dict[str, Any]
+    prepared: Prepared,
+    result: Result,
+    solver: str,
+    tolerance: float,
+    place: str | None,
+    start: dict[str, Any],
 ) -> Solution:
     t, report = prepared.transcription, prepared.compilation
     violations = row_violations(prepared.nlp, result.x)

@@ -152,6 +152,8 @@ def _lagrangian_hessian(gamma: ca.SX, symbols: tuple[ca.SX, ...], chain: _Chain,
     n_z = z.numel()
     second, _ = ca.hessian(gamma, ca.vertcat(z, o))
     blocks = [ca.gradient(gamma, o), second[:n_z, :n_z], second[:n_z, n_z:], second[n_z:, n_z:]]
-    multiplier, h_zz, h_zo, h_oo = ca.Function("terms_second", list(symbols), blocks)(z, chain.output, p, sigma, lam)
+    multiplier, h_zz, h_zo, h_oo = ca.Function("terms_second", list(symbols), blocks)(
+        z, chain.output, p, sigma, lam
+    )
     cross = ca.mtimes(h_zo, jacobian)
     return chain.curvature(multiplier, h_oo) + h_zz + cross + cross.T

@@ -127,7 +127,9 @@ class Rows:
     def create(cls, expression: ca.SX, lower: object, upper: object, unit: object) -> Rows:
         """Rows with scalars broadcast to the expression's length."""
         n = expression.numel()
-        return cls(expression, *(np.broadcast_to(np.asarray(b, dtype=float), n).copy() for b in (lower, upper, unit)))
+        return cls(
+            expression, *(np.broadcast_to(np.asarray(b, dtype=float), n).copy() for b in (lower, upper, unit))
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,7 +172,9 @@ class VelocityLimits(PointConstraint):
     """Joint rates within the robot's limits, at points and nodes."""
 
     def _limits(self, robot: Robot) -> np.ndarray:
-        limit = np.where(robot.velocity_limit < Units(robot).unreachable_velocity, robot.velocity_limit, np.inf)
+        limit = np.where(
+            robot.velocity_limit < Units(robot).unreachable_velocity, robot.velocity_limit, np.inf
+        )
         limit[: robot.n_unactuated] = np.inf
         return limit
 
@@ -276,7 +280,11 @@ class SoleLimits(PointConstraint):
                 rotation = context.frame(contact.frame).rotation
                 force, moment = contact_force(context, contact), context.wrenches[contact.name][3:]
                 local, fz = ca.mtimes(rotation.T, moment), force[2]
-                arm = (contact.half_width, contact.half_length, mu * (contact.half_width + contact.half_length) / 2)
+                arm = (
+                    contact.half_width,
+                    contact.half_length,
+                    mu * (contact.half_width + contact.half_length) / 2,
+                )
                 for i in range(3):
                     parts += [arm[i] * fz - local[i], arm[i] * fz + local[i]]
         return Rows.create(ca.vertcat(*parts), 0, np.inf, units.torque) if parts else None

@@ -169,7 +169,9 @@ class Transcriber:
     def _window_scale(self, phase: int) -> np.ndarray:
         contacts = self.layout.contacts[phase]
         share = self.units.wrench / max(1, len(contacts))
-        wrench = np.concatenate([share[: contact.dimension] for contact in contacts]) if contacts else np.zeros(0)
+        wrench = (
+            np.concatenate([share[: contact.dimension] for contact in contacts]) if contacts else np.zeros(0)
+        )
         return self.layout.window_scale(phase, self._node_scale(), self.units.acceleration, wrench)
 
     def _scale(self) -> np.ndarray:
@@ -187,7 +189,9 @@ class Transcriber:
             rows = term.rows(context, self.units) if term.acts_in(name) else None
             if rows is not None:
                 blocks.append((term.name, rows))
-        function = point_function(name, context, sum(costs, ca.SX(0)), [rows.expression for _, rows in blocks])
+        function = point_function(
+            name, context, sum(costs, ca.SX(0)), [rows.expression for _, rows in blocks]
+        )
         return _PointKind(function, tuple(blocks), context.parameter_values)
 
     def _end_function(self) -> PointFunction | None:
@@ -237,7 +241,8 @@ class Transcriber:
 
     def _add_blocks(self, blocks, stage: int, point: int) -> np.ndarray:  # type: ignore[no-untyped-def]
         parts = [
-            self.rows.add(name, stage, point, rows.lower / rows.unit, rows.upper / rows.unit) for name, rows in blocks
+            self.rows.add(name, stage, point, rows.lower / rows.unit, rows.upper / rows.unit)
+            for name, rows in blocks
         ]
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int32)
 
@@ -260,7 +265,9 @@ class Transcriber:
                 )
             )
 
-    def _collocation_matrix(self, phase: int, c: float, a1: np.ndarray, a2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _collocation_matrix(
+        self, phase: int, c: float, a1: np.ndarray, a2: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """(xi, xi') at fraction c from a window's unscaled unknowns: two matrices (nv, window)."""
         layout, nv = self.layout, self.coordinates.nv
         h = layout.steps[layout.intervals_of(phase)[0]]
@@ -332,7 +339,9 @@ class Transcriber:
     def _linear_part(self, gap_rows: np.ndarray) -> sparse.csr_matrix:
         """Identity of the next node minus the collocation map of what is additive."""
         layout, scale = self.layout, self._node_scale()
-        linear_rows = np.concatenate([layout.local_additive, layout.local_rates[self.coordinates.additive_index]])
+        linear_rows = np.concatenate(
+            [layout.local_additive, layout.local_rates[self.coordinates.additive_index]]
+        )
         rows, columns, values = [], [], []
         for phase in range(len(layout.intervals)):
             position, rate = self._collocation_matrix(phase, 1.0, self.method.b1, self.method.b2)
@@ -371,7 +380,9 @@ class Transcriber:
         return lower, upper
 
 
-def transcribe(problem: Problem, transcription: str | None = None, intervals: int | None = None) -> Transcription:
+def transcribe(
+    problem: Problem, transcription: str | None = None, intervals: int | None = None
+) -> Transcription:
     """Transcribe a problem with the scheme of that name on ``intervals`` over the whole schedule.
 
     Raises InputError for an unknown scheme or fewer intervals than phases.
