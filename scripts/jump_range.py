@@ -1,6 +1,6 @@
 """Solve the jump over its range of distances, heights and turns, and check every solution.
 
-    uv run python -m scripts.jump_range --solver ipopt
+uv run python -m scripts.jump_range --solver ipopt
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Solve one problem from many perturbed starts: success, iterations and distinct optima.
 
-    uv run python -m scripts.perturbed_starts solo12-jump --solver fatrop --sigma 0.3 --seeds 100
+uv run python -m scripts.perturbed_starts solo12-jump --solver fatrop --sigma 0.3 --seeds 100
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ def main(
         start = perturbed(prepared.transcription, prepared.guess, seed, sigma)
         results.append(run(prepared.nlp, start, solver, Stop(), {}, lambda _: True))
     solved = [result for result in results if result.status is Status.SOLVED]
-    click.echo(f"{problem} {solver} {prepared.transcription.layout.scheme.name} sigma {sigma}: {len(solved)} of {seeds}")
+    click.echo(
+        f"{problem} {solver} {prepared.transcription.layout.scheme.name} sigma {sigma}: {len(solved)} of {seeds}"
+    )
     if solved:
         iterations = [result.iterations for result in solved]
         click.echo(f"iterations: median {statistics.median(iterations):g}, most {max(iterations)}")
