@@ -108,41 +108,6 @@ def test_fused_function_respects_the_models_gravity():
     assert_allclose(acceleration.ravel(), expected.vector, **SAME)
 
 
-@pytest.mark.parametrize("name", ["solo12", "talos"])
-def test_fused_function_in_base_frame_gives_the_same_motion_and_forces(name):
-    model, frame = robot(name)
-    frames, sizes = [frame, model.frames[-1].name], [6, 3]
-    q, v, a = random_state(model, 3)
-    w = np.random.default_rng(3).uniform(-1, 1, (3, 3))
-    base = pin.XYZQUATToSE3(q[:7])
-    turned = base.rotation.T
-    base_velocity, omega, domega = base.rotation @ v[:3], v[3:6], a[3:6]
-    base_acceleration = base.rotation @ (a[:3] + np.cross(omega, v[:3]))
-    proper = turned @ (base_acceleration - model.gravity.linear)
-    function = rigid_body.fused_in_base_frame(model, frames, sizes)
-    tau, rotation, position, velocity, acceleration = evaluate(
-        function, q[7:], v[6:], a[6:], omega, domega, proper, np.ravel(w @ turned.T)
-    )
-    world = np.kron(np.eye(2), base.rotation)
-    at_origin = np.zeros(3)
-    assert_same(
-        rigid_body.fused(model, frames, sizes),
-        (q, v, a, np.ravel(w)),
-        tau,
-        np.kron(np.eye(3), base.rotation) @ rotation,
-        base.translation[:, None] + base.rotation @ position,
-        np.r_[base_velocity, at_origin][:, None] + world @ velocity,
-        np.r_[base_acceleration, at_origin][:, None] + world @ acceleration,
-    )
-
-
-@pytest.mark.parametrize("name", ["ur5", "go2_planar"])
-def test_base_frame_is_refused_without_a_free_flyer(name):
-    model, frame = robot(name)
-    with pytest.raises(InputError, match="no free-flyer at its root"):
-        rigid_body.fused_in_base_frame(model, [frame], [3])
-
-
 @pytest.mark.parametrize("reference", REFERENCES)
 def test_frame_functions_equal_numeric_pinocchio(case, reference):
     model, frame = case

@@ -38,8 +38,8 @@ COSTS = (TorqueCost, AccelerationCost, VelocityCost, PostureCost, WrenchCost)
 LIMITS = (EffortLimits(), PositionLimits(), VelocityLimits(), FrictionCone(friction=0.7))
 TERMS = (*(cost(weight=0.3 + i) for i, cost in enumerate(COSTS)), *LIMITS)
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
-# SX instructions of the second derivatives of solo12 on four feet; 84k at the time of writing.
-STANCE_INSTRUCTIONS = 95_000
+# SX instructions of the second derivatives of solo12 on four feet; 72k at the time of writing.
+STANCE_INSTRUCTIONS = 80_000
 
 
 class PlainContext(Context):

@@ -17,7 +17,7 @@ from functools import lru_cache
 from typing import Literal, get_args
 
 import pinocchio as pin
-from casadi import DM, SX, Function, cse, vertcat
+from casadi import Function
 
 from trajopt import _pinocchio, configuration_space
 from trajopt.errors import InputError
@@ -47,31 +47,6 @@ def fused(model: pin.Model, frames: Sequence[str], wrench_kinds: Sequence[int]) 
         )
     pairs = zip(frames, wrench_kinds, strict=True)
     return _fused(model_content(model), tuple(frame_content(model, name, size) for name, size in pairs))
-
-
-def fused_in_base_frame(model: pin.Model, frames: Sequence[str], wrench_kinds: Sequence[int]) -> Function:
-    """`fused` for a free-flying robot with the base's pose taken out, which halves its derivatives.
-
-    ``(q, v, a, omega, domega, s, w) -> (tau, rotation, position, velocity, acceleration)``, all of it in
-    the base's axes. With R, p the base's placement in the world and g the gravity:
-
-    - ``q, v, a``: joints only (nq - 7, nv - 6, nv - 6);
-    - ``omega, domega`` (3 each; rad/s, rad/s^2): angular velocity and its rate;
-    - ``s`` (3, m/s^2): ``R^T (p'' - g)``; ``w``: as `fused` but in the base's axes, so ``R^T`` times it;
-    - ``tau`` (nv): as `fused`;
-    - for each frame, ``rotation`` and ``position`` relative to the base, and ``velocity`` and
-      ``acceleration`` without those of the base's origin. In the world they are ``R rotation``,
-      ``p + R position``, ``p' + R velocity``, ``p'' + R acceleration`` (angular: ``R`` times them).
-
-    Dynamics do not depend on position, heading or uniform motion, and feel acceleration and gravity
-    only through s. Raises `InputError` unless the first joint alone is a free-flyer on the world.
-    """
-    kinds = _kinds(model)
-    if kinds[:1] != ("FreeFlyer",) or 0 in model.parents[2:] or not model.jointPlacements[1].isIdentity():
-        raise InputError(f"the model '{model.name}' has no free-flyer at its root", "a free-flying robot")
-    floating = model.copy()
-    floating.gravity = pin.Motion.Zero()
-    return _without_base_pose(fused(floating, frames, wrench_kinds))
 
 
 def rnea(model: pin.Model) -> Function:
@@ -152,21 +127,6 @@ def difference(model: pin.Model) -> Function:
     Smooth at q0 = q1 in value and derivatives; rotations by the shorter way, so undefined at pi rad.
     """
     return configuration_space.difference(_kinds(model))
-
-
-@lru_cache(maxsize=_CACHED_FUNCTIONS)
-def _without_base_pose(fused: Function) -> Function:
-    nq, nv, size_w = (fused.size1_in(name) for name in ("q", "v", "w"))
-    q, v, a = SX.sym("q", nq - 7), SX.sym("v", nv - 6), SX.sym("a", nv - 6)
-    omega, domega, s, w = SX.sym("omega", 3), SX.sym("domega", 3), SX.sym("s", 3), SX.sym("w", size_w)
-    identity, rest = DM([0, 0, 0, 0, 0, 0, 1]), DM.zeros(3)
-    at = vertcat(identity, q), vertcat(rest, omega, v)
-    tau = fused(*at, vertcat(s, domega, a), w)[0]
-    motion = fused(*at, vertcat(rest, domega, a), w)[1:]
-    inputs = {"q": q, "v": v, "a": a, "omega": omega, "domega": domega, "s": s, "w": w}
-    return Function(
-        "fused_in_base_frame", list(inputs.values()), cse([tau, *motion]), list(inputs), fused.name_out()
-    )
 
 
 def _kinds(model: pin.Model) -> tuple[str, ...]:

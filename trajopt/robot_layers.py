@@ -1,19 +1,20 @@
 """The robot's functions at one point as a chain of layers, from local coordinates to forces.
 
 For a free-flyer the inverse dynamics and the contacts' accelerations need no orientation once all is
-in base axes: gravity enters as an acceleration of the base, and wrenches are turned into base axes.
-So three layers replace one graph over (q, v, a, w), and the rigid-body algorithm is
-differentiated over 7 inputs less:
+in base axes, and the base's own velocity not at all: bodies feel no uniform motion. Gravity enters as
+an acceleration of the base, s = R^T (p'' - g), and wrenches are turned into base axes. So three layers
+replace one graph over (q, v, a, w), and the rigid-body algorithm is differentiated over 10 inputs less:
 
-    z -> (quaternion, omega, omega', p', p'', joints, w)           exponential coordinates
-      -> (v_b, a_b + g - R^T g, joints, R^T w)                     base axes
-      -> (tau, contact accelerations)                              Pinocchio, base at the identity
+    z -> (quaternion, omega, omega', p'', joints, w)             exponential coordinates
+      -> (omega, s, omega', joints, R^T w, R^T g)                base axes
+      -> (tau, contact accelerations)                            Pinocchio, base at the identity
 """
 
 from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+import pinocchio as pin
 
 from trajopt import rigid_body
 from trajopt.context import Context
@@ -65,11 +66,12 @@ def _frames(context: Context) -> tuple[list[str], list[int]]:
 
 
 def _base_axes_layers(context: Context, used: list[int]) -> Layers:
+    """The base's own velocity p' enters nowhere: dynamics feel no uniform motion."""
     joints = ca.vertcat(context.q[7:], context.v[6:], context.a[6:])
     wrench = ca.vertcat(*context.wrenches.values())
     quaternion = quaternion_product(context.rotations[:4], exp_quaternion(context.xi[3:6]))
     omega, domega = body_rates(context.xi[3:6], context.dxi[3:6], context.ddxi[3:6])
-    rates = ca.vertcat(quaternion, omega, domega, context.dxi[:3], context.ddxi[:3], joints, wrench)
+    rates = ca.vertcat(quaternion, omega, domega, context.ddxi[:3], joints, wrench)
     return (
         ca.Function("body_rates", [context.z], [rates]),
         _to_base_axes(context, joints.numel(), wrench.numel()),
@@ -78,33 +80,36 @@ def _base_axes_layers(context: Context, used: list[int]) -> Layers:
 
 
 def _to_base_axes(context: Context, n_joints: int, n_wrench: int) -> ca.Function:
-    """(quaternion, omega, omega', p', p'', joints, w) -> (v, omega, a, omega', joints, w, g - R^T g), base axes.
+    """(quaternion, omega, omega', p'', joints, w) -> (omega, s, omega', joints, w, R^T g), base axes.
 
-    Pinocchio at the identity pose adds -g; the acceleration a is such that the sum is R^T (p'' - g)
-    less the transport term. The last three entries are what a contact's acceleration gains by it.
+    s = R^T (p'' - g) is the acceleration that the base feels.
     """
-    gravity = ca.DM(context.robot.model.gravity.linear)
-    cuts = np.cumsum([0, 4, 3, 3, 3, 3, n_joints, n_wrench]).tolist()
+    cuts = np.cumsum([0, 4, 3, 3, 3, n_joints, n_wrench]).tolist()
     s = ca.SX.sym("s", cuts[-1])
-    quaternion, omega, domega, velocity, acceleration, joints, wrench = ca.vertsplit(s, cuts)
+    quaternion, omega, domega, acceleration, joints, wrench = ca.vertsplit(s, cuts)
     to_base = rotation_matrix(quaternion).T
-    linear, gain = ca.mtimes(to_base, velocity), gravity - ca.mtimes(to_base, gravity)
-    felt = ca.mtimes(to_base, acceleration) - ca.cross(omega, linear) + gain
+    gravity = ca.mtimes(to_base, ca.DM(context.robot.model.gravity.linear))
+    felt = ca.mtimes(to_base, acceleration) - gravity
     turned = ca.vec(ca.mtimes(to_base, ca.reshape(wrench, 3, -1))) if n_wrench else wrench
-    return ca.Function("base_axes", [s], [ca.vertcat(linear, omega, felt, domega, joints, turned, gain)])
+    return ca.Function("base_axes", [s], [ca.vertcat(omega, felt, domega, joints, turned, gravity)])
 
 
 def _at_identity(context: Context, n_joints: int, n_wrench: int, used: list[int]) -> ca.Function:
-    """(v, omega, a, omega', joints, w, gain) -> (tau, contact accelerations), base axes."""
+    """(omega, s, omega', joints, w, R^T g) -> (tau, contact accelerations), base axes.
+
+    Pinocchio sees no gravity here: s holds it, and a contact's acceleration gets it back.
+    """
     n_v = context.coordinates.nv - 6
-    cuts = np.cumsum([0, 6, 6, n_joints - 2 * n_v, n_v, n_v, n_wrench, 3]).tolist()
+    cuts = np.cumsum([0, 3, 6, n_joints - 2 * n_v, n_v, n_v, n_wrench, 3]).tolist()
     s = ca.SX.sym("s", cuts[-1])
-    twist, rate, qj, vj, aj, wrench, gain = ca.vertsplit(s, cuts)
-    q, v, a = ca.vertcat(0, 0, 0, 0, 0, 0, 1, qj), ca.vertcat(twist, vj), ca.vertcat(rate, aj)
+    omega, rate, qj, vj, aj, wrench, gravity = ca.vertsplit(s, cuts)
+    q, v, a = ca.vertcat(0, 0, 0, 0, 0, 0, 1, qj), ca.vertcat(0, 0, 0, omega, vj), ca.vertcat(rate, aj)
     frames, dimensions = _frames(context)
-    tau, *_, acceleration = rigid_body.fused(context.robot.model, frames, dimensions)(q, v, a, wrench)
+    floating = context.robot.model.copy()
+    floating.gravity = pin.Motion.Zero()
+    tau, *_, acceleration = rigid_body.fused(floating, frames, dimensions)(q, v, a, wrench)
     parts = [tau] if context.uses_dynamics else []
     for contact in context.used_accelerations:
-        linear_gain = ca.vertcat(gain, ca.SX.zeros(contact.dimension - 3))
-        parts.append(acceleration[: contact.dimension, frames.index(contact.frame)] - linear_gain)
+        own_gravity = ca.vertcat(gravity, ca.SX.zeros(contact.dimension - 3))
+        parts.append(acceleration[: contact.dimension, frames.index(contact.frame)] + own_gravity)
     return ca.Function("fused", [s], [ca.vertcat(*parts)[used]])
