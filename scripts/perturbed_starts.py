@@ -38,9 +38,8 @@ def main(
         start = perturbed(prepared.transcription, prepared.guess, seed, sigma)
         results.append(run(prepared.nlp, start, solver, Stop(), {}, lambda _: True))
     solved = [result for result in results if result.status is Status.SOLVED]
-    click.echo(
-        f"{problem} {solver} {prepared.transcription.layout.scheme.name} sigma {sigma}: {len(solved)} of {seeds}"
-    )
+    scheme = prepared.transcription.layout.scheme.name
+    click.echo(f"{problem} {solver} {scheme} sigma {sigma}: {len(solved)} of {seeds}")
     if solved:
         iterations = [result.iterations for result in solved]
         click.echo(f"iterations: median {statistics.median(iterations):g}, most {max(iterations)}")

@@ -1,7 +1,7 @@
 """Derivatives of point functions, compiled to C once and kept in a disk cache.
 
 Three levels trade compile time for evaluation time: ``none`` (CasADi's virtual machine, no
-compiler), ``quick`` and ``fast`` (the C compiler's -O1, and -O2 with -ffast-math). An entry is named
+compiler), ``quick`` and ``fast`` (the C compiler's -O1, and -O3 with -ffast-math). An entry is named
 by a hash of the point function's graph, the versions of what made it, the level and the compiler, so
 that nothing stale is ever read; entries are written to a temporary folder and renamed, so that
 processes may share the cache. An entry whose files are not those that were written (a full disk, a
@@ -40,7 +40,7 @@ _SKIPPED_PASSES = ("-fno-tree-dominator-opts", "-fno-tree-ter")
 FLAGS = {
     "none": None,
     "quick": ("-O1", "-march=native", *_SKIPPED_PASSES),
-    "fast": ("-O2", "-march=native", "-ffast-math", *_SKIPPED_PASSES),
+    "fast": ("-O3", "-march=native", "-ffast-math"),
 }
 LEVELS = tuple(FLAGS)
 DEFAULT_LEVEL = "quick"
@@ -167,7 +167,8 @@ class _Job:
                 f"set {CACHE_VARIABLE} to a folder that can be written",
             ) from None
         self.final = folder / key
-        self.entry: dict[str, object] = {"point": point.name, "level": level, "c_bytes": 0}
+        self.entry: dict[str, object] = {"point": point.name, "level": level}
+        self.c_bytes = 0
         self.processes: list[subprocess.Popen[bytes]] = []
         made = derivatives(point)
         for name in reversed(FUNCTION_NAMES):
@@ -182,7 +183,7 @@ class _Job:
         generator.add(function)
         generator.generate(f"{self.temporary}{os.sep}")
         source = self.temporary / f"{name}.c"
-        self.entry["c_bytes"] = int(self.entry["c_bytes"]) + source.stat().st_size  # type: ignore[call-overload]
+        self.c_bytes += source.stat().st_size
         found = compiler()
         assert found is not None
         command = [
@@ -211,6 +212,7 @@ class _Job:
                 )
         for source in self.temporary.glob("*.c"):
             source.unlink()
+        self.entry["c_bytes"] = self.c_bytes
         self.entry["files"] = {file.name: _digest(file) for file in self.temporary.iterdir()}
         (self.temporary / ENTRY).write_text(json.dumps(self.entry), encoding="utf-8")
         if self.final.exists() and not _intact(self.final):
