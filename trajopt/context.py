@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -20,7 +21,10 @@ from trajopt.robot import Contact, Robot
 
 @dataclass(frozen=True)
 class FrameSymbols:
-    """Symbols of one frame, world axes: placement (m), velocity and classical acceleration (6: linear, angular)."""
+    """Symbols of one frame, world axes: placement (m), velocity and classical acceleration.
+
+    The last two have 6 entries: linear, angular.
+    """
 
     rotation: ca.SX  # (3, 3)
     position: ca.SX  # (3,)
@@ -68,12 +72,30 @@ class Context:
             }
             self.z = ca.vertcat(self.rotations, self.xi, self.dxi, self.ddxi, *self.wrenches.values())
         self.is_node = node
-        self.q, self.v, self.a = coordinates.to_pinocchio(self.rotations, self.xi, self.dxi, self.ddxi)
         self._generalized_forces: ca.SX | None = None
         self._accelerations: dict[Contact, ca.SX] = {}
         self._frames: dict[str, FrameSymbols] = {}
         self._parameters: list[ca.SX] = []
         self._values: list[np.ndarray] = []
+
+    @cached_property
+    def _configuration(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        return self.coordinates.to_pinocchio(self.rotations, self.xi, self.dxi, self.ddxi)
+
+    @property
+    def q(self) -> ca.SX:
+        """Pinocchio's configuration (nq,); built on first use."""
+        return self._configuration[0]
+
+    @property
+    def v(self) -> ca.SX:
+        """Pinocchio's velocity (nv,)."""
+        return self._configuration[1]
+
+    @property
+    def a(self) -> ca.SX:
+        """Pinocchio's acceleration (nv,)."""
+        return self._configuration[2]
 
     @property
     def generalized_forces(self) -> ca.SX:

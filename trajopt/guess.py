@@ -56,7 +56,7 @@ def _state(transcription: Transcription, t: float, phase: int) -> tuple[np.ndarr
     middle = min(max(t, low + step), high - step)
     before, centre, after = (motion(middle + offset) for offset in (-step, 0.0, step))
     forward, backward = pin.difference(model, centre, after), pin.difference(model, before, centre)
-    return motion(t), (forward + backward) / (2 * step), (forward - backward) / step**2
+    return centre if middle == t else motion(t), (forward + backward) / (2 * step), (forward - backward) / step**2
 
 
 def _carrying_wrenches(layout: Layout, phase: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
