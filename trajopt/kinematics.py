@@ -10,6 +10,9 @@ import pinocchio as pin
 
 from trajopt.robot import Robot
 
+# A pose, or a position (3,) in m, for each frame by name.
+Targets = Mapping[str, pin.SE3 | np.ndarray]
+
 # Levenberg-Marquardt: the damping starts small against joint Jacobians of order one, shrinks on
 # success, grows on failure; an error below the tolerance is rounding to a guess.
 FIRST_DAMPING = 1e-6
@@ -26,9 +29,7 @@ class Posture:
     error: float
 
 
-def inverse_kinematics(
-    robot: Robot, q: np.ndarray, targets: Mapping[str, pin.SE3 | np.ndarray], *, move_base: bool = False
-) -> Posture:
+def inverse_kinematics(robot: Robot, q: np.ndarray, targets: Targets, *, move_base: bool = False) -> Posture:
     """Posture near ``q`` (nq,) that brings frames to their targets, within position limits.
 
     A target is a pose (SE3, 6 rows) or a position (3,) in the world, m. The base moves only with
@@ -53,7 +54,7 @@ def inverse_kinematics(
     return Posture(q, float(np.linalg.norm(error)))
 
 
-def _errors(model, data, q, targets):  # type: ignore[no-untyped-def]
+def _errors(model: pin.Model, data: pin.Data, q: np.ndarray, targets: Targets) -> np.ndarray:
     pin.framesForwardKinematics(model, data, q)
     parts = []
     for name, target in targets.items():
@@ -65,7 +66,7 @@ def _errors(model, data, q, targets):  # type: ignore[no-untyped-def]
     return np.concatenate(parts)
 
 
-def _jacobian(model, data, q, targets):  # type: ignore[no-untyped-def]
+def _jacobian(model: pin.Model, data: pin.Data, q: np.ndarray, targets: Targets) -> np.ndarray:
     pin.computeJointJacobians(model, data, q)
     pin.framesForwardKinematics(model, data, q)
     blocks = []

@@ -23,6 +23,7 @@ the world frame Pinocchio's body-frame twist and its rate are
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -176,16 +177,18 @@ class Coordinates:
         self, rotations: ca.SX, xi: ca.SX, dxi: ca.SX, ddxi: ca.SX
     ) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Pinocchio's (q, v, a) from the start rotations and the local coordinates and their derivatives."""
-        q, v, a = [], [], []
         quaternions = iter(ca.vertsplit(rotations, 4)) if self.n_rotations else iter(())
-        for joint in self.joints:
-            parts = self._joint_to_pinocchio(joint, quaternions, xi[joint.v], dxi[joint.v], ddxi[joint.v])
-            for total, part in zip((q, v, a), parts, strict=True):
-                total.append(part)
-        return ca.vertcat(*q), ca.vertcat(*v), ca.vertcat(*a)
+        parts = [
+            self._joint_to_pinocchio(joint, quaternions, xi[joint.v], dxi[joint.v], ddxi[joint.v])
+            for joint in self.joints
+        ]
+        q, v, a = (ca.vertcat(*[part[i] for part in parts]) for i in range(3))
+        return q, v, a
 
     @staticmethod
-    def _joint_to_pinocchio(joint: Joint, quaternions, x, dx, ddx):  # type: ignore[no-untyped-def]
+    def _joint_to_pinocchio(
+        joint: Joint, quaternions: Iterator[ca.SX], x: ca.SX, dx: ca.SX, ddx: ca.SX
+    ) -> tuple[ca.SX, ca.SX, ca.SX]:
         if joint.kind == "plain":
             return x, dx, ddx
         if joint.kind == "continuous":
@@ -242,9 +245,12 @@ class Coordinates:
         q, v = self._node_to_pinocchio(np.atleast_2d(x).T)
         return np.array(q).T, np.array(v).T
 
-    def local_to_pinocchio(self, rotations, xi, dxi, ddxi):  # type: ignore[no-untyped-def]
+    def local_to_pinocchio(
+        self, rotations: np.ndarray, xi: np.ndarray, dxi: np.ndarray, ddxi: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Numeric (q, v, a) of points: inputs (n, 4 n_rotations) and three times (n, nv)."""
-        return tuple(np.array(part).T for part in self._local_to_pinocchio(rotations.T, xi.T, dxi.T, ddxi.T))
+        q, v, a = self._local_to_pinocchio(rotations.T, xi.T, dxi.T, ddxi.T)
+        return np.array(q).T, np.array(v).T, np.array(a).T
 
     def node_from_pinocchio(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Numeric node state (n_node,) of one configuration q (nq,) and velocity v (nv,)."""

@@ -104,14 +104,14 @@ def assemble(transcription: Transcription, compiled: Mapping[int, CompiledPoint]
     )
 
 
-def _engine_group(  # type: ignore[no-untyped-def]
+def _engine_group(
     group: Group,
     point: CompiledPoint,
-    offset,
+    offset: np.ndarray,
     first: DerivativeMap,
-    jac_target,
+    jac_target: np.ndarray,
     second: DerivativeMap,
-    hess_target,
+    hess_target: np.ndarray,
 ) -> dict[str, object]:
     gather = group.gather
     return {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ from trajopt.errors import InputError
 from trajopt.manifold import Coordinates, rotation_matrix
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround, Phase
-from trajopt.terms import Rows, Term
+from trajopt.term_interfaces import Rows, Term
 from trajopt.units import Units
 
 # Singular values of a contact Jacobian below this fraction of the largest count as zero.
@@ -38,8 +38,8 @@ class NodePlace:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NodeConstraint(Term):
-    """A constraint at some nodes. ``key`` groups nodes that share one function."""
+class NodeConstraint(Term, ABC):
+    """A constraint at some nodes; nodes of one phase at which the same constraints act share a function."""
 
     def acts_at(self, place: NodePlace) -> bool:
         """Whether the constraint acts at this node; default: at the end of the schedule."""
@@ -206,9 +206,13 @@ class TerminalState(NodeConstraint):
     q: np.ndarray
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
-        basis = free_directions(context.robot, self.q, place.phase.contacts)
-        error = _difference(context, self.q) / units.position
-        return Rows.create(ca.mtimes(context.parameter(basis).T, error), 0, 0, 1.0)
+        return _free_rows(context, place, self.q, _difference(context, self.q) / units.position)
+
+
+def _free_rows(context: Context, place: NodePlace, q: np.ndarray, quantity: ca.SX) -> Rows:
+    """A dimensionless quantity (nv,) vanishes in the directions that active contacts leave free at q."""
+    basis = free_directions(context.robot, q, place.phase.contacts)
+    return Rows.create(ca.mtimes(context.parameter(basis).T, quantity), 0, 0, 1.0)
 
 
 def _difference(context: Context, q: np.ndarray) -> ca.SX:
@@ -238,5 +242,4 @@ class TerminalRest(NodeConstraint):
     q: np.ndarray
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
-        basis = free_directions(context.robot, self.q, place.phase.contacts)
-        return Rows.create(ca.mtimes(context.parameter(basis).T, context.dxi / units.velocity), 0, 0, 1.0)
+        return _free_rows(context, place, self.q, context.dxi / units.velocity)

@@ -12,7 +12,7 @@ from trajopt.errors import InputError
 from trajopt.node_terms import ContactLanding, NodeConstraint
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround, Schedule
-from trajopt.terms import Cost, PointConstraint, Term
+from trajopt.term_interfaces import Cost, PointConstraint, Term
 
 Motion = Callable[[float], np.ndarray]
 
@@ -23,8 +23,9 @@ class Problem:
 
     ``initial_q`` (nq,) and ``initial_v`` (nv,) are the fixed start. ``guess`` maps a time in s to a
     configuration (nq,): a motion made from the schedule, defined a little beyond its ends too;
-    rates follow by differences, and forces are distributed over the active contacts to carry it. ``default_intervals`` and ``default_transcription`` are used
-    when the caller names none. Raises InputError where parts do not fit each other.
+    rates follow by differences, and forces are distributed over the active contacts to carry it.
+    ``default_intervals`` and ``default_transcription`` are used when the caller names none. Raises
+    InputError where parts do not fit each other.
     """
 
     name: str
@@ -57,9 +58,9 @@ class Problem:
             for contact in phase.contacts:
                 self.robot.contact(contact)
         for term in self.terms:
-            for phase in term.phases or ():
-                if phase not in names:
-                    raise InputError(f"{term.name} acts in phase '{phase}'", f"allowed: {', '.join(names)}")
+            for name in term.phases or ():
+                if name not in names:
+                    raise InputError(f"{term.name} acts in phase '{name}'", f"allowed: {', '.join(names)}")
 
     @property
     def costs(self) -> tuple[Cost, ...]:

@@ -12,7 +12,7 @@ manifold, q = q_k (+) delta, with the eighth-order method of Dormand and Prince.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -171,7 +171,7 @@ def integrate_interval(
     return None if final is None else (pin.integrate(model, q, final[:nv]), final[nv:])
 
 
-def _run(rate, state: np.ndarray) -> np.ndarray | None:  # type: ignore[no-untyped-def]
+def _run(rate: Callable[[float, np.ndarray], np.ndarray], state: np.ndarray) -> np.ndarray | None:
     """Integrate from 0 to 1, or return None if that takes too many steps or is not finite."""
     from scipy.integrate import DOP853  # takes longer to load than all the rest
 

@@ -129,9 +129,15 @@ def _check_settings(
 
 def _not_finite(prepared: Prepared, x: np.ndarray) -> Result:
     return Result(
-        x=x, lam_g=np.zeros(prepared.transcription.n_rows), status=Status.NOT_FINITE, solver_status="not started",
-        iterations=0, objective=math.nan, wall_time=0.0, function_time=0.0,
-    )  # fmt: skip
+        x=x,
+        lam_g=np.zeros(prepared.transcription.n_rows),
+        status=Status.NOT_FINITE,
+        solver_status="not started",
+        iterations=0,
+        objective=math.nan,
+        wall_time=0.0,
+        function_time=0.0,
+    )
 
 
 def _solution(

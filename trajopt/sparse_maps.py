@@ -34,7 +34,9 @@ def _expand(matrix: sparse.csr_matrix, rows: np.ndarray) -> tuple[np.ndarray, np
     return which, matrix.indices[entry], matrix.data[entry]
 
 
-def _collect(row, column, source, coefficient, width: int) -> DerivativeMap:  # type: ignore[no-untyped-def]
+def _collect(
+    row: np.ndarray, column: np.ndarray, source: np.ndarray, coefficient: np.ndarray, width: int
+) -> DerivativeMap:
     key = row.astype(np.int64) * width + column
     targets, target = np.unique(key, return_inverse=True)
     n_sources = int(source.max()) + 1 if len(source) else 0

@@ -10,8 +10,8 @@ class Status(Enum):
 
     SOLVED = "solved to tolerance"
     INFEASIBLE = (
-        "no feasible point was found near the last iterate: look at the worst blocks; relax the goal, lengthen "
-        "a phase or raise a limit"
+        "no feasible point was found near the last iterate: look at the worst blocks; relax the goal, "
+        "lengthen a phase or raise a limit"
     )
     ITERATION_LIMIT = "the iteration limit was reached: raise --max-iterations, or start from a better guess"
     TIME_LIMIT = "the time limit was reached: raise --max-time, or use fewer intervals"

@@ -1,0 +1,182 @@
+"""Constraints at collocation points: limits, contact forces, and the dynamics themselves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from trajopt.context import Context
+from trajopt.manifold import Coordinates
+from trajopt.robot import Contact, Robot
+from trajopt.term_interfaces import PointConstraint, Rows
+from trajopt.units import Units
+
+
+@dataclass(frozen=True, kw_only=True)
+class EffortLimits(PointConstraint):
+    """Joint torques within ``limit`` (nu,) N m, joint side; default: the robot's limits."""
+
+    limit: np.ndarray | None = None
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        limit = context.robot.effort_limit if self.limit is None else np.asarray(self.limit)
+        if limit is None:
+            return None
+        bound = np.flatnonzero(limit < units.unreachable_torque)
+        if len(bound) == 0:
+            return None
+        torque = ca.vertcat(*[context.torque[int(i)] for i in bound])
+        return Rows.create(torque, -limit[bound], limit[bound], units.torque)
+
+    def limits(self, robot: Robot) -> dict[str, np.ndarray]:
+        return {} if self.limit is None else {"effort_limit": np.asarray(self.limit, dtype=float)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class VelocityLimits(PointConstraint):
+    """Joint rates within the robot's limits, at points and nodes."""
+
+    def _limits(self, robot: Robot) -> np.ndarray:
+        limit = np.where(
+            robot.velocity_limit < Units(robot).unreachable_velocity, robot.velocity_limit, np.inf
+        )
+        limit[: robot.n_unactuated] = np.inf
+        return limit
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        limit = self._limits(context.robot)
+        bound = np.flatnonzero(np.isfinite(limit))
+        if len(bound) == 0:
+            return None
+        rates = ca.vertcat(*[context.dxi[int(i)] for i in bound])
+        return Rows.create(rates, -limit[bound], limit[bound], units.velocity[bound])
+
+    def node_bounds(self, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        limit, free = self._limits(robot), np.full(robot.nv, np.inf)
+        return -free, free, -limit, limit
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionLimits(PointConstraint):
+    """Joint positions within the robot's limits, at points and nodes.
+
+    A limit more than a full turn (2 pi) away from the reference posture is not imposed: no useful
+    motion winds a joint that far, and ``check`` still verifies it.
+    """
+
+    def _limits(self, robot: Robot, context: Context) -> tuple[np.ndarray, np.ndarray]:
+        lower, upper = np.full(robot.nv, -np.inf), np.full(robot.nv, np.inf)
+        for joint in context.coordinates.joints:
+            if joint.kind != "plain" or joint.v.start < robot.n_unactuated:
+                continue
+            near_lower = robot.position_lower[joint.q] > robot.reference[joint.q] - 2 * math.pi
+            near_upper = robot.position_upper[joint.q] < robot.reference[joint.q] + 2 * math.pi
+            lower[joint.v] = np.where(near_lower, robot.position_lower[joint.q], -np.inf)
+            upper[joint.v] = np.where(near_upper, robot.position_upper[joint.q], np.inf)
+        return lower, upper
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        lower, upper = self._limits(context.robot, context)
+        bound = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
+        if len(bound) == 0:
+            return None
+        positions = ca.vertcat(*[context.xi[int(i)] for i in bound])
+        return Rows.create(positions, lower[bound], upper[bound], units.position[bound])
+
+    def node_bounds(self, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        lower, upper = self._limits(robot, Context(robot, Coordinates(robot.model), (), node=True))
+        free = np.full(robot.nv, np.inf)
+        return lower, upper, -free, free
+
+
+def contact_force(context: Context, contact: Contact) -> ca.SX:
+    """Force (3,) of an active contact, world axes, N."""
+    return context.wrenches[contact.name][:3]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrictionPyramid(PointConstraint):
+    """Unilateral force inside a pyramid inscribed in the Coulomb cone: |f_x|, |f_y| <= mu f_z / sqrt 2."""
+
+    friction: float
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        mu = context.parameter(self.friction / math.sqrt(2))
+        parts = []
+        for contact in context.contacts:
+            f = contact_force(context, contact)
+            parts += [f[2], mu * f[2] - f[0], mu * f[2] + f[0], mu * f[2] - f[1], mu * f[2] + f[1]]
+        return Rows.create(ca.vertcat(*parts), 0, np.inf, units.force) if parts else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrictionCone(PointConstraint):
+    """Unilateral force inside the smooth exact Coulomb cone: f_x^2 + f_y^2 <= (mu f_z)^2, f_z >= 0.
+
+    The squared form has no kink at the apex; the row is divided by the weight squared.
+    """
+
+    friction: float
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        mu = context.parameter(self.friction)
+        parts = []
+        for contact in context.contacts:
+            f = contact_force(context, contact) / units.force
+            parts += [f[2], (mu * f[2]) ** 2 - f[0] ** 2 - f[1] ** 2]
+        return Rows.create(ca.vertcat(*parts), 0, np.inf, 1.0) if parts else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SoleLimits(PointConstraint):
+    """Centre of pressure of surface contacts inside the sole, and yaw moment within friction.
+
+    |m_x| <= half_width f_z, |m_y| <= half_length f_z in the sole's axes, and the yaw moment within
+    mu f_z times the mean half size (Caron, Pham, Nakamura, ICRA 2015, give the exact cone).
+    """
+
+    friction: float
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        mu = context.parameter(self.friction)
+        parts = []
+        for contact in context.contacts:
+            if contact.dimension == 6:
+                rotation = context.frame(contact.frame).rotation
+                force, moment = contact_force(context, contact), context.wrenches[contact.name][3:]
+                local, fz = ca.mtimes(rotation.T, moment), force[2]
+                arm = (
+                    contact.half_width,
+                    contact.half_length,
+                    mu * (contact.half_width + contact.half_length) / 2,
+                )
+                for i in range(3):
+                    parts += [arm[i] * fz - local[i], arm[i] * fz + local[i]]
+        return Rows.create(ca.vertcat(*parts), 0, np.inf, units.torque) if parts else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseDynamics(PointConstraint):
+    """Unactuated rows of the dynamics vanish: nobody pushes the base (Newton-Euler of the whole body)."""
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        n = context.robot.n_unactuated
+        if n == 0:
+            return None
+        unit = np.where(units.position[:n] == 1.0, units.torque, units.force)
+        return Rows.create(context.base_rows, 0, 0, unit)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactAcceleration(PointConstraint):
+    """Active contacts do not accelerate: J a + Jdot v = 0, linear (and for a sole angular), world axes."""
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        parts, scales = [], []
+        for contact in context.contacts:
+            parts.append(context.contact_acceleration(contact))
+            scales += ([units.gravity] * 3 + [units.gravity / units.length] * 3)[: contact.dimension]
+        return Rows.create(ca.vertcat(*parts), 0, 0, np.array(scales)) if parts else None

@@ -1,0 +1,97 @@
+"""Costs and constraints: a name, a small function, bounds, a scale, and where it acts.
+
+Costs are dimensionless: each is the mean square of a quantity over its natural unit (weight m g,
+length l of the robot, and what follows from them), so that a weight means the same on any robot;
+the running cost is their integral over time in units of sqrt(l/g).
+
+A term acts in the phases it names (``phases=None``: in all). Constraint rows are divided by their
+natural unit before the solver sees them.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from trajopt.context import Context
+from trajopt.errors import InputError
+from trajopt.robot import Robot
+from trajopt.units import Units
+
+
+@dataclass(frozen=True, kw_only=True)
+class Term:
+    """What costs and constraints share: the phases in which they act."""
+
+    phases: tuple[str, ...] | None = None
+
+    @property
+    def name(self) -> str:
+        """Name in reports, for example ``torque_cost``."""
+        letters = type(self).__name__
+        return "".join(f"_{c.lower()}" if c.isupper() and i else c.lower() for i, c in enumerate(letters))
+
+    def acts_in(self, phase: str) -> bool:
+        """Whether the term acts in the phase of that name."""
+        return self.phases is None or phase in self.phases
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cost(Term, ABC):
+    """A running cost at collocation points; ``weight`` is dimensionless, finite and >= 0."""
+
+    weight: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.weight) and self.weight >= 0):
+            raise InputError(f"weight of {self.name} is {self.weight:g}", "allowed: finite and >= 0")
+
+    @abstractmethod
+    def residual(self, context: Context, units: Units) -> ca.SX:
+        """Quantity over its unit, (n,); the cost is the weighted mean of its squares."""
+
+    def value(self, context: Context, units: Units) -> ca.SX:
+        """Cost rate at one point."""
+        residual = self.residual(context, units)
+        if residual.numel() == 0:
+            return ca.SX(0)
+        return context.parameter(self.weight) * ca.sumsqr(residual) / residual.numel()
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of a constraint at one place: expression (n,), bounds and unit of each row."""
+
+    expression: ca.SX
+    lower: np.ndarray
+    upper: np.ndarray
+    unit: np.ndarray
+
+    @classmethod
+    def create(cls, expression: ca.SX, lower: object, upper: object, unit: object) -> Rows:
+        """Rows with scalars broadcast to the expression's length."""
+        n = expression.numel()
+        return cls(
+            expression, *(np.broadcast_to(np.asarray(b, dtype=float), n).copy() for b in (lower, upper, unit))
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointConstraint(Term, ABC):
+    """A constraint at every collocation point of its phases."""
+
+    @abstractmethod
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        """Rows at one point, or None where there is nothing to constrain."""
+
+    def node_bounds(self, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
+        """Simple bounds at nodes on the local positions and rates: four arrays (nv,), or None."""
+        return None
+
+    def limits(self, robot: Robot) -> dict[str, np.ndarray]:
+        """Limits that the term replaces in the solution's description, by name; default: none."""
+        return {}
