@@ -320,7 +320,9 @@ def test_live_server_shows_the_scene_until_interrupted(jump, capsys):
 
 
 def test_serving_a_page_returns_at_once(jump, tmp_path):
-    serve(replay(jump, html=tmp_path / "page.html"))
+    shown = replay(jump, html=tmp_path / "page.html")
+    serve(shown)
+    assert shown.window is None
 
 
 def test_meta_of_the_solution_is_enough_to_find_the_meshes(jump):

@@ -48,6 +48,13 @@ class PlainContext(Context):
     has_free_flyer = False
 
 
+def turned_hopper() -> Robot:
+    """The hopper with its root joint's axes turned against the world's."""
+    model = hopper().model.copy()
+    model.jointPlacements[1] = pin.SE3(pin.rpy.rpyToMatrix(0.4, -0.3, 0.2), np.array([0.1, 0.0, 0.2]))
+    return Robot.from_model(model, contacts=hopper().contacts, name="turned")
+
+
 @lru_cache
 def case(name: str) -> tuple[Robot, tuple[str, ...]]:
     return {
@@ -57,6 +64,7 @@ def case(name: str) -> tuple[Robot, tuple[str, ...]]:
         "planar-stance": lambda: (planar_hopper(), (FOOT,)),
         "sole": lambda: (hopper("surface"), (FOOT,)),
         "hopper": lambda: (hopper(), (FOOT,)),
+        "turned": lambda: (turned_hopper(), (FOOT,)),
         "arm": lambda: (one_joint_arm(gravity=True), ()),
     }[name]()
 
@@ -155,7 +163,7 @@ def jacobian(robot: Robot, name: str, q: np.ndarray) -> np.ndarray:
     return pin.computeFrameJacobian(robot.model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[: contact.dimension]
 
 
-@pytest.mark.parametrize("name", ["solo12-stance", "solo12-flight", "planar-stance", "sole"])
+@pytest.mark.parametrize("name", ["solo12-stance", "solo12-flight", "planar-stance", "sole", "turned"])
 def test_base_rows_equal_numeric_dynamics_under_the_contact_wrenches(name):
     robot, contacts = case(name)
     point, p = point_of(robot, contacts, ())
@@ -170,7 +178,7 @@ def test_base_rows_equal_numeric_dynamics_under_the_contact_wrenches(name):
         assert_allclose(np.array(value(at, p)[1]).ravel()[:n], expected[:n], **SAME)
 
 
-@pytest.mark.parametrize("name", ["solo12-stance", "planar-stance", "sole"])
+@pytest.mark.parametrize("name", ["solo12-stance", "planar-stance", "sole", "turned"])
 def test_contact_rows_are_as_large_as_the_numeric_classical_acceleration(name):
     robot, contacts = case(name)
     point, p = point_of(robot, contacts, ())

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import casadi as ca
 
-from trajopt.manifold import quaternion_product, rotation_matrix
+from trajopt.manifold import CONTINUOUS_JOINTS, quaternion_product, rotation_matrix
 
 # Below this square of the argument the series are used: seven terms are exact to rounding there, and
 # above it the closed forms lose at most four digits of sixteen to cancellation.
@@ -23,8 +23,6 @@ _SINC = (1, -1 / 6, 1 / 120, -1 / 5040, 1 / 362880, -1 / 39916800)
 _ONE_MINUS_SINC = (1 / 6, -1 / 120, 1 / 5040, -1 / 362880, 1 / 39916800)
 _ATAN = (1, -1 / 3, 1 / 5, -1 / 7, 1 / 9, -1 / 11, 1 / 13, -1 / 15)
 _INVERSE_JACOBIAN = (1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000)
-
-CONTINUOUS = ("RUBX", "RUBY", "RUBZ", "RevoluteUnboundedUnaligned")
 
 
 def _smooth(square: ca.SX, series: Sequence[float], closed: Callable[[ca.SX], ca.SX]) -> ca.SX:
@@ -46,7 +44,10 @@ def sinc(square: ca.SX) -> ca.SX:
 
 
 def exp_quaternion(theta: ca.SX) -> ca.SX:
-    """Unit quaternion (x, y, z, w) of a rotation vector (3,) in rad."""
+    """Unit quaternion (x, y, z, w) of a rotation vector (3,) of any length, in rad.
+
+    ``manifold.exp_quaternion`` is a branchless series instead, smaller, and exact only to a turn or so.
+    """
     quarter = ca.sumsqr(theta) / 4
     half_sinc = sinc(quarter)
     cosine = 1 - quarter * sinc(quarter / 4) ** 2 / 2  # of half the angle
@@ -126,7 +127,7 @@ def _integrate_joint(kind: str, q: ca.SX, v: ca.SX) -> ca.SX:
     if kind == "Planar":
         step = ca.mtimes(_plane_matrix(q[2:]), ca.mtimes(_plane_jacobian(v[2]), v[:2]))
         return ca.vertcat(q[:2] + step, _rotate(q[2:], ca.vertcat(ca.cos(v[2]), ca.sin(v[2]))))
-    if kind in CONTINUOUS:
+    if kind in CONTINUOUS_JOINTS:
         return _rotate(q, ca.vertcat(ca.cos(v), ca.sin(v)))
     return q + v
 
@@ -142,7 +143,7 @@ def _difference_joint(kind: str, q0: ca.SX, q1: ca.SX) -> ca.SX:
         angle = _plane_angle(q0[2:], q1[2:])
         step = ca.mtimes(_plane_matrix(q0[2:]).T, q1[:2] - q0[:2])
         return ca.vertcat(ca.mtimes(_inverse_plane_jacobian(angle), step), angle)
-    if kind in CONTINUOUS:
+    if kind in CONTINUOUS_JOINTS:
         return _plane_angle(q0, q1)
     return q1 - q0
 
@@ -156,7 +157,7 @@ def _sizes(kind: str) -> tuple[int, int]:
     special = {"FreeFlyer": (7, 6), "Spherical": (4, 3), "Planar": (4, 3)}
     if kind in special:
         return special[kind]
-    if kind in CONTINUOUS:
+    if kind in CONTINUOUS_JOINTS:
         return 2, 1
     return (3, 3) if kind in ("SphericalZYX", "Translation") else (1, 1)
 

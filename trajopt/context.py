@@ -178,7 +178,11 @@ class Context:
 
     @property
     def has_free_flyer(self) -> bool:
-        """Whether the root joint is a free-flyer, and the only joint of the world."""
+        """Whether the root joint is a free-flyer in world axes, and the only joint of the world."""
         model = self.robot.model
         roots = [i for i in range(1, model.njoints) if model.parents[i] == 0]
-        return roots == [1] and self.coordinates.joints[0].kind == "freeflyer"
+        return (
+            roots == [1]
+            and self.coordinates.joints[0].kind == "freeflyer"
+            and model.jointPlacements[1].isIdentity()
+        )

@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.layout import Layout
+from trajopt.model_quantities import contact_jacobian
 from trajopt.transcription import Transcription
 
 # Step of the differences that turn q(t) into v and a, s: errors far below a guess's own.
@@ -45,18 +46,19 @@ def _state(transcription: Transcription, t: float, phase: int) -> tuple[np.ndarr
 
     A motion may have kinks between phases (a foot that leaves, a push that ends).
     """
-    model, motion, layout = (
-        transcription.problem.robot.model,
-        transcription.problem.guess,
-        transcription.layout,
-    )
+    layout, motion = transcription.layout, transcription.problem.guess
+    model = layout.robot.model
     stages = layout.intervals_of(phase)
     low, high = layout.node_times[stages[0]], layout.node_times[stages[-1] + 1]
     step = min(DIFFERENCE_STEP, (high - low) / 4)
     middle = min(max(t, low + step), high - step)
     before, centre, after = (motion(middle + offset) for offset in (-step, 0.0, step))
     forward, backward = pin.difference(model, centre, after), pin.difference(model, before, centre)
-    return centre if middle == t else motion(t), (forward + backward) / (2 * step), (forward - backward) / step**2
+    return (
+        centre if middle == t else motion(t),
+        (forward + backward) / (2 * step),
+        (forward - backward) / step**2,
+    )
 
 
 def _carrying_wrenches(layout: Layout, phase: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -65,14 +67,10 @@ def _carrying_wrenches(layout: Layout, phase: int, q: np.ndarray, v: np.ndarray,
     n = robot.n_unactuated
     if n == 0 or not contacts:
         return np.zeros(layout.n_wrench(phase))
-    data = robot.model.createData()
-    needed = pin.rnea(robot.model, data, q, v, a)[:n]
-    blocks = []
-    for contact in contacts:
-        frame = robot.model.getFrameId(contact.frame)
-        jacobian = pin.computeFrameJacobian(robot.model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
-        blocks.append(jacobian[: contact.dimension, :n])
-    return np.linalg.lstsq(np.vstack(blocks).T, needed, rcond=None)[0]
+    needed = pin.rnea(robot.model, robot.model.createData(), q, v, a)[:n]
+    places = [(contact.frame, contact.dimension) for contact in contacts]
+    jacobian = contact_jacobian(robot.model, q, places)[:, :n]
+    return np.linalg.lstsq(jacobian.T, needed, rcond=None)[0]
 
 
 def perturbed(transcription: Transcription, x: np.ndarray, seed: int, sigma: float) -> np.ndarray:

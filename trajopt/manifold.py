@@ -49,7 +49,7 @@ _PLAIN = (
     "Translation",
     "SphericalZYX",
 )
-_CONTINUOUS = ("RUBX", "RUBY", "RUBZ", "RevoluteUnboundedUnalignedTpl", "RevoluteUnboundedUnaligned")
+CONTINUOUS_JOINTS = ("RUBX", "RUBY", "RUBZ", "RevoluteUnboundedUnalignedTpl", "RevoluteUnboundedUnaligned")
 SUPPORTED_JOINTS = (
     "free-flyer, planar, spherical, revolute, continuous, prismatic, translation, spherical ZYX"
 )
@@ -64,7 +64,7 @@ def _series(t: ca.SX, first_factorial: int) -> ca.SX:
 
 
 def exp_quaternion(theta: ca.SX) -> ca.SX:
-    """Unit quaternion (x, y, z, w) of the rotation vector ``theta`` (3,) in rad."""
+    """Unit quaternion (x, y, z, w) of the rotation vector ``theta`` (3,) in rad, up to about a turn."""
     quarter = ca.sumsqr(theta) / 4
     return ca.vertcat(_series(quarter, 1) * theta / 2, _series(quarter, 0))
 
@@ -122,7 +122,7 @@ class Joint:
 
 def _joint_kind(name: str, shortname: str) -> str:
     kind = shortname.removeprefix("JointModel")
-    for label, kinds in (("plain", _PLAIN), ("continuous", _CONTINUOUS)):
+    for label, kinds in (("plain", _PLAIN), ("continuous", CONTINUOUS_JOINTS)):
         if kind in kinds:
             return label
     table = {"FreeFlyer": "freeflyer", "Planar": "planar", "Spherical": "spherical"}

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import pinocchio as pin
 
 from trajopt.context import Context
 from trajopt.errors import InputError
 from trajopt.manifold import Coordinates, rotation_matrix
+from trajopt.model_quantities import contact_jacobian
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround, Phase
 from trajopt.term_interfaces import Rows, Term
@@ -175,20 +175,15 @@ def free_directions(robot: Robot, q: np.ndarray, contacts: Sequence[str]) -> np.
     body angular velocity of a free-flyer). To ask "at rest" or "there" of these directions only is
     what keeps the rows independent of the contact rows.
     """
+    if not contacts:
+        return np.eye(robot.nv)
     coordinates = Coordinates(robot.model)
-    data = robot.model.createData()
     to_pinocchio = np.column_stack(
         [coordinates.node_to_pinocchio(_node_with_rate(coordinates, q, i))[1][0] for i in range(robot.nv)]
     )
-    blocks = []
-    for name in contacts:
-        contact = robot.contact(name)
-        frame = robot.model.getFrameId(contact.frame)
-        jacobian = pin.computeFrameJacobian(robot.model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
-        blocks.append(jacobian[: contact.dimension] @ to_pinocchio)
-    if not blocks:
-        return np.eye(robot.nv)
-    _, singular, vt = np.linalg.svd(np.vstack(blocks))
+    places = [(contact.frame, contact.dimension) for contact in map(robot.contact, contacts)]
+    jacobian = contact_jacobian(robot.model, q, places) @ to_pinocchio
+    _, singular, vt = np.linalg.svd(jacobian)
     rank = int(np.sum(singular > RANK_TOLERANCE * singular[0]))
     return vt[rank:].T
 

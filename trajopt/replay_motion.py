@@ -8,11 +8,11 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
+from trajopt.model_quantities import gravity_of, mass_of
 from trajopt.solution import Solution
 
 # Pictures a second of playback: what screens show.
 FRAME_RATE = 60.0
-STANDARD_GRAVITY = 9.81
 # A sole pressed with less than this part of the weight has no meaningful centre of pressure.
 LEAST_PRESSURE = 1e-3
 
@@ -109,6 +109,5 @@ def _pressure_offsets(
 
 
 def _weight(model: pin.Model) -> float:
-    gravity = float(np.linalg.norm(model.gravity.linear)) or STANDARD_GRAVITY
-    mass = float(sum(inertia.mass for inertia in list(model.inertias)[1:]))
-    return mass * gravity if mass > 0 else 1.0
+    mass = mass_of(model)
+    return mass * gravity_of(model) if mass > 0 else 1.0

@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 from trajopt import robot_building as building
 from trajopt.contact import Contact, require_frame
 from trajopt.errors import InputError
+from trajopt.model_quantities import gravity_of, mass_of
 from trajopt.robot_building import Base
 from trajopt.robot_data import VisualSource, package_directories
 
-STANDARD_GRAVITY = 9.81
 # A reference posture may touch its limit: rounding of degrees in description files, rad or m.
 LIMIT_SLACK = 1e-6
 # A unit quaternion or (cos, sin) pair of a reference is given with this many digits at least.
@@ -151,13 +151,12 @@ class Robot:
     @cached_property
     def mass(self) -> float:
         """Total mass of the moving bodies in kg."""
-        return float(sum(inertia.mass for inertia in list(self.model.inertias)[1:]))
+        return mass_of(self.model)
 
     @cached_property
     def weight(self) -> float:
         """Scale of forces in N: mass times gravity, or times 9.81 m/s^2 without gravity."""
-        gravity = float(np.linalg.norm(self.model.gravity.linear))
-        return self.mass * (gravity if gravity > 0 else STANDARD_GRAVITY)
+        return self.mass * gravity_of(self.model)
 
     @cached_property
     def length(self) -> float:

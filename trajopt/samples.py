@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import SolutionFileError
+from trajopt.model_quantities import generalized_force
 from trajopt.solution import Solution
 
 
@@ -40,15 +41,13 @@ def evaluate(solution: Solution) -> Samples:
     axes = pin.LOCAL_WORLD_ALIGNED
     for row in range(count):
         q, v, a = solution.q[row], solution.v[row], solution.a[row]
-        force[row] = pin.rnea(model, data, q, v, a)
+        force[row] = generalized_force(model, data, (q, v, a), frames, solution.f[row])
         pin.forwardKinematics(model, data, q, v, a)
-        pin.computeJointJacobians(model, data)
         for index, frame in enumerate(frames):
             placement = pin.updateFramePlacement(model, data, frame)
             position[row, index], rotation[row, index] = placement.translation, placement.rotation
             velocity[row, index] = pin.getFrameVelocity(model, data, frame, axes).vector
             acceleration[row, index] = pin.getFrameClassicalAcceleration(model, data, frame, axes).vector
-            force[row] -= pin.getFrameJacobian(model, data, frame, axes).T @ solution.f[row, index]
     return Samples(
         generalized_force=force,
         position=position,

@@ -6,9 +6,8 @@ import math
 
 import numpy as np
 
+from trajopt.model_quantities import gravity_of
 from trajopt.robot import Robot
-
-STANDARD_GRAVITY = 9.81
 
 # A limit this many natural units away cannot bind in a motion that the robot's own weight drives:
 # 30 sqrt(g / l) is a full turn of a leg in about a fifth of its swing time, 30 m g l thirty times the
@@ -25,8 +24,7 @@ class Units:
     """
 
     def __init__(self, robot: Robot) -> None:
-        gravity = float(np.linalg.norm(robot.model.gravity.linear)) or STANDARD_GRAVITY
-        length = robot.length
+        gravity, length = gravity_of(robot.model), robot.length
         linear = _is_linear(robot)
         self.length, self.gravity = length, gravity
         self.time = math.sqrt(length / gravity)

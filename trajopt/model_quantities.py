@@ -1,0 +1,53 @@
+"""Numeric quantities of a Pinocchio model that several parts ask for: weight and contact forces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+# Scale of accelerations where a model has no gravity, m/s^2.
+STANDARD_GRAVITY = 9.81
+
+
+def gravity_of(model: pin.Model) -> float:
+    """Norm of the model's gravity in m/s^2, or `STANDARD_GRAVITY` where there is none."""
+    return float(np.linalg.norm(model.gravity.linear)) or STANDARD_GRAVITY
+
+
+def mass_of(model: pin.Model) -> float:
+    """Total mass of the moving bodies in kg."""
+    return float(sum(inertia.mass for inertia in list(model.inertias)[1:]))
+
+
+def contact_jacobian(model: pin.Model, q: np.ndarray, contacts: Sequence[tuple[str, int]]) -> np.ndarray:
+    """Rows (n, nv) of the contacts' frame Jacobians at q (nq,), world-aligned axes.
+
+    ``contacts`` are frame names with their dimension, 3 (linear) or 6 (linear, angular).
+    """
+    data = model.createData()
+    blocks = [np.zeros((0, model.nv))]
+    for frame, dimension in contacts:
+        jacobian = pin.computeFrameJacobian(model, data, q, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED)
+        blocks.append(jacobian[:dimension])
+    return np.vstack(blocks)
+
+
+def generalized_force(
+    model: pin.Model,
+    data: pin.Data,
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+    frames: Sequence[int],
+    wrenches: np.ndarray,
+) -> np.ndarray:
+    """``RNEA(q, v, a) - sum J^T f`` (nv,) of a motion (q, v, a).
+
+    ``wrenches`` (n, 6) act on the robot at the origins of ``frames`` (ids) in world axes, N and N m.
+    """
+    force = pin.rnea(model, data, *motion)
+    pin.computeJointJacobians(model, data, motion[0])
+    pin.updateFramePlacements(model, data)
+    for frame, wrench in zip(frames, wrenches, strict=True):
+        force = force - pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED).T @ wrench
+    return force
