@@ -232,3 +232,34 @@ def cart_pole(n: int = 20, force_limit: float = 12.0) -> GroupedProblem:
         nx=np.full(n + 1, 4, dtype=np.int32), nu=np.array([1] * n + [0], dtype=np.int32),
         ng=np.ones(n + 1, dtype=np.int32),
     )  # fmt: skip
+
+
+def logarithm_well() -> GroupedProblem:
+    """Minimise (x - 3)^2 - log(1 - x), no number beyond x = 1, from where Newton's first step goes there."""
+    y, none = ca.SX.sym("y"), ca.SX.sym("p", 0)
+    well = Group(
+        cost=ca.Function("L", [y, none], [(y - 3) ** 2 - ca.log(1 - y)]),
+        rows=ca.Function("phi", [y, none], [ca.SX(0, 1)]),
+        gather=sparse.csr_matrix([[1.0]]),
+        offset=[1],
+        row=np.zeros((1, 0), dtype=int),
+        row_scale=np.zeros(0),
+        weight=np.ones(1),
+        p=np.zeros((1, 0)),
+    )
+    free = np.full(2, np.inf)
+    return GroupedProblem(
+        n_x=2, n_g=1, groups=[well], linear=sparse.csr_matrix([[-1.0, 1.0]]),
+        lbx=-free, ubx=free, lbg=np.zeros(1), ubg=np.zeros(1), x0=np.array([-5.0, -5.0]),
+        nx=np.ones(2, dtype=np.int32), nu=np.zeros(2, dtype=np.int32), ng=np.zeros(2, dtype=np.int32),
+    )  # fmt: skip
+
+
+def dense(shape, place, values):
+    matrix = np.zeros(shape)
+    np.add.at(matrix, place, values)
+    return matrix
+
+
+def dense_jacobian(nlp, problem, x):
+    return dense((problem.n_g, problem.n_x), problem.patterns["jacobian"], nlp.jacobian(x))
