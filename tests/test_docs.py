@@ -1,0 +1,39 @@
+"""The Python of the documents runs, and what it solves is solved and passes the check."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+DOCUMENTS = ("README.md", "docs/robots.md")
+BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+
+
+def blocks(document: str) -> list[str]:
+    """The Python blocks of a document, in order."""
+    return BLOCK.findall((ROOT / document).read_text(encoding="utf-8"))
+
+
+ALL = [(document, index) for document in DOCUMENTS for index in range(len(blocks(document)))]
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_documents_have_python_blocks(document: str) -> None:
+    assert blocks(document)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("document", "index"), ALL)
+def test_python_block_runs(
+    document: str, index: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    namespace: dict[str, object] = {"__name__": "__main__"}
+    exec(compile(blocks(document)[index], f"{document}, block {index}", "exec"), namespace)
+    if "solution" in namespace:
+        assert namespace["solution"].meta["status"] == "solved"
+        assert namespace["report"].failures() == ()
+        assert list(tmp_path.glob("*.npz"))
