@@ -11,6 +11,7 @@ import robots
 from trajopt.errors import InputError
 from trajopt.family import Family, Parameter
 from trajopt.kinematics import inverse_kinematics
+from trajopt.model_quantities import STANDARD_GRAVITY
 from trajopt.node_terms import FrameHeight, SwingClearance, TerminalRest, TerminalState
 from trajopt.problem import Problem
 from trajopt.robot import Robot
@@ -27,7 +28,6 @@ from trajopt.terms import (
     WrenchCost,
 )
 
-GRAVITY = 9.81
 # A flight shorter than this leaves no time to move the feet to their new places, s.
 SHORTEST_FLIGHT = 0.3
 # Rise of the base over its standing height at take-off in the guess, m: legs not yet straight.
@@ -55,15 +55,18 @@ def _footholds(robot: Robot, q: np.ndarray) -> dict[str, np.ndarray]:
 class _Guess:
     """Base on a smooth push, a parabola and a smooth landing; legs follow the feet by inverse kinematics."""
 
-    def __init__(self, robot: Robot, end: np.ndarray, path: np.ndarray, durations: tuple[float, float, float]) -> None:
+    def __init__(
+        self, robot: Robot, end: np.ndarray, path: np.ndarray, durations: tuple[float, float, float]
+    ) -> None:
         self.robot, self.durations = robot, durations
         frames = {contact.name: contact.frame for contact in robot.contacts}
         self.start_feet, self.end_feet = (
-            {frames[name]: point for name, point in _footholds(robot, q).items()} for q in (robot.reference, end)
+            {frames[name]: point for name, point in _footholds(robot, q).items()}
+            for q in (robot.reference, end)
         )
         stance, flight, landing = durations
         share = GROUND_SHARE * (stance + landing)
-        self.rates = path / (flight + share) + [0.0, GRAVITY * flight / 2, 0.0]
+        self.rates = path / (flight + share) + [0.0, STANDARD_GRAVITY * flight / 2, 0.0]
         self.takeoff = GROUND_SHARE * stance * self.rates * [1, 0, 1] + [0.0, TAKEOFF_RISE, 0.0]
         self.touchdown = self.takeoff + self.rates * flight * [1, 0, 1]
         self.end = path
@@ -83,7 +86,7 @@ class _Guess:
             return _hermite(max(t, 0.0) / stance, stance, np.zeros(3), np.zeros(3), self.takeoff, self.rates)
         if t <= stance + flight:
             s = t - stance
-            return self.takeoff + self.rates * s - np.array([0.0, GRAVITY * s * s / 2, 0.0])
+            return self.takeoff + self.rates * s - np.array([0.0, STANDARD_GRAVITY * s * s / 2, 0.0])
         fraction = min(1.0, (t - stance - flight) / landing)
         return _hermite(fraction, landing, self.touchdown, self.rates * [1, -1, 1], self.end, np.zeros(3))
 
@@ -98,7 +101,9 @@ class _Guess:
         smooth = s * s * (3 - 2 * s)
         before, after = self._pose(stance), self._pose(stance + flight)
         return {
-            frame: _carried(pose, (1 - smooth) * _seen(before, start) + smooth * _seen(after, self.end_feet[frame]))
+            frame: _carried(
+                pose, (1 - smooth) * _seen(before, start) + smooth * _seen(after, self.end_feet[frame])
+            )
             for frame, start in self.start_feet.items()
         }
 
@@ -117,7 +122,14 @@ def _carried(q: np.ndarray, point: np.ndarray) -> np.ndarray:
     return _base_placement(q).act(point)
 
 
-def _hermite(s, duration, start, start_rate, end, end_rate):  # type: ignore[no-untyped-def]
+def _hermite(
+    s: float,
+    duration: float,
+    start: np.ndarray,
+    start_rate: np.ndarray,
+    end: np.ndarray,
+    end_rate: np.ndarray,
+) -> np.ndarray:
     """Cubic through values and rates at both ends, at the fraction s of the duration."""
     return (
         (1 + 2 * s) * (1 - s) ** 2 * start
@@ -141,7 +153,7 @@ def build(
     """Build the jump; see ``FAMILY`` for the parameters. Raises InputError."""
     robot = robots.load("solo12")
     # Apex of a parabola from and to the standing height, with the rise that straight legs add.
-    needed = 2 * math.sqrt(2 * max(height - TAKEOFF_RISE, 0.0) / GRAVITY)
+    needed = 2 * math.sqrt(2 * max(height - TAKEOFF_RISE, 0.0) / STANDARD_GRAVITY)
     flight = max(SHORTEST_FLIGHT, needed) if flight is None else flight
     end = _pose(robot, distance, 0.0, 0.0, yaw)
     feet = tuple(contact.name for contact in robot.contacts)
@@ -182,9 +194,15 @@ def build(
         terms=terms,
         guess=_Guess(robot, end, np.array([distance, 0.0, yaw]), (stance, flight, landing)),
         parameters={
-            "distance": distance, "height": height, "yaw": yaw, "stance": stance,
-            "flight": flight, "landing": landing, "friction": friction, "effort": effort,
-        },  # fmt: skip
+            "distance": distance,
+            "height": height,
+            "yaw": yaw,
+            "stance": stance,
+            "flight": flight,
+            "landing": landing,
+            "friction": friction,
+            "effort": effort,
+        },
     )
 
 
@@ -194,22 +212,55 @@ FAMILY = Family(
     phases=("stance", "flight", "landing"),
     summary="jump from stance to a target pose, land on its footholds and come to rest",
     parameters=(
-        Parameter(name="distance", default=0.3, unit="m", lower=-1.0, upper=1.0, meaning="forward displacement"),
         Parameter(
-            name="height", default=0.0, unit="m", lower=0.0, upper=0.6,
+            name="distance", default=0.3, unit="m", lower=-1.0, upper=1.0, meaning="forward displacement"
+        ),
+        Parameter(
+            name="height",
+            default=0.0,
+            unit="m",
+            lower=0.0,
+            upper=0.6,
             meaning="least rise of the base over standing in mid flight",
         ),
-        Parameter(name="yaw", default=0.0, unit="rad", lower=-math.pi / 2, upper=math.pi / 2, meaning="turn to the left"),
-        Parameter(name="stance", default=0.4, unit="s", lower=1e-3, upper=10.0, meaning="duration of the push"),
         Parameter(
-            name="flight", default=None, unit="s", lower=1e-3, upper=2.0,
+            name="yaw",
+            default=0.0,
+            unit="rad",
+            lower=-math.pi / 2,
+            upper=math.pi / 2,
+            meaning="turn to the left",
+        ),
+        Parameter(
+            name="stance", default=0.4, unit="s", lower=1e-3, upper=10.0, meaning="duration of the push"
+        ),
+        Parameter(
+            name="flight",
+            default=None,
+            unit="s",
+            lower=1e-3,
+            upper=2.0,
             meaning="duration of the flight (default: from the height, at least 0.3)",
         ),
-        Parameter(name="landing", default=0.5, unit="s", lower=1e-3, upper=10.0, meaning="duration from touchdown to rest"),
-        Parameter(name="friction", default=0.7, unit="", lower=0.0, upper=10.0, meaning="Coulomb coefficient"),
         Parameter(
-            name="effort", default=None, unit="N m", lower=0.0, upper=1e4, meaning="torque limit (default: the URDF's)",
+            name="landing",
+            default=0.5,
+            unit="s",
+            lower=1e-3,
+            upper=10.0,
+            meaning="duration from touchdown to rest",
+        ),
+        Parameter(
+            name="friction", default=0.7, unit="", lower=0.0, upper=10.0, meaning="Coulomb coefficient"
+        ),
+        Parameter(
+            name="effort",
+            default=None,
+            unit="N m",
+            lower=0.0,
+            upper=1e4,
+            meaning="torque limit (default: the URDF's)",
         ),
     ),
     build=build,
-)  # fmt: skip
+)

@@ -36,7 +36,15 @@ def _tool_pose(robot: Robot, q: np.ndarray) -> pin.SE3:
 
 
 def build(
-    *, x: float, y: float, z: float, roll: float, pitch: float, yaw: float, duration: float, effort_share: float
+    *,
+    x: float,
+    y: float,
+    z: float,
+    roll: float,
+    pitch: float,
+    yaw: float,
+    duration: float,
+    effort_share: float,
 ) -> Problem:
     """Build the reach; see ``FAMILY`` for the parameters.
 
@@ -67,18 +75,28 @@ def build(
         terms=terms,
         guess=_Guess(start, end, duration),
         parameters={
-            "x": x, "y": y, "z": z, "roll": roll, "pitch": pitch, "yaw": yaw,
-            "duration": duration, "effort_share": effort_share,
-        },  # fmt: skip
+            "x": x,
+            "y": y,
+            "z": z,
+            "roll": roll,
+            "pitch": pitch,
+            "yaw": yaw,
+            "duration": duration,
+            "effort_share": effort_share,
+        },
         default_intervals=30,
     )
 
 
 def _turn(name: str, axis: str) -> Parameter:
     return Parameter(
-        name=name, default=0.0, unit="rad", lower=-math.pi, upper=math.pi,
+        name=name,
+        default=0.0,
+        unit="rad",
+        lower=-math.pi,
+        upper=math.pi,
         meaning=f"turn of the tool about the world's {axis} axis from its start orientation",
-    )  # fmt: skip
+    )
 
 
 FAMILY = Family(
@@ -93,10 +111,17 @@ FAMILY = Family(
         _turn("roll", "x"),
         _turn("pitch", "y"),
         _turn("yaw", "z"),
-        Parameter(name="duration", default=1.5, unit="s", lower=1e-3, upper=60.0, meaning="duration of the motion"),
         Parameter(
-            name="effort_share", default=1.0, unit="", lower=1e-3, upper=1.0, meaning="share of the effort limits to use"
+            name="duration", default=1.5, unit="s", lower=1e-3, upper=60.0, meaning="duration of the motion"
+        ),
+        Parameter(
+            name="effort_share",
+            default=1.0,
+            unit="",
+            lower=1e-3,
+            upper=1.0,
+            meaning="share of the effort limits to use",
         ),
     ),
     build=build,
-)  # fmt: skip
+)

@@ -11,14 +11,13 @@ import pinocchio as pin
 
 from trajopt.consistency import interval_gaps
 from trajopt.flight import flight_errors
+from trajopt.model_quantities import gravity_of, mass_of
 from trajopt.reintegration import OpenLoopError, open_loop
 from trajopt.report import PhaseReport, Report
 from trajopt.robot_building import position_limits
 from trajopt.samples import Plane, Samples, evaluate, terrain_plane
 from trajopt.solution import Solution
 from trajopt.solution_file import consistent_meta
-
-STANDARD_GRAVITY = 9.81
 
 
 def check(solution: Solution | str | Path) -> Report:
@@ -78,19 +77,15 @@ def _least(values: np.ndarray) -> float | None:
     return float(np.min(values)) if values.size else None
 
 
-def _gravity(plan: Solution) -> float:
-    return float(np.linalg.norm(plan.model.gravity.linear)) or STANDARD_GRAVITY
-
-
 def _weight(plan: Solution) -> float:
     """Weight of the moving bodies in N, the unit of forces and, times one metre, of moments."""
-    return float(sum(inertia.mass for inertia in list(plan.model.inertias)[1:])) * _gravity(plan)
+    return mass_of(plan.model) * gravity_of(plan.model)
 
 
 def _dynamics(plan: Solution, samples: Samples) -> dict[str, float | None]:
     points, base = plan.collocation, plan.n_unactuated
     force = samples.generalized_force[points] / _weight(plan)
-    acceleration = samples.acceleration[points][plan.active[points]] / _gravity(plan)
+    acceleration = samples.acceleration[points][plan.active[points]] / gravity_of(plan.model)
     soles = np.broadcast_to(_is_sole(plan), plan.active.shape)[points][plan.active[points]]
     acceleration[~soles, 3:] = 0.0
     return {

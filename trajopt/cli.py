@@ -10,7 +10,9 @@ Modules that take long to load are imported in the commands.
 
 from __future__ import annotations
 
+import importlib
 import sys
+import threading
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -171,6 +173,8 @@ def solve(
     options = options_of(solver_options)
     loaded = choose(families(), problem).load(values_of(settings, "--set"))
     target = check_output(output or Path(f"{problem}.npz"))
+    # The check's integrator takes long to load: let it load while the solver holds no Python lock.
+    threading.Thread(target=importlib.import_module, args=("scipy.integrate",), daemon=True).start()
     with stdout_to_stderr(), watched(problem) as progress:
         solution = run(loaded, options=options, progress=progress, **arguments)
     file, notes = _saved(solution, target)

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.layout import Layout
+from trajopt.model_quantities import generalized_force
 from trajopt.solution import Solution
 from trajopt.transcription import Transcription
 from trajopt.versions import installed_version
@@ -53,8 +54,13 @@ def extract(transcription: Transcription, x: np.ndarray, meta: dict[str, Any]) -
             columns[name].append(np.concatenate([outer[:1], inner, outer[1:]]))
     raw = np.concatenate(columns.pop("q"))
     q = np.array([pin.normalize(layout.robot.model, row) for row in raw])
+    error = float(np.abs(q - raw).max())
     return Solution(
-        meta={**_problem_meta(transcription), "rotation_norm_error": float(np.abs(q - raw).max()), **meta},
+        meta={
+            **_problem_meta(transcription),
+            "rotation_norm_error": error if math.isfinite(error) else None,
+            **meta,
+        },
         q=q,
         model_text=transcription.problem.robot.limited_model().saveToString(),
         interval_t=np.column_stack([layout.node_times[:-1], layout.node_times[1:]]),
@@ -69,13 +75,14 @@ def _labels(layout: Layout) -> dict[str, np.ndarray]:
     inner = np.ones(width, dtype=bool)
     inner[[0, -1]] = False
     every = [contact.name for contact in layout.robot.contacts]
-    active = np.array([[name in phase.contacts for name in every] for phase in layout.schedule.phases], dtype=bool)
+    phases = layout.schedule.phases
+    active = np.array([[name in phase.contacts for name in every] for phase in phases], dtype=bool)
     phase = np.repeat(layout.phase_of, width)
     return {
         "phase": phase,
         "interval": np.repeat(np.arange(layout.n_intervals), width),
         "collocation": np.tile(inner, layout.n_intervals),
-        "active": active.reshape(len(layout.schedule.phases), len(every))[phase],
+        "active": active.reshape(len(phases), len(every))[phase],
     }
 
 
@@ -92,7 +99,10 @@ def _points(layout: Layout, unknowns: np.ndarray, k: int) -> _Points:
     rotations = np.tile(window[layout.local_rotations], (method.s, 1))
     q, v, a = coordinates.local_to_pinocchio(rotations, xi, dxi, y)
     f = np.array([_wrenches(layout, phase, window[layout.local_wrench(phase, i)]) for i in range(method.s)])
-    tau = np.array([_torque(layout, q[i], v[i], a[i], f[i]) for i in range(method.s)])
+    model, data = layout.robot.model, layout.robot.model.createData()
+    frames = [model.getFrameId(contact.frame) for contact in layout.robot.contacts]
+    forces = [generalized_force(model, data, (q[i], v[i], a[i]), frames, f[i]) for i in range(method.s)]
+    tau = np.array(forces)[:, layout.robot.n_unactuated :]
     return _Points(q, v, a, tau, f)
 
 
@@ -104,18 +114,6 @@ def _wrenches(layout: Layout, phase: int, w: np.ndarray) -> np.ndarray:
         f[names.index(contact.name), : contact.dimension] = w[start : start + contact.dimension]
         start += contact.dimension
     return f
-
-
-def _torque(layout: Layout, q: np.ndarray, v: np.ndarray, a: np.ndarray, f: np.ndarray) -> np.ndarray:
-    """Actuated rows of RNEA(q, v, a) - sum J^T f, (nu,)."""
-    robot = layout.robot
-    data = robot.model.createData()
-    forces = pin.rnea(robot.model, data, q, v, a)
-    for contact, wrench in zip(robot.contacts, f, strict=True):
-        if np.any(wrench):
-            frame = robot.model.getFrameId(contact.frame)
-            forces = forces - pin.computeFrameJacobian(robot.model, data, q, frame, pin.LOCAL_WORLD_ALIGNED).T @ wrench
-    return forces[robot.n_unactuated :]
 
 
 def _problem_meta(transcription: Transcription) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import umsgpack  # type: ignore[import-untyped]
+import umsgpack
 
 # msgpack extension of a Float32Array, as Meshcat's viewer decodes it.
 FLOAT32 = 0x17

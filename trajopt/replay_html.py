@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import meshcat
-import umsgpack  # type: ignore[import-untyped]
+import umsgpack
 
 from trajopt.errors import TrajoptError
 from trajopt.replay_motion import Motion

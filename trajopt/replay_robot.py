@@ -7,7 +7,7 @@ import warnings
 from dataclasses import dataclass, field
 from typing import Any
 
-import coal  # type: ignore[import-untyped]
+import coal
 import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin

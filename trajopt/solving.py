@@ -26,6 +26,8 @@ Progress = Callable[[dict[str, float]], bool]
 
 # A solver's "solved" is believed up to this multiple of its tolerance, measured anew on all rows.
 TRUSTED_VIOLATION = 10.0
+# A solver that stops for want of a step this far from feasible (natural units) has found no feasible point.
+STILL_FEASIBLE = 1e-3
 DEFAULT_SOLVER = "ipopt"
 MAX_PERTURBATION = 100.0
 
@@ -154,6 +156,8 @@ def _solution(
     status = result.status
     if status is Status.SOLVED and not worst <= TRUSTED_VIOLATION * tolerance:
         status = Status.INACCURATE
+    if status is Status.STEP_FAILED and not worst <= STILL_FEASIBLE:
+        status = Status.INFEASIBLE
     success = status is Status.SOLVED
     meta = {
         "solver": solver,

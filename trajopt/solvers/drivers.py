@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +35,7 @@ IPOPT_OPTIONS: dict[str, Option] = {
 }
 # A first barrier below FATROP's 0.1 suits a guess that is nearly feasible; the pivot tolerance calls a
 # stage's rows dependent early enough that its linear algebra does not repeat a step for ever.
-FATROP_OPTIONS: dict[str, Option] = {"print_level": 0, "lam_max": 0.0, "mu_init": 0.03, "linsol_lu_fact_tol": 1e-3}
+FATROP_OPTIONS: dict[str, Option] = {"print_level": 0, "mu_init": 0.03, "linsol_lu_fact_tol": 1e-3}
 
 _IPOPT_STATUS = {
     "Solve_Succeeded": Status.SOLVED,
@@ -90,7 +91,9 @@ def _ipopt(nlp: Nlp, x0: np.ndarray, stop: Stop, options: Mapping[str, Option], 
     }
     raw = _engine.solve_ipopt(nlp.engine, x0, t.lower_x, t.upper_x, t.lower_g, t.upper_g, chosen, callback)
     if raw["status"] == "Invalid_Option":
-        raise ValueError("the value of an option cannot be had here, such as a linear_solver that is not installed")
+        raise ValueError(
+            "an option's value cannot be had here, such as a linear_solver that is not installed"
+        )
     return _result(raw, _IPOPT_STATUS.get(raw["status"], Status.FAILED))
 
 
@@ -107,7 +110,9 @@ _FATROP_STATUS = {
 }
 
 
-def _fatrop(nlp: Nlp, x0: np.ndarray, stop: Stop, options: Mapping[str, Option], callback: Callback) -> Result:
+def _fatrop(
+    nlp: Nlp, x0: np.ndarray, stop: Stop, options: Mapping[str, Option], callback: Callback
+) -> Result:
     t = nlp.transcription
     chosen = {
         **FATROP_OPTIONS,
@@ -126,7 +131,7 @@ def _fatrop(nlp: Nlp, x0: np.ndarray, stop: Stop, options: Mapping[str, Option],
 SOLVERS = {"ipopt": _ipopt, "fatrop": _fatrop}
 
 
-def _result(raw: dict, status: Status) -> Result:  # type: ignore[type-arg]
+def _result(raw: dict[str, Any], status: Status) -> Result:
     return Result(
         x=raw["x"],
         lam_g=raw["lam_g"],
