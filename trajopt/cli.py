@@ -175,7 +175,7 @@ def solve(
     target = check_output(output or Path(f"{problem}.npz"))
     # The check's integrator takes long to load: let it load while the solver holds no Python lock.
     threading.Thread(target=importlib.import_module, args=("scipy.integrate",), daemon=True).start()
-    with stdout_to_stderr(), watched(problem) as progress:
+    with stdout_to_stderr(), watched(problem, arguments["max_time"]) as progress:
         solution = run(loaded, options=options, progress=progress, **arguments)
     file, notes = _saved(solution, target)
     report = _checked(solution, notes)

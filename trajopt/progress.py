@@ -15,6 +15,10 @@ from rich.status import Status
 
 # What a shell reports for a program ended by Ctrl-C: 128 + SIGINT.
 CANCELLED = 130
+# Exit status of a run that did not solve its problem.
+UNSOLVED = 1
+# Seconds after its time limit that a solver may take to finish a step.
+GRACE = 30.0
 # Rich's spinner, a space, and the last column, which some terminals wrap at.
 SPINNER_WIDTH = 3
 
@@ -75,6 +79,39 @@ class Interruption:
                 os._exit(CANCELLED)
 
 
+class Deadline:
+    """Ends the program when a solver has not returned ``GRACE`` seconds after its time limit.
+
+    A solver checks its limit between steps; FATROP's linear algebra can repeat one step for ever. A
+    solver in another thread cannot be stopped from outside, so the program ends, with nothing written.
+    """
+
+    def __init__(self, max_time: float) -> None:
+        self._max_time = max_time
+        self._timer: threading.Timer | None = None
+
+    def start(self) -> None:
+        """Start the clock, once, when the solver starts."""
+        if self._timer is None and self._max_time + GRACE < threading.TIMEOUT_MAX:
+            self._timer = threading.Timer(self._max_time + GRACE, self._end)
+            self._timer.daemon = True
+            self._timer.start()
+
+    def cancel(self) -> None:
+        """The solver has returned."""
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _end(self) -> None:
+        show_cursor()
+        sys.stderr.write(
+            f"trajopt: the solver did not return within its time limit of {self._max_time:g} s; "
+            "nothing was written; try another --solver or start\n"
+        )
+        sys.stderr.flush()
+        os._exit(UNSOLVED)
+
+
 class LiveLine:
     """One line on stderr that shows the last iteration; silent where stderr is no terminal."""
 
@@ -114,30 +151,34 @@ class LiveLine:
 class Watch:
     """The progress callback of `trajopt.solve` that shows the live line and stops on Ctrl-C."""
 
-    def __init__(self, line: LiveLine, interruption: Interruption) -> None:
-        self._line, self._interruption = line, interruption
+    def __init__(self, line: LiveLine, interruption: Interruption, deadline: Deadline) -> None:
+        self._line, self._interruption, self._deadline = line, interruption, deadline
 
     def __call__(self, figures: dict[str, float]) -> bool:
         """Show the figures; return False when the solver shall stop."""
         if self._interruption.cancelled:
             return False
         self._interruption.started = True
+        self._deadline.start()
         self._line.show(figures, self._interruption.requested)
         return not self._interruption.requested
 
 
 @contextmanager
-def watched(title: str) -> Iterator[Watch]:
-    """A progress callback for the time of one solve; Ctrl-C is as before afterwards.
+def watched(title: str, max_time: float) -> Iterator[Watch]:
+    """A progress callback for one solve of ``max_time`` s at most; Ctrl-C is as before afterwards.
 
     Raises KeyboardInterrupt at the end if Ctrl-C came before the solver started.
     """
+    deadline = Deadline(max_time)
     with Interruption() as interruption, LiveLine(title) as line:
         try:
-            yield Watch(line, interruption)
+            yield Watch(line, interruption, deadline)
         except Exception:
             if not interruption.cancelled:
                 raise
+        finally:
+            deadline.cancel()
         if interruption.cancelled:
             raise KeyboardInterrupt
 
