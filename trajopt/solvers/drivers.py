@@ -33,9 +33,14 @@ IPOPT_OPTIONS: dict[str, Option] = {
     "print_level": 0,
     "sb": "yes",
 }
-# A first barrier below FATROP's 0.1 suits a guess that is nearly feasible; the pivot tolerance calls a
-# stage's rows dependent early enough that its linear algebra does not repeat a step for ever.
-FATROP_OPTIONS: dict[str, Option] = {"print_level": 0, "mu_init": 0.03, "linsol_lu_fact_tol": 1e-3}
+# Slacks start further inside their bounds than FATROP's own 1e-2: a guess sits on limits it will leave. The
+# pivot tolerance calls a stage's rows dependent early enough that its linear algebra seldom repeats a step.
+FATROP_OPTIONS: dict[str, Option] = {
+    "print_level": 0,
+    "bound_push": 0.1,
+    "bound_frac": 0.1,
+    "linsol_lu_fact_tol": 1e-3,
+}
 
 _IPOPT_STATUS = {
     "Solve_Succeeded": Status.SOLVED,
