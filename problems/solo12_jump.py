@@ -8,7 +8,6 @@ import numpy as np
 import pinocchio as pin
 
 import robots
-from trajopt.errors import InputError
 from trajopt.family import Family, Parameter
 from trajopt.kinematics import inverse_kinematics
 from trajopt.model_quantities import STANDARD_GRAVITY
@@ -22,12 +21,14 @@ from trajopt.terms import (
     FrictionPyramid,
     PositionLimits,
     PostureCost,
+    Term,
     TorqueCost,
     VelocityCost,
     VelocityLimits,
     WrenchCost,
 )
 
+BASE = "base_link"
 # A flight shorter than this leaves no time to move the feet to their new places, s.
 SHORTEST_FLIGHT = 0.3
 # Rise of the base over its standing height at take-off in the guess, m: legs not yet straight.
@@ -139,6 +140,38 @@ def _hermite(
     )
 
 
+def _schedule(robot: Robot, end: np.ndarray, durations: tuple[float, float, float]) -> Schedule:
+    feet = tuple(contact.name for contact in robot.contacts)
+    stance, flight, landing = durations
+    return Schedule(
+        (
+            Phase(name="stance", duration=stance, contacts=feet),
+            Phase(name="flight", duration=flight),
+            Phase(name="landing", duration=landing, contacts=feet, footholds=_footholds(robot, end)),
+        )
+    )
+
+
+def _terms(
+    robot: Robot, end: np.ndarray, height: float, ground: FlatGround, effort: np.ndarray | None
+) -> tuple[Term, ...]:
+    return (
+        TorqueCost(weight=1.0),
+        AccelerationCost(weight=2e-2),
+        VelocityCost(weight=1e-2),
+        PostureCost(weight=1e-1),
+        WrenchCost(weight=1e-2),
+        EffortLimits(limit=effort),
+        PositionLimits(),
+        VelocityLimits(),
+        FrictionPyramid(friction=ground.friction),
+        SwingClearance(height=CLEARANCE, terrain=ground),
+        FrameHeight(frame=BASE, height=robot.reference[2] + height, phase="flight"),
+        TerminalState(q=end),
+        TerminalRest(q=end),
+    )
+
+
 def build(
     *,
     distance: float,
@@ -156,42 +189,15 @@ def build(
     needed = 2 * math.sqrt(2 * max(height - TAKEOFF_RISE, 0.0) / STANDARD_GRAVITY)
     flight = max(SHORTEST_FLIGHT, needed) if flight is None else flight
     end = _pose(robot, distance, 0.0, 0.0, yaw)
-    feet = tuple(contact.name for contact in robot.contacts)
-    schedule = Schedule(
-        (
-            Phase(name="stance", duration=stance, contacts=feet),
-            Phase(name="flight", duration=flight),
-            Phase(name="landing", duration=landing, contacts=feet, footholds=_footholds(robot, end)),
-        )
-    )
     ground = FlatGround(friction=friction)
-    base = robot.model.frames[robot.model.getFrameId("base_link")].name
-    limit = robot.effort_limit if effort is None else np.full(robot.nu, effort)
-    if limit is None:
-        raise InputError("robot 'solo12' has no effort limit")
-    terms = (
-        TorqueCost(weight=1.0),
-        AccelerationCost(weight=2e-2),
-        VelocityCost(weight=1e-2),
-        PostureCost(weight=1e-1),
-        WrenchCost(weight=1e-2),
-        EffortLimits(limit=limit),
-        PositionLimits(),
-        VelocityLimits(),
-        FrictionPyramid(friction=friction),
-        SwingClearance(height=CLEARANCE, terrain=ground),
-        FrameHeight(frame=base, height=robot.reference[2] + height, phase="flight"),
-        TerminalState(q=end),
-        TerminalRest(q=end),
-    )
     return Problem(
         name="solo12-jump",
         robot=robot,
-        schedule=schedule,
+        schedule=_schedule(robot, end, (stance, flight, landing)),
         terrain=ground,
         initial_q=robot.reference,
         initial_v=np.zeros(robot.nv),
-        terms=terms,
+        terms=_terms(robot, end, height, ground, None if effort is None else np.full(robot.nu, effort)),
         guess=_Guess(robot, end, np.array([distance, 0.0, yaw]), (stance, flight, landing)),
         parameters={
             "distance": distance,
