@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from functools import lru_cache
 
 import numpy as np
@@ -135,7 +136,7 @@ def test_description_names_the_robot_its_contacts_and_limits():
     assert (meta["problem"], meta["robot"], meta["transcription"]) == ("hop", "hopper", "legendre:2")
     assert (meta["contact_frames"], meta["contact_kinds"]) == ([FOOT], ["point"])
     assert meta["effort_limit"] == [60.0, 60.0]
-    assert meta["velocity_limit"] == [None] * 6 + [20.0, 20.0]
+    assert meta["velocity_limit"] == [sys.float_info.max] * 6 + [20.0, 20.0]
     assert meta["gravity"] == [0.0, 0.0, -9.81]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 from typing import Any
 
@@ -137,12 +138,13 @@ def _problem_meta(transcription: Transcription) -> dict[str, Any]:
         "phase_names": [phase.name for phase in problem.schedule.phases],
         "gravity": robot.model.gravity.linear.tolist(),
         "versions": {name: installed_version(name) for name in VERSIONED},
-        **{name: _finite_or_none(limit) for name, limit in limits.items()},
+        **{name: _as_numbers(limit) for name, limit in limits.items()},
     }
     if robot.visual is not None:
         meta["visual"] = robot.visual.to_meta()
     return meta
 
 
-def _finite_or_none(limit: np.ndarray | None) -> list[float | None] | None:
-    return None if limit is None else [float(x) if math.isfinite(x) else None for x in limit]
+def _as_numbers(limit: np.ndarray | None) -> list[float] | None:
+    """A limit for JSON, which has no infinity: unlimited is the largest number, as in Pinocchio's models."""
+    return None if limit is None else np.minimum(limit, sys.float_info.max).tolist()
