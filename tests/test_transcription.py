@@ -227,3 +227,13 @@ def test_optimum_in_natural_units_does_not_depend_on_the_mass():
 def test_dynamics_and_contact_rows_are_there_without_being_asked_for():
     t = transcribe(hop(terms=()), "legendre:1", 8)
     assert {"defect", "base_dynamics", "contact_acceleration", "contact_landing"} == set(t.rows.names)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "bounded"),
+    [("legendre:2", [1, 2, 3, 4]), ("radau:2", []), ("hermite-simpson", []), ("semi-implicit-euler", [4])],
+)
+def test_nodes_that_coincide_with_a_point_get_no_second_limit(scheme, bounded):
+    t = transcribe(problems.load("ur5-reach"), scheme, 4)
+    finite = [k for k in range(1, 5) if np.any(np.isfinite(t.upper_x[t.layout.node(k)]))]
+    assert finite == bounded
