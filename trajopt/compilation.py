@@ -127,10 +127,12 @@ def _processor() -> str:
 def entry_key(point: PointFunction, level: str) -> str:
     """Name of a point function's cache entry at a level."""
     flags = FLAGS[level]
-    made_by = "" if flags is None else "|".join([*flags, *(compiler() or ()), platform.machine()])
+    made_by = (
+        "" if flags is None else "|".join([*flags, *_IN_MEMORY, *(compiler() or ()), platform.machine()])
+    )
     if flags is not None and "-march=native" in flags:
         made_by += _processor()
-    text = "\n".join([point.serialize(), _maker(), level, made_by])
+    text = "\n".join([point.text, _maker(), level, made_by])
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 

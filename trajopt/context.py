@@ -71,7 +71,6 @@ class Context:
                 contact.name: ca.SX.sym(f"w_{contact.name}", contact.dimension) for contact in contacts
             }
             self.z = ca.vertcat(self.rotations, self.xi, self.dxi, self.ddxi, *self.wrenches.values())
-        self.is_node = node
         self._generalized_forces: ca.SX | None = None
         self._accelerations: dict[Contact, ca.SX] = {}
         self._frames: dict[str, FrameSymbols] = {}

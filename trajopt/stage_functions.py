@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 
@@ -50,8 +51,9 @@ class PointFunction:
         """Number of inputs z."""
         return self.terms.numel_in(0)
 
-    def serialize(self) -> str:
-        """Text that is equal for equal graphs."""
+    @cached_property
+    def text(self) -> str:
+        """Serialised graph, equal for equal graphs."""
         return "\n".join(function.serialize() for function in (*self.layers, self.terms))
 
 
