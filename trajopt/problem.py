@@ -10,6 +10,7 @@ import numpy as np
 
 from trajopt.errors import InputError
 from trajopt.node_terms import ContactLanding, NodeConstraint
+from trajopt.point_terms import BaseDynamics, ContactAcceleration
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround, Schedule
 from trajopt.term_interfaces import Cost, PointConstraint, Term
@@ -24,8 +25,9 @@ class Problem:
     ``initial_q`` (nq,) and ``initial_v`` (nv,) are the fixed start. ``guess`` maps a time in s to a
     configuration (nq,): a motion made from the schedule, defined a little beyond its ends too;
     rates follow by differences, and forces are distributed over the active contacts to carry it.
-    ``default_intervals`` and ``default_transcription`` are used when the caller names none. Raises
-    InputError where parts do not fit each other.
+    ``default_intervals`` and ``default_transcription`` are used when the caller names none. ``dynamics``
+    are the rows that make it a motion of this robot: base rows and contact rows; a reduced model
+    brings its own. Raises InputError where parts do not fit each other.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Problem:
     parameters: Mapping[str, object] = field(default_factory=dict)
     default_intervals: int = 50
     default_transcription: str = "legendre:2"
+    dynamics: tuple[PointConstraint, ...] = (BaseDynamics(), ContactAcceleration())
 
     def __post_init__(self) -> None:
         for label, size in (("initial_q", self.robot.nq), ("initial_v", self.robot.nv)):
@@ -69,8 +72,8 @@ class Problem:
 
     @property
     def point_constraints(self) -> tuple[PointConstraint, ...]:
-        """Constraints at collocation points."""
-        return tuple(term for term in self.terms if isinstance(term, PointConstraint))
+        """Constraints at collocation points, the dynamics first."""
+        return (*self.dynamics, *(term for term in self.terms if isinstance(term, PointConstraint)))
 
     @property
     def node_constraints(self) -> tuple[NodeConstraint, ...]:

@@ -19,7 +19,6 @@ from trajopt.context import Context
 from trajopt.errors import InputError
 from trajopt.layout import Layout
 from trajopt.manifold import Coordinates
-from trajopt.point_terms import BaseDynamics, ContactAcceleration
 from trajopt.problem import Problem
 from trajopt.row_collection import RowCollection, RowInfo
 from trajopt.schemes import Scheme, scheme
@@ -144,7 +143,7 @@ class Transcriber:
         context = Context(problem.robot, self.coordinates, self.layout.contacts[phase], node=False)
         costs = [term.value(context, self.units) for term in problem.costs if term.acts_in(name)]
         blocks = []
-        for term in (BaseDynamics(), ContactAcceleration(), *problem.point_constraints):
+        for term in problem.point_constraints:
             rows = term.rows(context, self.units) if term.acts_in(name) else None
             if rows is not None:
                 blocks.append((term.name, rows))
