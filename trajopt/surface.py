@@ -1,0 +1,124 @@
+"""A plane that a contact touches: where it lies, where it points, how rough it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from trajopt.errors import InputError
+
+UP = (0.0, 0.0, 1.0)
+# Two surfaces are one plane within this distance, m, and this error of the normal: rounding of what
+# forward kinematics gives, far below what a leg is positioned to.
+SAME_PLANE = 1e-6
+
+
+def frame_of_normal(normal: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Rotation (3, 3) whose columns are two tangents and the unit ``normal`` (3,), right-handed.
+
+    The least rotation that takes the world's z axis to the normal: the identity for level ground, smooth
+    in the normal except straight down, where it is half a turn about x. Rodrigues' formula with the axis
+    z x n, written for n_z < 0 without its cancellation.
+    """
+    x, y, z = (float(entry) for entry in normal)
+    across = x * x + y * y
+    if across == 0.0:
+        return np.diag([1.0, math.copysign(1.0, z), math.copysign(1.0, z)])
+    part = 1.0 / (1.0 + z) if z >= 0 else (1.0 - z) / across
+    first = [1.0 - part * x * x, -part * x * y, -x]
+    second = [-part * x * y, 1.0 - part * y * y, -y]
+    return np.column_stack([first, second, [x, y, z]])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surface:
+    """A plane in the world that a contact touches.
+
+    ``point`` (3,) in m lies on it; ``normal`` (3,) points from it to the robot and is made a unit
+    vector; ``friction`` is Coulomb's coefficient. A ``bilateral`` surface holds the contact (a grasp, a
+    handrail, a bolt): it transmits any wrench that the contact's kind has, so that neither friction nor
+    unilateral rows apply; its normal only says how a contact lands on it. Raises `InputError`.
+    """
+
+    point: np.ndarray
+    normal: np.ndarray
+    friction: float = 0.7
+    bilateral: bool = False
+
+    def __post_init__(self) -> None:
+        point, normal = (_vector(getattr(self, name), name) for name in ("point", "normal"))
+        length = float(np.linalg.norm(normal))
+        if not length > 0:
+            raise InputError("normal of a surface has no length", "allowed: any direction")
+        if not (_is_number(self.friction) and self.friction >= 0):
+            raise InputError(f"friction of a surface is {self.friction!r}", "allowed: finite and >= 0")
+        if not isinstance(self.bilateral, bool):
+            raise InputError(f"bilateral of a surface is {self.bilateral!r}", "allowed: True or False")
+        for name, vector in (("point", point), ("normal", normal / length)):
+            vector.setflags(write=False)
+            object.__setattr__(self, name, vector)
+        object.__setattr__(self, "friction", float(self.friction))
+
+    @property
+    def frame(self) -> np.ndarray:
+        """Columns tangent, tangent, normal (3, 3); see `frame_of_normal`."""
+        return frame_of_normal(self.normal)
+
+    @property
+    def tangents(self) -> np.ndarray:
+        """Two orthonormal tangents as rows (2, 3)."""
+        return self.frame[:, :2].T
+
+    @property
+    def is_level(self) -> bool:
+        """Whether the normal is the world's z axis exactly."""
+        return bool(np.array_equal(self.normal, UP))
+
+    @property
+    def height(self) -> float:
+        """Signed height of the plane over the world's origin along the normal, m."""
+        return float(self.normal @ self.point)
+
+    def distance(self, position: np.ndarray) -> np.ndarray:
+        """Signed distance (...) in m of world positions (..., 3), positive on the normal's side."""
+        return np.asarray((np.asarray(position, dtype=float) - self.point) @ self.normal)
+
+    def same_plane(self, other: Surface) -> bool:
+        """Whether the other surface is the same plane with the same side."""
+        turned = float(np.abs(self.normal - other.normal).max())
+        return turned < SAME_PLANE and abs(float(self.distance(other.point))) < SAME_PLANE
+
+    def describe(self) -> dict[str, Any]:
+        """JSON-able description for a solution file."""
+        return {
+            "point": self.point.tolist(),
+            "normal": self.normal.tolist(),
+            "friction": self.friction,
+            "bilateral": self.bilateral,
+        }
+
+    @classmethod
+    def from_description(cls, described: Any) -> Surface:
+        """The surface that ``describe`` wrote. Raises `InputError`."""
+        keys = ("point", "normal", "friction", "bilateral")
+        if not isinstance(described, dict) or set(described) != set(keys):
+            raise InputError(f"a surface is described by {described!r}", f"allowed: {', '.join(keys)}")
+        return cls(**described)
+
+
+def _vector(value: Any, name: str) -> np.ndarray:
+    try:
+        vector = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        vector = np.zeros(0)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise InputError(f"{name} of a surface is {value!r}", "allowed: 3 finite numbers")
+    return vector
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and math.isfinite(value)
