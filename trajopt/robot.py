@@ -40,6 +40,8 @@ class Robot:
     velocity_limit: (nv,) rad/s or m/s, inf where there is none.
     position_lower, position_upper: (nq,), -inf and inf where there is none.
     visual: where the meshes are, for a replay.
+    passive: joints without actuator (an ankle that is a contact, the shoulder of an acrobot), behind
+        the base rows and before every other joint.
 
     Raises `InputError` at construction for an unknown frame, a wrong shape, a number that is
     not finite, a reference outside the limits, or two contacts of one name.
@@ -55,6 +57,7 @@ class Robot:
     effort_limit: np.ndarray | None = None
     contacts: tuple[Contact, ...] = ()
     visual: VisualSource | None = None
+    passive: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         building.require_base(self.base)
@@ -64,6 +67,8 @@ class Robot:
                 f"robot '{self.name}' has a {found} root joint but base={self.base!r}", f"{found!r}"
             )
         object.__setattr__(self, "contacts", tuple(self.contacts))
+        object.__setattr__(self, "passive", tuple(self.passive))
+        building.unactuated_rows(self.model, self.base, self.passive)
         shapes = {
             "reference": self.nq,
             "velocity_limit": self.nv,
@@ -140,8 +145,8 @@ class Robot:
 
     @property
     def n_unactuated(self) -> int:
-        """Number of base rows, which come first and have no actuator: 6, 3 or 0."""
-        return building.BASE_ROWS[self.base]
+        """Number of rows without actuator, which come first: the base's 6, 3 or 0, then passive joints."""
+        return building.unactuated_rows(self.model, self.base, self.passive)
 
     @property
     def nu(self) -> int:
@@ -208,6 +213,7 @@ class Robot:
         locked: Sequence[str] = (),
         name: str | None = None,
         package_dirs: Sequence[str | Path] | None = None,
+        passive: Sequence[str] = (),
     ) -> Robot:
         """Build a robot from a URDF file.
 
@@ -215,6 +221,7 @@ class Robot:
         contacts: frame names (point contacts) or `Contact` objects.
         reference: see `robot_building.reference_posture`; in terms of the joints before locking.
         locked: names of joints to weld at the reference.
+        passive: names of joints without actuator, which must come first.
         package_dirs: where ``package://`` paths of meshes start; default the folders above the file.
 
         Raises `InputError` for a missing or malformed file and whatever `Robot` refuses.
@@ -231,6 +238,7 @@ class Robot:
             locked=locked,
             name=name or model.name,
             visual=VisualSource(urdf=source, package_dirs=directories),
+            passive=passive,
         )
 
     @classmethod
@@ -254,6 +262,7 @@ class Robot:
         locked: Sequence[str] = (),
         name: str | None = None,
         visual: VisualSource | None = None,
+        passive: Sequence[str] = (),
     ) -> Robot:
         """Build a robot from a numeric Pinocchio model and its limits; arguments as in `from_urdf`."""
         kind = base if base is not None else building.base_of(model)
@@ -270,11 +279,12 @@ class Robot:
             reference=building.reference_posture(
                 model, kind, [contact.frame for contact in named], reference
             ),
-            effort_limit=building.effort_limit(model, kind),
+            effort_limit=building.effort_limit(model, building.unactuated_rows(model, kind, passive)),
             velocity_limit=building.velocity_limit(model, kind),
             position_lower=lower,
             position_upper=upper,
             visual=visual,
+            passive=tuple(passive),
         )
         return robot.with_locked(locked) if locked else robot
 
@@ -286,7 +296,7 @@ def lock(robot: Robot, joints: Sequence[str], reference: np.ndarray) -> Robot:
     kept = [robot.model.joints[robot.model.getJointId(name)] for name in list(model.names)[1:]]
     rows_q = np.concatenate([np.arange(joint.idx_q, joint.idx_q + joint.nq) for joint in kept]).astype(int)
     rows_v = np.concatenate([np.arange(joint.idx_v, joint.idx_v + joint.nv) for joint in kept]).astype(int)
-    actuated = rows_v[robot.n_unactuated :] - robot.n_unactuated
+    actuated = rows_v[rows_v >= robot.n_unactuated] - robot.n_unactuated
     return replace(
         robot,
         model=model,
@@ -295,4 +305,5 @@ def lock(robot: Robot, joints: Sequence[str], reference: np.ndarray) -> Robot:
         position_lower=robot.position_lower[rows_q],
         position_upper=robot.position_upper[rows_q],
         effort_limit=None if robot.effort_limit is None else robot.effort_limit[actuated],
+        passive=tuple(name for name in robot.passive if name not in joints),
     )

@@ -132,9 +132,24 @@ def velocity_limit(model: pin.Model, base: Base) -> np.ndarray:
     return limit
 
 
-def effort_limit(model: pin.Model, base: Base) -> np.ndarray | None:
+def unactuated_rows(model: pin.Model, base: Base, passive: Sequence[str]) -> int:
+    """Return the number of rows of the base and the ``passive`` joints, which must come first in v."""
+    rows, names = BASE_ROWS[base], list(model.names)
+    leading = [joint for joint in list(model.joints)[1:] if joint.idx_v >= rows]
+    for name in passive:
+        if name not in names[1:]:
+            raise InputError(f"passive joint '{name}' is unknown", "one of " + ", ".join(names[1:]))
+    first = [names[joint.id] for joint in leading[: len(passive)]]
+    if set(first) != set(passive) or len(set(passive)) != len(passive):
+        raise InputError(
+            f"passive joints {', '.join(passive)} do not come first", f"the first are {', '.join(first)}"
+        )
+    return rows + sum(joint.nv for joint in leading[: len(passive)])
+
+
+def effort_limit(model: pin.Model, unactuated: int) -> np.ndarray | None:
     """Return the effort limit (nu,) on the joint side, or None if no actuated row has one."""
-    effort = model.upperEffortLimit[BASE_ROWS[base] :]
+    effort = model.upperEffortLimit[unactuated:]
     limit = np.where(np.abs(effort) > UNLIMITED, np.inf, np.abs(effort))
     return limit if np.isfinite(limit).any() else None
 
