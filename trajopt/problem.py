@@ -60,6 +60,7 @@ class Problem:
         for phase in self.schedule.phases:
             for contact in phase.contacts:
                 self.robot.contact(contact)
+        self.schedule.require_steady_surfaces(self.terrain)
         for term in self.terms:
             for name in term.phases or ():
                 if name not in names:
