@@ -175,7 +175,8 @@ def point_of(
 ) -> tuple[PointFunction, np.ndarray]:
     """The point function of a phase, as a transcription builds it, and its parameters' values."""
     active = tuple(robot.contact(name) for name in contacts)
-    context = kind(robot, Coordinates(robot.model), active, node=False)
+    surfaces = {name: FlatGround().surface for name in contacts}
+    context = kind(robot, Coordinates(robot.model), active, node=False, surfaces=surfaces)
     units, always = Units(robot), (BaseDynamics(), ContactAcceleration())
     costs = [term.value(context, units) for term in terms if isinstance(term, Cost)]
     constraints = [term for term in (*always, *terms) if isinstance(term, PointConstraint)]

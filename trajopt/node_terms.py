@@ -15,6 +15,7 @@ from trajopt.manifold import Coordinates, rotation_matrix
 from trajopt.model_quantities import contact_jacobian
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround, Phase
+from trajopt.surface import Surface
 from trajopt.term_interfaces import Rows, Term
 from trajopt.units import Units
 
@@ -61,9 +62,20 @@ def rotation_error(target: ca.SX, rotation: ca.SX) -> ca.SX:
     return 2 * vee / (1 + ca.trace(error))
 
 
+def along_normal(context: Context, surface: Surface, columns: ca.SX) -> ca.SX:
+    """Components (1, n) along a surface's normal of columns (3, n) in world axes.
+
+    On level ground the third row; elsewhere the normal is a parameter.
+    """
+    return columns[2, :] if surface.is_level else ca.mtimes(context.parameter(surface.normal).T, columns)
+
+
 @dataclass(frozen=True, kw_only=True)
 class ContactLanding(NodeConstraint):
-    """New contacts of a phase lie on the terrain (or on their footholds) and do not move."""
+    """New contacts of a phase lie on their surface (or on their footholds) and do not move.
+
+    The surface is the phase's for that contact, else the terrain; a sole lies flat on it.
+    """
 
     phase: str
     contacts: tuple[str, ...]
@@ -77,12 +89,13 @@ class ContactLanding(NodeConstraint):
         for name in self.contacts:
             contact = context.robot.contact(name)
             frame = context.frame(contact.frame)
-            foothold = place.phase.footholds.get(name)
-            expressions.append(frame.position[2] if foothold is None else frame.position)
-            targets.append([self.terrain.height] if foothold is None else foothold)
+            foothold, surface = place.phase.footholds.get(name), place.phase.surface(name, self.terrain)
+            height = along_normal(context, surface, frame.position)
+            expressions.append(height if foothold is None else frame.position)
+            targets.append(np.array([surface.height]) if foothold is None else foothold)
             scales.append(np.full(len(targets[-1]), units.length))
             if contact.dimension == 6:
-                expressions.append(frame.rotation[2, :2].T)  # the sole is level
+                expressions.append(along_normal(context, surface, frame.rotation[:, :2]).T)
                 targets.append(np.zeros(2))
                 scales.append(np.ones(2))
             expressions.append(frame.velocity[: contact.dimension])
@@ -95,9 +108,9 @@ class ContactLanding(NodeConstraint):
 
 @dataclass(frozen=True, kw_only=True)
 class SwingClearance(NodeConstraint):
-    """Contact frames that are not in contact stay above the ground at the nodes inside a phase.
+    """Contact frames that are not in contact stay above the terrain at the nodes inside a phase.
 
-    The least height over the ground is ``height`` times 4 s (1 - s), s the fraction of the phase, m.
+    The least distance from the terrain is ``height`` times 4 s (1 - s), s the fraction of the phase, m.
     """
 
     height: float
@@ -112,8 +125,9 @@ class SwingClearance(NodeConstraint):
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         swing = [c for c in context.robot.contacts if c.name not in place.phase.contacts]
-        heights = [context.frame(contact.frame).position[2] for contact in swing]
-        least = self.terrain.height + self.height * 4 * place.fraction * (1 - place.fraction)
+        ground = self.terrain.surface
+        heights = [along_normal(context, ground, context.frame(c.frame).position) for c in swing]
+        least = ground.height + self.height * 4 * place.fraction * (1 - place.fraction)
         return Rows.create(ca.vertcat(*heights), least, np.inf, units.length)
 
 

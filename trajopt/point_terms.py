@@ -1,4 +1,4 @@
-"""Constraints at collocation points: limits, contact forces, and the dynamics themselves."""
+"""Constraints at collocation points: limits and the dynamics themselves."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from trajopt.context import Context
 from trajopt.manifold import Coordinates
-from trajopt.robot import Contact, Robot
+from trajopt.robot import Robot
 from trajopt.term_interfaces import PointConstraint, Rows
 from trajopt.units import Units
 
@@ -92,72 +92,6 @@ class PositionLimits(PointConstraint):
         return lower, upper, -free, free
 
 
-def contact_force(context: Context, contact: Contact) -> ca.SX:
-    """Force (3,) of an active contact, world axes, N."""
-    return context.wrenches[contact.name][:3]
-
-
-@dataclass(frozen=True, kw_only=True)
-class FrictionPyramid(PointConstraint):
-    """Unilateral force inside a pyramid inscribed in the Coulomb cone: |f_x|, |f_y| <= mu f_z / sqrt 2."""
-
-    friction: float
-
-    def rows(self, context: Context, units: Units) -> Rows | None:
-        mu = context.parameter(self.friction / math.sqrt(2))
-        parts = []
-        for contact in context.contacts:
-            f = contact_force(context, contact)
-            parts += [f[2], mu * f[2] - f[0], mu * f[2] + f[0], mu * f[2] - f[1], mu * f[2] + f[1]]
-        return Rows.create(ca.vertcat(*parts), 0, np.inf, units.force) if parts else None
-
-
-@dataclass(frozen=True, kw_only=True)
-class FrictionCone(PointConstraint):
-    """Unilateral force inside the smooth exact Coulomb cone: f_x^2 + f_y^2 <= (mu f_z)^2, f_z >= 0.
-
-    The squared form has no kink at the apex; the row is divided by the weight squared.
-    """
-
-    friction: float
-
-    def rows(self, context: Context, units: Units) -> Rows | None:
-        mu = context.parameter(self.friction)
-        parts = []
-        for contact in context.contacts:
-            f = contact_force(context, contact) / units.force
-            parts += [f[2], (mu * f[2]) ** 2 - f[0] ** 2 - f[1] ** 2]
-        return Rows.create(ca.vertcat(*parts), 0, np.inf, 1.0) if parts else None
-
-
-@dataclass(frozen=True, kw_only=True)
-class SoleLimits(PointConstraint):
-    """Centre of pressure of surface contacts inside the sole, and yaw moment within friction.
-
-    |m_x| <= half_width f_z, |m_y| <= half_length f_z in the sole's axes, and the yaw moment within
-    mu f_z times the mean half size (Caron, Pham, Nakamura, ICRA 2015, give the exact cone).
-    """
-
-    friction: float
-
-    def rows(self, context: Context, units: Units) -> Rows | None:
-        mu = context.parameter(self.friction)
-        parts = []
-        for contact in context.contacts:
-            if contact.dimension == 6:
-                rotation = context.frame(contact.frame).rotation
-                force, moment = contact_force(context, contact), context.wrenches[contact.name][3:]
-                local, fz = ca.mtimes(rotation.T, moment), force[2]
-                arm = (
-                    contact.half_width,
-                    contact.half_length,
-                    mu * (contact.half_width + contact.half_length) / 2,
-                )
-                for i in range(3):
-                    parts += [arm[i] * fz - local[i], arm[i] * fz + local[i]]
-        return Rows.create(ca.vertcat(*parts), 0, np.inf, units.torque) if parts else None
-
-
 @dataclass(frozen=True, kw_only=True)
 class BaseDynamics(PointConstraint):
     """Unactuated rows of the dynamics vanish: nobody pushes the base (Newton-Euler of the whole body)."""
@@ -166,8 +100,7 @@ class BaseDynamics(PointConstraint):
         n = context.robot.n_unactuated
         if n == 0:
             return None
-        unit = np.where(units.position[:n] == 1.0, units.torque, units.force)
-        return Rows.create(context.base_rows, 0, 0, unit)
+        return Rows.create(context.base_rows, 0, 0, units.generalized_force[:n])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from trajopt.contact_terms import FrictionCone, FrictionPyramid, SoleCone, SoleLimits
 from trajopt.costs import (
     AccelerationCost,
     PostureCost,
@@ -13,10 +14,7 @@ from trajopt.point_terms import (
     BaseDynamics,
     ContactAcceleration,
     EffortLimits,
-    FrictionCone,
-    FrictionPyramid,
     PositionLimits,
-    SoleLimits,
     VelocityLimits,
 )
 from trajopt.term_interfaces import (
@@ -38,6 +36,7 @@ __all__ = [
     "PositionLimits",
     "PostureCost",
     "Rows",
+    "SoleCone",
     "SoleLimits",
     "Term",
     "TorqueCost",

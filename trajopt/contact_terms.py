@@ -1,0 +1,143 @@
+"""Constraints on contact wrenches: friction, pressure and the cones of soles, each on its own surface."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+
+from trajopt.context import Context
+from trajopt.errors import InputError
+from trajopt.robot import Contact
+from trajopt.sole import friction_rows, pressure_rows, yaw_rows
+from trajopt.term_interfaces import PointConstraint, Rows
+from trajopt.units import Units
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactConstraint(PointConstraint):
+    """A constraint on the wrenches of unilateral contacts.
+
+    ``friction`` overrides the coefficient of the surfaces that the contacts touch; ``contacts`` restricts
+    the term to these names (default: all). Contacts on bilateral surfaces have no rows: a grasp holds.
+    At an impact it holds for the impulses. Raises InputError.
+    """
+
+    acts_at_impacts: ClassVar[bool] = True
+
+    friction: float | None = None
+    contacts: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.friction is not None and not (math.isfinite(self.friction) and self.friction >= 0):
+            raise InputError(f"friction of {self.name} is {self.friction:g}", "allowed: finite and >= 0")
+
+    def _pressed(self, context: Context) -> Iterator[Contact]:
+        """Active contacts that the term is about."""
+        chosen = None if self.contacts is None else [context.robot.contact(name) for name in self.contacts]
+        for contact in context.contacts:
+            if (chosen is None or contact in chosen) and not context.surface(contact).bilateral:
+                yield contact
+
+    def _friction(self, context: Context, contact: Contact) -> float:
+        return context.surface(contact).friction if self.friction is None else self.friction
+
+
+def contact_force(context: Context, contact: Contact) -> ca.SX:
+    """Force (3,) of an active contact, world axes, N."""
+    return context.wrenches[contact.name][:3]
+
+
+def surface_force(context: Context, contact: Contact) -> ca.SX:
+    """Force (3,) of an active contact along the two tangents and the normal of its surface, N.
+
+    World axes on level ground; elsewhere the axes are parameters, so that one compiled function serves any
+    normal.
+    """
+    surface, force = context.surface(contact), contact_force(context, contact)
+    return force if surface.is_level else ca.mtimes(context.parameter(surface.frame).T, force)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrictionPyramid(ContactConstraint):
+    """Unilateral force inside a pyramid inscribed in the Coulomb cone: |f_1|, |f_2| <= mu f_n / sqrt 2.
+
+    Its sides stand along the surface's tangents 1 and 2, the world's x and y on level ground.
+    """
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        parts = []
+        for contact in self._pressed(context):
+            mu = context.parameter(self._friction(context, contact) / math.sqrt(2))
+            f = surface_force(context, contact)
+            parts += [f[2], *friction_rows((f[0], f[1], f[2]), mu)]
+        return Rows.create(ca.vertcat(*parts), 0, np.inf, units.force) if parts else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrictionCone(ContactConstraint):
+    """Unilateral force inside the smooth exact Coulomb cone: f_1^2 + f_2^2 <= (mu f_n)^2, f_n >= 0.
+
+    The squared form has no kink at the apex; the row is divided by the weight squared.
+    """
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        parts = []
+        for contact in self._pressed(context):
+            mu = context.parameter(self._friction(context, contact))
+            f = surface_force(context, contact) / units.force
+            parts += [f[2], (mu * f[2]) ** 2 - f[0] ** 2 - f[1] ** 2]
+        return Rows.create(ca.vertcat(*parts), 0, np.inf, 1.0) if parts else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SoleLimits(ContactConstraint):
+    """Centre of pressure of surface contacts inside the sole, and yaw moment within a box.
+
+    |m_x| <= half_width f_n, |m_y| <= half_length f_n in the sole's axes, and the yaw moment within
+    mu f_n times the mean half size, whatever the other components are: `SoleCone` is exact.
+    """
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        parts = []
+        for contact in self._pressed(context):
+            if contact.dimension == 6:
+                mu = context.parameter(self._friction(context, contact))
+                rotation = context.frame(contact.frame).rotation
+                moment = ca.mtimes(rotation.T, context.wrenches[contact.name][3:])
+                pressure = surface_force(context, contact)[2]
+                arm = (
+                    contact.half_width,
+                    contact.half_length,
+                    mu * (contact.half_width + contact.half_length) / 2,
+                )
+                for i in range(3):
+                    parts += [arm[i] * pressure - moment[i], arm[i] * pressure + moment[i]]
+        return Rows.create(ca.vertcat(*parts), 0, np.inf, units.torque) if parts else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SoleCone(ContactConstraint):
+    """Wrench of each sole inside the cone of all that its surface can transmit, 16 rows.
+
+    Friction, centre of pressure and yaw moment together, see `sole.yaw_rows` (Caron, Pham, Nakamura, ICRA
+    2015), for a pyramid along the sole's axes that is inscribed in the Coulomb cone, coefficient mu / sqrt 2.
+    Complete for soles: no other friction term is needed for them. Point contacts have no rows.
+    """
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        parts, scales = [], []
+        for contact in self._pressed(context):
+            if contact.dimension == 6:
+                mu = context.parameter(self._friction(context, contact) / math.sqrt(2))
+                to_sole, wrench = context.frame(contact.frame).rotation.T, context.wrenches[contact.name]
+                force, moment = (ca.vertsplit(ca.mtimes(to_sole, part)) for part in (wrench[:3], wrench[3:]))
+                size = (contact.half_length, contact.half_width)
+                moments = [*pressure_rows(force, moment, size), *yaw_rows(force, moment, size, mu)]
+                parts += [*friction_rows(force, mu), *moments]
+                scales += [units.force] * 4 + [units.torque] * len(moments)
+        return Rows.create(ca.vertcat(*parts), 0, np.inf, np.array(scales)) if parts else None
