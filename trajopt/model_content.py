@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import lru_cache, wraps
 
+import casadi as ca
 import numpy as np
 import pinocchio as pin
 
@@ -19,6 +23,7 @@ SUPPORTED_JOINTS = (
 _NO_AXIS = (0.0, 0.0, 0.0)
 _CLOSE_NAMES = 5
 _CLOSE_CUTOFF = 0.4  # of difflib's similarity, below its default 0.6: frame names are long
+_CACHED_FUNCTIONS = 64  # of each decorated function
 
 
 def joint_kind(model: pin.Model, index: int) -> str:
@@ -39,6 +44,28 @@ def model_content(model: pin.Model) -> tuple:
     """
     joints = tuple(_joint_content(model, index) for index in range(1, model.njoints))
     return joints, tuple(model.armature.tolist()), tuple(model.gravity.linear.tolist())
+
+
+@dataclass(frozen=True)
+class _Keyed:
+    """A model that is equal to another of the same content."""
+
+    content: tuple
+    model: pin.Model = field(compare=False)
+
+
+def once_per_content(build: Callable[..., ca.Function]) -> Callable[..., ca.Function]:
+    """Decorate ``build(model, *hashable)`` so that it runs once for each content of a model."""
+
+    @lru_cache(maxsize=_CACHED_FUNCTIONS)
+    def built(keyed: _Keyed, *arguments: object) -> ca.Function:
+        return build(keyed.model, *arguments)
+
+    @wraps(build)
+    def of_model(model: pin.Model, *arguments: object) -> ca.Function:
+        return built(_Keyed(model_content(model), model), *arguments)
+
+    return of_model
 
 
 def frame_content(model: pin.Model, name: str, wrench_size: int = 0) -> tuple:
