@@ -10,11 +10,13 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.consistency import interval_gaps
+from trajopt.drive import Drive
 from trajopt.flight import flight_errors
 from trajopt.model_quantities import gravity_of, mass_of
 from trajopt.reintegration import OpenLoopError, open_loop
 from trajopt.report import PhaseReport, Report
 from trajopt.robot_building import position_limits
+from trajopt.robot_drives import drive_torque_values
 from trajopt.samples import Plane, Samples, evaluate, terrain_plane
 from trajopt.solution import Solution
 from trajopt.solution_file import consistent_meta
@@ -37,6 +39,7 @@ def check(solution: Solution | str | Path) -> Report:
         **_dynamics(plan, samples),
         **_forces(plan, samples, terrain),
         **_limits(plan),
+        **_drives(plan),
         **_contacts(plan, samples, terrain),
         quaternion_error=_quaternion_error(given),
         position_gap=gaps.position,
@@ -159,6 +162,23 @@ def _beyond(values: np.ndarray, limit: list[float | None] | None) -> np.ndarray:
     columns = np.isfinite(bound)
     unit = np.where(bound[columns] > 0, bound[columns], 1.0)
     return np.asarray((np.abs(values[:, columns]) - bound[columns]) / unit)
+
+
+def _drives(plan: Solution) -> dict[str, float | None]:
+    """Motor torque and voltage over their limits, minus one, from ``tau``, ``v`` and the drives of meta."""
+    entries = plan.meta.get("drives") or []
+    drives = tuple(None if entry is None else Drive.from_meta(entry) for entry in entries)
+    rates = plan.v[:, plan.n_unactuated :]
+    torque = drive_torque_values(drives, plan.tau, rates) if drives else plan.tau
+    found = [(row, drive) for row, drive in enumerate(drives) if drive is not None]
+    current = [torque[:, i] / d.joint_torque_limit for i, d in found if np.isfinite(d.torque_limit)]
+    voltage = [d.voltage_use(torque[:, i], rates[:, i]) for i, d in found if np.isfinite(d.stall_torque)]
+    points = plan.collocation
+    return {
+        "drive_torque_excess": _largest(np.abs([row[points] for row in current]) - 1),
+        "drive_voltage_excess": _largest(np.abs([row[points] for row in voltage]) - 1),
+        "drive_voltage_excess_between": _largest(np.abs([row[~points] for row in voltage]) - 1),
+    }
 
 
 def _contacts(plan: Solution, samples: Samples, terrain: Plane | None) -> dict[str, float | None]:

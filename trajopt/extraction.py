@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from trajopt.layout import Layout
 from trajopt.model_quantities import generalized_force
+from trajopt.robot_drives import actuated_row_limit
 from trajopt.solution import Solution
 from trajopt.transcription import Transcription
 from trajopt.versions import installed_version
@@ -122,6 +123,7 @@ def _problem_meta(transcription: Transcription) -> dict[str, Any]:
     limits = {"effort_limit": robot.effort_limit, "velocity_limit": robot.velocity_limit}
     for term in problem.point_constraints:
         limits |= term.limits(robot)
+    limits["effort_limit"] = actuated_row_limit(robot, limits["effort_limit"])
     meta: dict[str, Any] = {
         "problem": problem.name,
         "parameters": dict(problem.parameters),
@@ -140,6 +142,8 @@ def _problem_meta(transcription: Transcription) -> dict[str, Any]:
         "versions": {name: installed_version(name) for name in VERSIONED},
         **{name: _as_numbers(limit) for name, limit in limits.items()},
     }
+    if robot.drives is not None:
+        meta["drives"] = [None if drive is None else drive.to_meta() for drive in robot.drives]
     if robot.visual is not None:
         meta["visual"] = robot.visual.to_meta()
     return meta

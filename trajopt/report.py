@@ -76,6 +76,11 @@ FIGURES: dict[str, Figure] = {
     "inactive_force": Figure(text="force of inactive contacts", unit="weight", tolerance="residual"),
     "effort_excess": Figure(text="torque beyond its limit", unit="limit", tolerance="limit"),
     "effort_excess_between": Figure(text="torque beyond its limit between points", unit="limit"),
+    "drive_torque_excess": Figure(text="motor torque beyond its limit", unit="limit", tolerance="limit"),
+    "drive_voltage_excess": Figure(text="motor voltage beyond its limit", unit="limit", tolerance="limit"),
+    "drive_voltage_excess_between": Figure(
+        text="motor voltage beyond its limit between points", unit="limit"
+    ),
     "velocity_excess": Figure(text="velocity beyond its limit", unit="limit", tolerance="limit"),
     "position_excess": Figure(text="position beyond its limit", unit="range", tolerance="limit"),
     "penetration": Figure(text="depth below the terrain", unit="m", tolerance="penetration"),
@@ -108,6 +113,8 @@ class Report:
     friction_margin: least mu f_n - |f_t| at collocation points, ``..._between`` at other samples.
     unilateral_margin: least f_n. sole_margin: least distance of moments from the sole's limits.
     effort_excess, velocity_excess: largest |x| / limit - 1; negative is reserve.
+    drive_torque_excess: largest |tau_m| / torque_limit - 1 of the drives, with joint friction.
+    drive_voltage_excess: largest |tau_m / stall_torque + omega_m / no_load_speed| - 1.
     position_excess: largest part of the joint's range beyond its limit; negative is reserve.
     penetration, quaternion_error, contact_velocity, foot_drift, foot_turn: at all samples.
     landing_height: height over the terrain of active contacts at their phase's start, unsigned.
@@ -127,6 +134,9 @@ class Report:
     inactive_force: float | None
     effort_excess: float | None
     effort_excess_between: float | None
+    drive_torque_excess: float | None
+    drive_voltage_excess: float | None
+    drive_voltage_excess_between: float | None
     velocity_excess: float | None
     position_excess: float | None
     penetration: float | None

@@ -14,10 +14,12 @@ from numpy.typing import ArrayLike
 
 from trajopt import robot_building as building
 from trajopt.contact import Contact, require_frame
+from trajopt.drive import Drive
 from trajopt.errors import InputError
 from trajopt.model_quantities import gravity_of, mass_of
 from trajopt.robot_building import Base
 from trajopt.robot_data import VisualSource, package_directories
+from trajopt.robot_drives import driven, require_drives
 
 # A reference posture may touch its limit: rounding of degrees in description files, rad or m.
 LIMIT_SLACK = 1e-6
@@ -42,6 +44,7 @@ class Robot:
     visual: where the meshes are, for a replay.
     passive: joints without actuator (an ankle that is a contact, the shoulder of an acrobot), behind
         the base rows and before every other joint.
+    drives: a `Drive` or None for each actuated row (nu), or None; put on with `with_drives`.
 
     Raises `InputError` at construction for an unknown frame, a wrong shape, a number that is
     not finite, a reference outside the limits, or two contacts of one name.
@@ -58,6 +61,7 @@ class Robot:
     contacts: tuple[Contact, ...] = ()
     visual: VisualSource | None = None
     passive: tuple[str, ...] = ()
+    drives: tuple[Drive | None, ...] | None = None
 
     def __post_init__(self) -> None:
         building.require_base(self.base)
@@ -82,6 +86,9 @@ class Robot:
         self._require_contacts()
         self._require_limits()
         self._require_reference()
+        if self.drives is not None:
+            object.__setattr__(self, "drives", tuple(self.drives))
+            require_drives(self, self.drives)
 
     def _read_only(self, field: str, size: int) -> np.ndarray:
         try:
@@ -202,6 +209,19 @@ class Robot:
         """Return this robot with ``joints`` welded at their value in ``reference`` (nq,), default its own."""
         return lock(self, joints, self.reference if reference is None else np.asarray(reference, dtype=float))
 
+    def with_drives(self, drives: Mapping[str, Drive | None] | Sequence[Drive | None]) -> Robot:
+        """Return this robot with drives: by joint name, or one (or None) for each actuated row (nu).
+
+        Limits and inertias are stated once, by the drive: the reflected rotor inertia n^2 I_r replaces the
+        model's armature of that joint (which is the same quantity, from another source), unless it is 0;
+        |n| torque_limit, if finite, replaces its effort limit; its velocity limit is lowered to
+        no_load_speed / |n|, beyond which the induced voltage exceeds the supply.
+
+        Raises `InputError` for a joint that is unknown or not actuated, `UnsupportedJointError` for one
+        of several degrees of freedom.
+        """
+        return driven(self, drives)
+
     @classmethod
     def from_urdf(
         cls,
@@ -306,4 +326,5 @@ def lock(robot: Robot, joints: Sequence[str], reference: np.ndarray) -> Robot:
         position_upper=robot.position_upper[rows_q],
         effort_limit=None if robot.effort_limit is None else robot.effort_limit[actuated],
         passive=tuple(name for name in robot.passive if name not in joints),
+        drives=None if robot.drives is None else tuple(robot.drives[int(row)] for row in actuated),
     )

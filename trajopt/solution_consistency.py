@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from trajopt.drive import Drive
+from trajopt.errors import InputError
 from trajopt.solution import OTHERS, SAMPLED, Solution
 
 META_KEYS = (
@@ -66,7 +68,7 @@ def _wrong_meta(meta: dict[str, Any]) -> str:
             return f"{key} of meta is not null or a list of numbers >= 0"
     if not isinstance(meta["success"], bool):
         return "success of meta is not true or false"
-    return _wrong_sizes(meta.get("contact_sizes"), kinds)
+    return _wrong_sizes(meta.get("contact_sizes"), kinds) or _wrong_drives(meta.get("drives"))
 
 
 def _wrong_sizes(sizes: Any, kinds: list[str]) -> str:
@@ -79,6 +81,21 @@ def _wrong_sizes(sizes: Any, kinds: list[str]) -> str:
     )
     if not pairs or len(sizes) != len(kinds):
         return "contact_sizes of meta is not a list of null or [half_length, half_width] for each contact"
+    return ""
+
+
+def _wrong_drives(drives: Any) -> str:
+    """Optional key of meta: the drive of each actuated row as an object of its fields, null without."""
+    if drives is None:
+        return ""
+    if not isinstance(drives, list):
+        return "drives of meta is not a list"
+    try:
+        for entry in drives:
+            if entry is not None:
+                Drive.from_meta(entry)
+    except InputError as error:
+        return f"drives of meta: {error}"
     return ""
 
 
@@ -106,6 +123,8 @@ def _wrong_shape(solution: Solution, meta: dict[str, Any]) -> str:
     for key, size in (("effort_limit", actuated), ("velocity_limit", model.nv)):
         if meta[key] is not None and len(meta[key]) != size:
             return f"{key} of meta has {len(meta[key])} entries, expected {size}"
+    if meta.get("drives") is not None and len(meta["drives"]) != actuated:
+        return f"drives of meta has {len(meta['drives'])} entries, expected {actuated}"
     for frame in meta["contact_frames"]:
         if not isinstance(frame, str) or not model.existFrame(frame):
             return f"contact frame {frame!r} is not in the model"

@@ -1,0 +1,188 @@
+"""Drives: a motor behind a gear on one joint, and what follows for the joint.
+
+Sides are never mixed: names with ``motor_`` (and the fields that say so) are behind the gear, on the
+motor's shaft; everything else is on the joint. With the gear ratio n (motor turns per joint turn), of a
+gear without losses,
+
+    motor_speed = n rate,    motor_torque = torque / n,    reflected inertia = n^2 I_r
+
+(Spong, Hutchinson, Vidyasagar, Robot Modeling and Control, 2006, sec. 6.2 and 7.5). A prismatic joint
+has forces, N, and rates, m/s, and a ratio in rad/m.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any, TypeVar
+
+import casadi as ca
+import numpy as np
+
+from trajopt.errors import InputError
+
+Quantity = TypeVar("Quantity", float, np.ndarray, ca.SX)
+
+# Joint speed over which smoothed Coulomb friction rises to tanh(1) = 76 %: a hundredth of what legs
+# and arms reach, rad/s.
+COULOMB_SPEED = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drive:
+    """A motor and its gear on one joint of one degree of freedom.
+
+    gear_ratio: n, motor turns per joint turn; negative where they turn against each other, never zero.
+    rotor_inertia: of the rotor about its axis, motor side, kg m^2; 0 leaves the model's armature.
+    viscous_friction: joint side, N m s/rad. coulomb_friction: joint side, N m, smoothed as
+        tanh(rate / coulomb_speed) with ``coulomb_speed`` in rad/s, joint side.
+    torque_limit: motor side, N m: what the largest current gives.
+    stall_torque, no_load_speed: motor side, N m and rad/s: where the voltage line meets the axes.
+        From V = R i + k_e omega with |V| <= V_max follows |tau_m / stall_torque + omega_m /
+        no_load_speed| <= 1 (Hughes and Drury, Electric Motors and Drives, 2013, sec. 3.4).
+
+    Raises `InputError` for a ratio of zero, NaN, negative friction or inertia, limits not above zero.
+    """
+
+    gear_ratio: float
+    rotor_inertia: float = 0.0
+    viscous_friction: float = 0.0
+    coulomb_friction: float = 0.0
+    coulomb_speed: float = COULOMB_SPEED
+    torque_limit: float = math.inf
+    stall_torque: float = math.inf
+    no_load_speed: float = math.inf
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            object.__setattr__(self, field.name, _number(field.name, getattr(self, field.name)))
+        if self.gear_ratio == 0 or not math.isfinite(self.gear_ratio):
+            raise InputError(f"gear_ratio of a drive is {self.gear_ratio:g}", "allowed: finite, not zero")
+        for name in ("rotor_inertia", "viscous_friction", "coulomb_friction"):
+            if not (getattr(self, name) >= 0 and math.isfinite(getattr(self, name))):
+                raise InputError(f"{name} of a drive is {getattr(self, name):g}", "allowed: finite and >= 0")
+        for name in ("coulomb_speed", "torque_limit", "stall_torque", "no_load_speed"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"{name} of a drive is {getattr(self, name):g}", "allowed: > 0")
+        if not math.isfinite(self.coulomb_speed):
+            raise InputError("coulomb_speed of a drive is infinite", "allowed: finite and > 0")
+        if math.isfinite(self.stall_torque) != math.isfinite(self.no_load_speed):
+            raise InputError(
+                f"a drive has stall_torque={self.stall_torque:g} and no_load_speed={self.no_load_speed:g}",
+                "allowed: both finite, which gives the voltage line, or neither",
+            )
+
+    @classmethod
+    def from_motor(
+        cls,
+        *,
+        gear_ratio: float,
+        voltage: float,
+        resistance: float,
+        torque_constant: float,
+        back_emf_constant: float | None = None,
+        current_limit: float = math.inf,
+        **others: float,
+    ) -> Drive:
+        """Drive of a motor with ``V = R i + k_e omega`` and ``tau_m = k_t i``, all on the motor side.
+
+        voltage: the largest, V. resistance: ohm. torque_constant: k_t, N m/A. back_emf_constant: k_e,
+        V s/rad, default k_t (a direct-current motor; for three phases in amplitudes k_t = 3/2 k_e,
+        voltage the largest amplitude of a phase). current_limit: A. ``others``: fields of `Drive`.
+        """
+        given = {
+            "voltage": voltage,
+            "resistance": resistance,
+            "torque_constant": torque_constant,
+            "back_emf_constant": torque_constant if back_emf_constant is None else back_emf_constant,
+        }
+        numbers = {name: _number(name, value) for name, value in given.items()}
+        for name, value in numbers.items():
+            if not (value > 0 and math.isfinite(value)):
+                raise InputError(f"{name} of a motor is {value:g}", "allowed: finite and > 0")
+        return cls(
+            gear_ratio=gear_ratio,
+            torque_limit=numbers["torque_constant"] * _number("current_limit", current_limit),
+            stall_torque=numbers["torque_constant"] * numbers["voltage"] / numbers["resistance"],
+            no_load_speed=numbers["voltage"] / numbers["back_emf_constant"],
+            **others,
+        )
+
+    @classmethod
+    def from_meta(cls, meta: Any) -> Drive:
+        """Drive of a solution file's description; raises `InputError` where it is not one."""
+        names = {field.name for field in fields(cls)}
+        if not isinstance(meta, Mapping) or not set(meta) <= names or "gear_ratio" not in meta:
+            raise InputError("a drive in meta is not an object of its fields", ", ".join(sorted(names)))
+        return cls(**{name: math.inf if value is None else value for name, value in meta.items()})
+
+    def to_meta(self) -> dict[str, float | None]:
+        """Fields for JSON, which has no infinity: null is none."""
+        return {name: value if math.isfinite(value) else None for name, value in asdict(self).items()}
+
+    @property
+    def armature(self) -> float:
+        """Rotor inertia reflected to the joint, n^2 I_r, kg m^2."""
+        return self.gear_ratio**2 * self.rotor_inertia
+
+    @property
+    def joint_torque_limit(self) -> float:
+        """The motor's torque limit on the joint side, |n| torque_limit, N m."""
+        return abs(self.gear_ratio) * self.torque_limit
+
+    @property
+    def joint_no_load_speed(self) -> float:
+        """The no-load speed on the joint side, no_load_speed / |n|, rad/s."""
+        return self.no_load_speed / abs(self.gear_ratio)
+
+    def motor_torque(self, torque: Quantity) -> Quantity:
+        """Motor torque, N m, of a torque that the drive delivers to the joint."""
+        return torque / self.gear_ratio
+
+    def motor_speed(self, rate: Quantity) -> Quantity:
+        """Motor speed, rad/s, of a joint rate."""
+        return self.gear_ratio * rate
+
+    def friction_torque(self, rate: Quantity) -> Quantity:
+        """Joint friction that the drive has to overcome, N m, joint side: of the sign of ``rate``."""
+        coulomb = self.coulomb_friction * _tanh(rate / self.coulomb_speed)
+        return self.viscous_friction * rate + coulomb
+
+    def voltage_use(self, torque: Quantity, rate: Quantity) -> Quantity:
+        """Voltage over the largest voltage, tau_m / stall_torque + omega_m / no_load_speed, in -1 to 1.
+
+        ``torque`` N m and ``rate`` rad/s on the joint side; zero without a voltage line.
+        """
+        return self.motor_torque(torque) / self.stall_torque + self.motor_speed(rate) / self.no_load_speed
+
+    def torque_range(self, rate: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest torque, N m, joint side, that voltage and current allow at a joint rate.
+
+        Empty (least above largest) at rates that no current can hold.
+        """
+        reach = abs(self.gear_ratio) * self.stall_torque
+        induced = np.asarray(rate, dtype=float) / self.joint_no_load_speed
+        line = reach * np.array([-1 - induced, 1 - induced]) if math.isfinite(reach) else [-reach, reach]
+        limit = self.joint_torque_limit
+        return np.maximum(line[0], -limit), np.minimum(line[1], limit)
+
+    def envelope_margin(self, torque: float | np.ndarray, rate: float | np.ndarray) -> np.ndarray:
+        """Least part of voltage and of motor torque left at a point of operation; negative is beyond."""
+        voltage = 1 - np.abs(self.voltage_use(np.asarray(torque), np.asarray(rate)))
+        current = 1 - np.abs(self.motor_torque(np.asarray(torque))) / self.torque_limit
+        return np.minimum(voltage, current)
+
+
+def _number(name: str, value: Any) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} of a drive is {value!r}", "allowed: a number") from None
+    if math.isnan(number):
+        raise InputError(f"{name} of a drive is NaN", "allowed: a number")
+    return number
+
+
+def _tanh(x: Any) -> Any:
+    return ca.tanh(x) if isinstance(x, ca.SX) else np.tanh(x)
