@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.consistency import interval_gaps
+from trajopt.contact_figures import force_figures, is_sole, place_figures
 from trajopt.drive import Drive
 from trajopt.flight import flight_errors
 from trajopt.model_quantities import gravity_of, mass_of
@@ -17,9 +18,10 @@ from trajopt.reintegration import OpenLoopError, open_loop
 from trajopt.report import PhaseReport, Report
 from trajopt.robot_building import position_limits
 from trajopt.robot_drives import drive_torque_values
-from trajopt.samples import Plane, Samples, evaluate, terrain_plane
+from trajopt.samples import Samples, evaluate
 from trajopt.solution import Solution
 from trajopt.solution_file import consistent_meta
+from trajopt.touched import touched
 
 
 def check(solution: Solution | str | Path) -> Report:
@@ -31,16 +33,16 @@ def check(solution: Solution | str | Path) -> Report:
     """
     given = _trusted(solution)
     plan = _on_manifold(given)
-    terrain = terrain_plane(plan.meta["terrain"])
+    surfaces = touched(plan)
     samples = evaluate(plan)
     gaps = interval_gaps(plan)
     phases = _phases(plan)
     return Report(
         **_dynamics(plan, samples),
-        **_forces(plan, samples, terrain),
+        **force_figures(plan, samples, surfaces),
         **_limits(plan),
         **_drives(plan),
-        **_contacts(plan, samples, terrain),
+        **place_figures(plan, samples, surfaces),
         quaternion_error=_quaternion_error(given),
         position_gap=gaps.position,
         velocity_gap=gaps.velocity,
@@ -76,10 +78,6 @@ def _largest(values: np.ndarray) -> float | None:
     return float(np.max(values)) if values.size else None
 
 
-def _least(values: np.ndarray) -> float | None:
-    return float(np.min(values)) if values.size else None
-
-
 def _weight(plan: Solution) -> float:
     """Weight of the moving bodies in N, the unit of forces and, times one metre, of moments."""
     return mass_of(plan.model) * gravity_of(plan.model)
@@ -89,54 +87,13 @@ def _dynamics(plan: Solution, samples: Samples) -> dict[str, float | None]:
     points, base = plan.collocation, plan.n_unactuated
     force = samples.generalized_force[points] / _weight(plan)
     acceleration = samples.acceleration[points][plan.active[points]] / gravity_of(plan.model)
-    soles = np.broadcast_to(_is_sole(plan), plan.active.shape)[points][plan.active[points]]
+    soles = np.broadcast_to(is_sole(plan), plan.active.shape)[points][plan.active[points]]
     acceleration[~soles, 3:] = 0.0
     return {
         "base_residual": _largest(np.abs(force[:, :base])),
         "actuated_residual": _largest(np.abs(force[:, base:] - plan.tau[points] / _weight(plan))),
         "contact_acceleration": _largest(np.abs(acceleration)),
     }
-
-
-def _is_sole(plan: Solution) -> np.ndarray:
-    return np.array([kind == "surface" for kind in plan.meta["contact_kinds"]], dtype=bool)
-
-
-def _forces(plan: Solution, samples: Samples, terrain: Plane | None) -> dict[str, float | None]:
-    weight, points = _weight(plan), plan.collocation[:, None]
-    normal_axis = np.array([0.0, 0.0, 1.0]) if terrain is None else terrain.normal
-    force = plan.f[..., :3] / weight
-    normal = force @ normal_axis
-    tangential = np.linalg.norm(force - normal[..., None] * normal_axis, axis=-1)
-    margin = np.array(plan.meta["friction"], dtype=float) * normal - tangential
-    return {
-        "friction_margin": _least(margin[plan.active & points]),
-        "friction_margin_between": _least(margin[plan.active & ~points]),
-        "unilateral_margin": _least(normal[plan.active & points]),
-        "sole_margin": _sole_margin(plan, samples, normal, weight),
-        "inactive_force": _largest(np.abs(plan.f[~plan.active]) / weight),
-    }
-
-
-def _sole_margin(plan: Solution, samples: Samples, normal: np.ndarray, weight: float) -> float | None:
-    """Least of half_size f_n - |m| over roll, pitch and yaw in the sole's axes, weight times metre.
-
-    Half sizes [half_length, half_width] come from the optional key ``contact_sizes`` of meta (null
-    for a point); yaw is held by friction at their mean.
-    """
-    sizes = plan.meta.get("contact_sizes")
-    if not isinstance(sizes, list) or len(sizes) != plan.f.shape[1]:
-        return None
-    found = []
-    for index in np.flatnonzero(_is_sole(plan)):
-        rows = plan.active[:, index] & plan.collocation
-        if sizes[index] is None or not rows.any():
-            continue
-        length, width = sizes[index]
-        arms = np.array([width, length, plan.meta["friction"][index] * (length + width) / 2])
-        moment = np.einsum("kji,kj->ki", samples.rotation[rows, index], plan.f[rows, index, 3:]) / weight
-        found.append(float((arms * normal[rows, index, None] - np.abs(moment)).min()))
-    return min(found) if found else None
 
 
 def _limits(plan: Solution) -> dict[str, float | None]:
@@ -179,34 +136,6 @@ def _drives(plan: Solution) -> dict[str, float | None]:
         "drive_voltage_excess": _largest(np.abs([row[points] for row in voltage]) - 1),
         "drive_voltage_excess_between": _largest(np.abs([row[~points] for row in voltage]) - 1),
     }
-
-
-def _contacts(plan: Solution, samples: Samples, terrain: Plane | None) -> dict[str, float | None]:
-    drift, turn, landing = [], [], []
-    for phase in plan.phases:
-        for index in np.flatnonzero(plan.active[phase.start]):
-            rows = slice(phase.start, phase.stop)
-            place = samples.position[rows, index]
-            drift.append(np.linalg.norm(place - place[0], axis=1).max())
-            if terrain is not None:
-                landing.append(abs(float(terrain.height(place[0]))))
-            if _is_sole(plan)[index]:
-                turn.append(_turn(samples.rotation[rows, index]))
-    speed = np.linalg.norm(samples.velocity[plan.active][:, :3], axis=1)
-    depth = np.zeros(0) if terrain is None else np.maximum(-terrain.height(samples.position), 0.0)
-    return {
-        "contact_velocity": _largest(speed),
-        "penetration": _largest(depth),
-        "landing_height": _largest(np.array(landing)),
-        "foot_drift": _largest(np.array(drift)),
-        "foot_turn": _largest(np.array(turn)),
-    }
-
-
-def _turn(rotation: np.ndarray) -> float:
-    """Largest angle (rad) between rotations (n, 3, 3) and the first, exact for small angles."""
-    chord = np.linalg.norm(rotation - rotation[0], axis=(1, 2)).max() / np.sqrt(8)
-    return float(2 * np.arcsin(min(chord, 1.0)))
 
 
 def _quaternion_error(plan: Solution) -> float | None:

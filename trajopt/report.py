@@ -15,6 +15,8 @@ FRICTION = 1e-6
 LIMIT = 1e-6
 # A foot that creeps or hovers a millimetre within a phase is below what legs are positioned to.
 FOOT_DRIFT = 1e-3
+# A sole of 10 cm half length that is tilted by this lifts its edge by a millimetre.
+SOLE_TILT = 1e-2
 # A foot a millimetre deep is below the compliance of rubber soles.
 PENETRATION = 1e-3
 # Norm error of quaternions and (cos, sin) pairs: rounding over thousands of steps is 1e-12.
@@ -29,6 +31,7 @@ class Tolerances:
     friction: float | None = FRICTION
     limit: float | None = LIMIT
     foot_drift: float | None = FOOT_DRIFT
+    sole_tilt: float | None = SOLE_TILT
     penetration: float | None = PENETRATION
     quaternion: float | None = QUATERNION
     flight: float | None = None
@@ -87,6 +90,7 @@ FIGURES: dict[str, Figure] = {
     "landing_height": Figure(text="height of contacts where they begin", unit="m", tolerance="foot_drift"),
     "foot_drift": Figure(text="drift of active contacts", unit="m", tolerance="foot_drift"),
     "foot_turn": Figure(text="turn of active soles", unit="rad"),
+    "sole_tilt": Figure(text="tilt of active soles on their surface", unit="rad", tolerance="sole_tilt"),
     "quaternion_error": Figure(text="norm error of rotations", unit="1", tolerance="quaternion"),
     "position_gap": Figure(text="q against the integral of v", unit="m, rad"),
     "velocity_gap": Figure(text="v against the integral of a", unit="m/s, rad/s"),
@@ -111,13 +115,15 @@ class Report:
     contact_acceleration: classical acceleration of active contacts at collocation points over g
         (angular rows of soles in rad/s^2 over g per metre).
     friction_margin: least mu f_n - |f_t| at collocation points, ``..._between`` at other samples.
-    unilateral_margin: least f_n. sole_margin: least distance of moments from the sole's limits.
+    unilateral_margin: least f_n. sole_margin: least distance of moments from the sole's limits. Each on
+        the contact's own surface; none of them on a bilateral one.
     effort_excess, velocity_excess: largest |x| / limit - 1; negative is reserve.
     drive_torque_excess: largest |tau_m| / torque_limit - 1 of the drives, with joint friction.
     drive_voltage_excess: largest |tau_m / stall_torque + omega_m / no_load_speed| - 1.
     position_excess: largest part of the joint's range beyond its limit; negative is reserve.
-    penetration, quaternion_error, contact_velocity, foot_drift, foot_turn: at all samples.
-    landing_height: height over the terrain of active contacts at their phase's start, unsigned.
+    penetration, quaternion_error, contact_velocity, foot_drift, foot_turn, sole_tilt: at all samples.
+        penetration is below the surface of an active contact, below the terrain otherwise.
+    landing_height: distance of active contacts from their surface at their phase's start, unsigned.
     position_gap, velocity_gap: see `consistency.interval_gaps`. ballistic_error, momentum_error: at
         nodes, ``..._between`` at collocation points, see
         `flight.flight_errors`. open_loop_...: see `reintegration.open_loop`; inf where it diverged.
@@ -143,6 +149,7 @@ class Report:
     landing_height: float | None
     foot_drift: float | None
     foot_turn: float | None
+    sole_tilt: float | None
     quaternion_error: float | None
     position_gap: float
     velocity_gap: float

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from trajopt.errors import SolutionFileError
 from trajopt.model_quantities import generalized_force
 from trajopt.solution import Solution
 
@@ -55,35 +53,3 @@ def evaluate(solution: Solution) -> Samples:
         velocity=velocity,
         acceleration=acceleration,
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Plane:
-    """Flat terrain: a point on it and its unit normal, m, world axes."""
-
-    point: np.ndarray
-    normal: np.ndarray
-
-    def height(self, position: np.ndarray) -> np.ndarray:
-        """Signed distance (...) of world positions (..., 3), positive above."""
-        return np.asarray((position - self.point) @ self.normal)
-
-
-def terrain_plane(terrain: Any) -> Plane | None:
-    """Read ``meta["terrain"]``; None where there is none. Raises `SolutionFileError` for another kind."""
-    if terrain is None:
-        return None
-    if not isinstance(terrain, dict) or terrain.get("kind") != "flat":
-        kind = terrain.get("kind") if isinstance(terrain, dict) else terrain
-        raise SolutionFileError(
-            f"terrain of kind {kind!r} in meta is not known to this version", "'flat' or null"
-        )
-    try:
-        normal = np.array(terrain.get("normal", (0.0, 0.0, 1.0)), dtype=float)
-        height = float(terrain.get("height", 0.0))
-    except (TypeError, ValueError):
-        raise SolutionFileError("terrain in meta has no numeric 'height' and 'normal'") from None
-    norm = float(np.linalg.norm(normal)) if normal.shape == (3,) else 0.0
-    if not (np.isfinite(height) and np.isfinite(norm) and norm > 0):
-        raise SolutionFileError("terrain in meta has no finite 'height' and 'normal' (3,)")
-    return Plane(point=np.array([0.0, 0.0, height]), normal=normal / norm)

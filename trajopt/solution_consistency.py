@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from trajopt.drive import Drive
-from trajopt.errors import InputError
+from trajopt.errors import InputError, SolutionFileError
 from trajopt.solution import OTHERS, SAMPLED, Solution
+from trajopt.touched import surfaces_of
 
 META_KEYS = (
     "format",
@@ -42,7 +43,11 @@ SAME_TIME = 1e-9
 def inconsistency(solution: Solution, meta: dict[str, Any]) -> str:
     """Return the first thing wrong with ``solution`` and its JSON ``meta``, or an empty text."""
     return (
-        _wrong_meta(meta) or _wrong_shape(solution, meta) or _wrong_number(solution) or _wrong_time(solution)
+        _wrong_meta(meta)
+        or _wrong_shape(solution, meta)
+        or _wrong_number(solution)
+        or _wrong_time(solution)
+        or _wrong_surfaces(solution, meta)
     )
 
 
@@ -96,6 +101,22 @@ def _wrong_drives(drives: Any) -> str:
                 Drive.from_meta(entry)
     except InputError as error:
         return f"drives of meta: {error}"
+    return ""
+
+
+def _wrong_surfaces(solution: Solution, meta: dict[str, Any]) -> str:
+    """Optional key of meta: for each phase, what active contacts touch instead of the terrain, by frame."""
+    try:
+        surfaces = surfaces_of(meta.get("surfaces"))
+    except SolutionFileError as error:
+        return str(error)
+    if surfaces and len(surfaces) != solution.phase[-1] + 1:
+        return f"surfaces of meta has {len(surfaces)} entries for {solution.phase[-1] + 1} phases"
+    for rows in solution.phases if surfaces else ():
+        active = {meta["contact_frames"][i] for i in np.flatnonzero(solution.active[rows.start])}
+        unknown = set(surfaces[int(solution.phase[rows.start])]) - active
+        if unknown:
+            return f"surfaces of meta names {', '.join(sorted(unknown))}, not in contact in that phase"
     return ""
 
 
