@@ -97,7 +97,7 @@ def test_angle_of_a_continuous_joint_is_counted_through_whole_turns():
     )
     t = transcribe(problem, "legendre:1", 10)
     x, layout = initial_guess(t) * t.scale, t.layout
-    angles = [x[layout.node(k)][layout.local_additive[1]] for k in range(11)]
+    angles = [x[layout.node(k)][layout.forms[0].additive[1]] for k in range(11)]
     assert_allclose(np.diff(angles), 9.0 * 0.2, atol=1e-9)
 
 
@@ -114,7 +114,7 @@ def test_perturbation_keeps_what_is_fixed_and_unit_quaternions(sigma):
     x = initial_guess(t)
     moved = perturbed(t, x, 4, sigma)
     fixed = t.lower_x == t.upper_x
-    assert fixed.sum() == t.layout.coordinates.n_node
+    assert fixed.sum() == t.layout.forms[0].size
     assert_allclose(moved[fixed], x[fixed], atol=ROUNDING)
     norms = [np.linalg.norm(moved[t.layout.node(k)][:4]) for k in range(t.layout.n_intervals + 1)]
     assert_allclose(norms, 1.0, atol=ROUNDING)

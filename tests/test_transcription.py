@@ -101,8 +101,8 @@ def test_next_state_enters_its_gap_rows_with_an_identity_block(transcription):
     jacobian = Matrices(nlp).jacobian(random_unknowns(t, 3))
     for k in range(t.layout.n_intervals):
         block = jacobian[t.gap_rows[k]][:, t.layout.node(k + 1)].toarray()
-        assert_allclose(block, np.eye(t.layout.coordinates.n_node), atol=ROUNDING)
-        outside = jacobian[t.gap_rows[k]][:, int(t.layout.node_offset[k + 1]) + t.layout.coordinates.n_node :]
+        assert_allclose(block, np.eye(t.layout.forms[0].size), atol=ROUNDING)
+        outside = jacobian[t.gap_rows[k]][:, int(t.layout.node_offset[k + 1]) + t.layout.forms[0].size :]
         assert outside.nnz == 0
 
 
@@ -111,7 +111,7 @@ def test_every_row_depends_on_its_own_stage_and_gap_rows_on_the_next_state():
     t = nlp.transcription
     column_stage = np.searchsorted(t.layout.node_offset, nlp.column, side="right") - 1
     later = column_stage - t.rows.stage[nlp.row]
-    gap = np.isin(nlp.row, t.gap_rows)
+    gap = np.isin(nlp.row, np.concatenate(t.gap_rows))
     assert set(later[gap]) == {0, 1}
     assert set(later[~gap]) == {0}
 
@@ -121,7 +121,7 @@ def test_rows_of_a_stage_are_gaps_then_points_then_node():
     assert np.all(np.diff(t.rows.stage) >= 0)
     for k in range(t.layout.n_intervals):
         stage = np.flatnonzero(t.rows.stage == k)
-        n = t.layout.coordinates.n_node
+        n = t.layout.forms[0].size
         assert_allclose(stage[:n], t.gap_rows[k])
         points = t.rows.point[stage[n:]]
         kinds = np.where(points < 0, t.layout.scheme.s, points)  # rows at the node come last
@@ -133,14 +133,14 @@ def test_stage_sizes_add_up_to_the_unknowns_and_rows():
     t = nlp_of("hop", "radau:2").transcription
     states, controls, paths = t.stage_sizes()
     assert sum(states) + sum(controls) == t.layout.n_unknowns
-    assert sum(paths) + t.gap_rows.size == t.n_rows
+    assert sum(paths) + sum(len(rows) for rows in t.gap_rows) == t.n_rows
     assert controls[-1] == 0
 
 
 def test_inactive_contact_makes_no_unknown_and_no_row():
     t = transcribe(hop(terms=()), "legendre:2", 8)
     layout, robot = t.layout, hopper()
-    n, landing = layout.coordinates.n_node, int(layout.intervals_of(2)[0])
+    n, landing = layout.forms[0].size, int(layout.intervals_of(2)[0])
     counts = np.bincount(t.rows.stage, minlength=layout.n_intervals + 1) - n
     for k, phase in enumerate(layout.phase_of):
         touching = len(layout.contacts[phase])
@@ -184,10 +184,10 @@ def test_start_is_fixed_and_limits_bound_the_later_nodes():
     assert_allclose(t.lower_x[layout.node(0)] * t.scale[layout.node(0)], start)
     assert_allclose(t.upper_x[layout.node(0)], t.lower_x[layout.node(0)])
     upper = t.upper_x[layout.node(3)] * t.scale[layout.node(3)]
-    assert_allclose(upper[layout.local_rates][6:], robot.velocity_limit[6:])
-    assert_allclose(upper[layout.local_additive][3:], robot.position_upper[7:])
+    assert_allclose(upper[layout.forms[0].rates][6:], robot.velocity_limit[6:])
+    assert_allclose(upper[layout.forms[0].additive][3:], robot.position_upper[7:])
     assert np.all(np.isinf(upper[:7]))
-    assert np.all(np.isinf(upper[layout.local_rates][:6]))
+    assert np.all(np.isinf(upper[layout.forms[0].rates][:6]))
     controls = slice(layout.node(3).stop, layout.node(4).start)
     assert np.all(np.isinf([t.lower_x[controls], t.upper_x[controls]]))
 
@@ -199,8 +199,8 @@ def test_unknowns_are_measured_in_weight_length_and_time_of_the_robot():
     node, window = t.scale[layout.node(0)], t.scale[layout.node_offset[0] : layout.node_offset[1]]
     assert_allclose(node[:4], 1.0)
     assert_allclose(node[4:9], [robot.length] * 3 + [1.0, robot.length])
-    assert_allclose(node[layout.local_rates][[0, 3]], [robot.length / unit_time, 1 / unit_time])
-    assert_allclose(window[layout.local_acceleration(0, 0)][[0, 3]], [9.81, 9.81 / robot.length])
+    assert_allclose(node[layout.forms[0].rates][[0, 3]], [robot.length / unit_time, 1 / unit_time])
+    assert_allclose(window[layout.local_derivative(0, 0)][[0, 3]], [9.81, 9.81 / robot.length])
     assert_allclose(window[layout.local_wrench(0, 0)], robot.weight)
 
 

@@ -1,4 +1,4 @@
-"""What is linear in the unknowns: scales, gathers of points and of ends, and the additive defects."""
+"""What is linear in the unknowns: scales, gathers of points, ends and impacts, and the additive defects."""
 
 from __future__ import annotations
 
@@ -9,90 +9,155 @@ import numpy as np
 from scipy import sparse
 
 from trajopt.layout import Layout
+from trajopt.timeline import NodeForm, StageKind
 from trajopt.units import Units
 
 
 @dataclass(frozen=True)
 class Collocation:
-    """The collocation map of a layout's scheme between scaled unknowns, in the robot's units."""
+    """The collocation map of a layout's scheme between scaled unknowns, in the robot's units.
+
+    ``units`` are those of every form's robot, by identity of the robot.
+    """
 
     layout: Layout
-    units: Units
+    units: dict[int, Units]
+
+    def units_of(self, form: NodeForm) -> Units:
+        """Natural units over the coordinates of a node's form."""
+        return self.units[id(form.robot)]
+
+    def node_scale(self, form: NodeForm) -> np.ndarray:
+        """Natural unit of each entry of a node (size,)."""
+        units = self.units_of(form)
+        additive = units.position[form.coordinates.additive_index]
+        rates = units.velocity[: len(form.rates)]
+        return np.concatenate([np.ones(len(form.rotations)), additive, rates, np.ones(form.n_clocks)])
+
+    def window_scale(self, k: int) -> np.ndarray:
+        """Natural unit of each entry of stage k's window; contacts share the weight."""
+        layout, stage, form = self.layout, self.layout.stages[k], self.layout.forms[k]
+        units, node = self.units_of(form), self.node_scale(form)
+        if stage.kind is StageKind.CHANGE:
+            return node
+        impact = stage.kind is StageKind.IMPACT
+        contacts = (layout.touching if impact else layout.contacts)[stage.phase]
+        share = units.wrench / max(1, len(contacts))
+        wrench = np.concatenate([np.zeros(0), *[share[: contact.dimension] for contact in contacts]])
+        if impact:
+            return np.concatenate([node, units.velocity, wrench * units.time])
+        derivative = units.acceleration if layout.order == 2 else units.velocity
+        return np.concatenate([node, *[np.concatenate([derivative, wrench])] * layout.scheme.s])
 
     @cached_property
-    def node_scale(self) -> np.ndarray:
-        """Natural unit of each entry of a node (n_node,)."""
-        coordinates = self.layout.coordinates
-        additive = self.units.position[coordinates.additive_index]
-        return np.concatenate([np.ones(4 * coordinates.n_rotations), additive, self.units.velocity])
-
-    def window_scale(self, phase: int) -> np.ndarray:
-        """Natural unit of each entry of a window (node, controls); contacts share the weight."""
-        contacts = self.layout.contacts[phase]
-        share = self.units.wrench / max(1, len(contacts))
-        wrench = np.concatenate([np.zeros(0), *[share[: contact.dimension] for contact in contacts]])
-        return self.layout.window_scale(phase, self.node_scale, self.units.acceleration, wrench)
-
     def scale(self) -> np.ndarray:
         """Natural unit of each unknown (n_unknowns,)."""
-        windows = [self.window_scale(phase) for phase in range(len(self.layout.intervals))]
-        return np.concatenate([*[windows[phase] for phase in self.layout.phase_of], self.node_scale])
+        windows = [self.window_scale(k) for k in range(self.layout.n_stages)]
+        return np.concatenate([*windows, self.node_scale(self.layout.forms[-1])])
 
     def point_gather(self, phase: int, i: int) -> sparse.csr_matrix:
-        """z = (rotations, xi, xi', xi'', wrenches) at point i from a window's scaled unknowns."""
+        """z of a point: rotations, local coordinates and their derivatives, wrenches, own clock."""
         layout, scheme = self.layout, self.layout.scheme
-        position, rate = self._matrix(phase, scheme.c[i], scheme.A1[i], scheme.A2[i])
-        eye = np.eye(layout.window_size(phase))
-        acceleration = eye[layout.local_acceleration(phase, i)]
-        wrenches = eye[layout.local_wrench(phase, i)]
-        z = np.vstack([eye[layout.local_rotations], position, rate, acceleration, wrenches])
-        coordinates = layout.coordinates
-        assert len(z) == 4 * coordinates.n_rotations + 3 * coordinates.nv + layout.n_wrench(phase)
-        return sparse.csr_matrix(z * self.window_scale(phase))
+        stage, form = int(layout.intervals_of(phase)[0]), layout.form_of(phase)
+        lower = self._lower_derivatives(stage, scheme.c[i], scheme.A1[i], scheme.A2[i])
+        eye = np.eye(layout.window_size(stage))
+        highest = eye[layout.local_derivative(phase, i)]
+        rows = [eye[form.rotations], *lower, highest, eye[layout.local_wrench(phase, i)]]
+        return sparse.csr_matrix(np.vstack([*rows, self._clock(eye, form)]) * self.window_scale(stage))
+
+    def impact_gather(self, k: int) -> sparse.csr_matrix:
+        """z of an impact: rotations, xi, rates before, jump of the rates, impulses, own clock."""
+        layout, form = self.layout, self.layout.forms[k]
+        eye = np.eye(layout.window_size(k))
+        jump, impulse = eye[layout.local_jump(k)], eye[layout.local_impulse(k)]
+        rows = [eye[form.rotations], self._positions(eye, form), eye[form.rates], jump, impulse]
+        return sparse.csr_matrix(np.vstack([*rows, self._clock(eye, form)]) * self.window_scale(k))
+
+    def node_gather(self, form: NodeForm) -> sparse.csr_matrix:
+        """z of a node: its own unknowns."""
+        return sparse.csr_matrix(np.diag(self.node_scale(form)))
 
     def end_gather(self, phase: int) -> sparse.csr_matrix:
-        """z = (rotations, theta, theta') at an interval's end from a window's scaled unknowns."""
-        rotation = self.layout.coordinates.rotation_index
-        position, rate = self._end_matrix(phase)
-        eye = np.eye(self.layout.window_size(phase))
-        z = np.vstack([eye[self.layout.local_rotations], position[rotation], rate[rotation]])
-        return sparse.csr_matrix(z * self.window_scale(phase))
-
-    def linear_part(self, gap_rows: np.ndarray, n_rows: int) -> sparse.csr_matrix:
-        """Rows (n_rows, n_unknowns): identity of the next node minus the map of what is additive."""
+        """z = (rotations, theta, and theta' if there are rates) at an interval's end."""
         layout = self.layout
-        additive = layout.coordinates.additive_index
-        linear_rows = np.concatenate([layout.local_additive, layout.local_rates[additive]])
-        rows, columns, values = [], [], []
-        for phase in range(len(layout.intervals)):
-            position, rate = self._end_matrix(phase)
-            block = np.vstack([position[additive], rate[additive]]) * self.window_scale(phase)
-            local = sparse.coo_matrix(-block / self.node_scale[linear_rows][:, None])
-            for k in layout.intervals_of(phase):
-                rows.append(gap_rows[k][linear_rows[local.row]])
-                columns.append(layout.node_offset[k] + local.col)
-                values.append(local.data)
-        for k in range(layout.n_intervals):
+        stage, form = int(layout.intervals_of(phase)[0]), layout.form_of(phase)
+        rotation = form.coordinates.rotation_index
+        eye = np.eye(layout.window_size(stage))
+        ends = [matrix[rotation] for matrix in self._end_derivatives(stage)]
+        return sparse.csr_matrix(np.vstack([eye[form.rotations], *ends]) * self.window_scale(stage))
+
+    def linear_part(
+        self,
+        gap_rows: list[np.ndarray],
+        others: list[tuple[np.ndarray, sparse.coo_matrix]],
+        n_rows: int,
+    ) -> sparse.csr_matrix:
+        """Rows (n_rows, n_unknowns): identity of the next node minus the map of what is linear.
+
+        ``others`` are further linear rows: their numbers and coefficients over all unknowns.
+        """
+        layout = self.layout
+        rows = [numbers[matrix.row] for numbers, matrix in others]
+        columns = [matrix.col for _, matrix in others]
+        values = [matrix.data for _, matrix in others]
+        for k in range(layout.n_stages):
+            block = self._linear_map(k)
+            scaled = block * self.window_scale(k) / self.node_scale(layout.forms[k + 1])[:, None]
+            local = sparse.coo_matrix(-scaled)
+            rows.append(gap_rows[k][local.row])
+            columns.append(layout.node_offset[k] + local.col)
+            values.append(local.data)
+            node = layout.node(k + 1)
             rows.append(gap_rows[k])
-            columns.append(np.arange(layout.node(k + 1).start, layout.node(k + 1).stop))
-            values.append(np.ones(layout.coordinates.n_node))
+            columns.append(np.arange(node.start, node.stop))
+            values.append(np.ones(node.stop - node.start))
         entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
         return sparse.csr_matrix(entries, shape=(n_rows, layout.n_unknowns))
 
-    def _end_matrix(self, phase: int) -> tuple[np.ndarray, np.ndarray]:
-        return self._matrix(phase, 1.0, self.layout.scheme.b1, self.layout.scheme.b2)
+    def _linear_map(self, k: int) -> np.ndarray:
+        """What of the next node (size, window) is linear in the window of stage k, unscaled."""
+        layout, form, kind = self.layout, self.layout.forms[k], self.layout.stages[k].kind
+        eye = np.eye(layout.window_size(k))
+        block = np.zeros((layout.forms[k + 1].size, layout.window_size(k)))
+        if kind is StageKind.CHANGE:
+            return block
+        block[form.clocks] = eye[form.clocks]
+        if kind is StageKind.IMPACT:
+            block[: form.size] = eye[: form.size]
+            block[form.rates] += eye[layout.local_jump(k)]
+            return block
+        additive = form.coordinates.additive_index
+        position, *rate = self._end_derivatives(k)
+        block[form.additive] = position[additive]
+        if rate:
+            block[form.rates[additive]] = rate[0][additive]
+        return block
 
-    def _matrix(self, phase: int, c: float, a1: np.ndarray, a2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(xi, xi') at fraction c from a window's unscaled unknowns: two matrices (nv, window)."""
-        layout, nv = self.layout, self.layout.coordinates.nv
-        h = layout.steps[layout.intervals_of(phase)[0]]
-        position, rate = np.zeros((2, nv, layout.window_size(phase)))
-        every = np.arange(nv)
-        position[layout.coordinates.additive_index, layout.local_additive] = 1.0
-        position[every, layout.local_rates] = h * c
-        rate[every, layout.local_rates] = 1.0
-        for j in range(layout.scheme.s):
-            columns = layout.local_acceleration(phase, j)
-            position[every, columns] = h * h * a2[j]
-            rate[every, columns] = h * a1[j]
-        return position, rate
+    def _end_derivatives(self, k: int) -> list[np.ndarray]:
+        scheme = self.layout.scheme
+        return self._lower_derivatives(k, 1.0, scheme.b1, scheme.b2)
+
+    def _lower_derivatives(self, k: int, c: float, a1: np.ndarray, a2: np.ndarray) -> list[np.ndarray]:
+        """xi (and xi' where that is no unknown) at fraction c of interval k: matrices (nv, window)."""
+        layout, form = self.layout, self.layout.forms[k]
+        phase, h = layout.stages[k].phase, layout.steps[k]
+        eye = np.eye(layout.window_size(k))
+        position = self._positions(eye, form)
+        unknown = [eye[layout.local_derivative(phase, j)] for j in range(layout.scheme.s)]
+        if layout.order == 1:
+            return [position + h * sum(a * y for a, y in zip(a1, unknown, strict=True))]
+        start = eye[form.rates]
+        rate = start + h * sum(a * y for a, y in zip(a1, unknown, strict=True))
+        position = position + h * c * start + h * h * sum(a * y for a, y in zip(a2, unknown, strict=True))
+        return [position, rate]
+
+    @staticmethod
+    def _positions(eye: np.ndarray, form: NodeForm) -> np.ndarray:
+        """xi (nv, window) at a node: the additive positions, zero for rotations."""
+        position = np.zeros((form.coordinates.nv, eye.shape[1]))
+        position[form.coordinates.additive_index] = eye[form.additive]
+        return position
+
+    @staticmethod
+    def _clock(eye: np.ndarray, form: NodeForm) -> np.ndarray:
+        return eye[form.clocks[[] if form.clock is None else [form.clock]]]

@@ -9,7 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import Enum
 from functools import cached_property
+from types import MappingProxyType
+from typing import Literal, get_args
 
 import casadi as ca
 import numpy as np
@@ -17,6 +20,8 @@ import numpy as np
 from trajopt.errors import InputError
 from trajopt.manifold import Coordinates
 from trajopt.robot import Contact, Robot
+from trajopt.robot_drives import drive_torque
+from trajopt.surface import Surface
 
 
 @dataclass(frozen=True)
@@ -46,40 +51,111 @@ class FrameSymbols:
         return ca.vertcat(ca.vec(self.rotation), self.position, self.velocity, self.acceleration)
 
 
-class Context:
-    """Symbols of one point or node.
+class Place(Enum):
+    """Where a term is evaluated."""
 
-    At a collocation point the inputs ``z`` are (rotations, xi, xi', xi'', wrenches); at a node they
-    are its state. ``xi``, ``dxi``, ``ddxi`` (nv) are local coordinates (see ``manifold``), ``q``, ``v``,
-    ``a`` Pinocchio's; wrenches act on the robot, world axes at the contact frame's origin, N and N m.
+    POINT = "collocation point"
+    NODE = "node"
+    IMPACT = "impact"
+
+
+Actuation = Literal["torque", "acceleration", "velocity"]
+ACTUATIONS = get_args(Actuation)
+
+
+class Context:
+    """Symbols of one point, node or impact.
+
+    At a collocation point the inputs ``z`` are (rotations, xi, xi', xi'', wrenches, clock); at a node they
+    are its unknowns; at an impact (rotations, xi, rates before, jump of the rates, impulses, clock). Entries
+    that a problem does not have (the clock of a fixed duration, xi'' of a velocity source) are left out.
+    ``xi`` (nv) are local coordinates (see ``manifold``), ``dxi``, ``ddxi`` their derivatives in true
+    time, ``q``, ``v``, ``a`` Pinocchio's; wrenches act on the robot, world axes at the contact frame's
+    origin, N and N m (impulses in N s and N m s).
+
+    ``clocks`` are the number of clocks in a node and the index of the own one (None in nominal time).
     """
 
     def __init__(
-        self, robot: Robot, coordinates: Coordinates, contacts: tuple[Contact, ...], *, node: bool
+        self,
+        robot: Robot,
+        coordinates: Coordinates,
+        contacts: tuple[Contact, ...] = (),
+        *,
+        node: bool = False,
+        place: Place | None = None,
+        clocks: tuple[int, int | None] = (0, None),
+        actuation: Actuation = "torque",
+        surfaces: Mapping[str, Surface] = MappingProxyType({}),
     ) -> None:
         self.robot, self.coordinates, self.contacts = robot, coordinates, contacts
-        nv = coordinates.nv
-        if node:
-            self.z = ca.SX.sym("x", coordinates.n_node)
-            self.rotations, self.xi, self.dxi = coordinates.split_node(self.z)
-            self.ddxi = ca.SX.zeros(nv)
-            self.wrenches: dict[str, ca.SX] = {}
+        self.place = place or (Place.NODE if node else Place.POINT)
+        self.actuation, self._surfaces = actuation, surfaces
+        own = ca.SX.sym("clock", 0 if clocks[1] is None else 1)
+        self.clock = own if own.numel() else ca.SX(1)
+        nv, order = coordinates.nv, 1 if actuation == "velocity" else 2
+        names = () if self.place is Place.NODE else tuple((c.name, c.dimension) for c in contacts)
+        self.wrenches: dict[str, ca.SX] = {name: ca.SX.sym(f"w_{name}", n) for name, n in names}
+        if self.place is Place.NODE:
+            state = ca.SX.sym("x", coordinates.n_node if order == 2 else coordinates.n_node - nv)
+            every = ca.SX.sym("clocks", clocks[0])
+            self.clock = self.clock if clocks[1] is None else every[clocks[1]]
+            self.z = ca.vertcat(state, every)
+            full = state if order == 2 else ca.vertcat(state, ca.SX.zeros(nv))
+            self.rotations, self.xi, rates = coordinates.split_node(full)
+            highest = ca.SX.zeros(nv)
         else:
             self.rotations = ca.SX.sym("r", 4 * coordinates.n_rotations)
-            self.xi, self.dxi, self.ddxi = (ca.SX.sym(name, nv) for name in ("xi", "dxi", "ddxi"))
-            self.wrenches = {
-                contact.name: ca.SX.sym(f"w_{contact.name}", contact.dimension) for contact in contacts
-            }
-            self.z = ca.vertcat(self.rotations, self.xi, self.dxi, self.ddxi, *self.wrenches.values())
+            self.xi, rates = ca.SX.sym("xi", nv), ca.SX.sym("dxi", nv)
+            highest = ca.SX.sym("ddxi", nv if order == 2 else 0)
+            self.z = ca.vertcat(self.rotations, self.xi, rates, highest, *self.wrenches.values(), own)
+        self._rates = rates / self.clock
+        power = 1 if self.place is Place.IMPACT else 2
+        self._highest = highest / self.clock**power if highest.numel() else ca.SX.zeros(nv)
         self._generalized_forces: ca.SX | None = None
         self._accelerations: dict[Contact, ca.SX] = {}
         self._frames: dict[str, FrameSymbols] = {}
         self._parameters: list[ca.SX] = []
         self._values: list[np.ndarray] = []
 
+    @property
+    def dxi(self) -> ca.SX:
+        """Rates of the local coordinates (nv,); before the jump at an impact."""
+        if self.actuation == "velocity" and self.place is Place.NODE:
+            raise InputError(
+                "a term asks for rates at a node, where a velocity source has none",
+                "allowed: terms about configurations there, or another actuation",
+            )
+        return self._rates
+
+    @property
+    def rates(self) -> ca.SX:
+        """Rates (nv,) as a change of coordinates maps them: zero where a node has none."""
+        return self._rates
+
+    @property
+    def ddxi(self) -> ca.SX:
+        """Second derivatives of the local coordinates (nv,); zero at a node."""
+        if self.actuation == "velocity":
+            raise InputError(
+                "a term asks for accelerations, which a velocity source has not",
+                "allowed: terms about configurations and rates, or another actuation",
+            )
+        return self._highest
+
+    @property
+    def jump(self) -> ca.SX:
+        """Jump of the rates at an impact (nv,)."""
+        return self._highest
+
+    def surface(self, contact: Contact) -> Surface:
+        """The surface that an active contact touches."""
+        return self._surfaces[contact.name]
+
     @cached_property
     def _configuration(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        return self.coordinates.to_pinocchio(self.rotations, self.xi, self.dxi, self.ddxi)
+        rates = self._rates + self.jump if self.place is Place.IMPACT else self._rates
+        return self.coordinates.to_pinocchio(self.rotations, self.xi, rates, self._highest)
 
     @property
     def q(self) -> ca.SX:
@@ -88,17 +164,30 @@ class Context:
 
     @property
     def v(self) -> ca.SX:
-        """Pinocchio's velocity (nv,)."""
+        """Pinocchio's velocity (nv,); after the jump at an impact."""
         return self._configuration[1]
 
     @property
     def a(self) -> ca.SX:
-        """Pinocchio's acceleration (nv,)."""
-        return self._configuration[2]
+        """Pinocchio's acceleration (nv,), zero for a velocity source; at an impact the jump of v."""
+        still = ca.SX.zeros(self.coordinates.nv)
+        if self.actuation == "velocity":
+            return still
+        if self.place is not Place.IMPACT:
+            return self._configuration[2]
+        return self.coordinates.to_pinocchio(self.rotations, self.xi, still, self.jump)[2]
+
+    @property
+    def moving(self) -> bool:
+        """Whether the dynamics feel velocities: not in the statics of a velocity source, nor at an impact."""
+        return self.actuation != "velocity" and self.place is not Place.IMPACT
 
     @property
     def generalized_forces(self) -> ca.SX:
-        """RNEA(q, v, a) minus the contacts' J^T w, (nv,): base rows first, then joint torques."""
+        """RNEA(q, v, a) minus the contacts' J^T w, (nv,): base rows first, then joint torques.
+
+        Of a velocity source RNEA(q, 0, 0) - J^T w, statics; at an impact M (v+ - v-) - J^T impulses.
+        """
         if self._generalized_forces is None:
             self._generalized_forces = ca.SX.sym("tau", self.coordinates.nv)
         return self._generalized_forces
@@ -110,8 +199,14 @@ class Context:
 
     @property
     def torque(self) -> ca.SX:
-        """Joint torques (nu,) in N m."""
-        return self.generalized_forces[self.robot.n_unactuated :]
+        """Torque (nu,) that the drives deliver, N m, joint side: the actuated rows plus joint friction."""
+        if self.actuation != "torque":
+            raise InputError(
+                f"a term asks for torques, which a {self.actuation} source has not",
+                "allowed: actuation 'torque', or terms about motion and contact forces",
+            )
+        unactuated = self.robot.n_unactuated
+        return drive_torque(self.robot.drives, self.generalized_forces[unactuated:], self.dxi[unactuated:])
 
     def frame(self, name: str) -> FrameSymbols:
         """Symbols of the frame ``name`` of the model."""
@@ -181,7 +276,8 @@ class Context:
         model = self.robot.model
         roots = [i for i in range(1, model.njoints) if model.parents[i] == 0]
         return (
-            roots == [1]
+            self.moving
+            and roots == [1]
             and self.coordinates.joints[0].kind == "freeflyer"
             and model.jointPlacements[1].isIdentity()
         )

@@ -61,3 +61,11 @@ class WrenchCost(Cost):
     def residual(self, context: Context, units: Units) -> ca.SX:
         parts = [w / units.wrench[: w.numel()] for w in context.wrenches.values()]
         return ca.vertcat(*parts) if parts else ca.SX(0, 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimeCost(Cost):
+    """Time itself, over sqrt(l / g): with free durations, minimum time."""
+
+    def residual(self, context: Context, units: Units) -> ca.SX:
+        return ca.SX(1)

@@ -12,8 +12,11 @@ import pinocchio as pin
 
 from trajopt.layout import Layout
 from trajopt.model_quantities import generalized_force
+from trajopt.problem import Problem
+from trajopt.robot import Contact
 from trajopt.robot_drives import actuated_row_limit
 from trajopt.solution import Solution
+from trajopt.timeline import NodeForm, StageKind
 from trajopt.transcription import Transcription
 from trajopt.versions import installed_version
 
@@ -21,14 +24,14 @@ VERSIONED = ("trajopt", "casadi", "pin", "numpy")
 
 
 @dataclass(frozen=True)
-class _Points:
-    """Values at the s points of one interval; ``f`` (s, nc, 6)."""
+class _Interval:
+    """Motion of the whole robot at an interval's start, points and end; ``f`` (s, nc, 6) at the points."""
 
     q: np.ndarray
     v: np.ndarray
     a: np.ndarray
-    tau: np.ndarray
     f: np.ndarray
+    tau: np.ndarray
 
 
 def extract(transcription: Transcription, x: np.ndarray, meta: dict[str, Any]) -> Solution:
@@ -39,36 +42,55 @@ def extract(transcription: Transcription, x: np.ndarray, meta: dict[str, Any]) -
     """
     layout = transcription.layout
     unknowns = x * transcription.scale
-    nodes_q, nodes_v = layout.coordinates.node_to_pinocchio(
-        np.array([unknowns[layout.node(k)] for k in range(layout.n_intervals + 1)])
-    )
+    clocks = layout.clocks(unknowns)
+    steps = layout.steps * clocks[layout.phase_of]
+    times = np.concatenate([[0.0], np.cumsum(steps)])
     ends = layout.scheme.interpolation(np.array([0.0, 1.0]))
     columns: dict[str, list[np.ndarray]] = {name: [] for name in ("t", "q", "v", "a", "tau", "f")}
-    for k in range(layout.n_intervals):
-        points = _points(layout, unknowns, k)
-        times = layout.node_times[k] + layout.scheme.c * layout.steps[k]
-        columns["t"].append(np.concatenate([[layout.node_times[k]], times, [layout.node_times[k + 1]]]))
-        columns["q"].append(np.vstack([nodes_q[k], points.q, nodes_q[k + 1]]))
-        columns["v"].append(np.vstack([nodes_v[k], points.v, nodes_v[k + 1]]))
-        for name in ("a", "tau", "f"):
-            inner = getattr(points, name)
-            outer = np.tensordot(ends, inner, axes=1)
-            columns[name].append(np.concatenate([outer[:1], inner, outer[1:]]))
+    for k in layout.interval_stages:
+        interval = _interval(layout, unknowns, int(k), float(steps[k]), float(clocks[layout.phase_of[k]]))
+        inner = times[k] + layout.scheme.c * steps[k]
+        columns["t"].append(np.concatenate([[times[k]], inner, [times[k + 1]]]))
+        for name in ("q", "v", "a"):
+            columns[name].append(getattr(interval, name))
+        for name in ("tau", "f"):
+            points = getattr(interval, name)
+            outer = np.tensordot(ends, points, axes=1)
+            columns[name].append(np.concatenate([outer[:1], points, outer[1:]]))
     raw = np.concatenate(columns.pop("q"))
     q = np.array([pin.normalize(layout.robot.model, row) for row in raw])
     error = float(np.abs(q - raw).max())
     return Solution(
         meta={
             **_problem_meta(transcription),
+            "durations": [float(steps[layout.intervals_of(i)].sum()) for i in range(len(clocks))],
             "rotation_norm_error": error if math.isfinite(error) else None,
             **meta,
         },
         q=q,
         model_text=transcription.problem.robot.limited_model().saveToString(),
-        interval_t=np.column_stack([layout.node_times[:-1], layout.node_times[1:]]),
+        interval_t=np.column_stack([times[layout.interval_stages], times[layout.interval_stages + 1]]),
         **{name: np.concatenate(parts) for name, parts in columns.items()},
         **_labels(layout),
+        **_impacts(layout, unknowns),
     )
+
+
+def _impacts(layout: Layout, unknowns: np.ndarray) -> dict[str, np.ndarray]:
+    """Impulses of every impact, and the sample just after it."""
+    stages = layout.transitions_of(StageKind.IMPACT)
+    if not stages:
+        return {}
+    impulse = [
+        _wrenches(
+            layout,
+            layout.touching[layout.stages[k].phase],
+            unknowns[layout.window(k)][layout.local_impulse(k)],
+        )
+        for k in stages
+    ]
+    first = [int(np.sum(layout.interval_stages < k)) * (layout.scheme.s + 2) for k in stages]
+    return {"impulse": np.array(impulse), "impact_index": np.array(first)}
 
 
 def _labels(layout: Layout) -> dict[str, np.ndarray]:
@@ -79,7 +101,7 @@ def _labels(layout: Layout) -> dict[str, np.ndarray]:
     every = [contact.name for contact in layout.robot.contacts]
     phases = layout.schedule.phases
     active = np.array([[name in phase.contacts for name in every] for phase in phases], dtype=bool)
-    phase = np.repeat(layout.phase_of, width)
+    phase = np.repeat(layout.phase_of[layout.interval_stages], width)
     return {
         "phase": phase,
         "interval": np.repeat(np.arange(layout.n_intervals), width),
@@ -88,31 +110,72 @@ def _labels(layout: Layout) -> dict[str, np.ndarray]:
     }
 
 
-def _points(layout: Layout, unknowns: np.ndarray, k: int) -> _Points:
-    """Motion from the collocation map, torques from numeric Pinocchio."""
-    phase, method, coordinates = int(layout.phase_of[k]), layout.scheme, layout.coordinates
-    h = layout.steps[k]
-    window = unknowns[layout.node_offset[k] : layout.node_offset[k] + layout.window_size(phase)]
-    y = np.array([window[layout.local_acceleration(phase, i)] for i in range(method.s)])
-    start, rates = np.zeros(coordinates.nv), window[layout.local_rates]
-    start[coordinates.additive_index] = window[layout.local_additive]
-    xi = start + h * np.outer(method.c, rates) + h * h * method.A2 @ y
-    dxi = rates + h * method.A1 @ y
-    rotations = np.tile(window[layout.local_rotations], (method.s, 1))
-    q, v, a = coordinates.local_to_pinocchio(rotations, xi, dxi, y)
-    f = np.array([_wrenches(layout, phase, window[layout.local_wrench(phase, i)]) for i in range(method.s)])
+def _interval(layout: Layout, unknowns: np.ndarray, k: int, h: float, clock: float) -> _Interval:
+    """Motion from the collocation map, torques from numeric Pinocchio; ``h`` in s, ``clock`` over nominal."""
+    phase, method, form = int(layout.phase_of[k]), layout.scheme, layout.forms[k]
+    window, nv = unknowns[layout.window(k)], form.coordinates.nv
+    y = np.array([window[layout.local_derivative(phase, i)] for i in range(method.s)])
+    nodes = [
+        form.state(unknowns[layout.node(k)])[0],
+        layout.forms[k + 1].state(unknowns[layout.node(k + 1)])[0],
+    ]
+    start, rates = np.zeros(nv), nodes[0][-nv:]
+    start[form.coordinates.additive_index] = nodes[0][form.additive]
+    rotations = nodes[0][form.rotations]
+    if layout.order == 2:
+        highest = y / clock**2
+        xi = start + h * np.outer(method.c, rates) + h * h * method.A2 @ highest
+        q, v, a = _in_pinocchio(form, rotations, xi, rates + h * method.A1 @ highest, highest)
+        moved = form.coordinates.node_to_pinocchio(np.array(nodes))
+        ends = np.tensordot(method.interpolation(np.array([0.0, 1.0])), a, axes=1)
+        edge = (*moved, ends)
+    else:
+        fractions = np.concatenate([[0.0], method.c, [1.0]])
+        weights = np.vstack([np.zeros(method.s), method.A1, method.b1])
+        first = method.interpolation(fractions) @ y / clock
+        second = method.interpolation_rate(fractions) @ y / (clock * h)
+        every = _in_pinocchio(form, rotations, start + h * weights @ y / clock, first, second)
+        q, v, a = (part[1:-1] for part in every)
+        edge = (form.coordinates.node_to_pinocchio(np.array(nodes))[0], every[1][[0, -1]], every[2][[0, -1]])
+    f = np.array(
+        [
+            _wrenches(layout, layout.contacts[phase], window[layout.local_wrench(phase, i)])
+            for i in range(method.s)
+        ]
+    )
+    full = [np.concatenate([e[:1], p, e[1:]]) for p, e in zip((q, v, a), edge, strict=True)]
+    mode = layout.modes.get(layout.schedule.phases[phase].name)
+    if mode is not None:
+        *full, reaction = mode.lifted(*full)
+        names = [contact.name for contact in layout.robot.contacts]
+        for row, name in enumerate(mode.embedded):
+            f[:, names.index(name), :3] = reaction[1:-1, 3 * row : 3 * row + 3]
+    tau = _torques(layout, [part[1:-1] for part in full], f)
+    return _Interval(full[0], full[1], full[2], f, tau)
+
+
+def _in_pinocchio(
+    form: NodeForm, rotations: np.ndarray, xi: np.ndarray, dxi: np.ndarray, ddxi: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return form.coordinates.local_to_pinocchio(np.tile(rotations, (len(xi), 1)), xi, dxi, ddxi)
+
+
+def _torques(layout: Layout, motion: list[np.ndarray], f: np.ndarray) -> np.ndarray:
+    """Actuated rows of RNEA(q, v, a) - J^T f at every point."""
     model, data = layout.robot.model, layout.robot.model.createData()
     frames = [model.getFrameId(contact.frame) for contact in layout.robot.contacts]
-    forces = [generalized_force(model, data, (q[i], v[i], a[i]), frames, f[i]) for i in range(method.s)]
-    tau = np.array(forces)[:, layout.robot.n_unactuated :]
-    return _Points(q, v, a, tau, f)
+    forces = [
+        generalized_force(model, data, (q, v, a), frames, wrench)
+        for q, v, a, wrench in zip(*motion, f, strict=True)
+    ]
+    return np.array(forces)[:, layout.robot.n_unactuated :]
 
 
-def _wrenches(layout: Layout, phase: int, w: np.ndarray) -> np.ndarray:
+def _wrenches(layout: Layout, contacts: tuple[Contact, ...], w: np.ndarray) -> np.ndarray:
     """Wrench of every contact of the robot (nc, 6), zero where inactive."""
     names = [contact.name for contact in layout.robot.contacts]
     f, start = np.zeros((len(names), 6)), 0
-    for contact in layout.contacts[phase]:
+    for contact in contacts:
         f[names.index(contact.name), : contact.dimension] = w[start : start + contact.dimension]
         start += contact.dimension
     return f
@@ -128,6 +191,7 @@ def _problem_meta(transcription: Transcription) -> dict[str, Any]:
         "problem": problem.name,
         "parameters": dict(problem.parameters),
         "robot": robot.name,
+        "actuation": problem.actuation,
         "contact_frames": [contact.frame for contact in robot.contacts],
         "contact_kinds": [contact.kind for contact in robot.contacts],
         "contact_sizes": [
@@ -135,6 +199,7 @@ def _problem_meta(transcription: Transcription) -> dict[str, Any]:
         ],
         "friction": [problem.terrain.friction for _ in robot.contacts],
         "terrain": problem.terrain.describe(),
+        "surfaces": _surfaces(problem),
         "transcription": transcription.layout.scheme.name,
         "intervals": list(transcription.layout.intervals),
         "phase_names": [phase.name for phase in problem.schedule.phases],
@@ -147,6 +212,15 @@ def _problem_meta(transcription: Transcription) -> dict[str, Any]:
     if robot.visual is not None:
         meta["visual"] = robot.visual.to_meta()
     return meta
+
+
+def _surfaces(problem: Problem) -> list[dict[str, Any]] | None:
+    """For each phase what contacts touch instead of the terrain, by their frames; None if nothing else."""
+    phases = [
+        {problem.robot.contact(name).frame: surface.describe() for name, surface in phase.surfaces.items()}
+        for phase in problem.schedule.phases
+    ]
+    return phases if any(phases) else None
 
 
 def _as_numbers(limit: np.ndarray | None) -> list[float] | None:

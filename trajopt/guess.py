@@ -7,41 +7,93 @@ import pinocchio as pin
 
 from trajopt.layout import Layout
 from trajopt.model_quantities import contact_jacobian
+from trajopt.timeline import NodeForm, StageKind
 from trajopt.transcription import Transcription
+from trajopt.variable_bounds import start_of
 
 # Step of the differences that turn q(t) into v and a, s: errors far below a guess's own.
 DIFFERENCE_STEP = 1e-3
+
+State = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def initial_guess(transcription: Transcription) -> np.ndarray:
     """Scaled unknowns (n_unknowns,) from the problem's guess; the start is the problem's own."""
     layout, problem = transcription.layout, transcription.problem
     x = np.zeros(layout.n_unknowns)
-    coordinates = layout.coordinates
-    previous = coordinates.node_from_pinocchio(problem.initial_q, problem.initial_v)
-    x[layout.node(0)] = previous
-    for k in range(1, layout.n_intervals + 1):
-        q, v, _ = _state(transcription, layout.node_times[k], _firmer_phase(layout, k))
-        previous = coordinates.continued(coordinates.node_from_pinocchio(q, v), previous)
-        x[layout.node(k)] = previous
-    for k in range(layout.n_intervals):
-        phase = int(layout.phase_of[k])
-        window = x[layout.node_offset[k] : layout.node_offset[k + 1]]
-        for i, c in enumerate(layout.scheme.c):
-            q, v, a = _state(transcription, layout.node_times[k] + c * layout.steps[k], phase)
-            window[layout.local_acceleration(phase, i)] = coordinates.acceleration_from_pinocchio(q, v, a)
-            window[layout.local_wrench(phase, i)] = _carrying_wrenches(layout, phase, q, v, a)
+    previous: dict[int, np.ndarray] = {}
+    for k, form in enumerate(layout.forms):
+        if k == 0:
+            q, v = start_of(problem, layout)
+        else:
+            q, v, _ = _in_form(
+                layout, form, _state(transcription, layout.node_times[k], _node_phase(layout, k))
+            )
+        state = form.coordinates.node_from_pinocchio(q, v)
+        state = form.coordinates.continued(state, previous.get(id(form.coordinates), state))
+        previous[id(form.coordinates)] = state
+        x[layout.node(k)] = form.node(state, np.ones(form.n_clocks))
+    for k, stage in enumerate(layout.stages):
+        window = x[layout.window(k)]
+        if stage.kind is StageKind.INTERVAL:
+            _fill_interval(transcription, k, window)
+        elif stage.kind is StageKind.IMPACT:
+            _fill_impact(layout, k, window, x[layout.node(k + 1)])
     return x / transcription.scale
 
 
-def _firmer_phase(layout: Layout, k: int) -> int:
-    """Of the phases that meet at node k, the one with more contacts: its feet do not move there."""
+def _fill_interval(transcription: Transcription, k: int, window: np.ndarray) -> None:
+    layout, phase, form = (
+        transcription.layout,
+        int(transcription.layout.phase_of[k]),
+        transcription.layout.forms[k],
+    )
+    for i, c in enumerate(layout.scheme.c):
+        whole = _state(transcription, layout.node_times[k] + c * layout.steps[k], phase)
+        q, v, a = _in_form(layout, form, whole)
+        if layout.order == 2:
+            highest = form.coordinates.acceleration_from_pinocchio(q, v, a)
+        else:
+            highest = form.coordinates.node_from_pinocchio(q, v)[-form.coordinates.nv :]
+            v, a = np.zeros_like(v), np.zeros_like(a)
+        window[layout.local_derivative(phase, i)] = highest
+        window[layout.local_wrench(phase, i)] = _carrying_wrenches(layout, phase, q, v, a)
+
+
+def _fill_impact(layout: Layout, k: int, window: np.ndarray, after: np.ndarray) -> None:
+    """The jump between the rates of both nodes, and least impulses for it: M (v+ - v-) = J^T impulses."""
+    form, contacts = layout.forms[k], layout.touching[layout.stages[k].phase]
+    window[layout.local_jump(k)] = after[form.rates] - window[form.rates]
+    states = [form.coordinates.node_to_pinocchio(form.state(node)) for node in (window[: form.size], after)]
+    (q, before), (_, behind) = ((q[0], v[0]) for q, v in states)
+    mass = pin.crba(form.robot.model, form.robot.model.createData(), q)
+    jacobian = contact_jacobian(form.robot.model, q, [(c.frame, c.dimension) for c in contacts])
+    window[layout.local_impulse(k)] = np.linalg.lstsq(jacobian.T, mass @ (behind - before), rcond=None)[0]
+
+
+def _in_form(layout: Layout, form: NodeForm, state: State) -> State:
+    """A state of the whole robot in the coordinates of a form."""
+    for mode in layout.modes.values():
+        if mode.robot is form.robot:
+            return mode.dropped(*state)
+    return state
+
+
+def _node_phase(layout: Layout, k: int) -> int:
+    """Phase whose motion node k follows.
+
+    Of two phases that meet there, the one with more contacts: its feet do not move. Across an impact
+    each side has its own.
+    """
     before = int(layout.phase_of[k - 1])
-    after = int(layout.phase_of[min(k, layout.n_intervals - 1)])
-    return before if len(layout.contacts[before]) > len(layout.contacts[after]) else after
+    after = int(layout.phase_of[min(k, layout.n_stages - 1)])
+    into_impact = k < layout.n_stages and layout.stages[k].kind is StageKind.IMPACT
+    if into_impact or layout.stages[k - 1].kind is not StageKind.INTERVAL:
+        return before
+    return before if len(layout.touching[before]) > len(layout.touching[after]) else after
 
 
-def _state(transcription: Transcription, t: float, phase: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _state(transcription: Transcription, t: float, phase: int) -> State:
     """(q, v, a) of the guess at time t by differences on the manifold, taken within the phase.
 
     A motion may have kinks between phases (a foot that leaves, a push that ends).
@@ -63,7 +115,7 @@ def _state(transcription: Transcription, t: float, phase: int) -> tuple[np.ndarr
 
 def _carrying_wrenches(layout: Layout, phase: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
     """Least wrenches at active contacts whose base rows carry the motion (nothing for a fixed base)."""
-    robot, contacts = layout.robot, layout.contacts[phase]
+    robot, contacts = layout.form_of(phase).robot, layout.contacts[phase]
     n = robot.n_unactuated
     if n == 0 or not contacts:
         return np.zeros(layout.n_wrench(phase))
@@ -76,14 +128,19 @@ def _carrying_wrenches(layout: Layout, phase: int, q: np.ndarray, v: np.ndarray,
 def perturbed(transcription: Transcription, x: np.ndarray, seed: int, sigma: float) -> np.ndarray:
     """The guess with normal noise of standard deviation ``sigma`` in scaled units, fixed unknowns left alone.
 
-    Rotations are normalised again, so that the perturbed guess is on the manifold.
+    Rotations are normalised again, so that the perturbed guess is on the manifold; free durations stay
+    within their bounds, the same at all nodes.
     """
     noise = np.random.default_rng(seed).normal(0.0, sigma, x.shape)
     free = transcription.lower_x < transcription.upper_x
     moved = np.where(free, x + noise, x)
     layout = transcription.layout
-    for k in range(layout.n_intervals + 1):
+    first, clocks = layout.node(0), layout.forms[0].clocks
+    bounds = transcription.lower_x[first][clocks], transcription.upper_x[first][clocks]
+    durations = np.clip(moved[first][clocks], *bounds)
+    for k, form in enumerate(layout.forms):
         node = moved[layout.node(k)]
-        for i in range(layout.coordinates.n_rotations):
+        node[form.clocks] = durations
+        for i in range(form.coordinates.n_rotations):
             node[4 * i : 4 * i + 4] /= np.linalg.norm(node[4 * i : 4 * i + 4])
     return moved

@@ -1,33 +1,61 @@
 """Where every unknown sits: the only index arithmetic of the toolkit.
 
-Unknowns are ordered in time: node 0, controls of interval 0, node 1, ..., node N. A node holds
-(rotations, additive positions, rates); the controls of an interval hold, for each point, the second
-derivative y (nv) of the local coordinates and the wrenches of the phase's contacts.
+Unknowns are ordered in time: node 0, controls of stage 0, node 1, ..., node N. A node holds what its form
+says (see ``timeline``); the controls of an interval hold, for each point, the highest derivative y (nv) of
+the local coordinates and the wrenches of the phase's contacts; those of an impact the jump of the rates
+(nv) and the impulses; a change of coordinates has none.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from trajopt.manifold import Coordinates
+from trajopt.mode import Mode
 from trajopt.node_terms import NodePlace
 from trajopt.robot import Contact, Robot
 from trajopt.schedule import Schedule
 from trajopt.schemes import Scheme
+from trajopt.timeline import NodeForm, Stage, StageKind, Timeline, timeline
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Index ranges of one transcription; ``intervals`` is the number of intervals of each phase."""
+    """Index ranges of one transcription; ``intervals`` is the number of intervals of each phase.
+
+    ``order`` of the equations of motion: 2, or 1 for a velocity source, whose nodes have no rates.
+    """
 
     robot: Robot
-    coordinates: Coordinates
     schedule: Schedule
     intervals: tuple[int, ...]
     scheme: Scheme
+    order: int = 2
+    modes: Mapping[str, Mode] = field(default_factory=dict)
+
+    @cached_property
+    def timeline(self) -> Timeline:
+        """Stages, forms of nodes, places of nodes."""
+        return timeline(self.robot, self.schedule, self.modes, self.intervals, self.order)
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """Stages in time order."""
+        return self.timeline.stages
+
+    @property
+    def forms(self) -> tuple[NodeForm, ...]:
+        """Form of every node, one more than there are stages."""
+        return self.timeline.forms
+
+    @property
+    def n_stages(self) -> int:
+        """Number of stages; there is one node more."""
+        return len(self.stages)
 
     @property
     def n_intervals(self) -> int:
@@ -35,97 +63,138 @@ class Layout:
         return sum(self.intervals)
 
     @cached_property
+    def interval_stages(self) -> np.ndarray:
+        """Indices of the stages that are intervals, in time order (n_intervals,)."""
+        return np.flatnonzero([stage.kind is StageKind.INTERVAL for stage in self.stages])
+
+    def transitions_of(self, kind: StageKind) -> tuple[int, ...]:
+        """Indices of the stages of that kind."""
+        return tuple(k for k, stage in enumerate(self.stages) if stage.kind is kind)
+
+    @cached_property
     def phase_of(self) -> np.ndarray:
-        """Phase index of each interval (N,)."""
-        return np.repeat(np.arange(len(self.intervals)), self.intervals)
+        """Phase index of each stage (n_stages,)."""
+        return np.array([stage.phase for stage in self.stages])
 
     @cached_property
     def steps(self) -> np.ndarray:
-        """Duration of each interval in s (N,)."""
-        durations = [
-            phase.duration / count for phase, count in zip(self.schedule.phases, self.intervals, strict=True)
-        ]
-        return np.array(durations)[self.phase_of]
+        """Nominal duration of each stage in s (n_stages,)."""
+        return np.array([stage.step for stage in self.stages])
 
     @cached_property
     def node_times(self) -> np.ndarray:
-        """Time of each node in s (N + 1,)."""
+        """Nominal time of each node in s (n_stages + 1,)."""
         return np.concatenate([[0.0], np.cumsum(self.steps)])
 
     @cached_property
     def contacts(self) -> tuple[tuple[Contact, ...], ...]:
-        """Active contacts of each phase."""
+        """Active contacts of each phase that have wrenches: those that its coordinates do not embed."""
+        return tuple(
+            tuple(
+                self.form_of(i).robot.contact(name)
+                for name in phase.contacts
+                if phase.name not in self.modes or name not in self.modes[phase.name].embedded
+            )
+            for i, phase in enumerate(self.schedule.phases)
+        )
+
+    @cached_property
+    def touching(self) -> tuple[tuple[Contact, ...], ...]:
+        """Active contacts of each phase, of the whole robot."""
         return tuple(
             tuple(self.robot.contact(name) for name in phase.contacts) for phase in self.schedule.phases
         )
+
+    def form_of(self, phase: int) -> NodeForm:
+        """Form of the nodes within a phase."""
+        return self.forms[int(self.intervals_of(phase)[0])]
 
     def n_wrench(self, phase: int) -> int:
         """Size of all wrenches at a point of a phase."""
         return sum(contact.dimension for contact in self.contacts[phase])
 
-    def n_control(self, phase: int) -> int:
-        """Size of the controls of one interval of a phase."""
-        return self.scheme.s * (self.coordinates.nv + self.n_wrench(phase))
+    def n_control(self, k: int) -> int:
+        """Size of the controls of stage k."""
+        stage, nv = self.stages[k], self.forms[k].coordinates.nv
+        if stage.kind is StageKind.INTERVAL:
+            return self.scheme.s * (nv + self.n_wrench(stage.phase))
+        if stage.kind is StageKind.IMPACT:
+            return nv + sum(contact.dimension for contact in self.touching[stage.phase])
+        return 0
 
     @cached_property
     def node_offset(self) -> np.ndarray:
-        """First index of each node (N + 1,)."""
-        widths = [self.coordinates.n_node + self.n_control(phase) for phase in self.phase_of]
+        """First index of each node (n_stages + 1,)."""
+        widths = [self.forms[k].size + self.n_control(k) for k in range(self.n_stages)]
         return np.concatenate([[0], np.cumsum(widths)]).astype(np.int32)
 
     @property
     def n_unknowns(self) -> int:
         """Number of unknowns."""
-        return int(self.node_offset[-1]) + self.coordinates.n_node
+        return int(self.node_offset[-1]) + self.forms[-1].size
 
     def node(self, k: int) -> slice:
         """Unknowns of node k."""
         start = int(self.node_offset[k])
-        return slice(start, start + self.coordinates.n_node)
+        return slice(start, start + self.forms[k].size)
 
-    @cached_property
-    def local_rotations(self) -> np.ndarray:
-        """Indices of the rotations within a node."""
-        return np.arange(4 * self.coordinates.n_rotations)
+    def window(self, k: int) -> slice:
+        """Unknowns of stage k: its start node and its controls."""
+        return slice(int(self.node_offset[k]), int(self.node_offset[k]) + self.window_size(k))
 
-    @cached_property
-    def local_additive(self) -> np.ndarray:
-        """Indices of the additive positions within a node."""
-        return len(self.local_rotations) + np.arange(len(self.coordinates.additive_index))
+    def window_size(self, k: int) -> int:
+        """Size of a stage's window: its start node and its controls."""
+        return self.forms[k].size + self.n_control(k)
 
-    @cached_property
-    def local_rates(self) -> np.ndarray:
-        """Indices of the rates within a node."""
-        return self.coordinates.n_node - self.coordinates.nv + np.arange(self.coordinates.nv)
-
-    def local_acceleration(self, phase: int, i: int) -> np.ndarray:
+    def local_derivative(self, phase: int, i: int) -> np.ndarray:
         """Indices of y at point i, within the window (node, controls) of an interval."""
-        width = self.coordinates.nv + self.n_wrench(phase)
-        return self.coordinates.n_node + i * width + np.arange(self.coordinates.nv)
+        form = self.form_of(phase)
+        width = form.coordinates.nv + self.n_wrench(phase)
+        return form.size + i * width + np.arange(form.coordinates.nv)
 
     def local_wrench(self, phase: int, i: int) -> np.ndarray:
         """Indices of the wrenches at point i, within the window of an interval."""
-        width = self.n_wrench(phase)
-        start = self.coordinates.n_node + i * (self.coordinates.nv + width) + self.coordinates.nv
-        return start + np.arange(width)
+        form, width = self.form_of(phase), self.n_wrench(phase)
+        return form.size + i * (form.coordinates.nv + width) + form.coordinates.nv + np.arange(width)
 
-    def window_size(self, phase: int) -> int:
-        """Size of an interval's window: its start node and its controls."""
-        return self.coordinates.n_node + self.n_control(phase)
+    def local_jump(self, k: int) -> np.ndarray:
+        """Indices of the jump of the rates within the window of an impact."""
+        return self.forms[k].size + np.arange(self.forms[k].coordinates.nv)
+
+    def local_impulse(self, k: int) -> np.ndarray:
+        """Indices of the impulses within the window of an impact."""
+        start = self.forms[k].size + self.forms[k].coordinates.nv
+        return np.arange(start, self.window_size(k))
 
     def intervals_of(self, phase: int) -> np.ndarray:
-        """Indices of a phase's intervals."""
-        return np.flatnonzero(self.phase_of == phase)
+        """Indices of the stages that are a phase's intervals."""
+        return self.interval_stages[self.phase_of[self.interval_stages] == phase]
 
-    def place(self, k: int) -> NodePlace:
-        """Phase and fraction of node k; a node between two phases belongs to the later one."""
-        last = k == self.n_intervals
-        phase = int(self.phase_of[k - 1 if last else k])
-        first = int(self.intervals_of(phase)[0])
-        return NodePlace(self.schedule.phases[phase], k - first, self.intervals[phase], last)
+    def place(self, k: int) -> NodePlace | None:
+        """Phase and fraction of node k, None where it repeats another; a node between phases is the later's."""
+        found = self.timeline.places[k]
+        if found is None:
+            return None
+        phase, index = found
+        count = self.intervals[phase]
+        last = phase == len(self.intervals) - 1 and index == count
+        return NodePlace(self.schedule.phases[phase], index, count, last)
 
-    def window_scale(
-        self, phase: int, node_scale: np.ndarray, y_scale: np.ndarray, w_scale: np.ndarray
-    ) -> np.ndarray:
-        """Scales of a window from those of a node, of y and of all wrenches at a point."""
-        return np.concatenate([node_scale, *[np.concatenate([y_scale, w_scale])] * self.scheme.s])
+    def place_phase(self, k: int) -> int:
+        """Phase index of ``place(k)``, -1 where there is none."""
+        found = self.timeline.places[k]
+        return -1 if found is None else found[0]
+
+    def phase_at(self, k: int) -> int:
+        """Phase of node k: of the stage that begins there, or of the last."""
+        return int(self.phase_of[min(k, self.n_stages - 1)])
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """Coordinates of the first node."""
+        return self.forms[0].coordinates
+
+    def clocks(self, unknowns: np.ndarray) -> np.ndarray:
+        """Duration over nominal duration of every phase, (n_phases,), from unscaled unknowns."""
+        values = unknowns[self.node(0)][self.forms[0].clocks]
+        return np.array([1.0 if clock is None else values[clock] for clock in self.schedule.clocks])

@@ -271,6 +271,28 @@ class Coordinates:
                 xi[joint.v] = qj
         return np.concatenate([*rotations, xi[self.additive_index], rates])
 
+    def symbolic_node(self, q: ca.SX, v: ca.SX) -> ca.SX:
+        """Symbolic node state (n_node,) of q (nq,) and v (nv,), as ``node_from_pinocchio``."""
+        rotations, xi, rates = [], ca.SX.zeros(self.nv), v + 0
+        for joint in self.joints:
+            qj, at = q[joint.q], joint.v
+            if joint.kind in ("spherical", "freeflyer"):
+                rotations.append(qj[-4:])
+            if joint.kind == "freeflyer":
+                three = slice(at.start, at.start + 3)
+                xi[three] = qj[:3]
+                rates[three] = ca.mtimes(rotation_matrix(qj[3:]), v[three])
+            elif joint.kind == "planar":
+                c, s, two = qj[2], qj[3], slice(at.start, at.start + 2)
+                xi[at] = ca.vertcat(qj[0], qj[1], ca.atan2(s, c))
+                turn = ca.vertcat(ca.horzcat(c, -s), ca.horzcat(s, c))
+                rates[two] = ca.mtimes(turn, v[two])
+            elif joint.kind == "continuous":
+                xi[at] = ca.atan2(qj[1], qj[0])
+            elif joint.kind == "plain":
+                xi[at] = qj
+        return ca.vertcat(*rotations, xi[self.additive_index.tolist()], rates)
+
     def continued(self, node: np.ndarray, previous: np.ndarray) -> np.ndarray:
         """The same node with the quaternion signs and whole turns that continue ``previous``."""
         node = node.copy()

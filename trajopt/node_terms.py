@@ -74,12 +74,14 @@ def along_normal(context: Context, surface: Surface, columns: ca.SX) -> ca.SX:
 class ContactLanding(NodeConstraint):
     """New contacts of a phase lie on their surface (or on their footholds) and do not move.
 
-    The surface is the phase's for that contact, else the terrain; a sole lies flat on it.
+    The surface is the phase's for that contact, else the terrain; a sole lies flat on it. Contacts that
+    are ``held`` through an impact do not move after it either.
     """
 
     phase: str
     contacts: tuple[str, ...]
     terrain: FlatGround
+    held: tuple[str, ...] = ()
 
     def acts_at(self, place: NodePlace) -> bool:
         return place.phase.name == self.phase and place.index == 0
@@ -98,10 +100,12 @@ class ContactLanding(NodeConstraint):
                 expressions.append(along_normal(context, surface, frame.rotation[:, :2]).T)
                 targets.append(np.zeros(2))
                 scales.append(np.ones(2))
-            expressions.append(frame.velocity[: contact.dimension])
-            targets.append(np.zeros(contact.dimension))
-            speed = units.length / units.time
-            scales.append(np.array([speed] * 3 + [1 / units.time] * 3)[: contact.dimension])
+        if context.actuation != "velocity":
+            for name in (*self.contacts, *self.held):
+                contact = context.robot.contact(name)
+                expressions.append(context.frame(contact.frame).velocity[: contact.dimension])
+                targets.append(np.zeros(contact.dimension))
+                scales.append(units.twist[: contact.dimension])
         bound = np.concatenate(targets)
         return Rows.create(ca.vertcat(*expressions), bound, bound, np.concatenate(scales))
 
@@ -121,7 +125,7 @@ class SwingClearance(NodeConstraint):
             raise InputError(f"swing clearance is {self.height:g} m", "allowed: finite and >= 0")
 
     def acts_at(self, place: NodePlace) -> bool:
-        return place.index > 0 and not place.last and self.acts_in(place.phase.name)
+        return 0 < place.index < place.count and self.acts_in(place.phase.name)
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         swing = [c for c in context.robot.contacts if c.name not in place.phase.contacts]
@@ -178,8 +182,7 @@ class FrameVelocity(NodeConstraint):
     velocity: np.ndarray
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
-        scale = np.array([units.length / units.time] * 3 + [1 / units.time] * 3)
-        return Rows.create(context.frame(self.frame).velocity, self.velocity, self.velocity, scale)
+        return Rows.create(context.frame(self.frame).velocity, self.velocity, self.velocity, units.twist)
 
 
 def free_directions(robot: Robot, q: np.ndarray, contacts: Sequence[str]) -> np.ndarray:

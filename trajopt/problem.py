@@ -8,11 +8,15 @@ from types import MappingProxyType
 
 import numpy as np
 
+from trajopt.context import ACTUATIONS, Actuation
 from trajopt.errors import InputError
+from trajopt.mode import Mode
+from trajopt.motion_terms import ContactVelocity
 from trajopt.node_terms import ContactLanding, NodeConstraint
 from trajopt.point_terms import BaseDynamics, ContactAcceleration
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround, Schedule
+from trajopt.surface import Surface
 from trajopt.term_interfaces import Cost, PointConstraint, Term
 
 Motion = Callable[[float], np.ndarray]
@@ -25,9 +29,13 @@ class Problem:
     ``initial_q`` (nq,) and ``initial_v`` (nv,) are the fixed start. ``guess`` maps a time in s to a
     configuration (nq,): a motion made from the schedule, defined a little beyond its ends too;
     rates follow by differences, and forces are distributed over the active contacts to carry it.
-    ``default_intervals`` and ``default_transcription`` are used when the caller names none. ``dynamics``
-    are the rows that make it a motion of this robot: base rows and contact rows; a reduced model
-    brings its own. Raises InputError where parts do not fit each other.
+    ``default_intervals`` and ``default_transcription`` are used when the caller names none.
+
+    ``actuation`` is what the actuators are sources of: "torque"; "acceleration", where nothing may ask
+    for torques; or "velocity", where configurations are the state, rates the input, contacts do not slide
+    and a free base is in static balance. ``dynamics`` are the rows that make it a motion of this robot, by
+    default those of the actuation; a reduced model brings its own. ``modes`` are phases, by name, in
+    minimal coordinates. Raises InputError where parts do not fit each other.
     """
 
     name: str
@@ -41,7 +49,9 @@ class Problem:
     parameters: Mapping[str, object] = field(default_factory=dict)
     default_intervals: int = 50
     default_transcription: str = "legendre:2"
-    dynamics: tuple[PointConstraint, ...] = (BaseDynamics(), ContactAcceleration())
+    actuation: Actuation = "torque"
+    dynamics: tuple[PointConstraint, ...] | None = None
+    modes: Mapping[str, Mode] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for label, size in (("initial_q", self.robot.nq), ("initial_v", self.robot.nv)):
@@ -54,7 +64,9 @@ class Problem:
             object.__setattr__(self, label, array)
         object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
         object.__setattr__(self, "terms", tuple(self.terms))
+        object.__setattr__(self, "modes", MappingProxyType(dict(self.modes)))
         names = [phase.name for phase in self.schedule.phases]
+        self._require_actuation(names)
         if len(set(names)) != len(names):
             raise InputError(f"problem '{self.name}' has two phases of one name: {', '.join(names)}")
         for phase in self.schedule.phases:
@@ -66,21 +78,64 @@ class Problem:
                 if name not in names:
                     raise InputError(f"{term.name} acts in phase '{name}'", f"allowed: {', '.join(names)}")
 
+    def _require_actuation(self, names: list[str]) -> None:
+        if self.actuation not in ACTUATIONS:
+            raise InputError(f"actuation {self.actuation!r} is unknown", f"allowed: {', '.join(ACTUATIONS)}")
+        for name in self.modes:
+            if name not in names:
+                raise InputError(f"a mode is given for phase '{name}'", f"allowed: {', '.join(names)}")
+        if self.actuation != "velocity":
+            return
+        if self.initial_v.any():
+            raise InputError(
+                "initial_v of a velocity source is not zero", "allowed: zero, it has no such state"
+            )
+        for phase in self.schedule.phases:
+            what = "has no contact" if self.robot.n_unactuated and not phase.contacts else ""
+            if what or phase.impact:
+                raise InputError(
+                    f"phase '{phase.name}' {what or 'begins with an impact'}, which a velocity source cannot model",
+                    "allowed: phases in static balance, or actuation 'torque' or 'acceleration'",
+                )
+
     @property
     def costs(self) -> tuple[Cost, ...]:
         """Running costs."""
-        return tuple(term for term in self.terms if isinstance(term, Cost))
+        return tuple(term for term in self.terms if isinstance(term, Cost) and term.acts_at_points)
+
+    @property
+    def impact_costs(self) -> tuple[Cost, ...]:
+        """Costs of impacts."""
+        return tuple(term for term in self.terms if isinstance(term, Cost) and term.acts_at_impacts)
+
+    @property
+    def motion_rows(self) -> tuple[PointConstraint, ...]:
+        """The dynamics: rows that make it a motion of the robot."""
+        if self.dynamics is not None:
+            return self.dynamics
+        slide = ContactVelocity() if self.actuation == "velocity" else ContactAcceleration()
+        return (BaseDynamics(), slide)
+
+    def surfaces_of(self, phase: int) -> dict[str, Surface]:
+        """Surface of every contact of a phase, by the contact's name."""
+        where = self.schedule.phases[phase]
+        return {name: where.surface(name, self.terrain) for name in where.contacts}
 
     @property
     def point_constraints(self) -> tuple[PointConstraint, ...]:
         """Constraints at collocation points, the dynamics first."""
-        return (*self.dynamics, *(term for term in self.terms if isinstance(term, PointConstraint)))
+        return (*self.motion_rows, *(term for term in self.terms if isinstance(term, PointConstraint)))
 
     @property
     def node_constraints(self) -> tuple[NodeConstraint, ...]:
         """Constraints at nodes, with those that follow from the schedule: landings of new contacts."""
         landings = tuple(
-            ContactLanding(phase=phase.name, contacts=self.schedule.new_contacts(i), terrain=self.terrain)
+            ContactLanding(
+                phase=phase.name,
+                contacts=self.schedule.new_contacts(i),
+                terrain=self.terrain,
+                held=self.schedule.kept_contacts(i) if phase.impact else (),
+            )
             for i, phase in enumerate(self.schedule.phases)
             if self.schedule.new_contacts(i)
         )

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt import rigid_body
-from trajopt.context import Context
+from trajopt.context import Context, Place
 from trajopt.manifold import body_rates, exp_quaternion, quaternion_product, rotation_matrix
 
 Layers = tuple[ca.Function, ...]
@@ -38,16 +38,20 @@ def robot_layers(context: Context, expression: ca.SX) -> tuple[ca.SX, Layers]:
 
 
 def _plain_layers(context: Context, used: list[int]) -> Layers:
-    """z -> (q, v, a, w) -> o."""
+    """z -> (q, v, a, w) -> o.
+
+    Where dynamics feel no velocity (statics, impacts), it enters frames alone; an impact feels no gravity.
+    """
     wrench = ca.vertcat(*context.wrenches.values())
     sizes = [part.numel() for part in (context.q, context.v, context.a, wrench)]
     first = ca.Function("to_pinocchio", [context.z], [ca.vertcat(context.q, context.v, context.a, wrench)])
     s = ca.SX.sym("s", sum(sizes))
     q, v, a, w = ca.vertsplit(s, [0, *np.cumsum(sizes).tolist()])
     frames, dimensions = _frames(context)
-    tau, rotation, position, velocity, acceleration = rigid_body.fused(
-        context.robot.model, frames, dimensions
-    )(q, v, a, w)
+    model = context.robot.model
+    tau, rotation, position, velocity, acceleration = rigid_body.fused(model, frames, dimensions)(q, v, a, w)
+    if not context.moving:
+        tau = _still(context, frames, dimensions)(q, 0, a, w)[0]
     parts = [tau] if context.uses_dynamics else []
     for contact in context.used_accelerations:
         parts.append(acceleration[: contact.dimension, frames.index(contact.frame)])
@@ -55,6 +59,15 @@ def _plain_layers(context: Context, used: list[int]) -> Layers:
         i = frames.index(name)
         parts += [rotation[:, i], position[:, i], velocity[:, i], acceleration[:, i]]
     return first, ca.Function("fused", [s], [ca.vertcat(*parts)[used]])
+
+
+def _still(context: Context, frames: list[str], dimensions: list[int]) -> ca.Function:
+    """Inverse dynamics at rest; without gravity for an impact, where forces are impulses."""
+    model = context.robot.model
+    if context.place is Place.IMPACT:
+        model = model.copy()
+        model.gravity = pin.Motion.Zero()
+    return rigid_body.fused(model, frames, dimensions)
 
 
 def _frames(context: Context) -> tuple[list[str], list[int]]:

@@ -137,6 +137,10 @@ class Schedule:
         before = self.phases[index - 1].contacts
         return tuple(name for name in self.phases[index].contacts if name not in before)
 
+    def kept_contacts(self, index: int) -> tuple[str, ...]:
+        """Contacts of phase ``index`` that held before it."""
+        return tuple(name for name in self.phases[index].contacts if name not in self.new_contacts(index))
+
     def intervals(self, total: int) -> tuple[int, ...]:
         """Share ``total`` intervals among the phases by duration, at least one each.
 

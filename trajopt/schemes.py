@@ -53,6 +53,11 @@ class Scheme:
         """Matrix (len(fractions), s) that evaluates the Lagrange polynomials through the points."""
         return np.column_stack([basis(np.asarray(fractions, dtype=float)) for basis in _lagrange(self.c)])
 
+    def interpolation_rate(self, fractions: np.ndarray) -> np.ndarray:
+        """Matrix (len(fractions), s) of the Lagrange polynomials' derivatives by the fraction."""
+        where = np.asarray(fractions, dtype=float)
+        return np.column_stack([basis.deriv()(where) + 0 * where for basis in _lagrange(self.c)])
+
 
 def _lagrange(points: np.ndarray) -> list[Polynomial]:
     bases = []

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -25,7 +26,13 @@ from trajopt.units import Units
 
 @dataclass(frozen=True, kw_only=True)
 class Term:
-    """What costs and constraints share: the phases in which they act."""
+    """What costs and constraints share: the phases in which they act, and where.
+
+    A term about contact forces may act on the impulses of an impact that begins one of its phases too.
+    """
+
+    acts_at_points: ClassVar[bool] = True
+    acts_at_impacts: ClassVar[bool] = False
 
     phases: tuple[str, ...] | None = None
 

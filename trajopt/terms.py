@@ -6,10 +6,12 @@ from trajopt.contact_terms import FrictionCone, FrictionPyramid, SoleCone, SoleL
 from trajopt.costs import (
     AccelerationCost,
     PostureCost,
+    TimeCost,
     TorqueCost,
     VelocityCost,
     WrenchCost,
 )
+from trajopt.motion_terms import ContactVelocity, ImpactDynamics, ImpulseCost
 from trajopt.point_terms import (
     BaseDynamics,
     ContactAcceleration,
@@ -28,10 +30,13 @@ __all__ = [
     "AccelerationCost",
     "BaseDynamics",
     "ContactAcceleration",
+    "ContactVelocity",
     "Cost",
     "EffortLimits",
     "FrictionCone",
     "FrictionPyramid",
+    "ImpactDynamics",
+    "ImpulseCost",
     "PointConstraint",
     "PositionLimits",
     "PostureCost",
@@ -39,6 +44,7 @@ __all__ = [
     "SoleCone",
     "SoleLimits",
     "Term",
+    "TimeCost",
     "TorqueCost",
     "VelocityCost",
     "VelocityLimits",

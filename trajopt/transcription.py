@@ -1,8 +1,8 @@
 """Problem + scheme -> rows, bounds, scales and groups of point functions: an NLP without numbers of its own.
 
 Rows of stage k, in order: the gap rows ``x_(k+1) - F(x_k, u_k) = 0`` with an identity block in
-x_(k+1); the rows of each collocation point; the rows at node k. Every row is divided by its natural
-unit, every unknown is measured in its own, so that one tolerance means the same everywhere.
+x_(k+1); the rows of each collocation point, or of an impact; the rows at node k. Every row is divided by
+its natural unit, every unknown is measured in its own, so that one tolerance means the same everywhere.
 """
 
 from __future__ import annotations
@@ -10,22 +10,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 from scipy import sparse
 
 from trajopt.collocation import Collocation
-from trajopt.context import Context
 from trajopt.errors import InputError
 from trajopt.layout import Layout
-from trajopt.manifold import Coordinates
 from trajopt.problem import Problem
 from trajopt.row_collection import RowCollection, RowInfo
 from trajopt.schemes import Scheme, scheme
-from trajopt.stage_functions import PointFunction, point_function
-from trajopt.term_interfaces import Rows
+from trajopt.stage_functions import PointFunction
+from trajopt.term_functions import Kind, TermFunctions
+from trajopt.timeline import StageKind
 from trajopt.units import Units
-from trajopt.variable_bounds import variable_bounds
+from trajopt.variable_bounds import clocked_limits, variable_bounds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,8 +48,8 @@ class Group:
 class Transcription:
     """The NLP's structure: unknowns, rows, groups, linear part, bounds; all in scaled units.
 
-    ``gap_rows`` (N, n_node) and ``linear`` (n_rows, n_unknowns) are the defects' rows and the part of
-    all rows that is linear in the unknowns. ``scale`` (n_unknowns,) turns a scaled unknown into SI.
+    ``gap_rows`` (one array a stage) and ``linear`` (n_rows, n_unknowns) are the defects' rows and the part
+    of all rows that is linear in the unknowns. ``scale`` (n_unknowns,) turns a scaled unknown into SI.
     """
 
     problem: Problem
@@ -65,36 +63,25 @@ class Transcription:
     lower_x: np.ndarray
     upper_x: np.ndarray
     scale: np.ndarray
-    gap_rows: np.ndarray
+    gap_rows: tuple[np.ndarray, ...]
 
     def stage_sizes(self) -> tuple[list[int], list[int], list[int]]:
         """Numbers of states, controls and path rows of each stage, as structured solvers want them."""
-        layout, n = self.layout, self.layout.coordinates.n_node
-        controls = [layout.n_control(int(phase)) for phase in layout.phase_of]
-        rows = np.bincount(self.rows.stage, minlength=layout.n_intervals + 1)
-        paths = [int(count) - n for count in rows[:-1]] + [int(rows[-1])]
-        return [n] * (layout.n_intervals + 1), [*controls, 0], paths
-
-
-@dataclass(frozen=True)
-class _Kind:
-    """Function of a phase's points, or of a node, with its rows' names, bounds, units and parameters."""
-
-    function: PointFunction
-    blocks: tuple[tuple[str, Rows], ...]
-    parameters: np.ndarray
-
-    @property
-    def row_scale(self) -> np.ndarray:
-        return np.concatenate([np.zeros(0), *[1 / rows.unit for _, rows in self.blocks]])
+        layout = self.layout
+        states = [form.size for form in layout.forms]
+        controls = [layout.n_control(k) for k in range(layout.n_stages)]
+        rows = np.bincount(self.rows.stage, minlength=layout.n_stages + 1)
+        gaps = [*states[1:], 0]
+        return states, [*controls, 0], [int(count) - gap for count, gap in zip(rows, gaps, strict=True)]
 
 
 @dataclass(frozen=True)
 class _Numbers:
-    """Row indices: of the gaps (N, n_node), of interval k at point i, of the nodes that have rows."""
+    """Row indices: of the gaps, of interval k at point i, of impacts and of the nodes that have rows."""
 
-    gap: np.ndarray
-    point: list[list[np.ndarray]]
+    gap: list[np.ndarray]
+    point: dict[int, list[np.ndarray]]
+    impact: dict[int, np.ndarray]
     node: dict[int, np.ndarray]
 
 
@@ -102,103 +89,77 @@ class Transcriber:
     """Builds a Transcription step by step; ``build()`` reads top to bottom."""
 
     def __init__(self, problem: Problem, method: Scheme, intervals: Sequence[int]) -> None:
+        order = 1 if problem.actuation == "velocity" else 2
         self.problem, self.method = problem, method
-        self.coordinates = Coordinates(problem.robot.model)
-        self.units = Units(problem.robot)
-        self.layout = Layout(problem.robot, self.coordinates, problem.schedule, tuple(intervals), method)
-        self.collocation = Collocation(self.layout, self.units)
+        self.layout = Layout(
+            problem.robot, problem.schedule, tuple(intervals), method, order, dict(problem.modes)
+        )
+        robots = {id(form.robot): form.robot for form in self.layout.forms}
+        units = {key: Units(robot, problem.robot) for key, robot in robots.items()}
+        self.collocation = Collocation(self.layout, units)
+        self.functions = TermFunctions(problem, self.layout, units)
+        self.time = units[id(self.layout.forms[0].robot)].time
+        self.clocked = clocked_limits(problem, self.layout, self.collocation)
+        self.clocked_rows: list[tuple[np.ndarray, sparse.coo_matrix]] = []
         self.rows = RowCollection()
         self.groups: list[Group] = []
 
     def build(self) -> Transcription:
         phases = range(len(self.layout.intervals))
-        kinds = [self._point_kind(phase) for phase in phases]
-        end = self._end_function()
-        nodes = self._node_kinds()
-        numbers = self._number_rows(kinds, nodes)
+        kinds = [self.functions.point(phase) for phase in phases]
+        impacts = {k: self.functions.impact(k) for k in self.layout.transitions_of(StageKind.IMPACT)}
+        nodes = self.functions.nodes()
+        numbers = self._number_rows(kinds, impacts, nodes)
         for phase in phases:
             self._add_point_groups(phase, kinds[phase], numbers.point)
-            self._add_end_group(phase, end, numbers.gap)
+            self._add_end_group(phase, numbers.gap)
+        for k, kind in impacts.items():
+            self._add_impact_group(k, kind, numbers.impact[k])
+        for k in self.layout.transitions_of(StageKind.CHANGE):
+            self._add_change_group(k, numbers.gap[k])
         self._add_node_groups(nodes, numbers.node)
-        lower_x, upper_x = variable_bounds(self.problem, self.layout, self.collocation.node_scale)
+        lower_x, upper_x = variable_bounds(self.problem, self.layout, self.collocation)
         return Transcription(
             problem=self.problem,
             layout=self.layout,
             groups=tuple(self.groups),
             rows=self.rows.info(),
             n_rows=self.rows.count,
-            linear=self.collocation.linear_part(numbers.gap, self.rows.count),
+            linear=self.collocation.linear_part(numbers.gap, self.clocked_rows, self.rows.count),
             lower_g=np.concatenate(self.rows.lower),
             upper_g=np.concatenate(self.rows.upper),
             lower_x=lower_x,
             upper_x=upper_x,
-            scale=self.collocation.scale(),
-            gap_rows=numbers.gap,
+            scale=self.collocation.scale,
+            gap_rows=tuple(numbers.gap),
         )
-
-    # Functions
-
-    def _point_kind(self, phase: int) -> _Kind:
-        name, problem = self.problem.schedule.phases[phase].name, self.problem
-        context = Context(problem.robot, self.coordinates, self.layout.contacts[phase], node=False)
-        costs = [term.value(context, self.units) for term in problem.costs if term.acts_in(name)]
-        blocks = []
-        for term in problem.point_constraints:
-            rows = term.rows(context, self.units) if term.acts_in(name) else None
-            if rows is not None:
-                blocks.append((term.name, rows))
-        expressions = [rows.expression for _, rows in blocks]
-        function = point_function(name, context, sum(costs, ca.SX(0)), expressions)
-        return _Kind(function, tuple(blocks), context.parameter_values)
-
-    def _end_function(self) -> PointFunction | None:
-        """Rotations and body rates at an interval's end from (rotations, theta, theta')."""
-        n = self.coordinates.n_rotations
-        if n == 0:
-            return None
-        z = ca.SX.sym("z", 10 * n)
-        phi = ca.vertcat(*self.coordinates.next_rotations(z[: 4 * n], z[4 * n : 7 * n], z[7 * n :]))
-        terms = ca.Function("terms", [z, ca.SX.sym("o", 0), ca.SX.sym("p", 0)], [ca.SX(0), ca.densify(phi)])
-        return PointFunction("interval_end", (), terms)
-
-    def _node_kinds(self) -> dict[int, _Kind]:
-        """For each node with constraints: its function, named rows and parameter values."""
-        functions: dict[tuple[object, ...], PointFunction] = {}
-        kinds = {}
-        for k in range(self.layout.n_intervals + 1):
-            place = self.layout.place(k)
-            acting = [term for term in self.problem.node_constraints if term.acts_at(place)]
-            if not acting:
-                continue
-            context = Context(self.problem.robot, self.coordinates, (), node=True)
-            named = [(term.name, term.rows(context, self.units, place)) for term in acting]
-            blocks = tuple((name, rows) for name, rows in named if rows.expression.numel())
-            if not blocks:
-                continue
-            key = (place.phase.name, *(id(term) for term in acting))
-            if key not in functions:
-                expressions = [rows.expression for _, rows in blocks]
-                functions[key] = point_function(f"node_{place.phase.name}", context, ca.SX(0), expressions)
-            kinds[k] = _Kind(functions[key], blocks, context.parameter_values)
-        return kinds
 
     # Rows
 
-    def _number_rows(self, kinds: Sequence[_Kind], nodes: dict[int, _Kind]) -> _Numbers:
-        gap, point, node = [], [], {}
-        zero = np.zeros(self.coordinates.n_node)
-        for k in range(self.layout.n_intervals + 1):
-            if k < self.layout.n_intervals:
-                gap.append(self.rows.add("defect", k, -1, zero, zero))
-                kind = kinds[self.layout.phase_of[k]]
-                point.append([self.rows.add_blocks(kind.blocks, k, i) for i in range(self.method.s)])
+    def _number_rows(
+        self, kinds: Sequence[Kind], impacts: dict[int, Kind], nodes: dict[int, Kind]
+    ) -> _Numbers:
+        found = _Numbers([], {}, {}, {})
+        layout = self.layout
+        for k in range(layout.n_stages + 1):
+            if k < layout.n_stages:
+                zero = np.zeros(layout.forms[k + 1].size)
+                found.gap.append(self.rows.add("defect", k, -1, zero, zero))
+                if layout.stages[k].kind is StageKind.INTERVAL:
+                    blocks = kinds[layout.phase_of[k]].blocks
+                    found.point[k] = [self.rows.add_blocks(blocks, k, i) for i in range(self.method.s)]
+            if k in impacts:
+                found.impact[k] = self.rows.add_blocks(impacts[k].blocks, k, -1)
             if k in nodes:
-                node[k] = self.rows.add_blocks(nodes[k].blocks, k, -1)
-        return _Numbers(np.array(gap), point, node)
+                found.node[k] = self.rows.add_blocks(nodes[k].blocks, k, -1)
+            for limit in self.clocked.get(k, ()):
+                rows = self.rows.add(limit.name, k, -1, limit.lower, limit.upper)
+                self.clocked_rows.append((rows, limit.map(int(layout.node_offset[k]))))
+        return found
 
     # Groups
 
-    def _add_point_groups(self, phase: int, kind: _Kind, point_rows: list[list[np.ndarray]]) -> None:
+    def _add_point_groups(self, phase: int, kind: Kind, point_rows: dict[int, list[np.ndarray]]) -> None:
         stages = self.layout.intervals_of(phase)
         for i in range(self.method.s):
             self.groups.append(
@@ -209,30 +170,48 @@ class Transcriber:
                     rows=np.array([point_rows[k][i] for k in stages]),
                     row_scale=kind.row_scale,
                     parameters=np.tile(kind.parameters, (len(stages), 1)),
-                    cost_weight=self.layout.steps[stages] * self.method.b1[i] / self.units.time,
+                    cost_weight=self.layout.steps[stages] * self.method.b1[i] / self.time,
                 )
             )
 
-    def _add_end_group(self, phase: int, end: PointFunction | None, gap_rows: np.ndarray) -> None:
+    def _add_end_group(self, phase: int, gap_rows: list[np.ndarray]) -> None:
+        form, stages = self.layout.form_of(phase), self.layout.intervals_of(phase)
+        end = self.functions.end(form)
         if end is None:
             return
-        layout, rotation = self.layout, self.coordinates.rotation_index
-        local = np.concatenate([layout.local_rotations, layout.local_rates[rotation]])
-        stages = layout.intervals_of(phase)
+        rotating = form.rates[form.coordinates.rotation_index] if form.order == 2 else form.rates
+        local = np.concatenate([form.rotations, rotating])
         self.groups.append(
-            Group(
-                point=end,
-                gather=self.collocation.end_gather(phase),
-                stages=stages,
-                rows=gap_rows[stages][:, local],
-                row_scale=-1 / self.collocation.node_scale[local],
-                parameters=np.zeros((len(stages), 0)),
-                cost_weight=np.zeros(len(stages)),
+            _gap_group(
+                end,
+                self.collocation.end_gather(phase),
+                stages,
+                np.array([gap_rows[k][local] for k in stages]),
+                self.collocation.node_scale(form)[local],
             )
         )
 
-    def _add_node_groups(self, nodes: dict[int, _Kind], node_rows: dict[int, np.ndarray]) -> None:
-        gather = sparse.csr_matrix(np.diag(self.collocation.node_scale))
+    def _add_impact_group(self, k: int, kind: Kind, rows: np.ndarray) -> None:
+        self.groups.append(
+            Group(
+                point=kind.function,
+                gather=self.collocation.impact_gather(k),
+                stages=np.array([k]),
+                rows=rows[None, :],
+                row_scale=kind.row_scale,
+                parameters=kind.parameters[None, :],
+                cost_weight=np.ones(1),
+            )
+        )
+
+    def _add_change_group(self, k: int, gap_rows: np.ndarray) -> None:
+        scale = self.collocation.node_scale(self.layout.forms[k + 1])
+        gather = self.collocation.node_gather(self.layout.forms[k])
+        self.groups.append(
+            _gap_group(self.functions.change(k), gather, np.array([k]), gap_rows[None, :], scale)
+        )
+
+    def _add_node_groups(self, nodes: dict[int, Kind], node_rows: dict[int, np.ndarray]) -> None:
         by_function: dict[int, list[int]] = {}
         for k, kind in nodes.items():
             by_function.setdefault(id(kind.function), []).append(k)
@@ -241,7 +220,7 @@ class Transcriber:
             self.groups.append(
                 Group(
                     point=first.function,
-                    gather=gather,
+                    gather=self.collocation.node_gather(self.layout.forms[members[0]]),
                     stages=np.array(members),
                     rows=np.array([node_rows[k] for k in members]),
                     row_scale=first.row_scale,
@@ -249,6 +228,21 @@ class Transcriber:
                     cost_weight=np.zeros(len(members)),
                 )
             )
+
+
+def _gap_group(
+    point: PointFunction, gather: sparse.csr_matrix, stages: np.ndarray, rows: np.ndarray, scale: np.ndarray
+) -> Group:
+    """What is not linear of the map to the next node, x_next - F = 0; ``scale`` of the rows' entries."""
+    return Group(
+        point=point,
+        gather=gather,
+        stages=stages,
+        rows=rows,
+        row_scale=-1 / scale,
+        parameters=np.zeros((len(stages), 0)),
+        cost_weight=np.zeros(len(stages)),
+    )
 
 
 def transcribe(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 
 import numpy as np
@@ -17,25 +18,36 @@ UNREACHABLE = 30.0
 
 
 class Units:
-    """Natural units from weight m g, length l and g.
+    """Natural units from weight m g, length l and g, of ``robot`` or of the one it is a ``part`` of.
 
     ``position``, ``velocity``, ``acceleration`` are arrays (nv,) over the local coordinates (m or rad and
-    their derivatives); ``force`` in N, ``torque`` in N m, ``time`` in s; ``wrench`` (6,).
+    their derivatives), ``generalized_force`` (nv,) their forces (N or N m); ``force`` in N, ``torque`` in
+    N m, ``time`` in s; ``twist`` and ``wrench`` (6,), linear part first.
     """
 
-    def __init__(self, robot: Robot) -> None:
-        gravity, length = gravity_of(robot.model), robot.length
+    def __init__(self, robot: Robot, part_of: Robot | None = None) -> None:
+        whole = part_of or robot
+        gravity, length = gravity_of(whole.model), whole.length
         linear = _is_linear(robot)
         self.length, self.gravity = length, gravity
         self.time = math.sqrt(length / gravity)
-        self.force = robot.weight
-        self.torque = robot.weight * length
+        self.force = whole.weight
+        self.torque = whole.weight * length
+        self.twist = np.array([length] * 3 + [1.0] * 3) / self.time
         self.wrench = np.array([self.force] * 3 + [self.torque] * 3)
+        self.generalized_force = np.where(linear, self.force, self.torque)
         self.position = np.where(linear, length, 1.0)
         self.velocity = self.position / self.time
         self.acceleration = self.velocity / self.time
         self.unreachable_torque = UNREACHABLE * self.torque
         self.unreachable_velocity = UNREACHABLE / self.time
+
+    def impulsive(self) -> Units:
+        """The same units with forces and torques replaced by impulses, N s and N m s."""
+        units = copy.copy(self)
+        for name in ("force", "torque", "wrench", "generalized_force"):
+            setattr(units, name, getattr(self, name) * self.time)
+        return units
 
 
 def _is_linear(robot: Robot) -> np.ndarray:

@@ -52,7 +52,7 @@ def _describe(t: Transcription, violation: float, name: str, stage: int, point: 
         time += float(layout.scheme.c[point] * layout.steps[stage])
     return {
         "block": name,
-        "phase": layout.place(stage).phase.name,
+        "phase": layout.schedule.phases[layout.phase_at(stage)].name,
         "node": stage,
         "point": point if point >= 0 else None,
         "time": time,
@@ -72,4 +72,4 @@ def nonfinite_place(nlp: Nlp, x: np.ndarray) -> str | None:
     block = ""
     if output == "rows":
         block = f" of block '{t.rows.names[t.rows.block[members.rows[stage, index]]]}'"
-    return f"{output}{block} in phase '{t.layout.place(node).phase.name}', node {node}"
+    return f"{output}{block} in phase '{t.layout.schedule.phases[t.layout.phase_at(node)].name}', node {node}"

@@ -1,0 +1,141 @@
+"""The functions of a problem's points, nodes and transitions: terms written over contexts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from trajopt.context import Context, Place
+from trajopt.layout import Layout
+from trajopt.motion_terms import ImpactDynamics
+from trajopt.problem import Problem
+from trajopt.stage_functions import PointFunction, point_function
+from trajopt.term_interfaces import Rows
+from trajopt.timeline import NodeForm
+from trajopt.units import Units
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A point function with its rows' names, bounds and units, and its parameters."""
+
+    function: PointFunction
+    blocks: tuple[tuple[str, Rows], ...]
+    parameters: np.ndarray
+
+    @property
+    def row_scale(self) -> np.ndarray:
+        """One over the unit of every row."""
+        return np.concatenate([np.zeros(0), *[1 / rows.unit for _, rows in self.blocks]])
+
+
+@dataclass(frozen=True)
+class TermFunctions:
+    """Point functions of one transcription; ``units`` by identity of the robot they measure."""
+
+    problem: Problem
+    layout: Layout
+    units: Mapping[int, Units]
+
+    def point(self, phase: int) -> Kind:
+        """Function of a phase's collocation points."""
+        form = self.layout.form_of(phase)
+        own, context = self.units[id(form.robot)], self._context(phase, form, Place.POINT)
+        name, problem = self.problem.schedule.phases[phase].name, self.problem
+        costs = [term.value(context, own) for term in problem.costs if term.acts_in(name)]
+        acting = [term for term in problem.point_constraints if term.acts_in(name)]
+        rows = [(term.name, term.rows(context, own)) for term in acting]
+        return _kind(name, context, context.clock * sum(costs, ca.SX(0)), rows)
+
+    def impact(self, k: int) -> Kind:
+        """Function of the impact that is stage k: its dynamics, and terms on contact forces."""
+        phase, form = self.layout.stages[k].phase, self.layout.forms[k]
+        own = self.units[id(form.robot)].impulsive()
+        context = self._context(phase, form, Place.IMPACT)
+        name, problem = self.problem.schedule.phases[phase].name, self.problem
+        costs = [term.value(context, own) for term in problem.impact_costs if term.acts_in(name)]
+        acting = [t for t in problem.point_constraints if t.acts_in(name) and t.acts_at_impacts]
+        rows = [(t.name, t.rows(context, own)) for t in (ImpactDynamics(), *acting)]
+        return _kind(f"impact_{name}", context, sum(costs, ca.SX(0)), rows)
+
+    def nodes(self) -> dict[int, Kind]:
+        """For each node with constraints: its function, named rows and parameter values."""
+        functions: dict[tuple[object, ...], PointFunction] = {}
+        kinds, constraints = {}, self.problem.node_constraints
+        for k, form in enumerate(self.layout.forms):
+            place, phase = self.layout.place(k), self.layout.place_phase(k)
+            acting = [t for t in constraints if place is not None and t.acts_at(place)]
+            if place is None or not acting:
+                continue
+            context = self._context(phase, form, Place.NODE)
+            named = [(term.name, term.rows(context, self.units[id(form.robot)], place)) for term in acting]
+            kind = _kind(f"node_{place.phase.name}", context, ca.SX(0), named)
+            if kind.blocks:
+                key = (id(form), place.phase.name, *(id(term) for term in acting))
+                shared = functions.setdefault(key, kind.function)
+                kinds[k] = Kind(shared, kind.blocks, kind.parameters)
+        return kinds
+
+    def end(self, form: NodeForm) -> PointFunction | None:
+        """Rotations, and body rates if any, at an interval's end from (rotations, theta, theta')."""
+        n = form.coordinates.n_rotations
+        if n == 0:
+            return None
+        z = ca.SX.sym("z", (10 if form.order == 2 else 7) * n)
+        rates = z[7 * n :] if form.order == 2 else ca.SX.zeros(3 * n)
+        quaternions, body_rates = form.coordinates.next_rotations(z[: 4 * n], z[4 * n : 7 * n], rates)
+        return _plain("interval_end", z, [quaternions, *([body_rates] if form.order == 2 else [])])
+
+    def change(self, k: int) -> PointFunction:
+        """The next node's entries from those of node k: other coordinates, or rates in another clock."""
+        before, after = self.layout.forms[k], self.layout.forms[k + 1]
+        phase = self.layout.stages[k].phase
+        context = self._context(phase, before, Place.NODE)
+        clocks = context.z[before.clocks.tolist()] if before.n_clocks else ca.SX(0, 1)
+        if after.coordinates is before.coordinates:
+            n = len(before.rotations) + len(before.additive)
+            configuration, rates = context.z[:n], context.rates
+        else:
+            state = self._mapped(context, before, after)
+            n = state.numel() - after.coordinates.nv
+            configuration, rates = state[:n], state[n:]
+        ratio = ca.SX(1) if after.clock is None else clocks[after.clock]
+        parts = [configuration, ratio * rates] if after.order == 2 else [configuration]
+        return _plain("change", context.z, [*parts, clocks])
+
+    def _mapped(self, context: Context, before: NodeForm, after: NodeForm) -> ca.SX:
+        """State of the coordinates after a change from the symbols before: lift or drop of a mode."""
+        whole = after.robot is self.problem.robot
+        mode = next(m for m in self.problem.modes.values() if m.robot is (before if whole else after).robot)
+        still = ca.SX.zeros(before.coordinates.nv)
+        q, v, _ = (mode.lift if whole else mode.drop)(context.q, context.v, still)
+        return after.coordinates.symbolic_node(q, v)
+
+    def _context(self, phase: int, form: NodeForm, place: Place) -> Context:
+        contacts = {Place.POINT: self.layout.contacts, Place.IMPACT: self.layout.touching}
+        return Context(
+            form.robot,
+            form.coordinates,
+            contacts[place][phase] if place in contacts else (),
+            place=place,
+            clocks=(form.n_clocks, form.clock),
+            actuation=self.problem.actuation,
+            surfaces=self.problem.surfaces_of(phase),
+        )
+
+
+def _kind(name: str, context: Context, cost: ca.SX, named: Sequence[tuple[str, Rows | None]]) -> Kind:
+    blocks = tuple((label, rows) for label, rows in named if rows is not None and rows.expression.numel())
+    function = point_function(name, context, cost, [rows.expression for _, rows in blocks])
+    return Kind(function, blocks, context.parameter_values)
+
+
+def _plain(name: str, z: ca.SX, parts: Sequence[ca.SX]) -> PointFunction:
+    """A point function of its inputs alone: no robot, no parameters, no cost."""
+    phi = ca.densify(ca.vertcat(*parts))
+    return PointFunction(
+        name, (), ca.Function("terms", [z, ca.SX.sym("o", 0), ca.SX.sym("p", 0)], [ca.SX(0), phi])
+    )
