@@ -138,7 +138,7 @@ class Context:
         """Second derivatives of the local coordinates (nv,); zero at a node."""
         if self.actuation == "velocity":
             raise InputError(
-                "a term asks for accelerations, which a velocity source has not",
+                "a term asks for accelerations, which a source of velocity has not",
                 "allowed: terms about configurations and rates, or another actuation",
             )
         return self._highest
@@ -202,7 +202,7 @@ class Context:
         """Torque (nu,) that the drives deliver, N m, joint side: the actuated rows plus joint friction."""
         if self.actuation != "torque":
             raise InputError(
-                f"a term asks for torques, which a {self.actuation} source has not",
+                f"a term asks for torques, which a source of {self.actuation} has not",
                 "allowed: actuation 'torque', or terms about motion and contact forces",
             )
         unactuated = self.robot.n_unactuated
