@@ -44,6 +44,7 @@ class Robot:
     visual: where the meshes are, for a replay.
     passive: joints without actuator (an ankle that is a contact, the shoulder of an acrobot), behind
         the base rows and before every other joint.
+    given_length: characteristic length in m; None takes the one that `length` measures.
     drives: a `Drive` or None for each actuated row (nu), or None; put on with `with_drives`.
 
     Raises `InputError` at construction for an unknown frame, a wrong shape, a number that is
@@ -61,6 +62,7 @@ class Robot:
     contacts: tuple[Contact, ...] = ()
     visual: VisualSource | None = None
     passive: tuple[str, ...] = ()
+    given_length: float | None = None
     drives: tuple[Drive | None, ...] | None = None
 
     def __post_init__(self) -> None:
@@ -83,6 +85,8 @@ class Robot:
         for field, size in shapes.items():
             if getattr(self, field) is not None:
                 object.__setattr__(self, field, self._read_only(field, size))
+        if self.given_length is not None and not (np.isfinite(self.given_length) and self.given_length > 0):
+            raise InputError(f"given_length of robot '{self.name}' is {self.given_length}", "> 0 m, or None")
         self._require_contacts()
         self._require_limits()
         self._require_reference()
@@ -177,8 +181,10 @@ class Robot:
         The mean height of the base above the contact frames in the reference posture, for a
         robot that moves on contacts. Otherwise (fixed base, no contacts, or a base that does
         not stand above them) the reach: the longest sum of link lengths from the root to any
-        frame or centre of mass. 1 m if the model has no extent.
+        frame or centre of mass. 1 m if the model has no extent. ``given_length`` overrides it.
         """
+        if self.given_length is not None:
+            return self.given_length
         extent = building.reach(self.model)
         if self.base != "fixed" and self.contacts:
             data = self.model.createData()

@@ -1,0 +1,88 @@
+"""The planar hopper of the lecture: a torso, a thigh and a shank in a vertical plane, on a point foot."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.robot import Robot
+from trajopt.robot_building import sagittal
+
+FOOT = "foot"
+
+# Masses in kg and lengths in m of a small one-legged machine: 10 kg in all, most of it in the torso.
+TORSO_MASS, TORSO_LENGTH = 7.0, 0.4
+THIGH_MASS, THIGH_LENGTH = 2.0, 0.35
+SHANK_MASS, SHANK_LENGTH = 1.0, 0.35
+# Links are slender boxes: their thickness as part of their length.
+SLENDERNESS = 0.2
+# The torso's centre of mass lies above the hip by this part of its length.
+TORSO_CENTRE = 0.25
+
+# Joint side, N m and rad/s: three times the weight's moment at a thigh's length; hips and knees of
+# electric legs of this size turn at 20 rad/s.
+TORQUE = 100.0
+SPEED = 20.0
+HIP_RANGE = (-1.6, 1.6)  # rad, thigh forward is negative
+KNEE_RANGE = (0.05, 2.6)  # rad, bent is positive: the shank swings back
+# Rotor inertia seen at the joint, kg m^2: a rotor of 5e-5 kg m^2 behind a gear of 12.
+ARMATURE = 7.2e-3
+STANDING_KNEE = 1.2  # rad
+
+
+def build() -> Robot:
+    """Return the hopper on a planar base, its hip at the base's origin, standing on its foot.
+
+    q is (x, z, cos, sin of the pitch, hip, knee): five degrees of freedom, two of them actuated.
+    """
+    model = pin.Model()
+    model.name = "hopper"
+    base = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "base")
+    model.addJointFrame(base)
+    torso = _box(TORSO_MASS, TORSO_LENGTH)
+    model.appendBodyToJoint(base, torso, _at(0.0, TORSO_CENTRE * TORSO_LENGTH))
+    model.addBodyFrame("torso", base, pin.SE3.Identity(), -1)
+    model = sagittal(model)
+    hip = _joint(model, base, "hip", model.jointPlacements[base].inverse(), HIP_RANGE)
+    model.appendBodyToJoint(hip, _box(THIGH_MASS, THIGH_LENGTH), _at(0.0, -THIGH_LENGTH / 2))
+    model.addBodyFrame("thigh", hip, pin.SE3.Identity(), -1)
+    knee = _joint(model, hip, "knee", _at(0.0, -THIGH_LENGTH), KNEE_RANGE)
+    model.appendBodyToJoint(knee, _box(SHANK_MASS, SHANK_LENGTH), _at(0.0, -SHANK_LENGTH / 2))
+    model.addBodyFrame("shank", knee, pin.SE3.Identity(), -1)
+    model.addFrame(pin.Frame(FOOT, knee, 0, _at(0.0, -SHANK_LENGTH), pin.FrameType.OP_FRAME))
+    return Robot.from_model(model, name="hopper", contacts=[FOOT], reference=_standing())
+
+
+def _standing() -> dict[str, float]:
+    """Hip and knee (rad) of the posture whose centre of mass, the torso upright, lies over the foot.
+
+    With the thigh leaning forward by t and the shank by t - knee, foot and centre of mass are at
+    ``a sin(t) + b sin(t - knee) = 0`` of each other.
+    """
+    mass = TORSO_MASS + THIGH_MASS + SHANK_MASS
+    a = THIGH_LENGTH * (1 - (THIGH_MASS / 2 + SHANK_MASS) / mass)
+    b = SHANK_LENGTH * (1 - SHANK_MASS / 2 / mass)
+    thigh = math.atan2(b * math.sin(STANDING_KNEE), a + b * math.cos(STANDING_KNEE))
+    return {"hip": -thigh, "knee": STANDING_KNEE}
+
+
+def _at(x: float, z: float) -> pin.SE3:
+    return pin.SE3(np.eye(3), np.array([x, 0.0, z]))
+
+
+def _box(mass: float, length: float) -> pin.Inertia:
+    """A solid box standing upright, its sides `SLENDERNESS` of its length, about its centre."""
+    side = SLENDERNESS * length
+    return pin.Inertia.FromBox(mass, side, side, length)
+
+
+def _joint(model: pin.Model, parent: int, name: str, placement: pin.SE3, limits: tuple[float, float]) -> int:
+    lower, upper = (np.array([limit]) for limit in limits)
+    joint = model.addJoint(
+        parent, pin.JointModelRY(), placement, name, np.array([TORQUE]), np.array([SPEED]), lower, upper
+    )
+    model.addJointFrame(joint)
+    model.armature[model.joints[joint].idx_v] = ARMATURE
+    return int(joint)

@@ -1,0 +1,168 @@
+"""A floating model hung up at another of its bodies: the same tree, seen from a contact point.
+
+A joint of one degree of freedom places its child in its parent at ``M exp(S q)``. Seen from the child
+the parent is at ``exp(-S q) M^-1``. With T a half turn about an axis perpendicular to S,
+``exp(-S q) = T exp(S q) T^-1``: the joint of the same kind, placed at T. So coordinate, rate, torque,
+armature and limits of a turned-round joint are those of the joint itself, and keep its name.
+
+Pinocchio's own graphs (``pin.graph``) turn joints round too, but want the robot as a graph to begin with,
+and version 4.1 leaves a body's inertia at its joint where the body's frame lies elsewhere
+(`docs/modelling/coordinates.md`), as it does behind every joint turned round.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.errors import InputError, UnsupportedJointError
+
+# Name of the frame of a re-rooted model that lies where the floating base's joint was.
+BASE_FRAME = "floating_base"
+# Rows of a model (nv,) that belong to a joint and stay with it.
+JOINT_ROWS = (
+    "armature", "rotorInertia", "rotorGearRatio", "damping",
+    "upperEffortLimit", "lowerEffortLimit", "upperVelocityLimit", "lowerVelocityLimit",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Body:
+    """Where a body of the floating model is: its joint in the new model, its old frame in that joint's."""
+
+    joint: int
+    placement: pin.SE3
+
+
+def path_to_base(model: pin.Model, joint: int) -> list[int]:
+    """Return the joints from ``joint`` up to the base, joint 1, both included.
+
+    Raises `UnsupportedJointError` for one on the way that has not one degree of freedom.
+    """
+    path = [joint]
+    while path[-1] != 1:
+        if path[-1] == 0:
+            raise InputError(
+                f"the contact on joint '{model.names[joint]}' does not hang on the base", "a limb of the base"
+            )
+        path.append(int(model.parents[path[-1]]))
+    for index in path[:-1]:
+        if model.joints[index].nv != 1:
+            raise UnsupportedJointError(
+                model.names[index],
+                model.joints[index].shortname().removeprefix("JointModel"),
+                "joints of one degree of freedom between base and contact; lock it",
+            )
+    return path
+
+
+def joint_motion(joint: pin.JointModel) -> pin.Motion:
+    """Motion subspace of a joint of one degree of freedom, in its own frame."""
+    data = joint.createData()
+    joint.calc(data, np.array([1.0, 0.0] if joint.nq == 2 else [0.0]))
+    return pin.Motion(np.ravel(data.S))
+
+
+def reroot(
+    model: pin.Model, frame: str, passive: pin.JointModel, passive_name: str, root: pin.SE3
+) -> pin.Model:
+    """Return ``model`` standing on ``frame``: a ``passive`` joint there, at ``root`` in the world.
+
+    The passive joint comes first, then the joints from there to the base, then the limbs; all but the
+    first keep name, coordinate and rows. At the passive joint's neutral the frame's body is turned as in
+    the neutral configuration of ``model``. Frames are kept; `BASE_FRAME` is where joint 1 was. Raises
+    `InputError`, `UnsupportedJointError`.
+    """
+    foot = model.frames[model.getFrameId(frame)]
+    path = path_to_base(model, int(foot.parentJoint))
+    data = model.createData()
+    pin.forwardKinematics(model, data, pin.neutral(model))
+    turned = root.rotation.T @ data.oMi[foot.parentJoint].rotation
+    new = pin.Model()
+    new.name, new.gravity = f"{model.name} on {frame}", model.gravity
+    first = new.addJoint(0, passive, root, passive_name)
+    bodies = {path[0]: _Body(first, pin.SE3(turned, -turned @ foot.placement.translation))}
+    for child, parent in pairwise(path):
+        bodies[parent] = _turned_round(model, new, child, bodies[child])
+    for joint in reversed(path):  # the base's limbs first: Pinocchio wants a depth-first order
+        _hang_limbs(model, new, joint, path, bodies)
+    for joint, body in bodies.items():
+        new.appendBodyToJoint(body.joint, model.inertias[joint], body.placement)
+    _copy_rows(model, new, passive_name)
+    _copy_frames(model, new, bodies)
+    return new
+
+
+def _turned_round(model: pin.Model, new: pin.Model, child: int, body: _Body) -> _Body:
+    """Add the joint of ``child`` from its other side; returns where the parent's body then is."""
+    half_turn = _half_turn(joint_motion(model.joints[child]))
+    added = new.addJoint(body.joint, model.joints[child], body.placement * half_turn, model.names[child])
+    return _Body(added, half_turn.inverse() * model.jointPlacements[child].inverse())
+
+
+def _half_turn(motion: pin.Motion) -> pin.SE3:
+    """Half a turn about an axis perpendicular to that of the joint, which it turns round."""
+    axis = motion.angular if np.any(motion.angular) else motion.linear
+    perpendicular = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    perpendicular /= np.linalg.norm(perpendicular)
+    return pin.SE3(2 * np.outer(perpendicular, perpendicular) - np.eye(3), np.zeros(3))
+
+
+def _hang_limbs(
+    model: pin.Model, new: pin.Model, joint: int, path: list[int], bodies: dict[int, _Body]
+) -> None:
+    """Add what hangs on ``joint`` beside the path, and mark where its bodies are."""
+    limbs = {joint}
+    for index in range(1, model.njoints):
+        parent = int(model.parents[index])
+        if parent in limbs and index not in path:
+            limbs.add(index)
+            at = bodies[parent]
+            placement = at.placement * model.jointPlacements[index]
+            added = new.addJoint(at.joint, model.joints[index], placement, model.names[index])
+            bodies[index] = _Body(added, pin.SE3.Identity())
+
+
+def joint_slices(model: pin.Model, name: str) -> tuple[slice, slice]:
+    """Return the entries of a joint in q and in v."""
+    joint = model.joints[model.getJointId(name)]
+    return slice(joint.idx_q, joint.idx_q + joint.nq), slice(joint.idx_v, joint.idx_v + joint.nv)
+
+
+def _copy_rows(model: pin.Model, new: pin.Model, passive_name: str) -> None:
+    for name in list(new.names)[1:]:
+        q, v = joint_slices(new, name)
+        if name == passive_name:
+            for row in JOINT_ROWS[:4]:
+                getattr(new, row)[v] = 0.0
+            new.upperEffortLimit[v], new.lowerEffortLimit[v] = 0.0, 0.0
+            new.upperVelocityLimit[v], new.lowerVelocityLimit[v] = np.inf, -np.inf
+            new.lowerPositionLimit[q], new.upperPositionLimit[q] = -np.inf, np.inf
+            continue
+        old_q, old_v = joint_slices(model, name)
+        for row in JOINT_ROWS:
+            getattr(new, row)[v] = getattr(model, row)[old_v]
+        new.lowerPositionLimit[q] = model.lowerPositionLimit[old_q]
+        new.upperPositionLimit[q] = model.upperPositionLimit[old_q]
+
+
+def _copy_frames(model: pin.Model, new: pin.Model, bodies: dict[int, _Body]) -> None:
+    """Frames of the floating model on their bodies; frames of joints where the joints are now."""
+    holders = {joint: new.addJointFrame(joint, 0) for joint in range(1, new.njoints)}
+    kept = [frame for frame in list(model.frames)[1:] if frame.parentJoint in bodies]
+    for frame in kept:
+        if new.existFrame(frame.name, frame.type):
+            continue
+        body = bodies[int(frame.parentJoint)]
+        kind = pin.FrameType.OP_FRAME if frame.type == pin.FrameType.JOINT else frame.type
+        placement = body.placement * frame.placement
+        moved = pin.Frame(frame.name, body.joint, holders[body.joint], placement, kind, frame.inertia)
+        new.addFrame(moved, False)
+    if not new.existFrame(BASE_FRAME):
+        base = bodies[1]
+        new.addFrame(
+            pin.Frame(BASE_FRAME, base.joint, holders[base.joint], base.placement, pin.FrameType.OP_FRAME)
+        )
