@@ -39,7 +39,7 @@ class ContactConstraint(PointConstraint):
     def _pressed(self, context: Context) -> Iterator[Contact]:
         """Active contacts that the term is about."""
         chosen = None if self.contacts is None else [context.robot.contact(name) for name in self.contacts]
-        for contact in context.contacts:
+        for contact in context.pressing:
             if (chosen is None or contact in chosen) and not context.surface(contact).bilateral:
                 yield contact
 
@@ -141,3 +141,36 @@ class SoleCone(ContactConstraint):
                 parts += [*friction_rows(force, mu), *moments]
                 scales += [units.force] * 4 + [units.torque] * len(moments)
         return Rows.create(ca.vertcat(*parts), 0, np.inf, np.array(scales)) if parts else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class NormalForce(PointConstraint):
+    """Force of one contact along its surface's normal between ``lower`` and ``upper``, N (None: free).
+
+    Positive is the surface pushing the robot away; negative, on bilateral surfaces, is holding it. Acts
+    where the contact is active. Raises InputError.
+    """
+
+    contact: str
+    lower: float | None = None
+    upper: float | None = None
+
+    def __post_init__(self) -> None:
+        low, high = self._bounds()
+        if not low <= high or (self.lower is None and self.upper is None):
+            raise InputError(
+                f"normal force of '{self.contact}' is bounded by {self.lower} and {self.upper}",
+                "allowed: at least one bound, lower <= upper",
+            )
+
+    def _bounds(self) -> tuple[float, float]:
+        return (
+            -math.inf if self.lower is None else self.lower,
+            math.inf if self.upper is None else self.upper,
+        )
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        contact = context.robot.contact(self.contact)
+        if contact not in context.contacts:
+            return None
+        return Rows.create(surface_force(context, contact)[2], *self._bounds(), units.force)

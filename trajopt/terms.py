@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from trajopt.contact_terms import FrictionCone, FrictionPyramid, SoleCone, SoleLimits
+from trajopt.contact_terms import FrictionCone, FrictionPyramid, NormalForce, SoleCone, SoleLimits
 from trajopt.costs import (
     AccelerationCost,
     PostureCost,
@@ -37,6 +37,7 @@ __all__ = [
     "FrictionPyramid",
     "ImpactDynamics",
     "ImpulseCost",
+    "NormalForce",
     "PointConstraint",
     "PositionLimits",
     "PostureCost",
