@@ -1,0 +1,215 @@
+"""Footsteps: where feet stand and for how long, the plan of a walk, and the schedule that follows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.errors import InputError
+from trajopt.robot import Robot
+from trajopt.schedule import Phase, Schedule
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Foothold:
+    """A foot flat on level ground: ``position`` (3,) of the contact frame in the world, m; ``yaw`` in rad."""
+
+    position: np.ndarray
+    yaw: float = 0.0
+
+    def __post_init__(self) -> None:
+        position = np.array(self.position, dtype=float)
+        if position.shape != (3,) or not (np.isfinite(position).all() and math.isfinite(self.yaw)):
+            raise InputError(f"foothold is {position}, yaw {self.yaw}", "allowed: 3 finite numbers in m, rad")
+        position.setflags(write=False)
+        object.__setattr__(self, "position", position)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Support:
+    """A stretch of time, s, with a constant set of feet on the ground by contact name; none in flight."""
+
+    name: str
+    duration: float
+    feet: Mapping[str, Foothold] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.duration) and self.duration > 0):
+            raise InputError(f"duration of support '{self.name}' is {self.duration:g} s", "allowed: > 0")
+        object.__setattr__(self, "feet", MappingProxyType(dict(self.feet)))
+
+
+@dataclass(frozen=True)
+class FootstepPlan:
+    """Supports in time order; a foot that is in two consecutive ones stays where it is."""
+
+    supports: tuple[Support, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "supports", tuple(self.supports))
+        if not self.supports:
+            raise InputError("the footstep plan has no support", "allowed: at least one")
+        for before, after in zip(self.supports[:-1], self.supports[1:], strict=True):
+            for name in before.feet.keys() & after.feet.keys():
+                moved = np.abs(before.feet[name].position - after.feet[name].position).max()
+                if moved > 0 or before.feet[name].yaw != after.feet[name].yaw:
+                    raise InputError(
+                        f"foot '{name}' moves from '{before.name}' to '{after.name}' without being lifted",
+                        "allowed: a foot of both supports at one place",
+                    )
+
+    @property
+    def duration(self) -> float:
+        """Duration of the plan in s."""
+        return sum(support.duration for support in self.supports)
+
+    def schedule(self) -> Schedule:
+        """Phases of the same names and durations; contacts that begin land on their footholds."""
+        phases, before = [], self.supports[0].feet
+        for support in self.supports:
+            new = {name: foot.position for name, foot in support.feet.items() if name not in before}
+            phases.append(
+                Phase(
+                    name=support.name,
+                    duration=support.duration,
+                    contacts=tuple(support.feet),
+                    footholds=new,
+                )
+            )
+            before = support.feet
+        return Schedule(tuple(phases))
+
+
+def support_vertices(robot: Robot, support: Support, shrink: float = 0.0) -> np.ndarray:
+    """Points (n, 2) in m whose convex hull is the support polygon: contact points, corners of soles.
+
+    ``shrink`` in [0, 1) is the part of a sole's half sizes that is kept as a margin. Raises InputError in flight.
+    """
+    if not support.feet:
+        raise InputError(f"support '{support.name}' has no foot", "allowed: at least one, to hold the ZMP")
+    points = []
+    for name, foot in support.feet.items():
+        contact = robot.contact(name)
+        length, width = (1 - shrink) * contact.half_length, (1 - shrink) * contact.half_width
+        corners = [(0.0, 0.0)]
+        if contact.kind == "surface":
+            corners = [(length, width), (-length, width), (-length, -width), (length, -width)]
+        turn = np.array([[math.cos(foot.yaw), -math.sin(foot.yaw)], [math.sin(foot.yaw), math.cos(foot.yaw)]])
+        points += [foot.position[:2] + turn @ np.array(corner) for corner in corners]
+    return np.array(points)
+
+
+def feet_of(robot: Robot, q: np.ndarray) -> dict[str, Foothold]:
+    """Where the contacts of a robot are at ``q`` (nq,), as footholds by contact name."""
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, q)
+    feet = {}
+    for contact in robot.contacts:
+        placement = data.oMf[robot.model.getFrameId(contact.frame)]
+        yaw = math.atan2(placement.rotation[1, 0], placement.rotation[0, 0])
+        feet[contact.name] = Foothold(
+            position=placement.translation, yaw=yaw if contact.kind == "surface" else 0.0
+        )
+    return feet
+
+
+@dataclass(frozen=True, kw_only=True)
+class Walk:
+    """A walk of a biped from a stance with its feet side by side, which ends so too, at rest.
+
+    steps: number of steps, two at least; the last brings the feet side by side, so that the walk
+        advances by ``(steps - 1) * length``.
+    length: distance from one step to the next along the path, m; negative walks backwards.
+    width: distance between the feet across the path, m; None keeps that of the stance.
+    turn: turn to the left from one step to the next, rad.
+    step_time, double_support: durations of single and double support, s.
+    shift_time, settle_time: durations of the double supports before the first and after the last step, s.
+    first: contact that steps first; None takes the robot's first.
+    """
+
+    steps: int = 2
+    length: float = 0.15
+    width: float | None = None
+    turn: float = 0.0
+    step_time: float = 0.6
+    double_support: float = 0.15
+    shift_time: float = 0.5
+    settle_time: float = 0.6
+    first: str | None = None
+
+    def __post_init__(self) -> None:
+        if not self.steps >= 2:
+            raise InputError(f"steps is {self.steps}", "allowed: 2 or more")
+        for name in ("step_time", "double_support", "shift_time", "settle_time"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise InputError(f"{name} is {getattr(self, name):g} s", "allowed: finite and > 0")
+        if self.width is not None and not (math.isfinite(self.width) and self.width > 0):
+            raise InputError(f"width is {self.width:g} m", "allowed: finite and > 0")
+        if not (math.isfinite(self.length) and math.isfinite(self.turn)):
+            raise InputError(f"length {self.length:g} m, turn {self.turn:g} rad", "allowed: finite")
+
+    def plan(self, robot: Robot, q: np.ndarray | None = None) -> FootstepPlan:
+        """The supports of this walk from the feet at ``q`` (nq,), default the robot's reference.
+
+        Supports are named shift, step_1, double_1, step_2, ..., settle. Raises InputError for a robot
+        that is no biped, or an unknown first foot.
+        """
+        start = feet_of(robot, robot.reference if q is None else q)
+        if len(start) != 2:
+            raise InputError(
+                f"robot '{robot.name}' has {len(start)} contacts", "allowed: a biped, 2 contacts"
+            )
+        swing = robot.contacts[0].name if self.first is None else robot.contact(self.first).name
+        supports, feet = [Support(name="shift", duration=self.shift_time, feet=start)], start
+        path = _Path(start, self.width)
+        for step in range(1, self.steps + 1):
+            stance = next(name for name in feet if name != swing)
+            held = {stance: feet[stance]}
+            supports.append(Support(name=f"step_{step}", duration=self.step_time, feet=held))
+            if step < self.steps:
+                path.advance(self.length, self.turn)
+            feet = {name: path.foothold(name) if name == swing else feet[name] for name in start}
+            last = step == self.steps
+            name, duration = ("settle", self.settle_time) if last else (f"double_{step}", self.double_support)
+            supports.append(Support(name=name, duration=duration, feet=feet))
+            swing = stance
+        return FootstepPlan(tuple(supports))
+
+
+class _Path:
+    """A path on the ground that starts between the feet; each foot keeps to its side of it."""
+
+    def __init__(self, feet: Mapping[str, Foothold], width: float | None) -> None:
+        points = {name: foot.position for name, foot in feet.items()}
+        first, second = points.values()
+        self.middle, across = (first + second) / 2, first - second
+        # Forward is across the line of the feet, on the side of the feet's own heading.
+        heading = math.atan2(-across[0], across[1])
+        mean = np.mean([foot.yaw for foot in feet.values()])
+        self.heading = heading + math.pi * (math.cos(heading - mean) < 0)
+        self.yaws = {name: foot.yaw - self.heading for name, foot in feet.items()}
+        half = (np.linalg.norm(across[:2]) if width is None else width) / 2
+        left = self._left()
+        self.offsets = {
+            name: half * math.copysign(1.0, float(left @ (point - self.middle)[:2]))
+            for name, point in points.items()
+        }
+
+    def _left(self) -> np.ndarray:
+        return np.array([-math.sin(self.heading), math.cos(self.heading)])
+
+    def advance(self, length: float, turn: float) -> None:
+        """Along the chord of the turn's arc, so that the heading ends ``turn`` further."""
+        self.heading += turn / 2
+        self.middle = self.middle + length * np.array([math.cos(self.heading), math.sin(self.heading), 0.0])
+        self.heading += turn / 2
+
+    def foothold(self, name: str) -> Foothold:
+        position = self.middle.copy()
+        position[:2] += self.offsets[name] * self._left()
+        return Foothold(position=position, yaw=self.heading + self.yaws[name])

@@ -1,0 +1,204 @@
+"""Linear inverted pendulum in closed form: motion, orbital energy, capture point, walking on footsteps.
+
+A point mass at constant height z over its zero moment point (ZMP) p, ground height 0, per axis:
+
+    c'' = omega^2 (c - p),     omega = sqrt(g / z)
+
+The divergent component of motion xi = c + c' / omega (the instantaneous capture point) and the CoM obey
+
+    xi' = omega (xi - p),      c' = -omega (c - xi)
+
+so that only xi can diverge (Kajita et al. 2001; Pratt et al. 2006; Englsberger, Ott, Albu-Schäffer
+2015; Koolen et al. 2012 for capturability). Where the ZMP is linear in time, p = p0 + r s,
+
+    c = p + grow exp(omega s) + decay exp(-omega s)
+
+exactly; a motion is a sequence of such pieces. Horizontal vectors have 2 entries, metres.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.model_quantities import STANDARD_GRAVITY
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pendulum:
+    """Linear inverted pendulum of ``height`` (m, of the CoM over the ground) under ``gravity`` (m/s^2)."""
+
+    height: float
+    gravity: float = STANDARD_GRAVITY
+
+    def __post_init__(self) -> None:
+        for name in ("height", "gravity"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise InputError(f"{name} of the pendulum is {getattr(self, name):g}", "allowed: > 0")
+
+    @property
+    def omega(self) -> float:
+        """Natural frequency sqrt(g / z), 1/s."""
+        return math.sqrt(self.gravity / self.height)
+
+    def after(
+        self, com: np.ndarray, velocity: np.ndarray, zmp: np.ndarray, time: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """CoM and its velocity (2,) after ``time`` (s, either sign) over a constant ZMP (2,)."""
+        cosh, sinh = math.cosh(self.omega * time), math.sinh(self.omega * time)
+        offset = np.asarray(com) - zmp
+        return (
+            zmp + offset * cosh + np.asarray(velocity) / self.omega * sinh,
+            offset * self.omega * sinh + np.asarray(velocity) * cosh,
+        )
+
+    def capture_point(self, com: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Where to put the ZMP to come to rest over it: c + c' / omega, (2,)."""
+        return np.asarray(com) + np.asarray(velocity) / self.omega
+
+    def dcm_after(self, dcm: np.ndarray, zmp: np.ndarray, time: float) -> np.ndarray:
+        """Divergent component (2,) after ``time`` over a constant ZMP: p + exp(omega t) (xi - p)."""
+        return zmp + math.exp(self.omega * time) * (np.asarray(dcm) - zmp)
+
+    def orbital_energy(self, com: np.ndarray, velocity: np.ndarray, zmp: np.ndarray) -> np.ndarray:
+        """c'^2 / 2 - omega^2 (c - p)^2 / 2 for each axis (2,), J/kg; constant while the ZMP is.
+
+        Positive: the CoM passes over the ZMP; negative: it turns back; zero: it comes to rest over it
+        or leaves it from rest.
+        """
+        return np.asarray(velocity) ** 2 / 2 - self.omega**2 * (np.asarray(com) - zmp) ** 2 / 2
+
+    def capture_radius(self, steps: int, step_time: float, reach: float) -> float:
+        """Largest |xi - p| in m from which ``steps`` steps bring the point-foot pendulum to rest.
+
+        Each step comes after ``step_time`` at least and is at most ``reach`` long:
+        d_0 = 0, d_N = (d_(N-1) + reach) exp(-omega T) (Koolen et al. 2012, eq. 23).
+        """
+        radius = 0.0
+        for _ in range(steps):
+            radius = (radius + reach) * math.exp(-self.omega * step_time)
+        return radius
+
+
+def dcm_at_steps(
+    pendulum: Pendulum, zmps: Sequence[np.ndarray], durations: Sequence[float], final: np.ndarray
+) -> np.ndarray:
+    """Divergent component (n + 1, 2) at the ends of steps over constant ZMPs, from the last backwards.
+
+    xi_k = p_k + exp(-omega T_k) (xi_(k+1) - p_k), with xi_n = ``final`` (2,): the only bounded one.
+    """
+    dcm = [np.asarray(final, dtype=float)]
+    for zmp, duration in zip(reversed(list(zmps)), reversed(list(durations)), strict=True):
+        dcm.append(pendulum.dcm_after(dcm[-1], np.asarray(zmp), -duration))
+    return np.array(dcm[::-1])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PendulumMotion:
+    """The bounded CoM motion over a ZMP that is linear in each of n pieces, from c(0) and xi(T).
+
+    times: (n + 1,) s. zmp: (n, 2, 2) ZMP at the start and the end of each piece, m; it may jump between
+    pieces. com_start, dcm_end: (2,) CoM at the start, divergent component at the end, m.
+
+    The divergent component is followed backwards, the CoM forwards: the direction in which each is stable, so
+    that a walk of any length keeps its digits. With the slope r of a piece,
+    xi_k = p_k + r / omega + exp(-omega T) (xi_(k+1) - p_(k+1) - r / omega) (Englsberger et al. 2015).
+    The velocity at the start follows: c'(0) = omega (xi(0) - c(0)).
+    """
+
+    pendulum: Pendulum
+    times: np.ndarray
+    zmp: np.ndarray
+    com_start: np.ndarray
+    dcm_end: np.ndarray
+
+    def __post_init__(self) -> None:
+        n = max(len(self.times) - 1, 1)
+        for name, shape in (("times", (n + 1,)), ("zmp", (n, 2, 2)), ("com_start", (2,)), ("dcm_end", (2,))):
+            array = np.array(getattr(self, name), dtype=float)
+            if array.shape != shape or not np.isfinite(array).all():
+                raise InputError(
+                    f"{name} of a pendulum's motion has shape {array.shape}", f"allowed: {shape}"
+                )
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        if not (np.diff(self.times) > 0).all():
+            raise InputError(f"times of a pendulum's motion are {self.times}", "allowed: increasing")
+
+    @cached_property
+    def _pieces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Slope of the ZMP, coefficients of the growing and of the decaying exponential, (n, 2) each."""
+        omega, durations = self.pendulum.omega, np.diff(self.times)
+        slope = (self.zmp[:, 1] - self.zmp[:, 0]) / durations[:, None]
+        grow, decay = np.zeros_like(slope), np.zeros_like(slope)
+        dcm, com = self.dcm_end, self.com_start
+        for k in reversed(range(len(durations))):
+            ahead = slope[k] / omega
+            grow[k] = math.exp(-omega * durations[k]) * (dcm - self.zmp[k, 1] - ahead) / 2
+            dcm = self.zmp[k, 0] + ahead + 2 * grow[k]
+        for k, duration in enumerate(durations):
+            decay[k] = com - self.zmp[k, 0] - grow[k]
+            com = (
+                self.zmp[k, 1] + grow[k] * math.exp(omega * duration) + decay[k] * math.exp(-omega * duration)
+            )
+        return slope, grow, decay
+
+    def _at(self, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """ZMP, its slope, growing and decaying part at ``t``."""
+        last = len(self.zmp) - 1
+        time = float(np.clip(t, self.times[0], self.times[-1]))
+        k = int(np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, last))
+        s, omega = time - self.times[k], self.pendulum.omega
+        slope, grow, decay = (column[k] for column in self._pieces)
+        return self.zmp[k, 0] + slope * s, slope, grow * math.exp(omega * s), decay * math.exp(-omega * s)
+
+    @property
+    def duration(self) -> float:
+        """Duration in s."""
+        return float(self.times[-1] - self.times[0])
+
+    def zmp_at(self, t: float) -> np.ndarray:
+        """Zero moment point (2,), m; the later piece counts where it jumps. Times are clipped."""
+        return self._at(t)[0]
+
+    def com(self, t: float) -> np.ndarray:
+        """Centre of mass (2,), m."""
+        zmp, _, up, down = self._at(t)
+        return zmp + up + down
+
+    def velocity(self, t: float) -> np.ndarray:
+        """Its velocity (2,), m/s."""
+        _, slope, up, down = self._at(t)
+        return slope + self.pendulum.omega * (up - down)
+
+    def acceleration(self, t: float) -> np.ndarray:
+        """Its acceleration (2,), m/s^2."""
+        _, _, up, down = self._at(t)
+        return self.pendulum.omega**2 * (up + down)
+
+    def dcm(self, t: float) -> np.ndarray:
+        """Divergent component of motion (2,), m."""
+        return self.pendulum.capture_point(self.com(t), self.velocity(t))
+
+
+def first_zmp_for(
+    pendulum: Pendulum, times: np.ndarray, zmp: np.ndarray, dcm_start: np.ndarray
+) -> np.ndarray:
+    """ZMP (2,) at the start for which xi(0) is ``dcm_start`` (2,), captured at the end; ``zmp`` (n, 2, 2).
+
+    xi(0) is affine in it, so one division replaces a search. To start at rest at c, ask for xi(0) = c.
+    """
+    found = []
+    for value in (0.0, 1.0):
+        trial = np.array(zmp, dtype=float)
+        trial[0, 0] = value
+        motion = PendulumMotion(
+            pendulum=pendulum, times=times, zmp=trial, com_start=np.zeros(2), dcm_end=trial[-1, 1]
+        )
+        found.append(motion.dcm(times[0]))
+    return np.asarray((np.asarray(dcm_start) - found[0]) / (found[1] - found[0]))
