@@ -77,7 +77,7 @@ class CubicMotion:
 def analytic_motion(
     robot: Robot, plan: FootstepPlan, pendulum: Pendulum, com_start: np.ndarray
 ) -> PendulumMotion:
-    """Closed-form walk from rest at ``com_start`` (2,) m, captured at the end (at rest but for exp(-omega T)).
+    """Closed-form walk from rest at ``com_start`` (2,) m, captured at its end: at rest but for exp(-omega T).
 
     The ZMP is linear in each support, from the middle of the feet it shares with the one before to the middle
     of those it shares with the next: it stands still in single support. In the last support it reaches the
@@ -123,6 +123,6 @@ def distance_outside(point: np.ndarray, vertices: np.ndarray) -> float:
 def _require_inside(point: np.ndarray, vertices: np.ndarray, support: Support) -> None:
     if distance_outside(point, vertices) > INSIDE:
         raise InputError(
-            f"to start at rest the ZMP would begin at {np.round(point, 3)} m, outside support '{support.name}'",
+            f"to start at rest the ZMP would begin outside support '{support.name}', at {np.round(point, 3)} m",
             f"allowed: inside; make it longer than {support.duration:g} s",
         )

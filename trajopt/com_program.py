@@ -1,17 +1,17 @@
 """CoM trajectories from footsteps as a quadratic program with the ZMP inside the feet, solved by OSQP.
 
-Unknowns are, for each of N intervals of length h, a state x_k and an input u_k of the linear inverted pendulum
-c'' = omega^2 (c - p) of ``lip``, x_(k+1) = A x_k + B u_k exactly, for both axes:
+Unknowns are, for each of N intervals of length h, a state x_k and an input u_k of the linear inverted
+pendulum c'' = omega^2 (c - p) of ``lip``, x_(k+1) = A x_k + B u_k exactly, for both axes:
 
-- control "zmp_rate": x = (c, c', p), u = p'. The ZMP is linear in an interval and the CoM hyperbolic, the closed
-  form; a ZMP inside a convex polygon at both ends of an interval is inside all along.
-- control "jerk": x = (c, c', c''), u the jerk (Kajita et al. 2003; Wieber 2006). The CoM is cubic and so is the
-  ZMP p = c - c'' / omega^2; its four Bernstein coefficients are held in the polygon, and their hull holds the
-  curve. A ZMP that must stand still (point feet) is beyond it.
+- control "zmp_rate": x = (c, c', p), u = p'. The ZMP is linear in an interval and the CoM hyperbolic, the
+  closed form; a ZMP inside a convex polygon at both ends of an interval is inside all along.
+- control "jerk": x = (c, c', c''), u the jerk (Kajita et al. 2003; Wieber 2006). The CoM is cubic and so is
+  the ZMP p = c - c'' / omega^2; its four Bernstein coefficients are held in the polygon, and their hull holds
+  the curve. A ZMP that must stand still (point feet) is beyond it.
 
-The polygon is the convex hull of support vertices s_i: each ZMP value is sum_i w_i s_i with w >= 0, sum w = 1,
-which is right for points and segments (point feet) too. Where two consecutive supports share no foot the third
-state may jump.
+The polygon is the convex hull of support vertices s_i: each ZMP value is sum_i w_i s_i with w >= 0,
+sum w = 1, which is right for points and segments (point feet) too. Where two consecutive supports share no
+foot the third state may jump.
 """
 
 from __future__ import annotations
@@ -49,10 +49,13 @@ COUNT_SLACK = 1e-9
 class CenterOfMassProgram:
     """The quadratic program of a walk; ``solve()`` gives the motion.
 
-    com_start, velocity_start: (2,) m, m/s. step: longest interval, s. smoothing: time tau in s that weighs the
-    input in the cost, the mean over time of |p - middle of the support|^2 + tau^2 |p'|^2 (with control "jerk",
-    the jerk over omega^2 for p'). terminal: "rest" ends at rest over the ZMP, "captured" with the capture point on
-    the ZMP: the pendulum comes to rest if that stays. shrink: part of a sole's size kept as a margin.
+    com_start, velocity_start: (2,) m, m/s.
+    step: longest interval, s.
+    smoothing: time tau in s that weighs the input in the cost, the mean over time of
+        |p - middle of the support|^2 + tau^2 |p'|^2 (with control "jerk", the jerk over omega^2 for p').
+    terminal: "rest" ends at rest over the ZMP, "captured" with the capture point on the ZMP: the pendulum
+        comes to rest if that stays.
+    shrink: part of a sole's size kept as a margin.
     """
 
     robot: Robot

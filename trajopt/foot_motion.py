@@ -1,4 +1,4 @@
-"""Motions of feet and legs from footsteps, for guesses: feet on their footholds, smooth swings, legs by IK."""
+"""Guesses from footsteps: feet on their footholds or on smooth swings, legs by inverse kinematics."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ class FootstepPlan:
 def support_vertices(robot: Robot, support: Support, shrink: float = 0.0) -> np.ndarray:
     """Points (n, 2) in m whose convex hull is the support polygon: contact points, corners of soles.
 
-    ``shrink`` in [0, 1) is the part of a sole's half sizes that is kept as a margin. Raises InputError in flight.
+    ``shrink`` in [0, 1) is the part of a sole's half sizes kept as a margin. Raises InputError in flight.
     """
     if not support.feet:
         raise InputError(f"support '{support.name}' has no foot", "allowed: at least one, to hold the ZMP")
