@@ -258,3 +258,17 @@ def test_missing_and_malformed_files_are_refused_in_one_line(tmp_path):
 def test_surface_contact_without_a_sole_is_refused(size):
     with pytest.raises(InputError, match="positive lengths"):
         Contact(frame="sole", kind="surface", **size)
+
+
+def test_contact_of_a_planar_robot_keeps_the_rows_of_its_plane():
+    robot = Robot.from_urdf(
+        robot_file("solo_description/robots/solo12.urdf"), base="planar", contacts=["FL_FOOT"]
+    )
+    assert robot.contact("FL_FOOT").rows == (0, 2)
+    sole = Contact(frame="sole", kind="surface", half_length=0.1, half_width=0.05)
+    assert sole.within_plane(1).rows == (0, 2, 4)
+
+
+def test_contact_rows_beyond_its_kind_are_refused():
+    with pytest.raises(InputError, match=r"contact 'toe' has rows \(3,\); some of \(0, 1, 2\)"):
+        Contact(frame="toe", rows=(3,))

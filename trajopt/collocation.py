@@ -43,7 +43,7 @@ class Collocation:
         impact = stage.kind is StageKind.IMPACT
         contacts = (layout.touching if impact else layout.contacts)[stage.phase]
         share = units.wrench / max(1, len(contacts))
-        wrench = np.concatenate([np.zeros(0), *[share[: contact.dimension] for contact in contacts]])
+        wrench = np.concatenate([np.zeros(0), *[share[list(contact.rows)] for contact in contacts]])
         if impact:
             return np.concatenate([node, units.velocity, wrench * units.time])
         derivative = units.acceleration if layout.order == 2 else units.velocity

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -21,7 +21,8 @@ class Contact:
     ``frame`` is a frame of the model. A ``point`` transmits a force (3 rows). A ``surface`` is
     a rectangular sole in the x-y plane of its frame, centred at the frame's origin, of
     ``half_length`` (along x) and ``half_width`` (along y) in m, and transmits force and moment
-    (6 rows). ``name`` defaults to the frame's name. Raises `InputError`.
+    (6 rows). ``name`` defaults to the frame's name. ``rows`` are the entries of (force, moment), world axes,
+    that it transmits: a `Robot` in a plane keeps those within it. Raises `InputError`.
     """
 
     frame: str
@@ -29,6 +30,7 @@ class Contact:
     kind: ContactKind = "point"
     half_length: float = 0.0
     half_width: float = 0.0
+    rows: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.name:
@@ -43,11 +45,20 @@ class Contact:
             )
         if self.kind == "point" and size.any():
             raise InputError(f"point contact '{self.name}' has a size", "kind='surface' for a sole")
+        every = tuple(range(3 if self.kind == "point" else 6))
+        object.__setattr__(self, "rows", tuple(self.rows) or every)
+        if not set(self.rows) <= set(every):
+            raise InputError(f"contact '{self.name}' has rows {self.rows}", f"some of {every}")
 
     @property
     def dimension(self) -> int:
-        """Rows of the contact: 3 for a point, 6 for a surface."""
-        return 3 if self.kind == "point" else 6
+        """Rows of the contact: 3 for a point, 6 for a surface; in a plane 2 and 3."""
+        return len(self.rows)
+
+    def within_plane(self, normal: int) -> Contact:
+        """The same contact of a robot that cannot leave the plane across the world axis ``normal`` (0, 1, 2)."""
+        in_plane = [axis for axis in range(3) if axis != normal]
+        return replace(self, rows=(*in_plane, *([3 + normal] if self.kind == "surface" else [])))
 
 
 def require_frame(model: pin.Model, frame: str, where: str) -> None:

@@ -105,7 +105,7 @@ class SoleLimits(ContactConstraint):
     def rows(self, context: Context, units: Units) -> Rows | None:
         parts = []
         for contact in self._pressed(context):
-            if contact.dimension == 6:
+            if contact.kind == "surface":
                 mu = context.parameter(self._friction(context, contact))
                 rotation = context.frame(contact.frame).rotation
                 moment = ca.mtimes(rotation.T, context.wrenches[contact.name][3:])
@@ -132,7 +132,7 @@ class SoleCone(ContactConstraint):
     def rows(self, context: Context, units: Units) -> Rows | None:
         parts, scales = [], []
         for contact in self._pressed(context):
-            if contact.dimension == 6:
+            if contact.kind == "surface":
                 mu = context.parameter(self._friction(context, contact) / math.sqrt(2))
                 to_sole, wrench = context.frame(contact.frame).rotation.T, context.wrenches[contact.name]
                 force, moment = (ca.vertsplit(ca.mtimes(to_sole, part)) for part in (wrench[:3], wrench[3:]))

@@ -19,6 +19,7 @@ import numpy as np
 
 from trajopt.errors import InputError
 from trajopt.manifold import Coordinates
+from trajopt.mode import Mode
 from trajopt.robot import Contact, Robot
 from trajopt.robot_drives import drive_torque
 from trajopt.surface import Surface
@@ -87,6 +88,7 @@ class Context:
         clocks: tuple[int, int | None] = (0, None),
         actuation: Actuation = "torque",
         surfaces: Mapping[str, Surface] = MappingProxyType({}),
+        mode: Mode | None = None,
     ) -> None:
         self.robot, self.coordinates, self.contacts = robot, coordinates, contacts
         self.place = place or (Place.NODE if node else Place.POINT)
@@ -95,7 +97,8 @@ class Context:
         self.clock = own if own.numel() else ca.SX(1)
         nv, order = coordinates.nv, 1 if actuation == "velocity" else 2
         names = () if self.place is Place.NODE else tuple((c.name, c.dimension) for c in contacts)
-        self.wrenches: dict[str, ca.SX] = {name: ca.SX.sym(f"w_{name}", n) for name, n in names}
+        self.unknown_wrenches: dict[str, ca.SX] = {name: ca.SX.sym(f"w_{name}", n) for name, n in names}
+        self._mode = mode if self.place is Place.POINT else None
         if self.place is Place.NODE:
             state = ca.SX.sym("x", coordinates.n_node if order == 2 else coordinates.n_node - nv)
             every = ca.SX.sym("clocks", clocks[0])
@@ -108,7 +111,7 @@ class Context:
             self.rotations = ca.SX.sym("r", 4 * coordinates.n_rotations)
             self.xi, rates = ca.SX.sym("xi", nv), ca.SX.sym("dxi", nv)
             highest = ca.SX.sym("ddxi", nv if order == 2 else 0)
-            self.z = ca.vertcat(self.rotations, self.xi, rates, highest, *self.wrenches.values(), own)
+            self.z = ca.vertcat(self.rotations, self.xi, rates, highest, *self.unknown_wrenches.values(), own)
         self._rates = rates / self.clock
         power = 1 if self.place is Place.IMPACT else 2
         self._highest = highest / self.clock**power if highest.numel() else ca.SX.zeros(nv)
@@ -147,6 +150,31 @@ class Context:
     def jump(self) -> ca.SX:
         """Jump of the rates at an impact (nv,)."""
         return self._highest
+
+    @property
+    def pressing(self) -> tuple[Contact, ...]:
+        """Active contacts with a wrench: unknown, or the reaction where coordinates embed the contact."""
+        return (*self.contacts, *(self._mode.embedded if self._mode else ()))
+
+    @cached_property
+    def wrenches(self) -> dict[str, ca.SX]:
+        """Wrench of every pressing contact by its name: 3 or 6 entries, world axes, N and N m; none at a node."""
+        if self.place is Place.NODE:
+            return {}
+        full = {contact.name: self._full_wrench(contact) for contact in self.contacts}
+        if self._mode is None:
+            return full
+        forces = ca.vertsplit(self._mode.reaction(self.q, self.v, self.a), 3)
+        return full | dict(zip(self._mode.embedded_names, forces, strict=True))
+
+    def _full_wrench(self, contact: Contact) -> ca.SX:
+        """Wrench with zeros where a contact within a plane transmits nothing."""
+        unknown = self.unknown_wrenches[contact.name]
+        if contact.dimension in (3, 6) and contact.rows == tuple(range(contact.dimension)):
+            return unknown
+        full = ca.SX.zeros(3 if contact.kind == "point" else 6)
+        full[list(contact.rows)] = unknown
+        return full
 
     def surface(self, contact: Contact) -> Surface:
         """The surface that an active contact touches."""
@@ -237,7 +265,7 @@ class Context:
         return np.concatenate(self._values) if self._values else np.zeros(0)
 
     def contact_acceleration(self, contact: Contact) -> ca.SX:
-        """Classical acceleration of an active contact (3 or 6: linear, angular), in axes that may be turned.
+        """Classical acceleration of an active contact (its rows; linear, angular), in axes that may be turned.
 
         The axes are the base link's for a free-flyer, the world's otherwise: enough for a row that
         asks it to vanish, and cheaper, since no orientation enters.
@@ -260,6 +288,10 @@ class Context:
     def frames(self) -> Mapping[str, FrameSymbols]:
         """Frames that terms asked for, in order of first use."""
         return self._frames
+
+    def wrench_column(self) -> ca.SX:
+        """Wrenches of the contacts with unknown ones in one column, 3 or 6 entries each."""
+        return ca.vertcat(*[self.wrenches[contact.name] for contact in self.contacts])
 
     def dynamics_symbols(self) -> ca.SX:
         """Generalised forces and contact accelerations that terms asked for, in one column."""

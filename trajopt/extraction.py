@@ -148,7 +148,7 @@ def _interval(layout: Layout, unknowns: np.ndarray, k: int, h: float, clock: flo
     if mode is not None:
         *full, reaction = mode.lifted(*full)
         names = [contact.name for contact in layout.robot.contacts]
-        for row, name in enumerate(mode.embedded):
+        for row, name in enumerate(mode.embedded_names):
             f[:, names.index(name), :3] = reaction[1:-1, 3 * row : 3 * row + 3]
     tau = _torques(layout, [part[1:-1] for part in full], f)
     return _Interval(full[0], full[1], full[2], f, tau)
@@ -176,7 +176,7 @@ def _wrenches(layout: Layout, contacts: tuple[Contact, ...], w: np.ndarray) -> n
     names = [contact.name for contact in layout.robot.contacts]
     f, start = np.zeros((len(names), 6)), 0
     for contact in contacts:
-        f[names.index(contact.name), : contact.dimension] = w[start : start + contact.dimension]
+        f[names.index(contact.name), list(contact.rows)] = w[start : start + contact.dimension]
         start += contact.dimension
     return f
 

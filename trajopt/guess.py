@@ -67,7 +67,7 @@ def _fill_impact(layout: Layout, k: int, window: np.ndarray, after: np.ndarray) 
     states = [form.coordinates.node_to_pinocchio(form.state(node)) for node in (window[: form.size], after)]
     (q, before), (_, behind) = ((q[0], v[0]) for q, v in states)
     mass = pin.crba(form.robot.model, form.robot.model.createData(), q)
-    jacobian = contact_jacobian(form.robot.model, q, [(c.frame, c.dimension) for c in contacts])
+    jacobian = contact_jacobian(form.robot.model, q, [(c.frame, c.rows) for c in contacts])
     window[layout.local_impulse(k)] = np.linalg.lstsq(jacobian.T, mass @ (behind - before), rcond=None)[0]
 
 
@@ -120,7 +120,7 @@ def _carrying_wrenches(layout: Layout, phase: int, q: np.ndarray, v: np.ndarray,
     if n == 0 or not contacts:
         return np.zeros(layout.n_wrench(phase))
     needed = pin.rnea(robot.model, robot.model.createData(), q, v, a)[:n]
-    places = [(contact.frame, contact.dimension) for contact in contacts]
+    places = [(contact.frame, contact.rows) for contact in contacts]
     jacobian = contact_jacobian(robot.model, q, places)[:, :n]
     return np.linalg.lstsq(jacobian.T, needed, rcond=None)[0]
 

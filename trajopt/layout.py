@@ -93,7 +93,7 @@ class Layout:
             tuple(
                 self.form_of(i).robot.contact(name)
                 for name in phase.contacts
-                if phase.name not in self.modes or name not in self.modes[phase.name].embedded
+                if phase.name not in self.modes or name not in self.modes[phase.name].embedded_names
             )
             for i, phase in enumerate(self.schedule.phases)
         )

@@ -21,16 +21,20 @@ def mass_of(model: pin.Model) -> float:
     return float(sum(inertia.mass for inertia in list(model.inertias)[1:]))
 
 
-def contact_jacobian(model: pin.Model, q: np.ndarray, contacts: Sequence[tuple[str, int]]) -> np.ndarray:
+def contact_jacobian(
+    model: pin.Model, q: np.ndarray, contacts: Sequence[tuple[str, int | Sequence[int]]]
+) -> np.ndarray:
     """Rows (n, nv) of the contacts' frame Jacobians at q (nq,), world-aligned axes.
 
-    ``contacts`` are frame names with their dimension, 3 (linear) or 6 (linear, angular).
+    ``contacts`` are frame names with their dimension, 3 (linear) or 6 (linear, angular), or with the
+    numbers of the rows to take.
     """
     data = model.createData()
     blocks = [np.zeros((0, model.nv))]
-    for frame, dimension in contacts:
+    for frame, taken in contacts:
+        rows = range(taken) if isinstance(taken, int) else taken
         jacobian = pin.computeFrameJacobian(model, data, q, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED)
-        blocks.append(jacobian[:dimension])
+        blocks.append(jacobian[list(rows)])
     return np.vstack(blocks)
 
 

@@ -93,19 +93,21 @@ class ContactLanding(NodeConstraint):
             frame = context.frame(contact.frame)
             foothold, surface = place.phase.footholds.get(name), place.phase.surface(name, self.terrain)
             height = along_normal(context, surface, frame.position)
-            expressions.append(height if foothold is None else frame.position)
-            targets.append(np.array([surface.height]) if foothold is None else foothold)
+            movable = [row for row in contact.rows if row < 3]
+            expressions.append(height if foothold is None else frame.position[movable])
+            targets.append(np.array([surface.height]) if foothold is None else foothold[movable])
             scales.append(np.full(len(targets[-1]), units.length))
-            if contact.dimension == 6:
-                expressions.append(along_normal(context, surface, frame.rotation[:, :2]).T)
-                targets.append(np.zeros(2))
-                scales.append(np.ones(2))
+            if contact.kind == "surface":
+                tilting = 2 if contact.dimension == 6 else 1
+                expressions.append(along_normal(context, surface, frame.rotation[:, :tilting]).T)
+                targets.append(np.zeros(tilting))
+                scales.append(np.ones(tilting))
         if context.actuation != "velocity":
             for name in (*self.contacts, *self.held):
                 contact = context.robot.contact(name)
-                expressions.append(context.frame(contact.frame).velocity[: contact.dimension])
+                expressions.append(context.frame(contact.frame).velocity[list(contact.rows)])
                 targets.append(np.zeros(contact.dimension))
-                scales.append(units.twist[: contact.dimension])
+                scales.append(units.twist[list(contact.rows)])
         bound = np.concatenate(targets)
         return Rows.create(ca.vertcat(*expressions), bound, bound, np.concatenate(scales))
 
@@ -198,7 +200,7 @@ def free_directions(robot: Robot, q: np.ndarray, contacts: Sequence[str]) -> np.
     to_pinocchio = np.column_stack(
         [coordinates.node_to_pinocchio(_node_with_rate(coordinates, q, i))[1][0] for i in range(robot.nv)]
     )
-    places = [(contact.frame, contact.dimension) for contact in map(robot.contact, contacts)]
+    places = [(contact.frame, contact.rows) for contact in map(robot.contact, contacts)]
     jacobian = contact_jacobian(robot.model, q, places) @ to_pinocchio
     _, singular, vt = np.linalg.svd(jacobian)
     rank = int(np.sum(singular > RANK_TOLERANCE * singular[0]))

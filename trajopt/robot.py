@@ -20,6 +20,13 @@ from trajopt.model_quantities import gravity_of, mass_of
 from trajopt.robot_building import Base
 from trajopt.robot_data import VisualSource, package_directories
 from trajopt.robot_drives import driven, require_drives
+from trajopt.virtual_base import (
+    DEFAULT_ORDER,
+    LEAST_MARGIN,
+    from_free_flyer,
+    gimbal_margin,
+    virtual_model,
+)
 
 # A reference posture may touch its limit: rounding of degrees in description files, rad or m.
 LIMIT_SLACK = 1e-6
@@ -72,7 +79,7 @@ class Robot:
             raise InputError(
                 f"robot '{self.name}' has a {found} root joint but base={self.base!r}", f"{found!r}"
             )
-        object.__setattr__(self, "contacts", tuple(self.contacts))
+        object.__setattr__(self, "contacts", building.within_plane(self.model, tuple(self.contacts)))
         object.__setattr__(self, "passive", tuple(self.passive))
         building.unactuated_rows(self.model, self.base, self.passive)
         shapes = {
@@ -143,6 +150,12 @@ class Robot:
                 f"reference of robot '{self.name}' has a quaternion or (cos, sin) pair that is not unit",
                 "norm 1",
             )
+        margin = gimbal_margin(self.model, q)
+        if margin is not None and margin < LEAST_MARGIN:
+            raise InputError(
+                f"reference of robot '{self.name}' is in gimbal lock: margin {margin:.3f} < {LEAST_MARGIN}",
+                "another order of the virtual joints, or base='freeflyer'",
+            )
 
     @property
     def nq(self) -> int:
@@ -192,7 +205,7 @@ class Robot:
             feet = [
                 data.oMf[self.model.getFrameId(contact.frame)].translation[2] for contact in self.contacts
             ]
-            height = float(data.oMi[1].translation[2] - np.mean(feet))
+            height = float(data.oMi[building.BASE_JOINT[self.base]].translation[2] - np.mean(feet))
             if height > STANDING_PART * extent:
                 return height
         return extent if extent > 0 else 1.0
@@ -228,6 +241,25 @@ class Robot:
         """
         return driven(self, drives)
 
+    def with_virtual_base(self, order: str = DEFAULT_ORDER) -> Robot:
+        """Return this free-flyer robot with six virtual joints as its base: x, y, z, then three angles.
+
+        order: of the angles' axes, "ZYX" for yaw, pitch, roll; one of `virtual_base.ORDERS`. All else is
+        kept: inertias, frames, contacts, limits, drives and the reference. Raises `InputError`.
+        """
+        if self.base != "freeflyer":
+            raise InputError(f"robot '{self.name}' has base={self.base!r}", "'freeflyer'")
+        still = np.zeros(self.nv)
+        lower, upper = (array[7:] for array in (self.position_lower, self.position_upper))
+        return replace(
+            self,
+            model=virtual_model(self.model, order),
+            base="virtual",
+            reference=from_free_flyer(order, self.reference, still, still)[0],
+            position_lower=np.concatenate([np.full(6, -np.inf), lower]),
+            position_upper=np.concatenate([np.full(6, np.inf), upper]),
+        )
+
     @classmethod
     def from_urdf(
         cls,
@@ -243,7 +275,8 @@ class Robot:
     ) -> Robot:
         """Build a robot from a URDF file.
 
-        base: "freeflyer", "planar" (in the world's x-z plane) or "fixed".
+        base: "freeflyer", "virtual" (six joints: x, y, z, yaw, pitch, roll; for another order of the
+            angles see `with_virtual_base`), "planar" (in the world's x-z plane) or "fixed".
         contacts: frame names (point contacts) or `Contact` objects.
         reference: see `robot_building.reference_posture`; in terms of the joints before locking.
         locked: names of joints to weld at the reference.

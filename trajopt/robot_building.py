@@ -10,15 +10,24 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from trajopt.contact import Contact
 from trajopt.errors import InputError, UnsupportedJointError
+from trajopt.virtual_base import virtual_model, virtual_order
 
-Base = Literal["freeflyer", "planar", "fixed"]
-BASES: tuple[Base, ...] = ("freeflyer", "planar", "fixed")
-BASE_ROWS: dict[Base, int] = {"freeflyer": 6, "planar": 3, "fixed": 0}
-BASE_COORDINATES: dict[Base, int] = {"freeflyer": 7, "planar": 4, "fixed": 0}
+Base = Literal["freeflyer", "virtual", "planar", "fixed"]
+BASES: tuple[Base, ...] = ("freeflyer", "virtual", "planar", "fixed")
+BASE_ROWS: dict[Base, int] = {"freeflyer": 6, "virtual": 6, "planar": 3, "fixed": 0}
+BASE_COORDINATES: dict[Base, int] = {"freeflyer": 7, "virtual": 6, "planar": 4, "fixed": 0}
+# The joint that carries the base link: the last of the virtual ones.
+BASE_JOINT: dict[Base, int] = {"freeflyer": 1, "virtual": 6, "planar": 1, "fixed": 0}
+# How many entries of q, the first ones, are the position of the base.
+BASE_POSITION: dict[Base, int] = {"freeflyer": 3, "virtual": 3, "planar": 2, "fixed": 0}
 
 # Parsers write "no limit" as the largest double or as infinity; no robot reaches this.
 UNLIMITED = 1e20
+
+# A plane counts as one of the world's coordinate planes up to rounding of description files.
+ALIGNED = 1e-12
 
 # Pinocchio's planar joint moves in its own x-y plane. This placement lays it in the
 # sagittal plane: its x is the world's x, its y is up, and it turns about the world's -y.
@@ -32,8 +41,9 @@ def read_urdf(path: str | Path, base: Base) -> pin.Model:
     try:
         if base == "fixed":
             return pin.buildModelFromUrdf(str(source))
-        if base == "freeflyer":
-            return pin.buildModelFromUrdf(str(source), pin.JointModelFreeFlyer())
+        if base in ("freeflyer", "virtual"):
+            model = pin.buildModelFromUrdf(str(source), pin.JointModelFreeFlyer())
+            return virtual_model(model) if base == "virtual" else model
         return sagittal(pin.buildModelFromUrdf(str(source), pin.JointModelPlanar()))
     except (ValueError, RuntimeError) as error:
         raise InputError(f"{source} is not a readable URDF file: {_first_line(error)}") from None
@@ -52,14 +62,18 @@ def read_mjcf(path: str | Path, base: Base | None) -> pin.Model:
         if base is None or base == own:
             return model
         require_base(base)
+        if (own, base) == ("freeflyer", "virtual"):
+            return virtual_model(model)
         if own != "fixed":
             raise InputError(
                 f"{source} has a {own} root joint of its own, base={base!r} contradicts it", f"{own!r}"
             )
-        root = pin.JointModelFreeFlyer() if base == "freeflyer" else pin.JointModelPlanar()
+        root = pin.JointModelPlanar() if base == "planar" else pin.JointModelFreeFlyer()
         model = pin.buildModelFromMJCFAndRootJoint(str(source), pin.JointModel(root))
     except (ValueError, RuntimeError) as error:
         raise InputError(f"{source} is not a readable MJCF file: {_first_line(error)}") from None
+    if base == "virtual":
+        return virtual_model(model)
     return sagittal(model) if base == "planar" else model
 
 
@@ -76,11 +90,24 @@ def require_base(base: str) -> None:
 
 
 def base_of(model: pin.Model) -> Base:
-    """Return the kind of base of ``model``, read from its first joint."""
+    """Return the kind of base of ``model``, read from its first joint (six of them for a virtual base)."""
     if model.njoints < 2:
         return "fixed"
+    if virtual_order(model) is not None:
+        return "virtual"
     kinds: dict[str, Base] = {"JointModelFreeFlyer": "freeflyer", "JointModelPlanar": "planar"}
     return kinds.get(model.joints[1].shortname(), "fixed")
+
+
+def within_plane(model: pin.Model, contacts: tuple[Contact, ...]) -> tuple[Contact, ...]:
+    """Return contacts without the rows that a planar base leaves without meaning: none for other bases."""
+    if base_of(model) != "planar":
+        return contacts
+    normal = np.abs(model.jointPlacements[1].rotation[:, 2])
+    axis = int(np.argmax(normal))
+    if normal[axis] < 1 - ALIGNED:
+        return contacts
+    return tuple(contact.within_plane(axis) for contact in contacts)
 
 
 def sagittal(model: pin.Model) -> pin.Model:
@@ -201,7 +228,7 @@ def standing(model: pin.Model, base: Base, frames: Sequence[str], q: np.ndarray)
     if base == "fixed" or not frames:
         return q
     upright = q.copy()
-    height = {"freeflyer": 2, "planar": 1}[base]
+    height = BASE_POSITION[base] - 1
     data = model.createData()
     pin.framesForwardKinematics(model, data, upright)
     up = (model.jointPlacements[1].rotation.T @ np.array([0.0, 0.0, 1.0]))[height]

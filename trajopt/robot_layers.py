@@ -42,7 +42,7 @@ def _plain_layers(context: Context, used: list[int]) -> Layers:
 
     Where dynamics feel no velocity (statics, impacts), it enters frames alone; an impact feels no gravity.
     """
-    wrench = ca.vertcat(*context.wrenches.values())
+    wrench = context.wrench_column()
     sizes = [part.numel() for part in (context.q, context.v, context.a, wrench)]
     first = ca.Function("to_pinocchio", [context.z], [ca.vertcat(context.q, context.v, context.a, wrench)])
     s = ca.SX.sym("s", sum(sizes))
@@ -54,7 +54,7 @@ def _plain_layers(context: Context, used: list[int]) -> Layers:
         tau = _still(context, frames, dimensions)(q, 0, a, w)[0]
     parts = [tau] if context.uses_dynamics else []
     for contact in context.used_accelerations:
-        parts.append(acceleration[: contact.dimension, frames.index(contact.frame)])
+        parts.append(acceleration[list(contact.rows), frames.index(contact.frame)])
     for name in context.frames:
         i = frames.index(name)
         parts += [rotation[:, i], position[:, i], velocity[:, i], acceleration[:, i]]
@@ -73,7 +73,7 @@ def _still(context: Context, frames: list[str], dimensions: list[int]) -> ca.Fun
 def _frames(context: Context) -> tuple[list[str], list[int]]:
     """Frames of the fused function: active contacts with their wrenches, then those terms ask for."""
     frames = [contact.frame for contact in context.contacts]
-    dimensions = [contact.dimension for contact in context.contacts]
+    dimensions = [3 if contact.kind == "point" else 6 for contact in context.contacts]
     extra = [name for name in context.frames if name not in frames]
     return frames + extra, dimensions + [0] * len(extra)
 
@@ -81,7 +81,7 @@ def _frames(context: Context) -> tuple[list[str], list[int]]:
 def _base_axes_layers(context: Context, used: list[int]) -> Layers:
     """The base's own velocity p' enters nowhere: dynamics feel no uniform motion."""
     joints = ca.vertcat(context.q[7:], context.v[6:], context.a[6:])
-    wrench = ca.vertcat(*context.wrenches.values())
+    wrench = context.wrench_column()
     quaternion = quaternion_product(context.rotations[:4], exp_quaternion(context.xi[3:6]))
     omega, domega = body_rates(context.xi[3:6], context.dxi[3:6], context.ddxi[3:6])
     rates = ca.vertcat(quaternion, omega, domega, context.ddxi[:3], joints, wrench)

@@ -124,6 +124,7 @@ class TermFunctions:
             clocks=(form.n_clocks, form.clock),
             actuation=self.problem.actuation,
             surfaces=self.problem.surfaces_of(phase),
+            mode=self.problem.modes.get(self.problem.schedule.phases[phase].name),
         )
 
 

@@ -22,7 +22,8 @@ class Units:
 
     ``position``, ``velocity``, ``acceleration`` are arrays (nv,) over the local coordinates (m or rad and
     their derivatives), ``generalized_force`` (nv,) their forces (N or N m); ``force`` in N, ``torque`` in
-    N m, ``time`` in s; ``twist`` and ``wrench`` (6,), linear part first.
+    N m, ``time`` in s; ``twist``, ``contact_acceleration`` and
+    ``wrench`` (6,), linear part first.
     """
 
     def __init__(self, robot: Robot, part_of: Robot | None = None) -> None:
@@ -34,6 +35,7 @@ class Units:
         self.force = whole.weight
         self.torque = whole.weight * length
         self.twist = np.array([length] * 3 + [1.0] * 3) / self.time
+        self.contact_acceleration = self.twist / self.time
         self.wrench = np.array([self.force] * 3 + [self.torque] * 3)
         self.generalized_force = np.where(linear, self.force, self.torque)
         self.position = np.where(linear, length, 1.0)
