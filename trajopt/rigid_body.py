@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import Literal, get_args
 
+import casadi as ca
 import pinocchio as pin
 from casadi import Function
 
@@ -105,7 +106,7 @@ def centroidal_momentum_rate(model: pin.Model) -> Function:
 
 def kinetic_energy(model: pin.Model) -> Function:
     """Kinetic energy ``(q, v) -> energy`` (J), armature included."""
-    return _of_model("kinetic_energy", model_content(model))
+    return _kinetic_energy(model_content(model))
 
 
 def potential_energy(model: pin.Model) -> Function:
@@ -137,6 +138,16 @@ def _in_reference(name: str, model: pin.Model, frame_name: str, reference: str) 
     if reference not in get_args(Reference):
         raise InputError(f"reference '{reference}'", f"one of {', '.join(get_args(Reference))}")
     return _of_frame(name, model_content(model), frame_content(model, frame_name), reference)
+
+
+@lru_cache(maxsize=_CACHED_FUNCTIONS)
+def _kinetic_energy(model: tuple) -> Function:
+    """Links and rotors apart: Pinocchio 4.1 leaves out the rotor of a revolute joint of any axis."""
+    joints, armature, gravity = model
+    links = _of_model("kinetic_energy", (joints, (0.0,) * len(armature), gravity))
+    q, v = links.sx_in(0), links.sx_in(1)
+    rotors = ca.dot(ca.DM(armature), v**2) / 2
+    return Function("kinetic_energy", [q, v], [links(q, v) + rotors], ["q", "v"], ["energy"])
 
 
 @lru_cache(maxsize=_CACHED_FUNCTIONS)
