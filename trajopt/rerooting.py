@@ -30,8 +30,8 @@ JOINT_ROWS = (
 
 
 @dataclass(frozen=True)
-class _Body:
-    """Where a body of the floating model is: its joint in the new model, its old frame in that joint's."""
+class Body:
+    """Where a body of the old model is: its joint in the new model, its old frame in that joint's."""
 
     joint: int
     placement: pin.SE3
@@ -84,23 +84,26 @@ def reroot(
     new = pin.Model()
     new.name, new.gravity = f"{model.name} on {frame}", model.gravity
     first = new.addJoint(0, passive, root, passive_name)
-    bodies = {path[0]: _Body(first, pin.SE3(turned, -turned @ foot.placement.translation))}
+    bodies = {path[0]: Body(first, pin.SE3(turned, -turned @ foot.placement.translation))}
     for child, parent in pairwise(path):
         bodies[parent] = _turned_round(model, new, child, bodies[child])
     for joint in reversed(path):  # the base's limbs first: Pinocchio wants a depth-first order
         _hang_limbs(model, new, joint, path, bodies)
     for joint, body in bodies.items():
         new.appendBodyToJoint(body.joint, model.inertias[joint], body.placement)
-    _copy_rows(model, new, passive_name)
-    _copy_frames(model, new, bodies)
+    copy_rows(model, new)
+    copy_frames(model, new, bodies)
+    if not new.existFrame(BASE_FRAME):
+        base = bodies[1]
+        new.addFrame(pin.Frame(BASE_FRAME, base.joint, 0, base.placement, pin.FrameType.OP_FRAME))
     return new
 
 
-def _turned_round(model: pin.Model, new: pin.Model, child: int, body: _Body) -> _Body:
+def _turned_round(model: pin.Model, new: pin.Model, child: int, body: Body) -> Body:
     """Add the joint of ``child`` from its other side; returns where the parent's body then is."""
     half_turn = _half_turn(joint_motion(model.joints[child]))
     added = new.addJoint(body.joint, model.joints[child], body.placement * half_turn, model.names[child])
-    return _Body(added, half_turn.inverse() * model.jointPlacements[child].inverse())
+    return Body(added, half_turn.inverse() * model.jointPlacements[child].inverse())
 
 
 def _half_turn(motion: pin.Motion) -> pin.SE3:
@@ -112,7 +115,7 @@ def _half_turn(motion: pin.Motion) -> pin.SE3:
 
 
 def _hang_limbs(
-    model: pin.Model, new: pin.Model, joint: int, path: list[int], bodies: dict[int, _Body]
+    model: pin.Model, new: pin.Model, joint: int, path: list[int], bodies: dict[int, Body]
 ) -> None:
     """Add what hangs on ``joint`` beside the path, and mark where its bodies are."""
     limbs = {joint}
@@ -123,7 +126,7 @@ def _hang_limbs(
             at = bodies[parent]
             placement = at.placement * model.jointPlacements[index]
             added = new.addJoint(at.joint, model.joints[index], placement, model.names[index])
-            bodies[index] = _Body(added, pin.SE3.Identity())
+            bodies[index] = Body(added, pin.SE3.Identity())
 
 
 def joint_slices(model: pin.Model, name: str) -> tuple[slice, slice]:
@@ -132,10 +135,11 @@ def joint_slices(model: pin.Model, name: str) -> tuple[slice, slice]:
     return slice(joint.idx_q, joint.idx_q + joint.nq), slice(joint.idx_v, joint.idx_v + joint.nv)
 
 
-def _copy_rows(model: pin.Model, new: pin.Model, passive_name: str) -> None:
+def copy_rows(model: pin.Model, new: pin.Model) -> None:
+    """Copy what belongs to a joint to the joint of that name; other joints have no limits and no effort."""
     for name in list(new.names)[1:]:
         q, v = joint_slices(new, name)
-        if name == passive_name:
+        if not model.existJointName(name):
             for row in JOINT_ROWS[:4]:
                 getattr(new, row)[v] = 0.0
             new.upperEffortLimit[v], new.lowerEffortLimit[v] = 0.0, 0.0
@@ -149,20 +153,15 @@ def _copy_rows(model: pin.Model, new: pin.Model, passive_name: str) -> None:
         new.upperPositionLimit[q] = model.upperPositionLimit[old_q]
 
 
-def _copy_frames(model: pin.Model, new: pin.Model, bodies: dict[int, _Body]) -> None:
-    """Frames of the floating model on their bodies; frames of joints where the joints are now."""
-    holders = {joint: new.addJointFrame(joint, 0) for joint in range(1, new.njoints)}
-    kept = [frame for frame in list(model.frames)[1:] if frame.parentJoint in bodies]
-    for frame in kept:
+def copy_frames(model: pin.Model, new: pin.Model, bodies: dict[int, Body]) -> None:
+    """Add the old model's frames on their bodies and on the world; frames of joints where those are now."""
+    holders = {0: 0} | {joint: new.addJointFrame(joint, 0) for joint in range(1, new.njoints)}
+    world = {0: Body(0, pin.SE3.Identity())}
+    for frame in list(model.frames)[1:]:
         if new.existFrame(frame.name, frame.type):
             continue
-        body = bodies[int(frame.parentJoint)]
+        body = (bodies | world)[int(frame.parentJoint)]
         kind = pin.FrameType.OP_FRAME if frame.type == pin.FrameType.JOINT else frame.type
         placement = body.placement * frame.placement
         moved = pin.Frame(frame.name, body.joint, holders[body.joint], placement, kind, frame.inertia)
         new.addFrame(moved, False)
-    if not new.existFrame(BASE_FRAME):
-        base = bodies[1]
-        new.addFrame(
-            pin.Frame(BASE_FRAME, base.joint, holders[base.joint], base.placement, pin.FrameType.OP_FRAME)
-        )

@@ -25,7 +25,7 @@ import pinocchio as pin
 from trajopt import lagrange, rigid_body
 from trajopt.errors import InputError
 from trajopt.model_content import joint_kind, once_per_content
-from trajopt.robot_building import base_of
+from trajopt.robot_building import BASE_JOINT, BASE_ROWS, base_of
 
 # Relative part of gravity that a base cannot follow, and of a base Jacobian's smallest singular value.
 UNREACHABLE = 1e-9
@@ -238,7 +238,8 @@ def base_joint_and_rows(model: pin.Model, base_joint: str | None) -> tuple[int, 
     behind joints with mass.
     """
     if base_joint is None:
-        return (0, 0) if base_of(model) == "fixed" else (1, model.joints[1].nv)
+        base = base_of(model)
+        return BASE_JOINT[base], BASE_ROWS[base]
     if not model.existJointName(base_joint):
         raise InputError(f"base joint '{base_joint}' is unknown", "one of " + ", ".join(model.names[1:]))
     joint = model.getJointId(base_joint)
