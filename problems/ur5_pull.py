@@ -1,0 +1,168 @@
+"""The UR5 reaches for a handle on a board, grasps it and pulls: a bilateral contact with six rows."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+
+import robots
+from robots.ur5 import TOOL
+from trajopt.contact import Contact
+from trajopt.family import Family, Parameter
+from trajopt.kinematics import inverse_kinematics
+from trajopt.problem import Problem
+from trajopt.robot import Robot
+from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.surface import Surface
+from trajopt.terms import (
+    AccelerationCost,
+    EffortLimits,
+    NormalForce,
+    PositionLimits,
+    TorqueCost,
+    VelocityLimits,
+    WrenchCost,
+)
+
+GRIP = "grip"
+# Half sizes of the gripped handle, m; a grasp transmits any wrench, so nothing but the drawing uses them.
+HANDLE = {"half_length": 0.04, "half_width": 0.02}
+
+
+def _gripping() -> Robot:
+    """The UR5 with a gripper: a frame at the tool whose z axis points back into the arm."""
+    robot = robots.load("ur5")
+    model = robot.model.copy()
+    tool = model.frames[model.getFrameId(TOOL)]
+    back = tool.placement * pin.SE3(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
+    model.addFrame(pin.Frame(GRIP, tool.parentJoint, model.getFrameId(TOOL), back, pin.OP_FRAME))
+    return replace(robot, model=model, contacts=(Contact(frame=GRIP, kind="surface", **HANDLE),))
+
+
+def _grasping(robot: Robot, board: Surface) -> np.ndarray:
+    """Posture with the gripper on the handle, turned from its start as little as the board asks for."""
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, robot.reference)
+    start = data.oMf[robot.model.getFrameId(GRIP)].rotation
+    turn = pin.Quaternion.FromTwoVectors(start[:, 2], board.normal).toRotationMatrix()
+    return inverse_kinematics(robot, robot.reference, {GRIP: pin.SE3(turn @ start, board.point)}).q
+
+
+class _Guess:
+    """Joints along 10 s^3 - 15 s^4 + 6 s^5 to the grasp, then still."""
+
+    def __init__(self, start: np.ndarray, end: np.ndarray, duration: float) -> None:
+        self.start, self.end, self.duration = start, end, duration
+
+    def __call__(self, t: float) -> np.ndarray:
+        s = min(max(t / self.duration, 0.0), 1.0)
+        return self.start + (self.end - self.start) * s**3 * (10 - 15 * s + 6 * s * s)
+
+
+def build(
+    *,
+    x: float,
+    y: float,
+    z: float,
+    tilt: float,
+    force: float,
+    reach: float,
+    grasp: float,
+    pull: float,
+    effort_share: float,
+) -> Problem:
+    """Build the pull; see ``FAMILY`` for the parameters. Raises InputError."""
+    robot = _gripping()
+    normal = np.array([-math.cos(tilt), 0.0, math.sin(tilt)])
+    board = Surface(point=np.array([x, y, z]), normal=normal, bilateral=True)
+    held = {"contacts": (GRIP,), "surfaces": {GRIP: board}}
+    return Problem(
+        name="ur5-pull",
+        robot=robot,
+        schedule=Schedule(
+            (
+                Phase(name="reach", duration=reach),
+                Phase(name="grasp", duration=grasp, footholds={GRIP: board.point}, **held),
+                Phase(name="pull", duration=pull, **held),
+            )
+        ),
+        terrain=FlatGround(),
+        initial_q=robot.reference,
+        initial_v=np.zeros(robot.nv),
+        terms=(
+            TorqueCost(weight=1.0),
+            AccelerationCost(weight=1e-2),
+            WrenchCost(weight=1e-2),
+            EffortLimits(limit=None if robot.effort_limit is None else effort_share * robot.effort_limit),
+            PositionLimits(),
+            VelocityLimits(),
+            NormalForce(contact=GRIP, upper=-force, phases=("pull",)),
+        ),
+        guess=_Guess(robot.reference, _grasping(robot, board), reach),
+        parameters={
+            "x": x,
+            "y": y,
+            "z": z,
+            "tilt": tilt,
+            "force": force,
+            "reach": reach,
+            "grasp": grasp,
+            "pull": pull,
+            "effort_share": effort_share,
+        },
+        default_intervals=30,
+    )
+
+
+def _place(name: str, default: float) -> Parameter:
+    return Parameter(
+        name=name, default=default, unit="m", lower=-2.0, upper=2.0, meaning="of the handle, world"
+    )
+
+
+def _duration(name: str, default: float, meaning: str) -> Parameter:
+    return Parameter(name=name, default=default, unit="s", lower=1e-2, upper=60.0, meaning=meaning)
+
+
+FAMILY = Family(
+    name="ur5-pull",
+    robot="ur5",
+    phases=("reach", "grasp", "pull"),
+    summary="grasp a handle on a board and pull it with a given force, within torque limits",
+    parameters=(
+        _place("x", 0.6),
+        _place("y", 0.1),
+        _place("z", 0.4),
+        Parameter(
+            name="tilt",
+            default=math.radians(30),
+            unit="rad",
+            lower=-math.pi / 3,
+            upper=math.pi / 2,
+            meaning="of the board's top, away; 0 is a wall, a right angle a table",
+        ),
+        Parameter(
+            name="force",
+            default=60.0,
+            unit="N",
+            lower=0.0,
+            upper=500.0,
+            meaning="least pull along the normal",
+        ),
+        _duration("reach", 1.2, "duration until the grasp"),
+        _duration("grasp", 0.3, "duration in which the force may grow"),
+        _duration("pull", 0.5, "duration of the pull"),
+        Parameter(
+            name="effort_share",
+            default=1.0,
+            unit="",
+            lower=1e-3,
+            upper=1.0,
+            meaning="share of the effort limits to use",
+        ),
+    ),
+    build=build,
+)
