@@ -123,6 +123,6 @@ def distance_outside(point: np.ndarray, vertices: np.ndarray) -> float:
 def _require_inside(point: np.ndarray, vertices: np.ndarray, support: Support) -> None:
     if distance_outside(point, vertices) > INSIDE:
         raise InputError(
-            f"to start at rest the ZMP would begin outside support '{support.name}', at {np.round(point, 3)} m",
+            f"from rest the ZMP would begin outside support '{support.name}', at {np.round(point, 3)} m",
             f"allowed: inside; make it longer than {support.duration:g} s",
         )

@@ -1,0 +1,172 @@
+"""A biped walks: weight shift, steps with a smooth swing and double support between, rest with feet level.
+
+The guess is the walk of the linear inverted pendulum over the same footsteps.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+
+import robots
+from robots.talos import SIDES
+from trajopt.com_program import CenterOfMassProgram
+from trajopt.family import Family, Parameter
+from trajopt.foot_motion import guess_from_lip
+from trajopt.footsteps import FootstepPlan, Walk
+from trajopt.lip import Pendulum
+from trajopt.model_quantities import gravity_of
+from trajopt.node_terms import SwingClearance, TerminalRest
+from trajopt.problem import Motion, Problem
+from trajopt.robot import Robot
+from trajopt.schedule import FlatGround
+from trajopt.terms import (
+    AccelerationCost,
+    EffortLimits,
+    PositionLimits,
+    PostureCost,
+    SoleCone,
+    Term,
+    TorqueCost,
+    VelocityCost,
+    VelocityLimits,
+    WrenchCost,
+)
+
+# Part of the soles that the pendulum's ZMP keeps away from: the robot is no pendulum.
+MARGIN = 0.5
+# Swings of the guess rise this much higher than they must.
+GUESS_SWING = 1.5
+INTERVALS_PER_SECOND = 10
+
+
+@lru_cache(maxsize=1)
+def talos_legs() -> Robot:
+    """Talos on its two soles, everything above the legs locked: 12 joints, the mass of the whole robot."""
+    whole = robots.load("talos")
+    upper = [name for name in whole.model.names if name.startswith("arm_")]
+    soles = tuple(whole.contact(side) for side in SIDES)
+    return replace(replace(whole, contacts=soles).with_locked(upper), name="talos-legs")
+
+
+def _guess(robot: Robot, plan: FootstepPlan, clearance: float) -> Motion:
+    com = pin.centerOfMass(robot.model, robot.model.createData(), robot.reference)
+    program = CenterOfMassProgram(
+        robot=robot,
+        plan=plan,
+        pendulum=Pendulum(height=com[2], gravity=gravity_of(robot.model)),
+        com_start=com[:2],
+        shrink=MARGIN,
+    )
+    return guess_from_lip(robot, plan, program.solve(), clearance=GUESS_SWING * clearance)
+
+
+def _terms(clearance: float, ground: FlatGround, end: np.ndarray) -> tuple[Term, ...]:
+    return (
+        TorqueCost(weight=1.0),
+        AccelerationCost(weight=1e-2),
+        VelocityCost(weight=1e-2),
+        PostureCost(weight=1e-1),
+        WrenchCost(weight=1e-2),
+        EffortLimits(),
+        PositionLimits(),
+        VelocityLimits(),
+        SoleCone(),
+        SwingClearance(height=clearance, terrain=ground),
+        TerminalRest(q=end),
+    )
+
+
+def build(
+    *,
+    steps: float,
+    length: float,
+    turn: float,
+    step_time: float,
+    double_support: float,
+    shift: float,
+    settle: float,
+    clearance: float,
+    friction: float,
+) -> Problem:
+    """Build the walk; see ``FAMILY`` for the parameters. Raises InputError."""
+    robot = talos_legs()
+    walk = Walk(
+        steps=round(steps),
+        length=length,
+        turn=turn,
+        step_time=step_time,
+        double_support=double_support,
+        shift_time=shift,
+        settle_time=settle,
+    )
+    plan, ground = walk.plan(robot), FlatGround(friction=friction)
+    guess = _guess(robot, plan, clearance)
+    return Problem(
+        name="biped-walk",
+        robot=robot,
+        schedule=plan.schedule(),
+        terrain=ground,
+        initial_q=robot.reference,
+        initial_v=np.zeros(robot.nv),
+        terms=_terms(clearance, ground, guess(plan.duration)),
+        guess=guess,
+        parameters={
+            "steps": walk.steps,
+            "length": length,
+            "turn": turn,
+            "step_time": step_time,
+            "double_support": double_support,
+            "shift": shift,
+            "settle": settle,
+            "clearance": clearance,
+            "friction": friction,
+        },
+        default_intervals=max(len(plan.supports), math.ceil(INTERVALS_PER_SECOND * plan.duration)),
+    )
+
+
+def _duration(name: str, default: float, meaning: str) -> Parameter:
+    return Parameter(name=name, default=default, unit="s", lower=0.05, upper=5.0, meaning=meaning)
+
+
+FAMILY = Family(
+    name="biped-walk",
+    robot="talos",
+    phases=("shift", "step_1", "double_1", "step_2", "...", "settle"),
+    summary="walk some steps on two soles, the last of which brings the feet side by side, and come to rest",
+    parameters=(
+        Parameter(name="steps", default=4, unit="", lower=2, upper=20, meaning="number of steps"),
+        Parameter(
+            name="length", default=0.2, unit="m", lower=-0.4, upper=0.4, meaning="from one step to the next"
+        ),
+        Parameter(
+            name="turn",
+            default=0.0,
+            unit="rad",
+            lower=-0.4,
+            upper=0.4,
+            meaning="to the left from one step to the next",
+        ),
+        _duration("step_time", 0.6, "duration of a swing"),
+        _duration("double_support", 0.15, "duration of both feet on the ground between steps"),
+        _duration("shift", 0.5, "duration from rest to the first step"),
+        _duration("settle", 0.6, "duration from the last touchdown to rest"),
+        Parameter(
+            name="clearance",
+            default=0.04,
+            unit="m",
+            lower=0.0,
+            upper=0.2,
+            meaning="least height of a sole in mid swing",
+        ),
+        Parameter(
+            name="friction", default=0.7, unit="", lower=0.0, upper=10.0, meaning="Coulomb coefficient"
+        ),
+    ),
+    build=build,
+)
