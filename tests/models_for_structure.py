@@ -14,6 +14,11 @@ from trajopt.robot_data import robot_file
 THIGH, SHANK = 0.35, 0.3  # m
 HALF_TORSO = 0.15  # m
 VIRTUAL_BASE = "base_rx"
+# Where the base is not the root joint; and the number of base rows.
+BASE_JOINTS = {"virtual:solo12": VIRTUAL_BASE, "planar_hopper": "pitch"}
+BASE_SIZES = {"solo12": 6, "talos": 6, "planar:go2": 3, "virtual:solo12": 6, "planar_hopper": 3, "ur5": 0}
+FLOATING = ("solo12", "talos", "planar:go2", "virtual:solo12", "planar_hopper")
+FIXED = ("ur5", "panda", "kinova", "three_joint_arm")
 
 
 def _at(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> pin.SE3:
@@ -73,9 +78,27 @@ def on_virtual_joints(model: pin.Model) -> pin.Model:
         above = model.parents[index] + 5
         _add(chain, above, model.joints[index], model.jointPlacements[index], model.names[index])
         chain.appendBodyToJoint(index + 5, model.inertias[index], pin.SE3.Identity())
+    for frame in model.frames:
+        if frame.parentJoint > 0 and not chain.existFrame(frame.name):
+            chain.addFrame(pin.Frame(frame.name, frame.parentJoint + 5, 0, frame.placement, pin.OP_FRAME))
     chain.armature[:] = model.armature
     chain.name = f"{model.name} on virtual joints"
     return chain
+
+
+def link_momentum_matrix(model: pin.Model, q: np.ndarray, about: np.ndarray) -> np.ndarray:
+    """Momentum per rate (6, nv) of all links about a point, world axes: from Jacobians of their centres."""
+    data = model.createData()
+    pin.computeJointJacobians(model, data, q)
+    total = np.zeros((6, model.nv))
+    for index in range(1, model.njoints):
+        inertia, place = model.inertias[index], data.oMi[index]
+        jacobian = pin.getJointJacobian(model, data, index, pin.LOCAL_WORLD_ALIGNED)
+        arm = place.rotation @ inertia.lever
+        linear = inertia.mass * (jacobian[:3] - pin.skew(arm) @ jacobian[3:])
+        spin = place.rotation @ inertia.inertia @ place.rotation.T @ jacobian[3:]
+        total += np.vstack([linear, spin + pin.skew(place.translation + arm - about) @ linear])
+    return total
 
 
 @lru_cache

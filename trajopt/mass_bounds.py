@@ -63,9 +63,9 @@ def eigenvalue_range(model: pin.Model, postures: np.ndarray) -> EigenvalueRange:
 def random_postures(model: pin.Model, count: int, seed: int) -> np.ndarray:
     """Postures (count, nq) within the position limits, uniform in coordinates.
 
-    Directions that turn without limits are drawn within half a turn of neutral; a root joint without limits
-    stays where it is, since M does not depend on it. Raises `InputError` where another joint slides without
-    limits, since no interval is natural.
+    Directions that turn without limits are drawn within half a turn of neutral. A base that slides without
+    limits stays where it is, since M does not depend on it. Raises `InputError` where a joint behind one that
+    turns slides without limits, since no interval is natural.
     """
     generator = np.random.default_rng(seed)
     lowest, highest = np.full(model.nv, -np.pi), np.full(model.nv, np.pi)
@@ -76,10 +76,10 @@ def random_postures(model: pin.Model, count: int, seed: int) -> np.ndarray:
         rows, entries = slice(joint.idx_v, joint.idx_v + joint.nv), slice(joint.idx_q, joint.idx_q + joint.nq)
         if joint.nq == joint.nv and np.isfinite([lower[entries], upper[entries]]).all():
             lowest[rows], highest[rows] = lower[entries] - neutral[entries], upper[entries] - neutral[entries]
-        elif sliding and index == 1:
-            lowest[rows], highest[rows] = 0.0, 0.0
-        elif sliding:
+        elif sliding and _is_turned(model, index):
             raise _unlimited(model, index)
+        elif sliding:  # its angles too: M does not depend on a base's place
+            lowest[rows], highest[rows] = 0.0, 0.0
     steps = generator.uniform(lowest, highest, (count, model.nv))
     return np.array([pin.integrate(model, neutral, step) for step in steps]).reshape(count, model.nq)
 
@@ -97,8 +97,8 @@ def a_priori_bounds(model: pin.Model) -> MassBounds:
     pivots of M are at least each link's own inertia in its joint (articulated inertias only add), so that
     ``lambda_min >= det M ((n - 1) / tr M)^(n - 1)``; and it is at least the smallest armature. A link without
     inertia of its own about its joint, and without armature, leaves 0. Constant bounds exist for revolute
-    joints; a joint that slides behind another needs position limits, or `InputError` is raised, as it is
-    for a model without joints.
+    joints; a joint that slides behind one that turns needs position limits, or `InputError` is raised, as it
+    is for a model without joints.
     """
     if not model.nv:
         raise InputError(f"the model '{model.name}' has no joints", "at least one")
@@ -124,7 +124,7 @@ def _largest_trace(model: pin.Model) -> float:
             sliding, turning = _directions(model, joint)
             total += inertia.mass * (sliding + turning * distance**2) + moment * turning
             distance += float(np.linalg.norm(model.jointPlacements[joint].translation))
-            distance += _travel(model, joint) if sliding and model.parents[joint] else 0.0
+            distance += _travel(model, joint) if sliding and _is_turned(model, joint) else 0.0
     return total
 
 
@@ -143,6 +143,11 @@ def _own_inertia(model: pin.Model, index: int) -> np.ndarray:
 def _directions(model: pin.Model, index: int) -> tuple[int, int]:
     kind = joint_kind(model, index)
     return next(directions for name, directions in _DIRECTIONS.items() if kind.startswith(name))
+
+
+def _is_turned(model: pin.Model, index: int) -> bool:
+    """Whether a joint before this one turns, so that M depends on how far this one has slid."""
+    return any(_directions(model, before)[1] for before in list(model.supports[index])[1:-1])
 
 
 def _travel(model: pin.Model, index: int) -> float:
