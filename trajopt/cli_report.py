@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from trajopt.family import Family, Parameter
+    from trajopt.family import Choice, Family, Parameter
     from trajopt.report import Report
     from trajopt.solution import Solution
 
@@ -86,11 +86,17 @@ def list_dict(families: Mapping[str, Family]) -> dict[str, Any]:
                 "robot": family.robot,
                 "phases": list(family.phases),
                 "summary": family.summary,
-                "parameters": [vars(parameter) for parameter in family.parameters],
+                "parameters": [_described(parameter) for parameter in family.parameters],
             }
             for family in families.values()
         ]
     }
+
+
+def _described(parameter: Parameter | Choice) -> dict[str, Any]:
+    """A parameter as JSON; a choice has no range."""
+    common = {"unit": parameter.unit, "lower": parameter.lower, "upper": parameter.upper}
+    return {**common, **vars(parameter)}
 
 
 def family_heading(family: Family) -> str:
@@ -108,11 +114,15 @@ def parameter_table(family: Family) -> Table:
     return table
 
 
-def _default(parameter: Parameter) -> str:
+def _default(parameter: Parameter | Choice) -> str:
+    if isinstance(parameter.default, str):
+        return parameter.default
     return "derived" if parameter.default is None else f"{parameter.default:g} {parameter.unit}".rstrip()
 
 
-def _range(parameter: Parameter) -> str:
+def _range(parameter: Parameter | Choice) -> str:
+    if parameter.lower is None or parameter.upper is None:
+        return ", ".join(parameter.choices)
     return f"{parameter.lower:g} to {parameter.upper:g} {parameter.unit}".rstrip()
 
 

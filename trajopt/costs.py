@@ -22,18 +22,24 @@ class TorqueCost(Cost):
 
 @dataclass(frozen=True, kw_only=True)
 class AccelerationCost(Cost):
-    """Second derivatives of the local coordinates over g and g / length."""
+    """Second derivatives of the local coordinates over g and g / length; of the actuated ``joints_only``."""
+
+    joints_only: bool = False
 
     def residual(self, context: Context, units: Units) -> ca.SX:
-        return context.ddxi / units.acceleration
+        first = context.robot.n_unactuated if self.joints_only else 0
+        return (context.ddxi / units.acceleration)[first:]
 
 
 @dataclass(frozen=True, kw_only=True)
 class VelocityCost(Cost):
-    """Rates of the local coordinates over sqrt(g length) and sqrt(g / length)."""
+    """Rates of the local coordinates over sqrt(g length) and sqrt(g / length); of the ``joints_only``."""
+
+    joints_only: bool = False
 
     def residual(self, context: Context, units: Units) -> ca.SX:
-        return context.dxi / units.velocity
+        first = context.robot.n_unactuated if self.joints_only else 0
+        return (context.dxi / units.velocity)[first:]
 
 
 @dataclass(frozen=True, kw_only=True)

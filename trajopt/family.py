@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from trajopt.errors import InputError
 from trajopt.problem import Problem
@@ -51,6 +52,26 @@ class Parameter:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Choice:
+    """One parameter of a family that is a word out of ``choices``."""
+
+    name: str
+    default: str
+    choices: tuple[str, ...]
+    meaning: str
+
+    unit: ClassVar[str] = ""
+    lower: ClassVar[None] = None
+    upper: ClassVar[None] = None
+
+    def parse(self, value: object) -> str:
+        """The word, if it is one of the choices. Raises InputError."""
+        if value not in self.choices:
+            raise InputError(f"parameter {self.name}={value!r}", f"allowed: {', '.join(self.choices)}")
+        return str(value)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Family:
     """A problem family; ``build`` takes every parameter by name."""
 
@@ -58,7 +79,7 @@ class Family:
     robot: str
     phases: tuple[str, ...]
     summary: str
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[Parameter | Choice, ...]
     build: Callable[..., Problem]
 
     def load(self, values: Mapping[str, object]) -> Problem:
@@ -71,7 +92,7 @@ class Family:
                 raise InputError(
                     f"{self.name} has no parameter '{name}'", f"{hint}allowed: {', '.join(known)}"
                 )
-        chosen = {name: parameter.default for name, parameter in known.items()}
+        chosen: dict[str, float | str | None] = {name: own.default for name, own in known.items()}
         chosen |= {name: known[name].parse(value) for name, value in values.items()}
         return self.build(**chosen)
 
