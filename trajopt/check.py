@@ -22,6 +22,7 @@ from trajopt.samples import Samples, evaluate
 from trajopt.solution import Solution
 from trajopt.solution_file import consistent_meta
 from trajopt.touched import touched
+from trajopt.virtual_base import gimbal_margin_along
 
 
 def check(solution: Solution | str | Path) -> Report:
@@ -44,6 +45,7 @@ def check(solution: Solution | str | Path) -> Report:
         **_drives(plan),
         **place_figures(plan, samples, surfaces),
         quaternion_error=_quaternion_error(given),
+        gimbal_margin=gimbal_margin_along(plan.model, plan.t, plan.q, plan.v),
         position_gap=gaps.position,
         velocity_gap=gaps.velocity,
         ballistic_error=_worst([phase.ballistic_error for phase in phases]),

@@ -6,6 +6,8 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from trajopt.virtual_base import LEAST_MARGIN
+
 # Residuals, contact accelerations and forces of inactive contacts, as parts of the weight (of
 # gravity): what a solver leaves that stops at 1e-6 in units of weight and length.
 RESIDUAL = 1e-6
@@ -21,6 +23,9 @@ SOLE_TILT = 1e-2
 PENETRATION = 1e-3
 # Norm error of quaternions and (cos, sin) pairs: rounding over thousands of steps is 1e-12.
 QUATERNION = 1e-8
+# A virtual base must keep this margin to gimbal lock: below it the angles' rates are over twenty times the
+# angular velocity, and the plan between its samples means little.
+GIMBAL = LEAST_MARGIN
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +39,7 @@ class Tolerances:
     sole_tilt: float | None = SOLE_TILT
     penetration: float | None = PENETRATION
     quaternion: float | None = QUATERNION
+    gimbal: float | None = GIMBAL
     flight: float | None = None
     open_loop_position: float | None = None
     open_loop_orientation: float | None = None
@@ -65,6 +71,7 @@ class Figure:
     unit: str
     tolerance: str | None = None
     margin: bool = False  # a margin must not be less than minus the tolerance
+    least: bool = False  # the tolerance is the least that is allowed
 
 
 FIGURES: dict[str, Figure] = {
@@ -92,6 +99,7 @@ FIGURES: dict[str, Figure] = {
     "foot_turn": Figure(text="turn of active soles", unit="rad"),
     "sole_tilt": Figure(text="tilt of active soles on their surface", unit="rad", tolerance="sole_tilt"),
     "quaternion_error": Figure(text="norm error of rotations", unit="1", tolerance="quaternion"),
+    "gimbal_margin": Figure(text="margin to gimbal lock", unit="1", tolerance="gimbal", least=True),
     "position_gap": Figure(text="q against the integral of v", unit="m, rad"),
     "velocity_gap": Figure(text="v against the integral of a", unit="m/s, rad/s"),
     "ballistic_error": Figure(text="flight against the parabola", unit="travel", tolerance="flight"),
@@ -151,6 +159,7 @@ class Report:
     foot_turn: float | None
     sole_tilt: float | None
     quaternion_error: float | None
+    gimbal_margin: float | None
     position_gap: float
     velocity_gap: float
     ballistic_error: float | None
@@ -181,6 +190,8 @@ class Report:
         limit = None if figure.tolerance is None else getattr(tolerances, figure.tolerance)
         if limit is None or value is None:
             return False
+        if figure.least:
+            return not value >= limit
         return not (value >= -limit if figure.margin else value <= limit)
 
     def to_dict(self, tolerances: Tolerances | None = None) -> dict[str, Any]:

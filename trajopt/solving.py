@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from trajopt.solvers import Result, Status, run
 from trajopt.solvers.drivers import SOLVERS, Option, Stop
 from trajopt.transcription import Transcription, transcribe
 from trajopt.violations import nonfinite_place, row_violations, worst_blocks
+from trajopt.virtual_base import LEAST_MARGIN, gimbal_margin_along
 
 Progress = Callable[[dict[str, float]], bool]
 
@@ -179,7 +180,23 @@ def _solution(
         "compile": report.level,
         **start,
     }
-    return extract(t, result.x, meta)
+    return _locks_reported(extract(t, result.x, meta))
+
+
+def _locks_reported(solution: Solution) -> Solution:
+    """A plan whose virtual base comes to gimbal lock is no success, whatever the solver says."""
+    margin = gimbal_margin_along(solution.model, solution.t, solution.q, solution.v)
+    if margin is None:
+        return solution
+    found: dict[str, Any] = {"gimbal_margin": _number(margin)}
+    if not margin >= LEAST_MARGIN:
+        status = Status.SINGULAR_BASE
+        found["advice"] = f"{status.advice} (margin {margin:.3f}, least {LEAST_MARGIN:g})"
+        if solution.success:
+            found |= {"status": status.word, "success": False}
+        else:
+            found["advice"] = f"{solution.meta['advice']}; {found['advice']}"
+    return replace(solution, meta={**solution.meta, **found})
 
 
 def _number(value: float) -> float | None:

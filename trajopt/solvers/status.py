@@ -23,6 +23,10 @@ class Status(Enum):
     INACCURATE = (
         "the solver says solved but rows are violated beyond tolerance: tighten --tol or change the solver"
     )
+    SINGULAR_BASE = (
+        "the virtual joints of the base pass gimbal lock, where their rates have no bound: use "
+        "base='freeflyer', or another order of the angles' axes"
+    )
     UNBOUNDED = "iterates diverge: a cost or limit is missing that bounds the motion or the forces"
     INVALID = (
         "the problem has more equations than unknowns, or the solver refused it: look at goals that repeat"
