@@ -128,7 +128,11 @@ class Problem:
 
     @property
     def node_constraints(self) -> tuple[NodeConstraint, ...]:
-        """Constraints at nodes, with those that follow from the schedule: landings of new contacts."""
+        """Constraints at nodes, with those that follow from the schedule: landings of new contacts.
+
+        Where the dynamics hold no contact (a reduced model without legs), nothing lands.
+        """
+        holding = any(isinstance(rows, ContactAcceleration | ContactVelocity) for rows in self.motion_rows)
         landings = tuple(
             ContactLanding(
                 phase=phase.name,
@@ -137,6 +141,6 @@ class Problem:
                 held=self.schedule.kept_contacts(i) if phase.impact else (),
             )
             for i, phase in enumerate(self.schedule.phases)
-            if self.schedule.new_contacts(i)
+            if holding and self.schedule.new_contacts(i)
         )
         return landings + tuple(term for term in self.terms if isinstance(term, NodeConstraint))
