@@ -1,0 +1,191 @@
+"""Real robots on walls, slopes and handles: solved from their own guesses and checked on their surfaces."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import linprog
+
+import problems
+from trajopt.check import check
+from trajopt.model_quantities import contact_jacobian, gravity_of, mass_of
+from trajopt.problem import Problem
+from trajopt.sole import centre_of_pressure
+from trajopt.solution import Solution
+from trajopt.solving import solve
+from trajopt.surface import Surface
+
+MOST_ITERATIONS = 60
+TOLERANCE = 1e-8
+REST = 1e-2  # rad/s, m/s: what eight intervals leave in the velocity of the soles
+FORCE = 1e-6  # parts of the weight: what the solver's tolerance leaves in a force
+SAME_FORCE = 1e-4  # parts of a force: the optimum is flat, its minimiser less sharp than its value
+
+
+@lru_cache
+def solved(name: str, intervals: int, **parameters: float) -> Solution:
+    """The problem's solution from its own guess, evaluated on CasADi's virtual machine."""
+    problem = problems.load(name, **parameters)
+    return solve(
+        problem,
+        intervals=intervals,
+        compile="none",
+        tolerance=TOLERANCE if name == "ur5-pull" else 1e-6,
+        max_iterations=MOST_ITERATIONS,
+    )
+
+
+def assert_sound(solution: Solution) -> None:
+    assert solution.meta["status"] == "solved", solution.meta["advice"]
+    assert solution.meta["iterations"] <= MOST_ITERATIONS
+    report = check(solution)
+    assert report.ok, report.failures()
+
+
+def samples_of(solution: Solution, phase: str) -> np.ndarray:
+    """Collocation points of a phase."""
+    index = solution.meta["phase_names"].index(phase)
+    return np.flatnonzero((solution.phase == index) & solution.collocation)
+
+
+def weight_of(solution: Solution) -> float:
+    return mass_of(solution.model) * gravity_of(solution.model)
+
+
+# UR5 at a handle
+
+
+def test_arm_pulls_a_handle_that_only_a_grasp_can_hold():
+    solution = solved("ur5-pull", 12)
+    assert_sound(solution)
+    board = Surface.from_description(solution.meta["surfaces"][2]["grip"])
+    force = solution.f[samples_of(solution, "pull"), 0, :3] @ board.normal
+    assert np.all(force <= -60.0 + FORCE * weight_of(solution))
+    assert solution.meta["surfaces"][0] == {}
+    assert board.bilateral
+
+
+def test_pull_is_the_least_torques_that_hold_the_force():
+    """The arm is clamped: at each point the wrench minimises a quadratic cost with one active bound."""
+    solution = solved("ur5-pull", 12)
+    problem: Problem = problems.load("ur5-pull")
+    board, model = problem.schedule.phases[2].surfaces["grip"], solution.model
+    row = samples_of(solution, "pull")[0]
+    q, still = solution.q[row], np.zeros(model.nv)
+    jacobian = contact_jacobian(model, q, [("grip", 6)])
+    gravity = pin.rnea(model, model.createData(), q, still, still)
+    weight, length = problem.robot.weight, problem.robot.length
+    # mean squares of torque over m g l and of the wrench over (m g, m g l), weights 1 and 0.01
+    unit = np.array([weight] * 3 + [weight * length] * 3)
+    quadratic = jacobian @ jacobian.T / (weight * length) ** 2 / 6 + 0.01 * np.diag(unit**-2) / 6
+    linear = -jacobian @ gravity / (weight * length) ** 2 / 6
+    normal = np.concatenate([board.normal, np.zeros(3)])
+    kkt = np.block([[quadratic, normal[:, None]], [normal[None], np.zeros((1, 1))]])
+    wrench = np.linalg.solve(kkt, np.append(-linear, -60.0))[:6]
+    assert_allclose(solution.f[row, 0] / unit, wrench / unit, atol=SAME_FORCE * 60.0 / weight)
+
+
+def test_arm_does_not_move_once_it_holds_the_handle():
+    solution = solved("ur5-pull", 12)
+    held = solution.phase > 0
+    assert np.abs(np.diff(solution.q[held], axis=0)).max() < TOLERANCE
+
+
+# Solo12 on a slope
+
+
+@pytest.mark.slow
+def test_quadruped_hops_uphill_and_downhill():
+    for slope, distance in ((np.radians(20), 0.1), (np.radians(-15), 0.05)):
+        solution = solved("solo12-slope", 18, slope=slope, distance=distance)
+        assert_sound(solution)
+        normal = np.array([-np.sin(slope), 0.0, np.cos(slope)])
+        assert_allclose(solution.meta["terrain"]["normal"], normal)
+        data, heights = solution.model.createData(), []
+        for q in solution.q:
+            pin.framesForwardKinematics(solution.model, data, q)
+            feet = [data.oMf[solution.model.getFrameId(name)].translation for name in solution.contact_frames]
+            heights.append([foot @ normal for foot in feet])
+        assert np.min(heights) > -1e-3
+        assert np.max(np.abs(np.array(heights)[solution.active])) < 1e-3
+        force = solution.f[solution.active & solution.collocation[:, None], :3]
+        pressed = force @ normal
+        sideways = np.linalg.norm(force - pressed[:, None] * normal, axis=1)
+        assert np.all(sideways <= 0.8 * pressed + FORCE * weight_of(solution))
+        travel = solution.q[-1, :3] - solution.q[0, :3]
+        assert_allclose(travel, distance * np.array([np.cos(slope), 0.0, np.sin(slope)]), atol=1e-3)
+
+
+# Talos at a wall
+
+
+def talos(force: float, intervals: int = 8, **parameters: float) -> Solution:
+    return solved("talos-wall", intervals, force=force, **parameters)
+
+
+def sole_pressures(solution: Solution, rows: np.ndarray) -> np.ndarray:
+    """Centres of pressure (n, 2, 2) of both soles in their own axes, m."""
+    data, found = solution.model.createData(), []
+    for row in rows:
+        pin.framesForwardKinematics(solution.model, data, solution.q[row])
+        for index, frame in enumerate(("left_sole_link", "right_sole_link")):
+            rotation = data.oMf[solution.model.getFrameId(frame)].rotation
+            force, moment = solution.f[row, index, :3], solution.f[row, index, 3:]
+            found.append((rotation.T @ centre_of_pressure(force, moment, np.array([0.0, 0.0, 1.0])))[:2])
+    return np.array(found).reshape(len(rows), 2, 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("force", "tilt"), [(80.0, 0.3), (-100.0, 0.0)])
+def test_humanoid_pushes_and_pulls_with_its_hand(force, tilt):
+    solution = talos(force, tilt=tilt, intervals=8 if force > 0 else 12)
+    assert_sound(solution)
+    wall = Surface.from_description(solution.meta["surfaces"][2]["wrist_left_ft_tool_link"])
+    rows = samples_of(solution, "push")
+    along = solution.f[rows, 2, :3] @ wall.normal
+    slack = FORCE * weight_of(solution)
+    assert np.all(along >= force - slack) if force > 0 else np.all(along <= force + slack)
+    assert wall.bilateral == (force < 0)
+    pressures = np.abs(sole_pressures(solution, np.flatnonzero(solution.collocation)))
+    assert np.all(pressures <= np.array([0.1, 0.06]) + 1e-5)
+
+
+@pytest.mark.slow
+def test_humanoid_leans_beyond_its_feet_where_only_the_wall_holds_it():
+    solution = talos(180.0)
+    assert_sound(solution)
+    model, data = solution.model, solution.model.createData()
+    centre = pin.centerOfMass(model, data, solution.q[-1]).copy()
+    pin.framesForwardKinematics(model, data, solution.q[-1])
+    toes = data.oMf[model.getFrameId("left_sole_link")].act(np.array([0.1, 0.0, 0.0]))
+    assert centre[0] > toes[0]
+    assert np.abs(solution.v[-1]).max() < REST
+
+
+@pytest.mark.slow
+def test_wrench_of_every_sole_is_a_sum_of_coulomb_forces_at_its_corners():
+    solution = talos(180.0)
+    model, data = solution.model, solution.model.createData()
+    angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    rim = np.column_stack([0.7 * np.cos(angles), 0.7 * np.sin(angles), np.ones(16)])
+    corners = [np.array([x, y, 0.0]) for x in (-0.1, 0.1) for y in (-0.06, 0.06)]
+    edges = np.array([np.concatenate([force, np.cross(at, force)]) for at in corners for force in rim])
+    for row in np.flatnonzero(solution.collocation):
+        pin.framesForwardKinematics(model, data, solution.q[row])
+        for index, frame in enumerate(("left_sole_link", "right_sole_link")):
+            turn = data.oMf[model.getFrameId(frame)].rotation.T
+            wrench = np.concatenate([turn @ solution.f[row, index, :3], turn @ solution.f[row, index, 3:]])
+            weight = weight_of(solution)
+            # how far the wrench is from the cone, in parts of the weight
+            size = edges.shape[0]
+            slack = np.vstack([np.eye(6), -np.eye(6)])
+            found = linprog(
+                np.concatenate([np.zeros(size), np.ones(12)]),
+                A_eq=np.vstack([edges, slack]).T,
+                b_eq=wrench / weight,
+            )
+            assert found.fun < 1e-5
