@@ -39,7 +39,7 @@ FATROP_OPTIONS: dict[str, Option] = {
     "print_level": 0,
     "bound_push": 0.1,
     "bound_frac": 0.1,
-    "linsol_lu_fact_tol": 1e-3,
+    "linsol_lu_fact_tol": 1e-4,
 }
 
 _IPOPT_STATUS = {
