@@ -1,0 +1,161 @@
+"""Half a backflip of Solo12: push, take-off, and a flight that ends with the nose beyond the vertical."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+
+import robots
+from problems.solo12_jump import BASE, CLEARANCE
+from trajopt.family import Family, Parameter
+from trajopt.kinematics import inverse_kinematics
+from trajopt.model_quantities import STANDARD_GRAVITY
+from trajopt.node_terms import FrameHeight, FramePose, SwingClearance
+from trajopt.problem import Problem
+from trajopt.robot import Robot
+from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.terms import (
+    AccelerationCost,
+    EffortLimits,
+    FrictionPyramid,
+    PositionLimits,
+    PostureCost,
+    Term,
+    TorqueCost,
+    VelocityCost,
+    VelocityLimits,
+    WrenchCost,
+)
+
+# In the guess the base rises by this much, m, and turns by this part of the whole, while the feet stand.
+RISE = 0.04
+GROUND_SHARE = 0.1
+# The flight ends with the base this much above its standing height, m: room for a landing on the back.
+END_RISE = 0.1
+
+
+def orientation(pitch: float, yaw: float) -> np.ndarray:
+    """Rotation of the base (3, 3): nose up by ``pitch`` rad, then to the left by ``yaw`` rad."""
+    turned: np.ndarray = pin.utils.rotate("z", yaw) @ pin.utils.rotate("y", -pitch)
+    return turned
+
+
+class _Guess:
+    """A smooth push with the feet held, then a parabola on which the base turns at a constant rate."""
+
+    def __init__(self, robot: Robot, turn: np.ndarray, durations: tuple[float, float]) -> None:
+        self.robot, self.durations = robot, durations
+        _, flight = durations
+        upward = (END_RISE - RISE) / flight + STANDARD_GRAVITY * flight / 2
+        # Height (m), pitch and yaw (rad): at take-off, and their rates there.
+        self.takeoff = np.array([RISE, *(GROUND_SHARE * turn)])
+        self.rates = np.array([upward, *((1 - GROUND_SHARE) * turn / flight)])
+        frames = [contact.frame for contact in robot.contacts]
+        data = robot.model.createData()
+        pin.framesForwardKinematics(robot.model, data, robot.reference)
+        self.feet = {name: data.oMf[robot.model.getFrameId(name)].translation.copy() for name in frames}
+
+    def __call__(self, t: float) -> np.ndarray:
+        stance, _ = self.durations
+        if t < stance:
+            s = max(t, 0.0) / stance
+            pose = self._pose(s * s * (3 - 2 * s) * self.takeoff + s * s * (s - 1) * stance * self.rates)
+            return inverse_kinematics(self.robot, pose, self.feet).q
+        flown = t - stance
+        fall = np.array([STANDARD_GRAVITY * flown**2 / 2, 0.0, 0.0])
+        flying = self._pose(self.takeoff + self.rates * flown - fall)
+        flying[7:] = self._takeoff_joints()
+        return flying
+
+    def _takeoff_joints(self) -> np.ndarray:
+        return np.array(inverse_kinematics(self.robot, self._pose(self.takeoff), self.feet).q[7:])
+
+    def _pose(self, moved: np.ndarray) -> np.ndarray:
+        height, pitch, yaw = moved
+        q = self.robot.reference.copy()
+        q[2] += height
+        q[3:7] = pin.Quaternion(orientation(pitch, yaw)).coeffs()
+        return q
+
+
+def _terms(robot: Robot, pitch: float, yaw: float, ground: FlatGround) -> tuple[Term, ...]:
+    return (
+        TorqueCost(weight=1.0),
+        AccelerationCost(weight=2e-2),
+        VelocityCost(weight=1e-2),
+        PostureCost(weight=1e-1),
+        WrenchCost(weight=1e-2),
+        EffortLimits(),
+        PositionLimits(),
+        VelocityLimits(),
+        FrictionPyramid(friction=ground.friction),
+        SwingClearance(height=CLEARANCE, terrain=ground),
+        FrameHeight(frame=BASE, height=robot.reference[2] + END_RISE, phase="flight", fraction=1.0),
+        FramePose(frame=BASE, rotation=orientation(pitch, yaw)),
+    )
+
+
+def build(*, pitch: float, yaw: float, duration: float, stance: float, friction: float) -> Problem:
+    """Build the flip; see ``FAMILY`` for the parameters. Raises InputError."""
+    robot = robots.load("solo12")
+    ground = FlatGround(friction=friction)
+    feet = tuple(contact.name for contact in robot.contacts)
+    phases = (
+        Phase(name="stance", duration=stance, contacts=feet),
+        Phase(name="flight", duration=duration),
+    )
+    return Problem(
+        name="solo12-flip",
+        robot=robot,
+        schedule=Schedule(phases),
+        terrain=ground,
+        initial_q=robot.reference,
+        initial_v=np.zeros(robot.nv),
+        terms=_terms(robot, pitch, yaw, ground),
+        guess=_Guess(robot, np.array([pitch, yaw]), (stance, duration)),
+        parameters={
+            "pitch": pitch,
+            "yaw": yaw,
+            "duration": duration,
+            "stance": stance,
+            "friction": friction,
+        },
+    )
+
+
+FAMILY = Family(
+    name="solo12-flip",
+    robot="solo12",
+    phases=("stance", "flight"),
+    summary="half a backflip: take off and fly until the nose is beyond the vertical",
+    parameters=(
+        Parameter(
+            name="pitch",
+            default=math.radians(110),
+            unit="rad",
+            lower=0.0,
+            upper=math.pi,
+            meaning="nose up at the end of the flight",
+        ),
+        Parameter(
+            name="yaw",
+            default=0.5,
+            unit="rad",
+            lower=-math.pi / 2,
+            upper=math.pi / 2,
+            meaning="turn to the left",
+        ),
+        Parameter(
+            name="duration", default=0.4, unit="s", lower=0.1, upper=2.0, meaning="duration of the flight"
+        ),
+        Parameter(
+            name="stance", default=0.4, unit="s", lower=1e-3, upper=10.0, meaning="duration of the push"
+        ),
+        Parameter(
+            name="friction", default=0.7, unit="", lower=0.0, upper=10.0, meaning="Coulomb coefficient"
+        ),
+    ),
+    build=build,
+)
