@@ -18,7 +18,7 @@ class Mode:
     """Minimal coordinates of a phase in which contacts are embedded instead of constrained.
 
     robot: the robot in the mode's coordinates; its own contacts are those that are not embedded.
-    embedded: the whole robot's contacts that these coordinates hold in place.
+    embedded: the whole robot's contacts that these coordinates hold in place, at ``anchor`` (3,) m.
     lift: (q, v, a) of the mode -> (q, v, a) of the whole robot.
     drop: (q, v, a) of the whole robot -> (q, v, a) of the mode.
     reaction: (q, v, a) of the mode -> forces (3 each, N, world axes) on the embedded contacts.
@@ -26,6 +26,7 @@ class Mode:
 
     robot: Robot
     embedded: tuple[Contact, ...]
+    anchor: np.ndarray
     lift: ca.Function
     drop: ca.Function
     reaction: ca.Function
@@ -45,6 +46,7 @@ class Mode:
         return cls(
             robot=replace(stance.robot, contacts=()),
             embedded=(robot.contact(contact),),
+            anchor=stance.anchor,
             lift=lift,
             drop=drop,
             reaction=stance.reaction,

@@ -15,9 +15,12 @@ from trajopt.motion_terms import ContactVelocity
 from trajopt.node_terms import ContactLanding, NodeConstraint
 from trajopt.point_terms import BaseDynamics, ContactAcceleration
 from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Schedule
+from trajopt.schedule import FlatGround, Phase, Schedule
 from trajopt.surface import Surface
 from trajopt.term_interfaces import Cost, PointConstraint, Term
+
+# Places that a problem and a mode of it name twice agree to rounding, m.
+SAME_PLACE = 1e-9
 
 Motion = Callable[[float], np.ndarray]
 
@@ -66,7 +69,8 @@ class Problem:
         object.__setattr__(self, "terms", tuple(self.terms))
         object.__setattr__(self, "modes", MappingProxyType(dict(self.modes)))
         names = [phase.name for phase in self.schedule.phases]
-        self._require_actuation(names)
+        self._require_actuation()
+        self._require_modes(names)
         if len(set(names)) != len(names):
             raise InputError(f"problem '{self.name}' has two phases of one name: {', '.join(names)}")
         for phase in self.schedule.phases:
@@ -78,12 +82,37 @@ class Problem:
                 if name not in names:
                     raise InputError(f"{term.name} acts in phase '{name}'", f"allowed: {', '.join(names)}")
 
-    def _require_actuation(self, names: list[str]) -> None:
-        if self.actuation not in ACTUATIONS:
-            raise InputError(f"actuation {self.actuation!r} is unknown", f"allowed: {', '.join(ACTUATIONS)}")
-        for name in self.modes:
+    def _require_modes(self, names: list[str]) -> None:
+        """A mode stands where its contact is: at the start, or on the foothold where that lands."""
+        for name, mode in self.modes.items():
             if name not in names:
                 raise InputError(f"a mode is given for phase '{name}'", f"allowed: {', '.join(names)}")
+            index = names.index(name)
+            phase = self.schedule.phases[index]
+            for contact in mode.embedded_names:
+                if contact not in phase.contacts:
+                    raise InputError(
+                        f"mode of phase '{name}' stands on '{contact}'", "allowed: contacts of the phase"
+                    )
+                if contact in self.schedule.new_contacts(index):
+                    self._require_foothold(phase, contact, mode)
+
+    @staticmethod
+    def _require_foothold(phase: Phase, contact: str, mode: Mode) -> None:
+        if contact not in phase.footholds:
+            raise InputError(
+                f"phase '{phase.name}' has a mode but no foothold for '{contact}'",
+                "allowed: a foothold at which the mode stands",
+            )
+        if np.linalg.norm(phase.footholds[contact] - mode.anchor) > SAME_PLACE:
+            raise InputError(
+                f"mode of phase '{phase.name}' stands at {mode.anchor}",
+                f"allowed: {phase.footholds[contact]}",
+            )
+
+    def _require_actuation(self) -> None:
+        if self.actuation not in ACTUATIONS:
+            raise InputError(f"actuation {self.actuation!r} is unknown", f"allowed: {', '.join(ACTUATIONS)}")
         if self.actuation != "velocity":
             return
         if self.initial_v.any():
@@ -93,8 +122,9 @@ class Problem:
         for phase in self.schedule.phases:
             what = "has no contact" if self.robot.n_unactuated and not phase.contacts else ""
             if what or phase.impact:
+                what = what or "begins with an impact"
                 raise InputError(
-                    f"phase '{phase.name}' {what or 'begins with an impact'}, which a velocity source cannot model",
+                    f"phase '{phase.name}' {what}, which a velocity source cannot model",
                     "allowed: phases in static balance, or actuation 'torque' or 'acceleration'",
                 )
 

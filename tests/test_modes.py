@@ -1,0 +1,160 @@
+"""Phases in minimal coordinates against one floating base with contact rows: the same motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from problems_for_tests import FOOT, hop, hopper
+from test_transcription import Matrices, assert_derivatives, random_unknowns
+
+import problems
+import trajopt
+from trajopt.errors import InputError
+from trajopt.mode import Mode
+from trajopt.schedule import Phase, Schedule
+from trajopt.solution import Solution
+from trajopt.solving import prepare
+from trajopt.timeline import StageKind
+
+INTERVALS = 40
+# The transcriptions have different errors: measured 2.6e-4 of the optimum at 40 intervals, 2.3e-5 at 80,
+# 2.0e-6 at 160. So one optimum, met to what the grid leaves.
+SAME_OPTIMUM = 5e-4
+SAME_MOTION = 5e-3  # rad and m
+# Rows of a transcription are met to 1e-7 of weight and length.
+MET = 1e-5
+
+
+@lru_cache
+def solved(coordinates: str, touchdown: str = "soft", solver: str = "ipopt") -> Solution:
+    problem = problems.load("hopper-hop", coordinates=coordinates, touchdown=touchdown)
+    solution = trajopt.solve(problem, compile="none", intervals=INTERVALS, solver=solver)
+    assert solution.success
+    return solution
+
+
+@pytest.mark.parametrize("touchdown", ["soft", "impact"])
+def test_minimal_and_excess_coordinates_have_the_same_optimum(touchdown):
+    excess, minimal = (solved(coordinates, touchdown) for coordinates in ("excess", "minimal"))
+    assert minimal.meta["objective"] == pytest.approx(excess.meta["objective"], rel=SAME_OPTIMUM)
+    assert_allclose(minimal.q, excess.q, atol=SAME_MOTION)
+    assert minimal.meta["variables"] < excess.meta["variables"]
+    assert minimal.meta["constraints"] < excess.meta["constraints"]
+    assert [excess.meta["iterations"] <= 60, minimal.meta["iterations"] <= 60] == [True, True]
+
+
+def test_optima_of_both_coordinates_approach_each_other_with_the_grid():
+    apart = []
+    for intervals in (40, 80):
+        problem = [problems.load("hopper-hop", coordinates=name) for name in ("excess", "minimal")]
+        found = [trajopt.solve(p, compile="none", intervals=intervals).meta["objective"] for p in problem]
+        apart.append(abs(found[1] / found[0] - 1))
+    assert apart[1] < apart[0] / 4
+
+
+@pytest.mark.parametrize("coordinates", ["excess", "minimal"])
+def test_both_solvers_find_the_same_hop(coordinates):
+    first, second = (solved(coordinates, "soft", solver) for solver in ("ipopt", "fatrop"))
+    assert second.meta["objective"] == pytest.approx(first.meta["objective"], rel=1e-4)
+
+
+def test_a_solution_in_minimal_coordinates_is_certified_as_the_floating_robot():
+    solution = solved("minimal")
+    report = trajopt.check(solution)
+    assert report.ok
+    assert report.foot_drift < 1e-12  # the contact is part of the coordinates
+    assert solution.q.shape[1] == problems.load("hopper-hop").robot.nq
+
+
+def test_ground_reactions_of_the_modes_equal_the_contact_forces():
+    excess, minimal = solved("excess"), solved("minimal")
+    points = excess.collocation
+    weight = problems.load("hopper-hop").robot.weight
+    assert_allclose(minimal.f[points] / weight, excess.f[points] / weight, atol=0.05)
+    assert np.abs(minimal.f[points & (minimal.phase == 1)]).max() == 0.0
+
+
+def test_impact_before_a_mode_takes_the_velocity_off_the_foot():
+    excess, minimal = solved("excess", "impact"), solved("minimal", "impact")
+    assert_allclose(minimal.impulse, excess.impulse, atol=1e-2 * np.abs(excess.impulse).max())
+    assert np.abs(excess.impulse).max() > 0.1
+
+
+def standing_hop() -> trajopt.Problem:
+    """The small hopper in space: a spherical ankle holds its stance and its landing."""
+    robot = hopper()
+    phases = hop().schedule.phases
+    landing = replace(phases[2], footholds={FOOT: np.array([0.02, 0.0, 0.0])})
+    modes = {
+        "stance": Mode.standing(robot, FOOT),
+        "landing": Mode.standing(robot, FOOT, landing.footholds[FOOT]),
+    }
+    return hop(schedule=Schedule((*phases[:2], landing)), modes=modes)
+
+
+def hop_of_the_plane() -> trajopt.Problem:
+    return problems.load("hopper-hop", coordinates="minimal", touchdown="impact")
+
+
+@pytest.mark.parametrize("build", [standing_hop, hop_of_the_plane])
+def test_derivatives_of_the_whole_nlp_equal_differences(build):
+    nlp = prepare(build(), intervals=4, compile="none").nlp
+    assert_derivatives(nlp, seed=2)
+    t = nlp.transcription
+    jacobian = Matrices(nlp).jacobian(random_unknowns(t, 3))
+    for k in range(t.layout.n_stages):
+        block = jacobian[t.gap_rows[k]][:, t.layout.node(k + 1)].toarray()
+        assert_allclose(block, np.eye(t.layout.forms[k + 1].size), atol=1e-12)
+
+
+def test_nodes_have_the_size_of_their_mode_and_end_in_the_whole_robot():
+    layout = prepare(hop_of_the_plane(), intervals=4, compile="none").transcription.layout
+    sizes = [layout.form_of(phase).size for phase in range(3)]
+    assert sizes == [6, 10, 6]
+    assert layout.forms[-1].size == 10
+    kinds = [stage.kind for stage in layout.stages if stage.step == 0]
+    assert kinds == [StageKind.CHANGE, StageKind.IMPACT, StageKind.CHANGE, StageKind.CHANGE]
+
+
+def test_embedded_contacts_have_neither_forces_nor_rows():
+    t = prepare(hop_of_the_plane(), intervals=4, compile="none").transcription
+    assert t.layout.n_wrench(0) == t.layout.n_wrench(2) == 0
+    assert "contact_acceleration" not in t.rows.names
+    assert "friction_cone" in t.rows.names
+
+
+def test_hop_in_space_agrees_in_both_coordinates():
+    minimal = trajopt.solve(standing_hop(), compile="none", intervals=16)
+    excess = trajopt.solve(replace(standing_hop(), modes={}), compile="none", intervals=16)
+    assert [minimal.success, excess.success] == [True, True]
+    for solution in (minimal, excess):
+        assert trajopt.check(solution).ok
+
+
+def test_mode_of_an_unknown_phase_is_refused():
+    problem = hop_of_the_plane()
+    with pytest.raises(
+        InputError, match="a mode is given for phase 'glide'; allowed: stance, flight, landing"
+    ):
+        replace(problem, modes={"glide": problem.modes["stance"]})
+
+
+def test_mode_whose_contact_is_not_active_is_refused():
+    problem = hop_of_the_plane()
+    with pytest.raises(InputError, match="mode of phase 'flight' stands on 'foot'"):
+        replace(problem, modes={"flight": problem.modes["stance"]})
+
+
+def test_mode_away_from_its_foothold_is_refused():
+    problem = hop_of_the_plane()
+    moved = replace(problem.schedule.phases[2], footholds={"foot": np.array([0.1, 0.0, 0.0])})
+    schedule = Schedule((*problem.schedule.phases[:2], moved))
+    with pytest.raises(InputError, match="mode of phase 'landing' stands at"):
+        replace(problem, schedule=schedule)
+    nowhere = Phase(name="landing", duration=0.5, contacts=("foot",))
+    with pytest.raises(InputError, match="phase 'landing' has a mode but no foothold for 'foot'"):
+        replace(problem, schedule=Schedule((*problem.schedule.phases[:2], nowhere)))
