@@ -9,7 +9,8 @@ import pinocchio as pin
 
 import robots
 from problems.solo12_jump import BASE, CLEARANCE
-from trajopt.family import Family, Parameter
+from trajopt.base_conversion import with_virtual_base
+from trajopt.family import Choice, Family, Parameter
 from trajopt.kinematics import inverse_kinematics
 from trajopt.model_quantities import STANDARD_GRAVITY
 from trajopt.node_terms import FrameHeight, FramePose, SwingClearance
@@ -28,6 +29,7 @@ from trajopt.terms import (
     VelocityLimits,
     WrenchCost,
 )
+from trajopt.virtual_base import DEFAULT_ORDER, ORDERS
 
 # In the guess the base rises by this much, m, and turns by this part of the whole, while the feet stand.
 RISE = 0.04
@@ -97,7 +99,9 @@ def _terms(robot: Robot, pitch: float, yaw: float, ground: FlatGround) -> tuple[
     )
 
 
-def build(*, pitch: float, yaw: float, duration: float, stance: float, friction: float) -> Problem:
+def build(
+    *, pitch: float, yaw: float, duration: float, stance: float, friction: float, base: str, order: str
+) -> Problem:
     """Build the flip; see ``FAMILY`` for the parameters. Raises InputError."""
     robot = robots.load("solo12")
     ground = FlatGround(friction=friction)
@@ -106,7 +110,7 @@ def build(*, pitch: float, yaw: float, duration: float, stance: float, friction:
         Phase(name="stance", duration=stance, contacts=feet),
         Phase(name="flight", duration=duration),
     )
-    return Problem(
+    problem = Problem(
         name="solo12-flip",
         robot=robot,
         schedule=Schedule(phases),
@@ -121,8 +125,11 @@ def build(*, pitch: float, yaw: float, duration: float, stance: float, friction:
             "duration": duration,
             "stance": stance,
             "friction": friction,
+            "base": base,
+            "order": order,
         },
     )
+    return with_virtual_base(problem, order) if base == "virtual" else problem
 
 
 FAMILY = Family(
@@ -155,6 +162,18 @@ FAMILY = Family(
         ),
         Parameter(
             name="friction", default=0.7, unit="", lower=0.0, upper=10.0, meaning="Coulomb coefficient"
+        ),
+        Choice(
+            name="base",
+            default="freeflyer",
+            choices=("freeflyer", "virtual"),
+            meaning="a quaternion, or six virtual joints, which have a gimbal lock",
+        ),
+        Choice(
+            name="order",
+            default=DEFAULT_ORDER,
+            choices=ORDERS,
+            meaning="axes of the virtual angles, the outer one first",
         ),
     ),
     build=build,
