@@ -24,7 +24,7 @@ DEFAULT_CLEARANCE = 0.05
 # the base. A fixed number from one start keeps the posture a smooth function of time, to be differenced.
 COM_STEPS = 4
 # Configurations kept of a guess that is asked three times for every point.
-_CACHED = 4096
+CACHED_POSTURES = 4096
 
 
 def smooth_step(s: float) -> float:
@@ -35,13 +35,14 @@ def smooth_step(s: float) -> float:
 
 @dataclass(frozen=True)
 class Swing:
-    """A foot in the air from ``start`` to ``end`` at the ``fraction`` of the swing's time.
+    """A foot in the air from ``start`` to ``end``, between two ``times`` in s, now at a ``fraction`` of them.
 
     ``airborne``: for some of it no other foot is on the ground.
     """
 
     start: Foothold
     end: Foothold
+    times: tuple[float, float]
     fraction: float
     airborne: bool
 
@@ -81,7 +82,8 @@ class FootMotion:
         end = supports[after].feet[name] if after < len(supports) else start
         begin, over = self._times[before + 1], self._times[after]
         fraction = min(max((t - begin) / (over - begin), 0.0), 1.0)
-        return Swing(start, end, fraction, any(not s.feet for s in supports[before + 1 : after]))
+        airborne = any(not support.feet for support in supports[before + 1 : after])
+        return Swing(start, end, (begin, over), fraction, airborne)
 
     def foothold(self, name: str, t: float) -> Foothold:
         """Place of the foot in the world; a swing is lifted by ``clearance`` in its middle."""
@@ -163,7 +165,7 @@ def guess_from_lip(
     start = np.array(robot.reference if q is None else q, dtype=float)
     feet = FootMotion(plan=plan, initial=feet_of(robot, start), clearance=clearance)
     posture = WalkPosture(robot=robot, feet=feet, motion=motion, q=start)
-    return lru_cache(maxsize=_CACHED)(posture.__call__)
+    return lru_cache(maxsize=CACHED_POSTURES)(posture.__call__)
 
 
 def require_free_flyer(robot: Robot) -> None:
