@@ -13,6 +13,7 @@ from trajopt.consistency import interval_gaps
 from trajopt.contact_figures import force_figures, is_sole, place_figures
 from trajopt.drive import Drive
 from trajopt.flight import flight_errors
+from trajopt.impact_figures import impact_figures
 from trajopt.model_quantities import gravity_of, mass_of
 from trajopt.reintegration import OpenLoopError, open_loop
 from trajopt.report import PhaseReport, Report
@@ -44,6 +45,7 @@ def check(solution: Solution | str | Path) -> Report:
         **_limits(plan),
         **_drives(plan),
         **place_figures(plan, samples, surfaces),
+        **impact_figures(plan, surfaces),
         quaternion_error=_quaternion_error(given),
         gimbal_margin=gimbal_margin_along(plan.model, plan.t, plan.q, plan.v),
         position_gap=gaps.position,
@@ -86,13 +88,19 @@ def _weight(plan: Solution) -> float:
 
 
 def _dynamics(plan: Solution, samples: Samples) -> dict[str, float | None]:
-    points, base = plan.collocation, plan.n_unactuated
+    points, base, gravity = plan.collocation, plan.n_unactuated, gravity_of(plan.model)
     force = samples.generalized_force[points] / _weight(plan)
-    acceleration = samples.acceleration[points][plan.active[points]] / gravity_of(plan.model)
+    balance = force[:, :base]
+    held = samples.acceleration / gravity
+    if plan.meta.get("actuation") == "velocity":  # rows of statics and of velocities, not of motion
+        still = replace(plan, v=np.zeros_like(plan.v), a=np.zeros_like(plan.a))
+        balance = evaluate(still).generalized_force[points, :base] / _weight(plan) if base else balance
+        held = samples.velocity / np.sqrt(gravity)
+    acceleration = held[points][plan.active[points]]
     soles = np.broadcast_to(is_sole(plan), plan.active.shape)[points][plan.active[points]]
     acceleration[~soles, 3:] = 0.0
     return {
-        "base_residual": _largest(np.abs(force[:, :base])),
+        "base_residual": _largest(np.abs(balance)),
         "actuated_residual": _largest(np.abs(force[:, base:] - plan.tau[points] / _weight(plan))),
         "contact_acceleration": _largest(np.abs(acceleration)),
     }

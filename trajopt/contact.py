@@ -56,7 +56,7 @@ class Contact:
         return len(self.rows)
 
     def within_plane(self, normal: int) -> Contact:
-        """The same contact of a robot that cannot leave the plane across the world axis ``normal`` (0, 1, 2)."""
+        """The same contact of a robot that cannot leave the plane across the world's axis ``normal``."""
         in_plane = [axis for axis in range(3) if axis != normal]
         return replace(self, rows=(*in_plane, *([3 + normal] if self.kind == "surface" else [])))
 

@@ -158,7 +158,7 @@ class Context:
 
     @cached_property
     def wrenches(self) -> dict[str, ca.SX]:
-        """Wrench of every pressing contact by its name: 3 or 6 entries, world axes, N and N m; none at a node."""
+        """Wrench of every pressing contact: 3 or 6 entries, world axes, N and N m; none at a node."""
         if self.place is Place.NODE:
             return {}
         full = {contact.name: self._full_wrench(contact) for contact in self.contacts}
@@ -265,7 +265,7 @@ class Context:
         return np.concatenate(self._values) if self._values else np.zeros(0)
 
     def contact_acceleration(self, contact: Contact) -> ca.SX:
-        """Classical acceleration of an active contact (its rows; linear, angular), in axes that may be turned.
+        """Classical acceleration of an active contact (its rows), in axes that may be turned.
 
         The axes are the base link's for a free-flyer, the world's otherwise: enough for a row that
         asks it to vanish, and cheaper, since no orientation enters.

@@ -171,7 +171,7 @@ class Layout:
         return self.interval_stages[self.phase_of[self.interval_stages] == phase]
 
     def place(self, k: int) -> NodePlace | None:
-        """Phase and fraction of node k, None where it repeats another; a node between phases is the later's."""
+        """Phase and fraction of node k, None where it repeats another; between phases it is the later's."""
         found = self.timeline.places[k]
         if found is None:
             return None

@@ -98,6 +98,16 @@ FIGURES: dict[str, Figure] = {
     "foot_drift": Figure(text="drift of active contacts", unit="m", tolerance="foot_drift"),
     "foot_turn": Figure(text="turn of active soles", unit="rad"),
     "sole_tilt": Figure(text="tilt of active soles on their surface", unit="rad", tolerance="sole_tilt"),
+    "impact_residual": Figure(text="law of the impacts", unit="momentum", tolerance="residual"),
+    "impact_velocity": Figure(text="velocity of contacts after impacts", unit="speed", tolerance="residual"),
+    "impact_friction_margin": Figure(
+        text="friction margin of impulses", unit="momentum", tolerance="friction", margin=True
+    ),
+    "impact_momentum_error": Figure(
+        text="momentum across impacts", unit="momentum, 1 m", tolerance="residual"
+    ),
+    "impact_energy_gain": Figure(text="energy gained in impacts", unit="weight m", tolerance="residual"),
+    "state_jump": Figure(text="jump of state without impact", unit="m, rad, speed", tolerance="residual"),
     "quaternion_error": Figure(text="norm error of rotations", unit="1", tolerance="quaternion"),
     "gimbal_margin": Figure(text="margin to gimbal lock", unit="1", tolerance="gimbal", least=True),
     "position_gap": Figure(text="q against the integral of v", unit="m, rad"),
@@ -119,9 +129,11 @@ class Report:
     """Worst figures of a solution, see ``FIGURES`` for their units; None where there is nothing to measure.
 
     base_residual, actuated_residual: RNEA(q, v, a) - sum J^T f (minus tau) at collocation points;
-        force rows over the weight m g, moment rows over the weight times one metre.
+        force rows over the weight m g, moment rows over the weight times one metre. The base rows of a
+        velocity source are its statics, RNEA(q, 0, 0) - sum J^T f.
     contact_acceleration: classical acceleration of active contacts at collocation points over g
-        (angular rows of soles in rad/s^2 over g per metre).
+        (angular rows of soles in rad/s^2 over g per metre); of a velocity source their velocity at points
+        over sqrt(g 1 m).
     friction_margin: least mu f_n - |f_t| at collocation points, ``..._between`` at other samples.
     unilateral_margin: least f_n. sole_margin: least distance of moments from the sole's limits. Each on
         the contact's own surface; none of them on a bilateral one.
@@ -129,6 +141,11 @@ class Report:
     drive_torque_excess: largest |tau_m| / torque_limit - 1 of the drives, with joint friction.
     drive_voltage_excess: largest |tau_m / stall_torque + omega_m / no_load_speed| - 1.
     position_excess: largest part of the joint's range beyond its limit; negative is reserve.
+    impact_residual: M (v+ - v-) - J^T Lambda over mass times sqrt(g 1 m) (moments: times 1 m),
+        impact_velocity: J v+ over sqrt(g 1 m), impact_friction_margin: least mu Lambda_n - |Lambda_t|,
+        impact_momentum_error: change of linear and angular momentum minus the impulses (floating bases),
+        impact_energy_gain: largest change of kinetic energy, negative where all impacts lose; see
+        `impact_figures`. state_jump: largest jump of q or v where intervals meet without an impact.
     penetration, quaternion_error, contact_velocity, foot_drift, foot_turn, sole_tilt: at all samples.
         penetration is below the surface of an active contact, below the terrain otherwise.
     landing_height: distance of active contacts from their surface at their phase's start, unsigned.
@@ -158,6 +175,12 @@ class Report:
     foot_drift: float | None
     foot_turn: float | None
     sole_tilt: float | None
+    impact_residual: float | None
+    impact_velocity: float | None
+    impact_friction_margin: float | None
+    impact_momentum_error: float | None
+    impact_energy_gain: float | None
+    state_jump: float | None
     quaternion_error: float | None
     gimbal_margin: float | None
     position_gap: float

@@ -162,6 +162,10 @@ def _wrong_impacts(solution: Solution, contacts: int) -> str:
         return f"'impulse' has shape {impulse.shape}, expected (J, {contacts}, 6) with J as 'impact_index'"
     if not np.isin(index, np.arange(solution.n_samples)).all():
         return f"'impact_index' is not within 0 to {solution.n_samples - 1}"
+    starts = [rows.start for rows in solution.intervals[1:]]
+    for row in index:
+        if row not in starts:
+            return f"'impact_index' holds {row}, which is not the first sample of an interval after another"
     return ""
 
 
