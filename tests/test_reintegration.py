@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from synthetic import arm_motion, pushing_off, sampled, standing, tumbling_flight
 
 import robots
 from trajopt.check import check
-from trajopt.reintegration import ContactDynamics, open_loop
+from trajopt.reintegration import open_loop
 from trajopt.report import Tolerances
 from trajopt.robot import Robot
 from trajopt.solution import Solution
@@ -61,24 +60,3 @@ def test_torque_that_runs_away_is_reported_as_infinite(flight):
     assert report.open_loop_joints == np.inf
     assert report.to_dict()["open_loop_joints"] is None
     assert not report.within(Tolerances(open_loop_joints=1.0))
-
-
-def test_redundant_contacts_give_the_acceleration_of_the_independent_ones(solo):
-    model = solo.model
-    frames = [model.getFrameId(contact.frame) for contact in solo.contacts]
-    random = np.random.default_rng(4)
-    q = pin.integrate(model, solo.reference, 0.1 * random.standard_normal(solo.nv))
-    v, force = random.standard_normal(solo.nv), random.standard_normal(solo.nv)
-    once = ContactDynamics(model, frames, [3] * 4).acceleration(q, v, force)
-    twice = ContactDynamics(model, frames * 2, [3] * 8).acceleration(q, v, force)
-    np.testing.assert_allclose(twice, once, rtol=1e-8, atol=1e-8)
-
-
-def test_forward_dynamics_without_contacts_is_that_of_pinocchio(solo):
-    random = np.random.default_rng(5)
-    q = pin.integrate(solo.model, solo.reference, random.standard_normal(solo.nv))
-    v, force = random.standard_normal(solo.nv), random.standard_normal(solo.nv)
-    expected = pin.aba(solo.model, solo.model.createData(), q, v, force)
-    np.testing.assert_allclose(
-        ContactDynamics(solo.model, [], []).acceleration(q, v, force), expected, rtol=1e-9
-    )
