@@ -1,4 +1,4 @@
-"""A reach of the UR5: rest to rest to a pose of its tool, with torques as inputs."""
+"""A reach of the UR5: rest to rest to a pose of its tool, with torques, accelerations or rates as inputs."""
 
 from __future__ import annotations
 
@@ -9,13 +9,22 @@ import pinocchio as pin
 
 import robots
 from robots.ur5 import TOOL
-from trajopt.family import Family, Parameter
+from trajopt.context import ACTUATIONS, Actuation
+from trajopt.family import Choice, Family, Parameter
 from trajopt.kinematics import inverse_kinematics
 from trajopt.node_terms import FramePose, TerminalRest
 from trajopt.problem import Problem
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.terms import AccelerationCost, EffortLimits, PositionLimits, TorqueCost, VelocityLimits
+from trajopt.terms import (
+    AccelerationCost,
+    EffortLimits,
+    PositionLimits,
+    Term,
+    TorqueCost,
+    VelocityCost,
+    VelocityLimits,
+)
 
 
 class _Guess:
@@ -35,6 +44,17 @@ def _tool_pose(robot: Robot, q: np.ndarray) -> pin.SE3:
     return data.oMf[robot.model.getFrameId(TOOL)].copy()
 
 
+def _effort(robot: Robot, share: float, end: np.ndarray) -> dict[Actuation, tuple[Term, ...]]:
+    """What each kind of source can price and limit; a source of velocity stops when it likes."""
+    limit = None if robot.effort_limit is None else share * robot.effort_limit
+    rest = TerminalRest(q=end)
+    return {
+        "torque": (TorqueCost(weight=1.0), AccelerationCost(weight=1e-2), EffortLimits(limit=limit), rest),
+        "acceleration": (AccelerationCost(weight=1.0), rest),
+        "velocity": (VelocityCost(weight=1.0),),
+    }
+
+
 def build(
     *,
     x: float,
@@ -45,6 +65,7 @@ def build(
     yaw: float,
     duration: float,
     effort_share: float,
+    actuation: Actuation,
 ) -> Problem:
     """Build the reach; see ``FAMILY`` for the parameters.
 
@@ -57,13 +78,10 @@ def build(
     goal = pin.SE3(turn @ _tool_pose(robot, start).rotation, np.array([x, y, z]))
     end = inverse_kinematics(robot, start, {TOOL: goal}).q
     terms = (
-        TorqueCost(weight=1.0),
-        AccelerationCost(weight=1e-2),
-        EffortLimits(limit=None if robot.effort_limit is None else effort_share * robot.effort_limit),
+        *_effort(robot, effort_share, end)[actuation],
         PositionLimits(),
         VelocityLimits(),
         FramePose(frame=TOOL, position=goal.translation, rotation=goal.rotation),
-        TerminalRest(q=end),
     )
     return Problem(
         name="ur5-reach",
@@ -74,6 +92,7 @@ def build(
         initial_v=np.zeros(robot.nv),
         terms=terms,
         guess=_Guess(start, end, duration),
+        actuation=actuation,
         parameters={
             "x": x,
             "y": y,
@@ -83,6 +102,7 @@ def build(
             "yaw": yaw,
             "duration": duration,
             "effort_share": effort_share,
+            "actuation": actuation,
         },
         default_intervals=30,
     )
@@ -121,6 +141,12 @@ FAMILY = Family(
             lower=1e-3,
             upper=1.0,
             meaning="share of the effort limits to use",
+        ),
+        Choice(
+            name="actuation",
+            default="torque",
+            choices=ACTUATIONS,
+            meaning="what the joints' actuators are sources of",
         ),
     ),
     build=build,

@@ -108,7 +108,9 @@ def _dynamics(plan: Solution, samples: Samples) -> dict[str, float | None]:
 
 def _limits(plan: Solution) -> dict[str, float | None]:
     effort = _beyond(plan.tau, plan.meta["effort_limit"])
-    velocity = _beyond(plan.v, plan.meta["velocity_limit"])
+    # Rates that are inputs have values at points; those of motions have them everywhere.
+    moving = plan.collocation if plan.meta.get("actuation") == "velocity" else slice(None)
+    velocity = _beyond(plan.v[moving], plan.meta["velocity_limit"])
     lower, upper = position_limits(plan.model)
     beyond = np.maximum(plan.q - upper, lower - plan.q)
     limited = np.isfinite(lower) | np.isfinite(upper)

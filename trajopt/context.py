@@ -61,7 +61,7 @@ class Place(Enum):
 
 
 Actuation = Literal["torque", "acceleration", "velocity"]
-ACTUATIONS = get_args(Actuation)
+ACTUATIONS: tuple[Actuation, ...] = get_args(Actuation)
 
 
 class Context:
