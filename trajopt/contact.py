@@ -55,6 +55,11 @@ class Contact:
         """Rows of the contact: 3 for a point, 6 for a surface; in a plane 2 and 3."""
         return len(self.rows)
 
+    @property
+    def transmits_all(self) -> bool:
+        """Whether no row of its kind is left out, so that its axes may be turned."""
+        return self.dimension == (3 if self.kind == "point" else 6)
+
     def within_plane(self, normal: int) -> Contact:
         """The same contact of a robot that cannot leave the plane across the world's axis ``normal``."""
         in_plane = [axis for axis in range(3) if axis != normal]

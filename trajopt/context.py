@@ -170,7 +170,7 @@ class Context:
     def _full_wrench(self, contact: Contact) -> ca.SX:
         """Wrench with zeros where a contact within a plane transmits nothing."""
         unknown = self.unknown_wrenches[contact.name]
-        if contact.dimension in (3, 6) and contact.rows == tuple(range(contact.dimension)):
+        if contact.transmits_all:
             return unknown
         full = ca.SX.zeros(3 if contact.kind == "point" else 6)
         full[list(contact.rows)] = unknown
@@ -304,11 +304,12 @@ class Context:
 
     @property
     def has_free_flyer(self) -> bool:
-        """Whether the root joint is a free-flyer in world axes, and the only joint of the world."""
+        """Whether the root is a free-flyer in world axes, the world's only joint, and axes may be turned."""
         model = self.robot.model
         roots = [i for i in range(1, model.njoints) if model.parents[i] == 0]
         return (
             self.moving
+            and all(contact.transmits_all for contact in self.contacts)
             and roots == [1]
             and self.coordinates.joints[0].kind == "freeflyer"
             and model.jointPlacements[1].isIdentity()
