@@ -108,8 +108,8 @@ def gimbal_margin_along(model: pin.Model, t: np.ndarray, q: np.ndarray, v: np.nd
     t (n,) s, q (n, nq), v (n, nv). Between samples the middle angle is the cubic through its values and
     rates; where it passes a right angle the margin is 0.
     """
-    if virtual_order(model) is None:
-        return None
+    if virtual_order(model) is None or len(t) < 2:
+        return gimbal_margin(model, q)
     low, high = _reached(t, q[:, 4], v[:, 4])
     locks = np.floor(high / np.pi - 0.5) - np.floor(low / np.pi - 0.5)
     margins = np.minimum(margin_of(low), margin_of(high))
