@@ -65,14 +65,14 @@ def _guess(robot: Robot, plan: FootstepPlan, clearance: float) -> Motion:
     return guess_from_lip(robot, plan, program.solve(), clearance=GUESS_SWING * clearance)
 
 
-def _terms(clearance: float, ground: FlatGround, end: np.ndarray) -> tuple[Term, ...]:
+def _terms(clearance: float, ground: FlatGround, end: np.ndarray, effort: np.ndarray) -> tuple[Term, ...]:
     return (
         TorqueCost(weight=1.0),
         AccelerationCost(weight=1e-2),
         VelocityCost(weight=1e-2),
         PostureCost(weight=1e-1),
         WrenchCost(weight=1e-2),
-        EffortLimits(),
+        EffortLimits(limit=effort),
         PositionLimits(),
         VelocityLimits(),
         SoleCone(),
@@ -92,6 +92,7 @@ def build(
     settle: float,
     clearance: float,
     friction: float,
+    effort_share: float,
 ) -> Problem:
     """Build the walk; see ``FAMILY`` for the parameters. Raises InputError."""
     robot = talos_legs()
@@ -113,7 +114,7 @@ def build(
         terrain=ground,
         initial_q=robot.reference,
         initial_v=np.zeros(robot.nv),
-        terms=_terms(clearance, ground, guess(plan.duration)),
+        terms=_terms(clearance, ground, guess(plan.duration), effort_share * robot.effort_limit),
         guess=guess,
         parameters={
             "steps": walk.steps,
@@ -125,6 +126,7 @@ def build(
             "settle": settle,
             "clearance": clearance,
             "friction": friction,
+            "effort_share": effort_share,
         },
         default_intervals=max(len(plan.supports), math.ceil(INTERVALS_PER_SECOND * plan.duration)),
     )
@@ -166,6 +168,14 @@ FAMILY = Family(
         ),
         Parameter(
             name="friction", default=0.7, unit="", lower=0.0, upper=10.0, meaning="Coulomb coefficient"
+        ),
+        Parameter(
+            name="effort_share",
+            default=1.0,
+            unit="",
+            lower=1e-3,
+            upper=1.0,
+            meaning="share of the effort limits to use",
         ),
     ),
     build=build,
