@@ -8,6 +8,9 @@ import numpy as np
 import pinocchio as pin
 
 import robots
+from robots import solo12
+from trajopt.drive_terms import DriveLimits
+from trajopt.errors import InputError
 from trajopt.family import Family, Parameter
 from trajopt.kinematics import inverse_kinematics
 from trajopt.model_quantities import STANDARD_GRAVITY
@@ -153,7 +156,7 @@ def _schedule(robot: Robot, end: np.ndarray, durations: tuple[float, float, floa
 
 
 def _terms(
-    robot: Robot, end: np.ndarray, height: float, ground: FlatGround, effort: np.ndarray | None
+    robot: Robot, end: np.ndarray, height: float, ground: FlatGround, torque_limits: Term
 ) -> tuple[Term, ...]:
     return (
         TorqueCost(weight=1.0),
@@ -161,7 +164,7 @@ def _terms(
         VelocityCost(weight=1e-2),
         PostureCost(weight=1e-1),
         WrenchCost(weight=1e-2),
-        EffortLimits(limit=effort),
+        torque_limits,
         PositionLimits(),
         VelocityLimits(),
         FrictionPyramid(friction=ground.friction),
@@ -170,6 +173,19 @@ def _terms(
         TerminalState(q=end),
         TerminalRest(q=end),
     )
+
+
+def _actuated(effort: float | None, voltage: float | None) -> tuple[Robot, Term]:
+    """The robot with its motors at a supply voltage, or without, and the term that limits torques."""
+    robot = robots.load("solo12")
+    if voltage is None:
+        return robot, EffortLimits(limit=None if effort is None else np.full(robot.nu, effort))
+    if effort is not None:
+        raise InputError(
+            f"solo12-jump has both effort={effort:g} and voltage={voltage:g}",
+            "allowed: one of them; with a voltage the motors' currents limit torques",
+        )
+    return robot.with_drives((solo12.drive(voltage),) * robot.nu), DriveLimits()
 
 
 def build(
@@ -182,9 +198,10 @@ def build(
     landing: float,
     friction: float,
     effort: float | None,
+    voltage: float | None,
 ) -> Problem:
     """Build the jump; see ``FAMILY`` for the parameters. Raises InputError."""
-    robot = robots.load("solo12")
+    robot, torque_limits = _actuated(effort, voltage)
     # Apex of a parabola from and to the standing height, with the rise that straight legs add.
     needed = 2 * math.sqrt(2 * max(height - TAKEOFF_RISE, 0.0) / STANDARD_GRAVITY)
     flight = max(SHORTEST_FLIGHT, needed) if flight is None else flight
@@ -197,7 +214,7 @@ def build(
         terrain=ground,
         initial_q=robot.reference,
         initial_v=np.zeros(robot.nv),
-        terms=_terms(robot, end, height, ground, None if effort is None else np.full(robot.nu, effort)),
+        terms=_terms(robot, end, height, ground, torque_limits),
         guess=_Guess(robot, end, np.array([distance, 0.0, yaw]), (stance, flight, landing)),
         parameters={
             "distance": distance,
@@ -208,6 +225,7 @@ def build(
             "landing": landing,
             "friction": friction,
             "effort": effort,
+            "voltage": voltage,
         },
     )
 
@@ -266,6 +284,15 @@ FAMILY = Family(
             lower=0.0,
             upper=1e4,
             meaning="torque limit (default: the URDF's)",
+        ),
+        Parameter(
+            name="voltage",
+            default=None,
+            unit="V",
+            lower=1.0,
+            upper=60.0,
+            meaning="supply of the robot's own motors (24 V), with rotor inertia, current limit and "
+            "torque-speed envelope (default: joints without motors)",
         ),
     ),
     build=build,

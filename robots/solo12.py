@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+
+from trajopt.drive import Drive
 from trajopt.robot import Robot
 from trajopt.robot_data import robot_file
 
@@ -22,6 +25,34 @@ STANDING = {
     "HR_HFE": -0.8,
     "HR_KFE": 1.6,
 }
+
+# The actuator of the Open Dynamic Robot Initiative, a T-Motor Antigravity 4004 300 kV behind two belts
+# of 3:1: 12 pole pairs, and by its identification (mechanics/actuator_module_v1/README.md of
+# open_robot_actuator_hardware) 0.23255 ohm a phase and a rated flux of 0.00954 V/Hz. The torque
+# constant, rotor inertia and largest current are those of robot_properties_solo and its controllers.
+GEAR_RATIO = 9.0
+PHASE_RESISTANCE = 0.23255  # ohm
+BACK_EMF_CONSTANT = 12 * 0.00954 / (2 * math.pi)  # V s/rad, amplitude of a phase, motor side
+TORQUE_CONSTANT = 0.025  # N m/A, amplitude of a phase, motor side
+CURRENT_LIMIT = 12.0  # A: 2.7 N m at the joint; the module is specified with 2.5 N m at 12 A
+ROTOR_INERTIA = 4.5e-6  # kg m^2, motor side
+
+
+def drive(voltage: float) -> Drive:
+    """Return the drive of every joint at a supply of ``voltage`` V (the robot's own has 24 V).
+
+    Space-vector modulation gives a phase an amplitude of voltage / sqrt 3. At 24 V the no-load speed
+    is then 761 rad/s; 300 rpm/V times 24 V, the maker's figure, is 754 rad/s.
+    """
+    return Drive.from_motor(
+        gear_ratio=GEAR_RATIO,
+        voltage=voltage / math.sqrt(3),
+        resistance=PHASE_RESISTANCE,
+        torque_constant=TORQUE_CONSTANT,
+        back_emf_constant=BACK_EMF_CONSTANT,
+        current_limit=CURRENT_LIMIT,
+        rotor_inertia=ROTOR_INERTIA,
+    )
 
 
 def build() -> Robot:
