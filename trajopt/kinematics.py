@@ -77,4 +77,4 @@ def _jacobian(model: pin.Model, data: pin.Data, q: np.ndarray, targets: Targets)
             blocks.append(pin.Jlog6(relative) @ pin.getFrameJacobian(model, data, frame, pin.LOCAL))
         else:
             blocks.append(pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3])
-    return np.vstack(blocks)
+    return np.concatenate(blocks).reshape(-1, model.nv)  # one joint alone gives vectors

@@ -34,7 +34,7 @@ def contact_jacobian(
     for frame, taken in contacts:
         rows = range(taken) if isinstance(taken, int) else taken
         jacobian = pin.computeFrameJacobian(model, data, q, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED)
-        blocks.append(jacobian[list(rows)])
+        blocks.append(jacobian.reshape(6, model.nv)[list(rows)])  # one joint alone gives a vector
     return np.vstack(blocks)
 
 
