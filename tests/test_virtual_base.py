@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import meshcat
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -18,6 +19,8 @@ from trajopt.errors import InputError
 from trajopt.model_quantities import generalized_force
 from trajopt.node_terms import TerminalRest, TerminalState
 from trajopt.problem import Problem
+from trajopt.replay_commands import Recorder
+from trajopt.replay_robot import draw_skeleton
 from trajopt.robot import Robot
 from trajopt.robot_building import base_of
 from trajopt.robot_data import robot_file
@@ -308,3 +311,15 @@ def test_the_same_jump_on_both_bases_agrees(yaw):
     np.testing.assert_allclose(free_flyer_path(jointed)[:, :3], turning.q[:, :3], atol=JUMP_PATH)
     assert trajopt.check(jointed).ok
     assert jointed.meta["gimbal_margin"] > 0.9
+
+
+def test_a_skeleton_shows_no_virtual_joints(tmp_path):
+    problem = with_virtual_base(lean())
+    solution = trajopt.solve(problem, compile="none", max_iterations=0)
+    shown = draw_skeleton(meshcat.Visualizer(window=Recorder()), solution)
+    still = draw_skeleton(
+        meshcat.Visualizer(window=Recorder()), trajopt.solve(lean(), compile="none", max_iterations=0)
+    )
+    assert {joint - 5 for joint in shown.points} == set(still.points)
+    for joint, points in still.points.items():
+        np.testing.assert_allclose(np.vstack(shown.points[joint + 5]), np.vstack(points), atol=ROUNDING)

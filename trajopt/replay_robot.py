@@ -15,7 +15,7 @@ from pinocchio.visualize.meshcat_visualizer import MeshcatVisualizer, loadMesh
 
 from trajopt import collada
 from trajopt.errors import InputError
-from trajopt.robot_building import reach
+from trajopt.robot_building import BASE_JOINT, base_of, reach
 from trajopt.robot_data import VisualSource
 from trajopt.solution import Solution
 
@@ -147,7 +147,7 @@ def draw_skeleton(vis: Any, solution: Solution) -> DrawnRobot:
     rods = _rods(solution)
     length_scale = reach(model) or 1.0
     bone, ball = BONE_RADIUS * length_scale, JOINT_RADIUS * length_scale
-    for joint in range(1, model.njoints):
+    for joint in range(max(_base_joint(model), 1), model.njoints):  # virtual joints are nothing to see
         node = vis[joint_path(model, joint)]
         node["joint"].set_object(shapes.Sphere(ball), shapes.MeshPhongMaterial(color=JOINT_COLOUR))
         drawn.add(joint, np.zeros((1, 3)))
@@ -164,11 +164,15 @@ def draw_skeleton(vis: Any, solution: Solution) -> DrawnRobot:
     return drawn
 
 
+def _base_joint(model: pin.Model) -> int:
+    return BASE_JOINT[base_of(model)]
+
+
 def _rods(solution: Solution) -> list[tuple[int, np.ndarray, bool]]:
     """(joint, end in its frame, is a tip) of every rod: to child joints, contact frames and tips."""
     model = solution.model
     rods = []
-    for child in range(1, model.njoints):
+    for child in range(_base_joint(model) + 1, model.njoints):
         parent = int(model.parents[child])
         if parent > 0 or model.joints[child].nv == 1:  # a floating base hangs on nothing
             rods.append((parent, model.jointPlacements[child].translation.copy(), False))

@@ -14,6 +14,7 @@ from trajopt.replay_commands import Command, Recorder, Tracks, without_shadow
 from trajopt.replay_ground import ground_height, light_and_ground
 from trajopt.replay_motion import Motion
 from trajopt.replay_robot import DrawnRobot, draw_robot, joint_path, tip_frames
+from trajopt.robot_building import BASE_JOINT, base_of
 from trajopt.solution import Solution
 
 FORCE_COLOUR = 0xD9421F
@@ -60,7 +61,8 @@ def build_scene(solution: Solution, motion: Motion) -> Scene:
     for contact, frame in enumerate(solution.contact_frames):
         _arrow(vis["forces"][frame.replace("/", "_")], tracks, motion, contact, size)
     _trails(vis["trails"], solution, motion)
-    _camera(vis, tracks, motion, box, ground, size)
+    carrier = BASE_JOINT[base_of(solution.model)] or min(1, solution.model.njoints - 1)
+    _camera(vis, tracks, motion, carrier, box, ground, size)
     recorder.commands.append(tracks.command())
     return Scene(recorder.commands, robot.note, WEIGHT_ARROW * size)
 
@@ -151,12 +153,14 @@ def _frame_paths(model: pin.Model, motion: Motion, frames: list[int]) -> np.ndar
     return paths
 
 
-def _camera(vis: Any, tracks: Tracks, motion: Motion, box: np.ndarray, ground: float, size: float) -> None:
-    """Frame the whole motion, or travel with the base if the motion is long.
+def _camera(
+    vis: Any, tracks: Tracks, motion: Motion, carrier: int, box: np.ndarray, ground: float, size: float
+) -> None:
+    """Frame the whole motion, or travel with the base, which the joint ``carrier`` carries, if it is long.
 
     Meshcat's camera always looks at the origin of the viewer: the world is moved there instead.
     """
-    base = motion.joints[:, 1, :3, 3] if motion.joints.shape[1] > 1 else motion.joints[:, 0, :3, 3]
+    base = motion.joints[:, carrier, :3, 3]
     travel = base - base[0]
     low, high = np.array([*box[0, :2], min(ground, box[0, 2])]), box[1]
     follows = float(np.ptp(travel[:, :2], axis=0).max()) > FOLLOW_FROM * size
