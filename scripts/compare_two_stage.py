@@ -3,8 +3,8 @@
 uv run python -m scripts.compare_two_stage
 uv run python -m scripts.compare_two_stage solo12-jump --set distance=0.5 --set effort=2.2
 
-Costs are the full problem's objective, evaluated at each solution. "shared anew" is stage one with its contact
-wrenches redistributed (`trajopt.wrench_distribution`).
+Costs are the full problem's objective, evaluated at each solution. "shared anew" is stage one with its
+contact wrenches redistributed (`trajopt.wrench_distribution`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import trajopt
 from trajopt.extraction import extract
 from trajopt.problem import Problem
 from trajopt.solution import Solution
-from trajopt.solvers import Result, run
+from trajopt.solvers import Result, Status, run
 from trajopt.solvers.drivers import SOLVERS, Stop
 from trajopt.solving import Prepared, prepare
 from trajopt.stage_functions import derivatives
@@ -48,8 +48,16 @@ class Solved:
     def of(cls, problem: Problem, solver: str) -> Solved:
         prepared = prepare(problem)
         result = run(prepared.nlp, prepared.guess, solver, Stop(), {}, lambda _: True)
-        solution = extract(prepared.transcription, result.x, {"success": True})
-        return cls(prepared, result, solution)
+        meta = {
+            "solver": solver,
+            "status": result.status.word,
+            "success": result.status is Status.SOLVED,
+            "iterations": result.iterations,
+            "objective": result.objective,
+            "tolerance": Stop().tolerance,
+            "wall_time_s": result.wall_time,
+        }
+        return cls(prepared, result, extract(prepared.transcription, result.x, meta))
 
     @property
     def instructions(self) -> tuple[int, int, int]:
@@ -81,8 +89,9 @@ def compare(problem: Problem, solver: str) -> None:
     sharing = time.perf_counter() - begin
     x = with_wrenches(first.prepared.transcription, first.result.x, shared)
     click.echo(
-        f"{'':12s} {'variables':>9s} {'rows':>6s} {'SX instructions':>22s} {'iterations':>10s} {'time s':>7s} "
-        f"{'ms/iteration':>12s} {'functions':>9s} {'cost':>8s}  largest torque beyond its limit"
+        f"{'':12s} {'variables':>9s} {'rows':>6s} {'SX instructions':>22s} {'iterations':>10s} "
+        f"{'time s':>7s} {'ms/iteration':>12s} {'functions':>9s} "
+        f"{'cost':>8s}  torque furthest beyond its limit"
     )
     for name, solved, unknowns, solution in (
         ("full", full, full.result.x, full.solution),
@@ -96,11 +105,11 @@ def compare(problem: Problem, solver: str) -> None:
         click.echo(
             f"{name:12s} {layout.n_unknowns:9d} {solved.prepared.transcription.n_rows:6d} "
             f"{'/'.join(str(n) for n in solved.instructions):>22s} {result.iterations:10d} {wall:7.2f} "
-            f"{per_iteration[0]:12.1f} {per_iteration[1]:9.2f} {full.prepared.nlp.f(unknowns):8.4f}  "
+            f"{per_iteration[0]:12.1f} {per_iteration[1]:9.2f} {full.prepared.nlp.engine.f(unknowns):8.4f}  "
             f"{worst.excess:+.1%} {worst.joint} at {worst.time:.2f} s ({worst.phase})  {result.status.word}"
         )
     failures = trajopt.check(shared).failures()
-    click.echo(f"check of the shared wrenches: {'all within tolerances' if not failures else failures}\n")
+    click.echo(f"check of the shared wrenches: {failures or 'all within tolerances'}\n")
 
 
 @click.command()
