@@ -295,6 +295,22 @@ def test_a_contact_that_cannot_move_is_of_rank_zero():
     close(ContactDynamics(model, contacts).acceleration(q, v, tau), expected, RELATIVE)
 
 
+def test_a_singular_wrist_leaves_its_motion_free():
+    model, _ = robot("ur5")
+    contacts = ContactSet.of(model, [("tool0", 6)])
+    q = np.array([0.3, -1.1, 1.4, 0.2, 0.0, 0.7])  # axes of the fourth and the last joint are parallel
+    turn = np.array([0.0, 0.0, 0.0, 1.0, 0.0, -1.0])
+    tau = actuated_force(model, turn) + pin.nle(model, model.createData(), q, np.zeros(6))
+    found = forward_dynamics(model, q, np.zeros(6), tau, contacts)
+    assert (found.rank.jacobian, found.rank.delassus) == (5, 5)
+    free = np.linalg.svd(contact_jacobian(model, q, [("tool0", 6)]))[2][-1]
+    mass = pin.crba(model, model.createData(), q)
+    close(found.acceleration, free * (free @ turn) / (free @ mass @ free), RELATIVE)
+    near = forward_dynamics(model, q + 1e-4 * np.eye(6)[4], np.zeros(6), tau, contacts)
+    assert near.rank.delassus == 6
+    vanishes(near.acceleration, 1e-6)  # all six rows hold all six joints
+
+
 def test_rows_that_contradict_each_other_are_met_in_least_squares_and_say_so():
     half, rate = 0.2, 3.0
     model = body({"left": (0.0, half, 0.0), "right": (0.0, -half, 0.0)})
