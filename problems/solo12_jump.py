@@ -11,7 +11,7 @@ import robots
 from robots import solo12
 from trajopt.drive_terms import DriveLimits
 from trajopt.errors import InputError
-from trajopt.family import Family, Parameter
+from trajopt.family import Choice, Family, Parameter
 from trajopt.kinematics import inverse_kinematics
 from trajopt.model_quantities import STANDARD_GRAVITY
 from trajopt.node_terms import FrameHeight, SwingClearance, TerminalRest, TerminalState
@@ -22,6 +22,7 @@ from trajopt.terms import (
     AccelerationCost,
     EffortLimits,
     FrictionPyramid,
+    ImpulseCost,
     PositionLimits,
     PostureCost,
     Term,
@@ -38,6 +39,8 @@ SHORTEST_FLIGHT = 0.3
 TAKEOFF_RISE = 0.04
 # Part of the take-off speed times its duration that the base travels while the feet are on the ground.
 GROUND_SHARE = 0.15
+# Price of a hard landing: without one an impact brakes for free, torques do not see it.
+IMPULSE_WEIGHT = 0.1
 # Least height of a foot over the ground in mid flight, m.
 CLEARANCE = 0.03
 
@@ -143,14 +146,20 @@ def _hermite(
     )
 
 
-def _schedule(robot: Robot, end: np.ndarray, durations: tuple[float, float, float]) -> Schedule:
+def _schedule(robot: Robot, end: np.ndarray, durations: tuple[float, float, float], impact: bool) -> Schedule:
     feet = tuple(contact.name for contact in robot.contacts)
     stance, flight, landing = durations
     return Schedule(
         (
             Phase(name="stance", duration=stance, contacts=feet),
             Phase(name="flight", duration=flight),
-            Phase(name="landing", duration=landing, contacts=feet, footholds=_footholds(robot, end)),
+            Phase(
+                name="landing",
+                duration=landing,
+                contacts=feet,
+                footholds=_footholds(robot, end),
+                impact=impact,
+            ),
         )
     )
 
@@ -199,6 +208,7 @@ def build(
     friction: float,
     effort: float | None,
     voltage: float | None,
+    touchdown: str,
 ) -> Problem:
     """Build the jump; see ``FAMILY`` for the parameters. Raises InputError."""
     robot, torque_limits = _actuated(effort, voltage)
@@ -206,15 +216,17 @@ def build(
     needed = 2 * math.sqrt(2 * max(height - TAKEOFF_RISE, 0.0) / STANDARD_GRAVITY)
     flight = max(SHORTEST_FLIGHT, needed) if flight is None else flight
     end = _pose(robot, distance, 0.0, 0.0, yaw)
+    impact = touchdown == "impact"
+    soft = (ImpulseCost(weight=IMPULSE_WEIGHT),) if impact else ()
     ground = FlatGround(friction=friction)
     return Problem(
         name="solo12-jump",
         robot=robot,
-        schedule=_schedule(robot, end, (stance, flight, landing)),
+        schedule=_schedule(robot, end, (stance, flight, landing), impact),
         terrain=ground,
         initial_q=robot.reference,
         initial_v=np.zeros(robot.nv),
-        terms=_terms(robot, end, height, ground, torque_limits),
+        terms=(*_terms(robot, end, height, ground, torque_limits), *soft),
         guess=_Guess(robot, end, np.array([distance, 0.0, yaw]), (stance, flight, landing)),
         parameters={
             "distance": distance,
@@ -226,6 +238,7 @@ def build(
             "friction": friction,
             "effort": effort,
             "voltage": voltage,
+            "touchdown": touchdown,
         },
     )
 
@@ -293,6 +306,12 @@ FAMILY = Family(
             upper=60.0,
             meaning="supply of the robot's own motors (24 V), with rotor inertia, current limit and "
             "torque-speed envelope (default: joints without motors)",
+        ),
+        Choice(
+            name="touchdown",
+            default="soft",
+            choices=("soft", "impact"),
+            meaning="land at zero foot velocity or by a rigid impact",
         ),
     ),
     build=build,
