@@ -127,6 +127,14 @@ def test_a_reference_in_lock_is_refused_in_one_line(order):
             assert gimbal_margin(turned.with_virtual_base(order).model, q[:-1] * 0) == 1
 
 
+def test_a_problem_that_starts_in_lock_is_refused():
+    q = hopper().reference.copy()
+    q[2] += 0.5
+    q[3:7] = pin.Quaternion(rotation_of("ZYX", [0.3, RIGHT, 0.0])).coeffs()
+    with pytest.raises(InputError, match="problem 'hop' starts in gimbal lock"):
+        with_virtual_base(replace(thrown(), initial_q=q, initial_v=np.zeros(8)))
+
+
 def test_velocities_in_lock_are_refused_and_postures_are_not():
     q, still = hopper().reference.copy(), np.zeros(8)
     q[3:7] = pin.Quaternion(rotation_of("ZYX", [0.3, RIGHT, 0.0])).coeffs()

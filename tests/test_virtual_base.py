@@ -13,7 +13,7 @@ from problems_for_tests import FOOT, hopper, lean
 import problems
 import robots
 import trajopt
-from trajopt.base_conversion import with_virtual_base
+from trajopt.base_conversion import BaseAccelerationCost, with_virtual_base
 from trajopt.drive import Drive
 from trajopt.errors import InputError
 from trajopt.model_quantities import generalized_force
@@ -25,7 +25,7 @@ from trajopt.robot import Robot
 from trajopt.robot_building import base_of
 from trajopt.robot_data import robot_file
 from trajopt.solution import Solution
-from trajopt.terms import PostureCost
+from trajopt.terms import AccelerationCost, PostureCost, VelocityCost
 from trajopt.units import Units
 from trajopt.virtual_base import (
     ORDERS,
@@ -301,6 +301,15 @@ def test_configurations_of_terms_are_mapped_and_other_terms_are_left_alone():
     kept = [term for term in problem.terms if any(term is other for other in converted.terms)]
     assert len(kept) == len(problem.terms) - 4  # both goals, velocity and acceleration costs
     np.testing.assert_allclose(converted.guess(0.2)[6:], problem.guess(0.2)[7:])
+
+
+def test_costs_of_the_joints_alone_need_no_conversion():
+    costs = (VelocityCost(weight=1.0, joints_only=True), AccelerationCost(weight=1.0, phases=("flight",)))
+    jump = problems.load("solo12-jump")
+    kept, converted = with_virtual_base(replace(jump, terms=costs)).terms
+    assert kept is costs[0]
+    assert (type(converted), converted.weight) == (BaseAccelerationCost, 1.0)
+    assert converted.phases == ("flight",)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.6])

@@ -23,7 +23,15 @@ from trajopt.problem import Problem
 from trajopt.robot import Robot
 from trajopt.term_interfaces import Term
 from trajopt.units import Units
-from trajopt.virtual_base import AXES, DEFAULT_ORDER, angles_of, from_free_flyer, virtual_order
+from trajopt.virtual_base import (
+    AXES,
+    DEFAULT_ORDER,
+    LEAST_MARGIN,
+    angles_of,
+    from_free_flyer,
+    margin_of,
+    virtual_order,
+)
 
 # Samples of the guess's angles that continue one another: a base turning once in the whole motion turns
 # by three degrees from one to the next.
@@ -42,6 +50,12 @@ def with_virtual_base(problem: Problem, order: str = DEFAULT_ORDER) -> Problem:
         raise InputError(f"problem '{problem.name}' has phases in minimal coordinates", "none of them")
     still = np.zeros(robot.nv)
     initial_q, initial_v, _ = from_free_flyer(order, problem.initial_q, problem.initial_v, still)
+    margin = float(margin_of(initial_q[4]))
+    if margin < LEAST_MARGIN:
+        raise InputError(
+            f"problem '{problem.name}' starts in gimbal lock: margin {margin:.3f} < {LEAST_MARGIN}",
+            "another order of the virtual joints, or base='freeflyer'",
+        )
     guess = _ContinuedGuess(order, problem.guess, problem.schedule.duration, initial_q[3:6])
 
     def mapped(q: np.ndarray) -> np.ndarray:
