@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,20 +18,12 @@ from trajopt.drive import Drive
 from trajopt.errors import InputError
 from trajopt.model_quantities import gravity_of, mass_of
 from trajopt.robot_building import Base
+from trajopt.robot_conversion import lock, on_virtual_base
 from trajopt.robot_data import VisualSource, package_directories
 from trajopt.robot_drives import driven, require_drives
-from trajopt.virtual_base import (
-    DEFAULT_ORDER,
-    LEAST_MARGIN,
-    from_free_flyer,
-    gimbal_margin,
-    virtual_model,
-)
+from trajopt.robot_validation import require_contacts, require_limits, require_reference
+from trajopt.virtual_base import DEFAULT_ORDER
 
-# A reference posture may touch its limit: rounding of degrees in description files, rad or m.
-LIMIT_SLACK = 1e-6
-# A unit quaternion or (cos, sin) pair of a reference is given with this many digits at least.
-UNIT_SLACK = 1e-6
 # A base lower than this part of the reach does not stand on its contacts: it lies, or hangs.
 STANDING_PART = 0.05
 
@@ -92,11 +84,9 @@ class Robot:
         for field, size in shapes.items():
             if getattr(self, field) is not None:
                 object.__setattr__(self, field, self._read_only(field, size))
-        if self.given_length is not None and not (np.isfinite(self.given_length) and self.given_length > 0):
-            raise InputError(f"given_length of robot '{self.name}' is {self.given_length}", "> 0 m, or None")
-        self._require_contacts()
-        self._require_limits()
-        self._require_reference()
+        require_contacts(self)
+        require_limits(self)
+        require_reference(self)
         if self.drives is not None:
             object.__setattr__(self, "drives", tuple(self.drives))
             require_drives(self, self.drives)
@@ -110,52 +100,6 @@ class Robot:
             raise InputError(f"{field} of robot '{self.name}' has shape {array.shape}", f"shape ({size},)")
         array.setflags(write=False)
         return array
-
-    def _require_contacts(self) -> None:
-        names = [contact.name for contact in self.contacts]
-        for name in names:
-            if names.count(name) > 1:
-                raise InputError(f"robot '{self.name}' has two contacts named '{name}'", "different names")
-        for contact in self.contacts:
-            require_frame(self.model, contact.frame, f"contact '{contact.name}'")
-
-    def _require_limits(self) -> None:
-        if np.isnan(self.position_lower).any() or np.isnan(self.position_upper).any():
-            raise InputError(f"position limits of robot '{self.name}' hold NaN", "numbers, or -inf and inf")
-        for index in np.flatnonzero(self.position_lower > self.position_upper):
-            raise InputError(
-                f"position limits of robot '{self.name}' are empty at index {index}: "
-                f"{self.position_lower[index]} > {self.position_upper[index]}",
-                "lower <= upper",
-            )
-        for field in ("velocity_limit", "effort_limit"):
-            limit = getattr(self, field)
-            if limit is not None and not (limit >= 0).all():
-                raise InputError(f"{field} of robot '{self.name}' is negative or NaN", "numbers >= 0, or inf")
-
-    def _require_reference(self) -> None:
-        q = self.reference
-        if not np.isfinite(q).all():
-            raise InputError(f"reference of robot '{self.name}' is not finite", "metres and radians")
-        outside = np.maximum(self.position_lower - q, q - self.position_upper)
-        for joint in list(self.model.joints)[1:]:
-            name, rows = self.model.names[joint.id], slice(joint.idx_q, joint.idx_q + joint.nq)
-            if (outside[rows] > LIMIT_SLACK).any():
-                raise InputError(
-                    f"reference of robot '{self.name}' is outside its limits at joint '{name}': {q[rows]}",
-                    f"{self.position_lower[rows]} to {self.position_upper[rows]}",
-                )
-        if not pin.isNormalized(self.model, q, UNIT_SLACK):
-            raise InputError(
-                f"reference of robot '{self.name}' has a quaternion or (cos, sin) pair that is not unit",
-                "norm 1",
-            )
-        margin = gimbal_margin(self.model, q)
-        if margin is not None and margin < LEAST_MARGIN:
-            raise InputError(
-                f"reference of robot '{self.name}' is in gimbal lock: margin {margin:.3f} < {LEAST_MARGIN}",
-                "another order of the virtual joints, or base='freeflyer'",
-            )
 
     @property
     def nq(self) -> int:
@@ -247,18 +191,7 @@ class Robot:
         order: of the angles' axes, "ZYX" for yaw, pitch, roll; one of `virtual_base.ORDERS`. All else is
         kept: inertias, frames, contacts, limits, drives and the reference. Raises `InputError`.
         """
-        if self.base != "freeflyer":
-            raise InputError(f"robot '{self.name}' has base={self.base!r}", "'freeflyer'")
-        still = np.zeros(self.nv)
-        lower, upper = (array[7:] for array in (self.position_lower, self.position_upper))
-        return replace(
-            self,
-            model=virtual_model(self.model, order),
-            base="virtual",
-            reference=from_free_flyer(order, self.reference, still, still)[0],
-            position_lower=np.concatenate([np.full(6, -np.inf), lower]),
-            position_upper=np.concatenate([np.full(6, np.inf), upper]),
-        )
+        return on_virtual_base(self, order)
 
     @classmethod
     def from_urdf(
@@ -346,24 +279,3 @@ class Robot:
             passive=tuple(passive),
         )
         return robot.with_locked(locked) if locked else robot
-
-
-def lock(robot: Robot, joints: Sequence[str], reference: np.ndarray) -> Robot:
-    """Return ``robot`` with ``joints`` welded at ``reference`` (nq,); limits of the others are kept."""
-    replace(robot, reference=reference)  # refuses a reference of wrong shape or outside the limits
-    model = building.locked_model(robot.model, joints, reference)
-    kept = [robot.model.joints[robot.model.getJointId(name)] for name in list(model.names)[1:]]
-    rows_q = np.concatenate([np.arange(joint.idx_q, joint.idx_q + joint.nq) for joint in kept]).astype(int)
-    rows_v = np.concatenate([np.arange(joint.idx_v, joint.idx_v + joint.nv) for joint in kept]).astype(int)
-    actuated = rows_v[rows_v >= robot.n_unactuated] - robot.n_unactuated
-    return replace(
-        robot,
-        model=model,
-        reference=reference[rows_q],
-        velocity_limit=robot.velocity_limit[rows_v],
-        position_lower=robot.position_lower[rows_q],
-        position_upper=robot.position_upper[rows_q],
-        effort_limit=None if robot.effort_limit is None else robot.effort_limit[actuated],
-        passive=tuple(name for name in robot.passive if name not in joints),
-        drives=None if robot.drives is None else tuple(robot.drives[int(row)] for row in actuated),
-    )
