@@ -11,11 +11,16 @@ import pytest
 from problems_for_tests import FOOT, hopper
 
 import robots
+from trajopt.check import check
 from trajopt.drive import Drive
 from trajopt.errors import InputError, UnsupportedJointError
 from trajopt.minimal_coordinates import StanceMode, stance_mode
+from trajopt.problem import Problem
 from trajopt.robot import Contact, Robot
 from trajopt.robot_data import robot_file
+from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.solving import solve
+from trajopt.terms import AccelerationCost, PostureCost, TorqueCost, VelocityCost
 from trajopt.units import Units
 
 # Rounding of algorithms over a dozen bodies with forces of tens of newtons.
@@ -23,6 +28,8 @@ ROUNDING = 1e-10
 # Central differences of step 1e-5 of quantities of order one: truncation and cancellation below this.
 DIFFERENCES = 1e-7
 STEP = 1e-5
+# Two schemes of order six on the same motion, each solved to 1e-6 in natural units.
+SAME_OPTIMUM, SAME_PATH = 1e-5, 1e-4
 
 
 def _tilted(robot: Robot) -> Robot:
@@ -377,3 +384,50 @@ def test_passive_joints_follow_the_base_and_leave_with_a_lock():
     locked = robot.with_locked(["hip"])
     assert (locked.passive, locked.n_unactuated, locked.nu) == ((), 3, 1)
     np.testing.assert_array_equal(locked.effort_limit, robot.effort_limit)
+
+
+def standing_problem(robot: Robot, contacts: tuple[str, ...], q: np.ndarray, v: np.ndarray) -> Problem:
+    """Effort against posture for a moment, from a given push; costs that mean the same in all coordinates."""
+    return Problem(
+        name="push",
+        robot=robot,
+        schedule=Schedule((Phase(name="stance", duration=0.2, contacts=contacts),)),
+        terrain=FlatGround(),
+        initial_q=q,
+        initial_v=v,
+        terms=(
+            TorqueCost(weight=1.0),
+            AccelerationCost(weight=1e-2, joints_only=True),
+            VelocityCost(weight=1e-2, joints_only=True),
+            PostureCost(weight=1.0),
+        ),
+        guess=lambda t: q,
+        default_intervals=8,
+        default_transcription="legendre:3",
+    )
+
+
+@pytest.mark.parametrize("name", ["hopper", "bolt"])
+def test_one_stance_has_the_same_optimum_in_minimal_and_in_excess_coordinates(name):
+    mode = mode_of(name)
+    q, push = mode.robot.reference, np.random.default_rng(5).uniform(-0.5, 0.5, mode.robot.nv)
+    small = solve(standing_problem(mode.robot, (), q, push), compile="none")
+    contact = mode.floating.contact(mode.contact)
+    lifted_q, lifted_v, _ = mode.lifted(q, push)
+    large = solve(standing_problem(mode.floating, (contact.name,), lifted_q, lifted_v), compile="none")
+    assert small.success, small.meta["advice"]
+    assert large.success, large.meta["advice"]
+    for found in (small, large):  # nothing keeps Bolt's other foot above the ground here
+        assert set(check(found).failures()) <= {"penetration"}, str(check(found))
+    assert small.meta["variables"] < large.meta["variables"]
+    assert small.meta["objective"] == pytest.approx(large.meta["objective"], rel=SAME_OPTIMUM)
+    scale = mode.floating.weight * mode.floating.length
+    np.testing.assert_allclose(large.tau[:, mode.torque_rows], small.tau, atol=SAME_PATH * scale)
+    place = [other.name for other in mode.floating.contacts].index(contact.name)
+    for k in np.flatnonzero(small.collocation):
+        state = (small.q[k], small.v[k], small.a[k])
+        moved = pin.difference(mode.floating.model, mode.lifted(*state)[0], large.q[k])
+        assert np.abs(moved).max() < SAME_PATH
+        np.testing.assert_allclose(
+            mode.ground_reaction(*state), large.f[k, place, :3], atol=SAME_PATH * mode.floating.weight
+        )
