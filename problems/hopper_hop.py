@@ -131,15 +131,6 @@ def build(
         terms=_terms(robot, end, ground, impact),
         guess=guess,
         modes=modes,
-        parameters={
-            "distance": distance,
-            "stance": stance,
-            "flight": flight,
-            "landing": landing,
-            "friction": friction,
-            "coordinates": coordinates,
-            "touchdown": touchdown,
-        },
     )
 
 

@@ -119,15 +119,6 @@ def build(
         initial_v=np.zeros(robot.nv),
         terms=_terms(robot, pitch, yaw, ground),
         guess=_Guess(robot, np.array([pitch, yaw]), (stance, duration)),
-        parameters={
-            "pitch": pitch,
-            "yaw": yaw,
-            "duration": duration,
-            "stance": stance,
-            "friction": friction,
-            "base": base,
-            "order": order,
-        },
     )
     return with_virtual_base(problem, order) if base == "virtual" else problem
 

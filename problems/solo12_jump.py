@@ -228,18 +228,7 @@ def build(
         initial_v=np.zeros(robot.nv),
         terms=(*_terms(robot, end, height, ground, torque_limits), *soft),
         guess=_Guess(robot, end, np.array([distance, 0.0, yaw]), (stance, flight, landing)),
-        parameters={
-            "distance": distance,
-            "height": height,
-            "yaw": yaw,
-            "stance": stance,
-            "flight": flight,
-            "landing": landing,
-            "friction": friction,
-            "effort": effort,
-            "voltage": voltage,
-            "touchdown": touchdown,
-        },
+        parameters={"flight": flight},
     )
 
 

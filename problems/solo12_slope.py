@@ -114,16 +114,6 @@ def build(
         initial_v=np.zeros(robot.nv),
         terms=_terms(end, start[2] + height, ground, effort),
         guess=_Guess(start, end, stance, flight),
-        parameters={
-            "slope": slope,
-            "distance": distance,
-            "height": height,
-            "stance": stance,
-            "flight": flight,
-            "landing": landing,
-            "friction": friction,
-            "effort": effort,
-        },
         default_intervals=40,
     )
 

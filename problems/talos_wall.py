@@ -129,16 +129,6 @@ def build(
         initial_v=np.zeros(robot.nv),
         terms=_terms(force, end),
         guess=_Guess(robot, end, reach),
-        parameters={
-            "distance": distance,
-            "height": height,
-            "tilt": tilt,
-            "force": force,
-            "reach": reach,
-            "push": push,
-            "friction": friction,
-            "wall_friction": wall_friction,
-        },
         default_intervals=20,
     )
 

@@ -102,17 +102,6 @@ def build(
             NormalForce(contact=GRIP, upper=-force, phases=("pull",)),
         ),
         guess=_Guess(robot.reference, _grasping(robot, board), reach),
-        parameters={
-            "x": x,
-            "y": y,
-            "z": z,
-            "tilt": tilt,
-            "force": force,
-            "reach": reach,
-            "grasp": grasp,
-            "pull": pull,
-            "effort_share": effort_share,
-        },
         default_intervals=30,
     )
 

@@ -93,17 +93,6 @@ def build(
         terms=terms,
         guess=_Guess(start, end, duration),
         actuation=actuation,
-        parameters={
-            "x": x,
-            "y": y,
-            "z": z,
-            "roll": roll,
-            "pitch": pitch,
-            "yaw": yaw,
-            "duration": duration,
-            "effort_share": effort_share,
-            "actuation": actuation,
-        },
         default_intervals=30,
     )
 

@@ -6,7 +6,7 @@ import difflib
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from trajopt.errors import InputError
@@ -73,7 +73,10 @@ class Choice:
 
 @dataclass(frozen=True, kw_only=True)
 class Family:
-    """A problem family; ``build`` takes every parameter by name."""
+    """A problem family; ``build`` takes every parameter by name.
+
+    The problem carries the parameters' values; ``build`` names only those that it derives.
+    """
 
     name: str
     robot: str
@@ -94,7 +97,8 @@ class Family:
                 )
         chosen: dict[str, float | str | None] = {name: own.default for name, own in known.items()}
         chosen |= {name: known[name].parse(value) for name, value in values.items()}
-        return self.build(**chosen)
+        problem = self.build(**chosen)
+        return replace(problem, parameters={**chosen, **problem.parameters})
 
 
 def choose(families: Mapping[str, Family], name: str) -> Family:
