@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -30,17 +30,21 @@ class BasePath:
     """Placement of the free-flyer over time through a solution's samples, twice differentiable in a phase.
 
     Positions by quintics through position, velocity and acceleration; rotations by cubics in exponential
-    coordinates relative to the sample before.
+    coordinates relative to the sample before. ``durations`` are those of the phases in s in which the path
+    is asked for, default the solution's: it is stretched, where they were free.
     """
 
-    def __init__(self, solution: Solution) -> None:
+    def __init__(self, solution: Solution, durations: Sequence[float] | None = None) -> None:
         self._pieces = [_PhasePath(solution, rows) for rows in solution.phases]
-        self._ends = [piece.t[-1] for piece in self._pieces]
+        spans = [piece.t[-1] - piece.t[0] for piece in self._pieces] if durations is None else durations
+        self._starts = np.concatenate([[0.0], np.cumsum(spans)])
 
     def __call__(self, t: float) -> pin.SE3:
         """Placement at ``t`` in s; at a time between two phases that of the later one; times are clipped."""
-        piece = int(np.searchsorted(self._ends[:-1], t, side="right"))
-        return self._pieces[piece].placement(t)
+        i = int(np.searchsorted(self._starts[1:-1], t, side="right"))
+        own = self._pieces[i].t
+        fraction = (t - self._starts[i]) / (self._starts[i + 1] - self._starts[i])
+        return self._pieces[i].placement(float(own[0] + fraction * (own[-1] - own[0])))
 
 
 class _PhasePath:
@@ -115,5 +119,6 @@ def guess_from_srb(problem: Problem, solution: Solution, *, clearance: float = D
             f"the solution has {solution.q.shape[1]} coordinates and phases {solution.meta['phase_names']}",
             f"allowed: a free-flyer, 7, and phases {names}",
         )
-    posture = _LegPosture(problem=problem, base=BasePath(solution), clearance=clearance)
+    durations = [phase.duration for phase in problem.schedule.phases]
+    posture = _LegPosture(problem=problem, base=BasePath(solution, durations), clearance=clearance)
     return lru_cache(maxsize=CACHED_POSTURES)(posture.__call__)

@@ -40,13 +40,14 @@ from trajopt.units import Units
 # Weight of leaving the wrenches as they are where torques do not care, natural units.
 KEEPING = 1e-6
 # Weight of the largest excess: above any multiplier of costs of order one, so that limits come first.
-PENALTY = 1e3
+PENALTY = 1e2
 # OSQP's tolerance, natural units: below what the solver of the motion leaves.
 QP_TOLERANCE = 1e-9
 QP_ITERATIONS = 20_000
-# Contact rows may be worse than before by this part of their unit; more shortens the step.
-TRUSTED = 1e-8
-HALVINGS = 20
+# Contact rows may be worse than before by this part of their unit, half of what ``check`` allows: OSQP's
+# polishing fails now and then. More shortens the step, by bisection.
+TRUSTED = 5e-7
+BISECTIONS = 20
 
 
 def redistributed(problem: Problem, solution: Solution) -> Solution:
@@ -217,16 +218,18 @@ def _program(
 
 
 def _longest_step(contact: tuple[_Rows, np.ndarray], w: np.ndarray, step: np.ndarray) -> float:
-    """Largest of 1, 1/2, ... with which the exact contact terms are no worse than they were."""
+    """Largest part of the step, at most all, with which the exact contact terms are no worse than before."""
     rows, frames = contact
 
     def violation(at: np.ndarray) -> float:
         values, _ = rows.at(at, frames)
         return float(np.maximum(rows.lower - values, values - rows.upper).max(initial=0.0))
 
-    allowed, length = violation(w) + TRUSTED, 1.0
-    for _ in range(HALVINGS):
-        if violation(w + length * step) <= allowed:
-            return length
-        length /= 2
-    return 0.0
+    allowed = violation(w) + TRUSTED
+    if violation(w + step) <= allowed:
+        return 1.0
+    least, most = 0.0, 1.0
+    for _ in range(BISECTIONS):
+        middle = (least + most) / 2
+        least, most = (middle, most) if violation(w + middle * step) <= allowed else (least, middle)
+    return least
