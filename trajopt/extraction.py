@@ -182,29 +182,37 @@ def _wrenches(layout: Layout, contacts: tuple[Contact, ...], w: np.ndarray) -> n
 
 
 def _problem_meta(transcription: Transcription) -> dict[str, Any]:
-    problem, robot = transcription.problem, transcription.problem.robot
+    problem = transcription.problem
+    return {
+        "problem": problem.name,
+        "parameters": dict(problem.parameters),
+        "actuation": problem.actuation,
+        "terrain": problem.terrain.describe(),
+        "transcription": transcription.layout.scheme.name,
+        "intervals": list(transcription.layout.intervals),
+        "phase_names": [phase.name for phase in problem.schedule.phases],
+        "versions": {name: installed_version(name) for name in VERSIONED},
+        **robot_meta(problem),
+    }
+
+
+def robot_meta(problem: Problem) -> dict[str, Any]:
+    """What a solution's meta says of the problem's robot: contacts and what they touch, limits, drives."""
+    robot = problem.robot
     limits = {"effort_limit": robot.effort_limit, "velocity_limit": robot.velocity_limit}
     for term in problem.point_constraints:
         limits |= term.limits(robot)
     limits["effort_limit"] = actuated_row_limit(robot, limits["effort_limit"])
     meta: dict[str, Any] = {
-        "problem": problem.name,
-        "parameters": dict(problem.parameters),
         "robot": robot.name,
-        "actuation": problem.actuation,
         "contact_frames": [contact.frame for contact in robot.contacts],
         "contact_kinds": [contact.kind for contact in robot.contacts],
         "contact_sizes": [
             [c.half_length, c.half_width] if c.kind == "surface" else None for c in robot.contacts
         ],
         "friction": [problem.terrain.friction for _ in robot.contacts],
-        "terrain": problem.terrain.describe(),
         "surfaces": _surfaces(problem),
-        "transcription": transcription.layout.scheme.name,
-        "intervals": list(transcription.layout.intervals),
-        "phase_names": [phase.name for phase in problem.schedule.phases],
         "gravity": robot.model.gravity.linear.tolist(),
-        "versions": {name: installed_version(name) for name in VERSIONED},
         **{name: _as_numbers(limit) for name, limit in limits.items()},
     }
     if robot.drives is not None:

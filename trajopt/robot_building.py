@@ -28,6 +28,8 @@ UNLIMITED = 1e20
 
 # A plane counts as one of the world's coordinate planes up to rounding of description files.
 ALIGNED = 1e-12
+# Sines of angles between a joint's axis and the normal of the plane it moves in: rounding, too.
+PARALLEL = 1e-6
 
 # Pinocchio's planar joint moves in its own x-y plane. This placement lays it in the
 # sagittal plane: its x is the world's x, its y is up, and it turns about the world's -y.
@@ -100,14 +102,43 @@ def base_of(model: pin.Model) -> Base:
 
 
 def within_plane(model: pin.Model, contacts: tuple[Contact, ...]) -> tuple[Contact, ...]:
-    """Return contacts without the rows that a planar base leaves without meaning: none for other bases."""
+    """Return contacts without the rows that a planar base leaves without meaning: none for other bases.
+
+    A contact on a limb that can leave the plane (an abducted leg) keeps them: its foot could slide sideways.
+    """
     if base_of(model) != "planar":
         return contacts
     normal = np.abs(model.jointPlacements[1].rotation[:, 2])
     axis = int(np.argmax(normal))
     if normal[axis] < 1 - ALIGNED:
         return contacts
-    return tuple(contact.within_plane(axis) for contact in contacts)
+    leaving = leaving_plane(model, axis, pin.neutral(model))
+    return tuple(
+        contact if _carried_by(model, contact.frame) & leaving else contact.within_plane(axis)
+        for contact in contacts
+    )
+
+
+def leaving_plane(model: pin.Model, axis: int, q: np.ndarray) -> set[int]:
+    """Joints behind the root that at q (nq,) move their bodies out of planes across the world axis ``axis``."""
+    data = model.createData()
+    pin.computeJointJacobians(model, data, q)
+    found = set()
+    for joint in range(2, model.njoints):
+        rows = slice(model.joints[joint].idx_v, model.joints[joint].idx_v + model.joints[joint].nv)
+        axes = data.J[:, rows].copy()
+        # In the plane: turning about its normal, or sliding within it.
+        turning = np.delete(axes[3:], axis, axis=0)
+        slides = axes[axis] if not axes[3:].any() else np.zeros(0)
+        if (np.abs(turning) > PARALLEL).any() or (np.abs(slides) > PARALLEL).any():
+            found.add(joint)
+    return found
+
+
+def _carried_by(model: pin.Model, frame: str) -> set[int]:
+    """Joints between the root and a frame; none for a frame that does not exist."""
+    carrier = model.frames[model.getFrameId(frame)].parentJoint if model.existFrame(frame) else 0
+    return set(model.supports[carrier])
 
 
 def sagittal(model: pin.Model) -> pin.Model:
