@@ -1,13 +1,17 @@
-"""Numeric inverse kinematics for guesses: damped Gauss-Newton on several frames at once."""
+"""Numeric inverse kinematics: damped Gauss-Newton on several frames at once, one posture or all branches."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import itertools
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
+from scipy.stats import qmc
 
+from trajopt.errors import InputError
 from trajopt.robot import Robot
 
 # A pose, or a position (3,) in m, for each frame by name.
@@ -16,6 +20,8 @@ Targets = Mapping[str, pin.SE3 | np.ndarray]
 # Levenberg-Marquardt: the damping starts small against joint Jacobians of order one, shrinks on
 # success, grows on failure; an error below the tolerance is rounding to a guess.
 FIRST_DAMPING = 1e-6
+# Keeps the normal equations of a redundant arm regular, four digits above rounding.
+LEAST_DAMPING = 1e-12
 DAMPING_GROWTH = 10.0
 MOST_ITERATIONS = 60
 TOLERANCE = 1e-10
@@ -48,7 +54,7 @@ def inverse_kinematics(robot: Robot, q: np.ndarray, targets: Targets, *, move_ba
         trial = np.clip(pin.integrate(model, q, step), robot.position_lower, robot.position_upper)
         trial_error = _errors(model, data, trial, targets)
         if np.linalg.norm(trial_error) < np.linalg.norm(error):
-            q, error, damping = trial, trial_error, damping / DAMPING_GROWTH
+            q, error, damping = trial, trial_error, max(damping / DAMPING_GROWTH, LEAST_DAMPING)
         else:
             damping *= DAMPING_GROWTH
     return Posture(q, float(np.linalg.norm(error)))
@@ -78,3 +84,133 @@ def _jacobian(model: pin.Model, data: pin.Data, q: np.ndarray, targets: Targets)
         else:
             blocks.append(pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3])
     return np.concatenate(blocks).reshape(-1, model.nv)  # one joint alone gives vectors
+
+
+# Starts of the search for branches: the eight branches of a six-joint arm each attract some per cent of
+# them, so that missing one of this many is improbable (docs/modelling/irb1600.md counts).
+STARTS = 256
+# Postures of one branch, each refined to ``TOLERANCE``, differ by rounding over the least singular value.
+SAME_BRANCH = 1e-4
+# Representatives of the continuum of a redundant arm are this far apart, rad or m.
+SEPARATION = 1.0
+
+
+def inverse_kinematics_branches(
+    robot: Robot,
+    targets: Targets,
+    *,
+    near: np.ndarray | None = None,
+    starts: int = STARTS,
+    separation: float | None = None,
+    turns: bool = False,
+) -> tuple[Posture, ...]:
+    """All postures that bring frames to their targets within position limits, nearest to ``near`` first.
+
+    A search from ``starts`` postures of a Halton sequence over the joints, so deterministic; each is
+    refined to 1e-10 by `inverse_kinematics`, and then verified. The base stays where it is in ``near``
+    (nq,), default the reference. Branches of an arm (shoulder, elbow, wrist) come once each, in the turn
+    nearest to ``near``; with ``turns`` also in every whole turn of a joint within its limits. An arm with
+    more joints than rows has a continuum of postures: then these are representatives, ``separation``
+    apart (norm over the joints, rad and m; default 1.0). Empty where nothing within the limits reaches the
+    targets. Raises `InputError` for ``starts`` below one.
+
+    Nothing proves that all are found; more ``starts`` find what fewer may miss. At a singularity, where
+    branches meet, convergence is slow and what counts as different is a matter of ``separation``.
+    """
+    if starts < 1:
+        raise InputError(f"inverse kinematics from {starts} starts", "allowed: at least 1")
+    near = robot.reference if near is None else np.asarray(near, dtype=float)
+    data = robot.model.createData()
+    rows = len(_errors(robot.model, data, near, targets))
+    redundant = robot.nv - robot.n_unactuated > rows
+    if separation is None:
+        separation = SEPARATION if redundant else SAME_BRANCH
+    turning = _turning_joints(robot)
+    searched = robot if redundant else _without_limits(robot, turning)
+    found: list[np.ndarray] = []
+    for start in _starts(robot, near, starts):
+        posture = inverse_kinematics(searched, start, targets)
+        if posture.error > TOLERANCE:
+            continue
+        q = _in_nearest_turn(robot, posture.q, near, turning)
+        if q is not None and all(_distance(robot, q, other, turning) > separation for other in found):
+            found.append(q)
+    if turns:
+        found = [turned for q in found for turned in _all_turns(robot, q, turning)]
+    found.sort(key=lambda q: float(np.linalg.norm(pin.difference(robot.model, near, q))))
+    return tuple(Posture(q, float(np.linalg.norm(_errors(robot.model, data, q, targets)))) for q in found)
+
+
+def _turning_joints(robot: Robot) -> list[int]:
+    """Index in q of every actuated revolute joint with one coordinate: a whole turn is the same posture."""
+    return [
+        int(joint.idx_q)
+        for joint in list(robot.model.joints)[1:]
+        if joint.nq == joint.nv == 1
+        and joint.idx_v >= robot.n_unactuated
+        and joint.shortname().removeprefix("JointModel").startswith("R")
+    ]
+
+
+def _without_limits(robot: Robot, turning: list[int]) -> Robot:
+    """The robot with revolute joints free to turn: limits only choose among an isolated posture's turns."""
+    lower, upper = robot.position_lower.copy(), robot.position_upper.copy()
+    lower[turning], upper[turning] = -np.inf, np.inf
+    return replace(robot, position_lower=lower, position_upper=upper)
+
+
+def _starts(robot: Robot, near: np.ndarray, count: int) -> Iterator[np.ndarray]:
+    """``near``, then postures of a Halton sequence: limited joints over their range, others over a turn."""
+    yield near
+    free = np.arange(robot.n_unactuated, robot.nv)
+    lower, upper = np.full(robot.nv, -math.pi), np.full(robot.nv, math.pi)
+    for joint in list(robot.model.joints)[1:]:
+        if joint.nq == joint.nv:
+            of_v, of_q = (slice(i, i + joint.nv) for i in (joint.idx_v, joint.idx_q))
+            below, above = robot.position_lower[of_q] - near[of_q], robot.position_upper[of_q] - near[of_q]
+            limited = np.isfinite(below) & np.isfinite(above)
+            lower[of_v], upper[of_v] = np.where(limited, below, -math.pi), np.where(limited, above, math.pi)
+    for point in qmc.Halton(len(free), scramble=False).random(count - 1):
+        step = np.zeros(robot.nv)
+        step[free] = lower[free] + point * (upper[free] - lower[free])
+        yield pin.integrate(robot.model, near, step)
+
+
+def _in_nearest_turn(robot: Robot, q: np.ndarray, near: np.ndarray, turning: list[int]) -> np.ndarray | None:
+    """The posture with each revolute joint in the turn nearest to ``near`` within limits, None without."""
+    best = q.copy()
+    for index in turning:
+        choices = _within(robot, q, index)
+        if len(choices) == 0:
+            return None
+        best[index] = choices[np.argmin(np.abs(choices - near[index]))]
+    inside = (best >= robot.position_lower - TOLERANCE) & (best <= robot.position_upper + TOLERANCE)
+    return best if inside.all() else None
+
+
+def _within(robot: Robot, q: np.ndarray, index: int) -> np.ndarray:
+    """Values of one revolute joint within its limits that are whole turns from its value in ``q``.
+
+    Without limits: those within one turn of it.
+    """
+    lower, upper = robot.position_lower[index], robot.position_upper[index]
+    lower = lower if np.isfinite(lower) else robot.reference[index] - math.pi
+    upper = upper if np.isfinite(upper) else robot.reference[index] + math.pi
+    first = math.ceil((lower - TOLERANCE - q[index]) / (2 * math.pi))
+    last = math.floor((upper + TOLERANCE - q[index]) / (2 * math.pi))
+    return np.asarray(q[index] + 2 * math.pi * np.arange(first, last + 1))
+
+
+def _all_turns(robot: Robot, q: np.ndarray, turning: list[int]) -> Iterator[np.ndarray]:
+    for values in itertools.product(*[_within(robot, q, index) for index in turning]):
+        turned = q.copy()
+        turned[turning] = values
+        yield turned
+
+
+def _distance(robot: Robot, q: np.ndarray, other: np.ndarray, turning: list[int]) -> float:
+    """Norm of the difference in the tangent space, whole turns of revolute joints left out."""
+    difference = pin.difference(robot.model, other, q)
+    rows = [int(joint.idx_v) for joint in list(robot.model.joints)[1:] if joint.idx_q in turning]
+    difference[rows] = np.remainder(difference[rows] + math.pi, 2 * math.pi) - math.pi
+    return float(np.linalg.norm(difference))
