@@ -4,7 +4,8 @@ uv run python -m scripts.compare_guesses
 uv run python -m scripts.compare_guesses --seeds 20 --sigma 0.3
 
 Jumps of Solo12 from the problem's own guess, from one rigid body (`trajopt.body_guess`), and from standing
-still; walks of Talos from the linear inverted pendulum, and with the CoM midway between the feet.
+still; walks of Talos from the linear inverted pendulum, with the CoM midway between the feet, and from
+standing still.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ def jumps(solver: str) -> Iterator[tuple[str, str, Problem]]:
 
 
 def walks() -> Iterator[tuple[str, str, Problem]]:
-    """Walks with two guesses."""
+    """Walks with three guesses."""
     for values in WALKS:
         name = "walk " + " ".join(f"{key}={value}" for key, value in values.items())
         problem = problems.load("biped-walk", **values)
@@ -78,15 +79,17 @@ def walks() -> Iterator[tuple[str, str, Problem]]:
         robot, plan = problem.robot, footholds_of(problem)
         feet = FootMotion(plan=plan, initial=feet_of(robot, problem.initial_q), clearance=DEFAULT_CLEARANCE)
         yield name, "midway", replace(problem, guess=guess_from_lip(robot, plan, Midway(feet=feet)))
+        yield name, "standing still", replace(problem, guess=lambda t, q=robot.reference: q)
 
 
 @click.command()
 @click.option("--solver", type=click.Choice(list(SOLVERS)), default="ipopt")
 @click.option("--sigma", default=0.1, help="standard deviation of the noise, scaled units")
 @click.option("--seeds", default=5, help="perturbed starts: seeds 0 to N - 1")
-def main(solver: str, sigma: float, seeds: int) -> None:
+@click.option("--walks-only", is_flag=True, help="leave out the jumps")
+def main(solver: str, sigma: float, seeds: int, walks_only: bool) -> None:
     """Print a line for every problem and guess."""
-    for name, guess, problem in (*jumps(solver), *walks()):
+    for name, guess, problem in (*(() if walks_only else jumps(solver)), *walks()):
         prepared = prepare(problem)
         starts = [
             prepared.guess,

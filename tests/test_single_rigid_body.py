@@ -266,7 +266,7 @@ def test_unsuitable_robots_solutions_and_reaches_are_refused() -> None:
 @pytest.mark.slow
 def test_full_jump_from_the_guess_of_one_body_reaches_the_same_optimum() -> None:
     problem, solution = jump()
-    settings = {"transcription": "legendre:1", "intervals": 24, "compile": "quick"}
+    settings = {"intervals": 30, "compile": "quick"}
     guess = guess_from_srb(problem, solution)
     found = [trajopt.solve(p, **settings) for p in (problem, replace(problem, guess=guess))]
     assert all(s.success and s.meta["iterations"] <= MOST_ITERATIONS for s in found)
