@@ -47,21 +47,27 @@ class DriveLimits(PointConstraint):
             torque = context.torque[row]
             if row in driven:
                 rate = context.dxi[robot.n_unactuated + row]
-                parts += _drive_rows(driven[row], torque, rate, units)
+                parts += [
+                    ca.dot(context.parameter(factors), ca.vertcat(torque, rate))
+                    for factors in _drive_rows(driven[row], units)
+                ]
             elif robot.effort_limit is not None and 0 < robot.effort_limit[row] < units.unreachable_torque:
-                parts.append(torque / robot.effort_limit[row])
+                parts.append(context.parameter(1 / robot.effort_limit[row]) * torque)
         return Rows.create(ca.vertcat(*parts), -1.0, 1.0, 1.0) if parts else None
 
 
-def _drive_rows(drive: Drive, torque: ca.SX, rate: ca.SX, units: Units) -> list[ca.SX]:
-    """Voltage and current over their limits, as far as they can reach them."""
+def _drive_rows(drive: Drive, units: Units) -> list[np.ndarray]:
+    """Factors of (torque, rate), joint side, that make voltage and current over their limits.
+
+    Only as far as these can be reached. Factors are parameters: another voltage needs no new code.
+    """
     reach = min(drive.torque_limit, units.unreachable_torque / abs(drive.gear_ratio))
     speed = abs(drive.gear_ratio) * units.unreachable_velocity
     rows = []
     if reach / drive.stall_torque + speed / drive.no_load_speed > 1:
-        rows.append(drive.voltage_use(torque, rate))
+        rows.append(np.array([drive.voltage_use(1.0, 0.0), drive.voltage_use(0.0, 1.0)]))
     if drive.joint_torque_limit < units.unreachable_torque and not _voltage_is_tighter(drive):
-        rows.append(drive.motor_torque(torque) / drive.torque_limit)
+        rows.append(np.array([drive.motor_torque(1.0) / drive.torque_limit, 0.0]))
     return rows
 
 
@@ -79,12 +85,10 @@ class MotorTorqueCost(Cost):
     """
 
     def residual(self, context: Context, units: Units) -> ca.SX:
-        return ca.vertcat(
-            *[
-                drive.motor_torque(context.torque[row]) / _largest_motor_torque(drive, units)
-                for row, drive in _driven_rows(context.robot)
-            ]
-        )
+        driven = _driven_rows(context.robot)
+        torque = ca.vertcat(*[context.torque[row] for row, _ in driven])
+        factors = [drive.motor_torque(1.0) / _largest_motor_torque(drive, units) for _, drive in driven]
+        return context.parameter(np.array(factors)) * torque
 
 
 def _largest_motor_torque(drive: Drive, units: Units) -> float:

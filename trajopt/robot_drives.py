@@ -79,9 +79,9 @@ def require_drives(robot: Robot, drives: Drives) -> None:
     """Raise `InputError` unless ``drives`` are one or None for each actuated row, of single joints."""
     foreign = [type(entry).__name__ for entry in drives if not (entry is None or isinstance(entry, Drive))]
     if foreign or len(drives) != robot.nu:
+        kinds = f", some of kind {', '.join(foreign)}" if foreign else ""
         raise InputError(
-            f"drives of robot '{robot.name}' are {len(drives)}"
-            + "".join(f", one {name}" for name in foreign),
+            f"drives of robot '{robot.name}' are {len(drives)}{kinds}",
             f"a Drive or None for each of its {robot.nu} actuated rows",
         )
     single = {int(joint.idx_v) for joint in list(robot.model.joints)[1:] if joint.nv == 1}
