@@ -27,7 +27,9 @@ from trajopt.errors import TrajoptError
 from trajopt.progress import CANCELLED, stdout_to_stderr, watched
 
 if TYPE_CHECKING:
+    from trajopt.problem import Problem
     from trajopt.report import Report
+    from trajopt.scene import Scene
     from trajopt.solution import Solution
 
 BAD_INPUT = 2
@@ -151,17 +153,26 @@ def list_problems(as_json: bool) -> None:
 @click.option(
     "--solver-option", "solver_options", multiple=True, metavar="NAME=VALUE", help="The solver's own option."
 )
+@click.option("--smallest", is_flag=True, help="Solve only what the scene requires, for the whole robot.")
+@click.option("--explain", is_flag=True, help="The same; first say what is modelled, left out, and why.")
+@click.option("--keep", multiple=True, metavar="JOINT", help="A joint that --smallest must not lock.")
 @click.option("--output", type=Path, metavar="FILE", help="Solution file.  [default: PROBLEM.npz]")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def solve(
     problem: str,
     settings: tuple[str, ...],
     solver_options: tuple[str, ...],
+    smallest: bool,
+    explain: bool,
+    keep: tuple[str, ...],
     output: Path | None,
     as_json: bool,
     **arguments: Any,
 ) -> int:
     """Solve PROBLEM and write the solution file.
+
+    PROBLEM is solved as it is built. With --smallest or --explain joints that nothing needs are locked and a
+    symmetric task is solved in the plane; the file holds the motion of the whole robot all the same.
 
     Exit status 0 when the solver has solved it, 1 when not: the file then holds its last iterate, and
     its status and worst rows are printed. Ctrl-C stops the solver, keeps that iterate and ends with 1.
@@ -173,17 +184,30 @@ def solve(
     options = options_of(solver_options)
     loaded = choose(families(), problem).load(values_of(settings, "--set"))
     target = check_output(output or Path(f"{problem}.npz"))
+    scene = _scene(loaded, keep, arguments) if smallest or explain or keep else None
+    if scene is not None and explain and not as_json:
+        click.echo(str(scene.report))
     # The check's integrator takes long to load: let it load while the solver holds no Python lock.
     threading.Thread(target=importlib.import_module, args=("scipy.integrate",), daemon=True).start()
     with stdout_to_stderr(), watched(problem, arguments["max_time"]) as progress:
-        solution = run(loaded, options=options, progress=progress, **arguments)
+        solution = run(scene.problem if scene else loaded, options=options, progress=progress, **arguments)
+    solution = scene.lift(solution) if scene else solution
     file, notes = _saved(solution, target)
-    report = _checked(solution, notes)
+    report = _checked(solution, notes, "" if scene is None or scene.report.is_exact else " or no --smallest")
     if as_json:
-        click.echo(cli_report.to_json(cli_report.solve_dict(solution, report, file)))
+        explained = {"scene": scene.report.to_dict()} if scene else {}
+        click.echo(cli_report.to_json(cli_report.solve_dict(solution, report, file) | explained))
     else:
         click.echo(cli_report.summary(solution, report, file, notes))
     return 0 if solution.success else NOT_REACHED
+
+
+def _scene(problem: Problem, keep: tuple[str, ...], arguments: dict[str, Any]) -> Scene:
+    """The smallest problem with the same task, on the grid that is asked for."""
+    from trajopt.scene import smallest
+
+    grid = {name: arguments[name] for name in ("transcription", "intervals")}
+    return smallest(problem, keep=keep, **grid)
 
 
 def _saved(solution: Solution, target: Path) -> tuple[Path | None, list[str]]:
@@ -198,7 +222,7 @@ def _saved(solution: Solution, target: Path) -> tuple[Path | None, list[str]]:
     return solution.save(target), []
 
 
-def _checked(solution: Solution, notes: list[str]) -> Report | None:
+def _checked(solution: Solution, notes: list[str], advice: str) -> Report | None:
     """The check of a solve, or None and a note where there is nothing that can be checked."""
     import numpy as np
 
@@ -212,7 +236,7 @@ def _checked(solution: Solution, notes: list[str]) -> Report | None:
         return None
     beyond = cli_report.beyond(report)
     if beyond and solution.success:
-        notes.append(f"beyond the tolerances of a check: {beyond}; try more intervals")
+        notes.append(f"beyond the tolerances of a check: {beyond}; try more intervals{advice}")
     return report
 
 

@@ -120,7 +120,7 @@ def within_plane(model: pin.Model, contacts: tuple[Contact, ...]) -> tuple[Conta
 
 
 def leaving_plane(model: pin.Model, axis: int, q: np.ndarray) -> set[int]:
-    """Joints behind the root that at q (nq,) move their bodies out of planes across the world axis ``axis``."""
+    """Joints behind the root that at q (nq,) leave the planes across the world's axis number ``axis``."""
     data = model.createData()
     pin.computeJointJacobians(model, data, q)
     found = set()

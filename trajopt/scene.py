@@ -19,11 +19,11 @@ from typing import Literal, get_args
 
 from trajopt.errors import InputError
 from trajopt.problem import Problem
-from trajopt.scene_facts import facts, modelled, offers
+from trajopt.scene_facts import modelled, remarks
 from trajopt.scene_flat import flattened
 from trajopt.scene_lift import lifted
 from trajopt.scene_lock import behind_base, chained, locked
-from trajopt.scene_needs import needed_joints
+from trajopt.scene_needs import KEPT_AS_ASKED, needed_joints
 from trajopt.scene_plane import Halved, halved
 from trajopt.scene_reduction import Reduction
 from trajopt.scene_report import CHOICE, EXACT, KEPT, Decision, SceneReport, Size
@@ -74,15 +74,15 @@ def smallest(
 ) -> Scene:
     """Return the smallest problem with the task of ``problem``.
 
-    keep: joints, by name, that are never locked. plane: halve a symmetric robot on a symmetric task if that is
-    found possible ("auto"), must be (True), or never (False). soles: four coplanar point contacts at a
+    keep: joints, by name, that are never locked. plane: halve a symmetric robot on a symmetric task if that
+    is found possible ("auto"), must be (True), or never (False). soles: four coplanar point contacts at a
     rectangle's corners on one link become one surface contact. torques: model them although no term asks for
     them. transcription, intervals: the grid that sizes are reported for; default the problem's.
 
     Nothing is solved. Raises `InputError` for an unknown joint, and with ``plane=True`` where the robot or
     the task is not symmetric: the message says what is not.
     """
-    if plane not in get_args(Plane) or isinstance(plane, int) and not isinstance(plane, bool):
+    if plane not in get_args(Plane) or (isinstance(plane, int) and not isinstance(plane, bool)):
         raise InputError(f"plane={plane!r} is unknown", "'auto', True or False")
     return _Smallest(problem, tuple(keep), plane, (transcription, intervals)).build(soles, torques)
 
@@ -117,7 +117,7 @@ class _Smallest:
             self.halve()
         if not torques:
             self.drop_torques()
-        self.decisions += facts(self.problem, self.whole) + offers(self.problem)
+        self.decisions += remarks(self.problem, self.whole, self.grid)
         return Scene(
             original=self.original,
             problem=self.problem,
@@ -183,14 +183,14 @@ class _Smallest:
                 "at their start: no contact, goal, clearance or other target needs them; they shift no weight"
             )
             self.note(CHOICE, f"{len(idle)} joints locked: {', '.join(idle)}", why)
-        asked = [name for name in self.keep if self.needs.get(name) == "kept as asked"]
+        asked = [name for name in self.keep if self.needs.get(name) == KEPT_AS_ASKED]
         if asked:
-            why = "nothing else needs them" if len(asked) > 1 else "nothing else needs it"
-            self.decisions.append(Decision(kind=KEPT, what=f"joints {', '.join(asked)}, as asked", why=why))
+            what = f"joints {', '.join(asked)}, as asked"
+            self.decisions.append(Decision(kind=KEPT, what=what, why="nothing else needs them"))
 
     def halve(self) -> None:
         """The half in the plane, if the robot and the task are symmetric."""
-        if self.plane is False:
+        if self.plane is False or (self.plane == "auto" and self.whole.robot.base != "freeflyer"):
             return
         try:
             half = halved(self.problem, self._kept())

@@ -1,7 +1,7 @@
 """What terms ask of a robot: their expressions in every phase, read by their symbols.
 
-Nothing is known about a term but what it does: it is written over a context in each phase, at points, nodes and
-impacts, and the symbols in what it returns say which frames, joints, torques and contacts it uses.
+Nothing is known about a term but what it does: it is written over a context in each phase, at points, nodes
+and impacts, and the symbols in what it returns say which frames, joints, torques and contacts it uses.
 """
 
 from __future__ import annotations

@@ -17,6 +17,8 @@ from trajopt.scene_report import EXACT, OFFER, Decision
 from trajopt.schemes import scheme
 from trajopt.units import Units
 
+Grid = tuple[str | None, int | None]
+
 
 def modelled(problem: Problem, whole: Problem, needs: Mapping[str, str]) -> tuple[str, ...]:
     """What is modelled: base, joints with why they are needed, contacts of every phase, inputs."""
@@ -35,21 +37,26 @@ def modelled(problem: Problem, whole: Problem, needs: Mapping[str, str]) -> tupl
     return tuple(lines)
 
 
-def facts(problem: Problem, whole: Problem) -> list[Decision]:
-    """Rows and unknowns that were never there, with the reason and how many they would be."""
-    return [*_flight(problem), *_limits(problem), *_friction(whole), *_clearance(problem)]
+def remarks(problem: Problem, whole: Problem, grid: Grid) -> list[Decision]:
+    """Rows and unknowns that were never there, with the reason; and what could go if the caller wants.
+
+    Numbers are for a ``grid`` (transcription, intervals) that defaults to the problem's.
+    """
+    points = _points(problem, grid)
+    never = [*_flight(problem, points), *_limits(problem), *_friction(whole), *_clearance(problem)]
+    return [*never, *_offered_points(problem, points), *_offered_velocity(problem)]
 
 
-def _points(problem: Problem) -> np.ndarray:
-    """Collocation points of every phase on the problem's own grid."""
-    intervals = problem.schedule.intervals(problem.default_intervals)
-    return np.array(intervals) * scheme(problem.default_transcription).s
+def _points(problem: Problem, grid: Grid) -> np.ndarray:
+    """Collocation points of every phase."""
+    method, total = scheme(grid[0] or problem.default_transcription), grid[1] or problem.default_intervals
+    return np.array(problem.schedule.intervals(total)) * method.s
 
 
-def _flight(problem: Problem) -> list[Decision]:
+def _flight(problem: Problem, points: np.ndarray) -> list[Decision]:
     """No force of a contact where it is not active: the schedule says so."""
     robot, phases = problem.robot, problem.schedule.phases
-    points, count = _points(problem), 0
+    count = 0
     for number, phase in zip(points, phases, strict=True):
         count += int(number) * sum(c.dimension for c in robot.contacts if c.name not in phase.contacts)
     if not count:
@@ -121,25 +128,21 @@ def _clearance(problem: Problem) -> list[Decision]:
     return [Decision(kind=EXACT, what=f"clearance rows of {', '.join(always)}", why=why)]
 
 
-def offers(problem: Problem) -> list[Decision]:
-    """What would be simpler and is not done unasked."""
-    return [*_offered_points(problem), *_offered_velocity(problem)]
-
-
-def _offered_points(problem: Problem) -> list[Decision]:
-    soles = [c for c in problem.robot.contacts if c.kind == "surface"]
+def _offered_points(problem: Problem, points: np.ndarray) -> list[Decision]:
+    held = {n for phase in problem.schedule.phases for n, s in phase.surfaces.items() if s.bilateral}
+    soles = [c for c in problem.robot.contacts if c.kind == "surface" and c.name not in held]
     active = [
         int(number)
         * sum(c.dimension - len([r for r in c.rows if r < 3]) for c in soles if c.name in phase.contacts)
-        for number, phase in zip(_points(problem), problem.schedule.phases, strict=True)
+        for number, phase in zip(points, problem.schedule.phases, strict=True)
     ]
-    if not sum(active):
+    if not sum(active) or len(soles) < 2:
         return []
     return [
         Decision(
             kind=OFFER,
             what=f"soles {', '.join(c.name for c in soles)} as points: {sum(active)} unknowns less",
-            why="only where a sole's moment does not matter, with two or more apart on the ground: it may tilt",
+            why="only where a sole's moment does not matter, two or more being apart: it may tilt",
         )
     ]
 

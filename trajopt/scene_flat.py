@@ -21,7 +21,7 @@ ALONG_PLANE = (ContactLanding, FrameHeight, SwingClearance)
 
 @dataclass(frozen=True)
 class Flat:
-    """The reduction to limbs in the plane, None if there is none; what it locks; what it could not, and why."""
+    """The reduction to limbs in the plane, or None; what it locks and why; what it could not lock."""
 
     reduction: Reduction | None
     what: str = ""

@@ -1,9 +1,9 @@
 """Half of a mirror-symmetric robot, on a planar base: limbs in pairs are merged into the left one.
 
 A motion that is its own mirror image moves the base in its x-z plane and the limbs of a pair alike. So its
-kinetic and potential energy are those of the base in the plane and of one limb of the pair with twice the mass,
-inertia and armature; the limb may leave the plane, an abducted leg does. Its joints have twice the torque,
-its contacts twice the force. Joints on the plane that would leave it (yaw, roll) are locked before.
+kinetic and potential energy are those of the base in the plane and of one limb of the pair with twice the
+mass, inertia and armature; the limb may leave the plane, an abducted leg does. Its joints have twice the
+torque, its contacts twice the force. Joints on the plane that would leave it (yaw, roll) are locked before.
 """
 
 from __future__ import annotations
@@ -62,10 +62,8 @@ def _contact_follower(robot: Robot, kept: Sequence[int], contact: Contact, image
     joint = int(robot.model.frames[robot.model.getFrameId(contact.frame)].parentJoint)
     names = [entry.name for entry in robot.contacts]
     image_joint = int(robot.model.frames[robot.model.getFrameId(image.frame)].parentJoint)
-    if joint == image_joint:
-        first = names.index(contact.name) <= names.index(image.name)
-    else:
-        first = joint in kept
+    earlier = names.index(contact.name) <= names.index(image.name)
+    first = earlier if joint == image_joint else joint in kept
     return Follower(contact.name) if first else Follower(image.name, 1.0, True)
 
 
@@ -97,6 +95,7 @@ def _add_frames(
 ) -> frozenset[str]:
     """Frames of kept bodies; those on the other side where their mirror images are, named all the same."""
     mirrored = set()
+    holders = {0: 0} | {joint: new.addJointFrame(joint, 0) for joint in numbers.values()}
     for frame in list(model.frames)[1:]:
         joint = int(frame.parentJoint)
         kind = pin.FrameType.OP_FRAME if frame.type == pin.FrameType.JOINT else frame.type
@@ -109,8 +108,8 @@ def _add_frames(
             image = mirror.partner[joint]
             at, placement = numbers[image], reflected(mirror.offset[image] * frame.placement)
             mirrored.add(frame.name)
-        if not new.existFrame(frame.name, kind):
-            new.addFrame(pin.Frame(frame.name, at, 0, placement, kind), False)
+        if not new.existFrame(frame.name):
+            new.addFrame(pin.Frame(frame.name, at, holders[at], placement, kind), False)
     return frozenset(mirrored)
 
 

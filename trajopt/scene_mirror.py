@@ -113,7 +113,9 @@ class _Search:
         scale = np.array([1 / self.length] * 3 + [1.0] * 3)
         if not own[3:].any():
             scale[:3] = 1.0
-        found.note(float(np.abs((sign * image - own) * scale).max()), f"axes of {names}")
+        alone = f"'{model.names[i]}' on one side, or off the plane"
+        error = float(np.abs((sign * image - own) * scale).max())
+        found.note(error, f"axes of {names}" if i != k else alone)
         armature = np.array([model.armature[model.joints[j].idx_v] for j in (i, k)])
         unit = self.mass * (self.length**2 if own[3:].any() else 1.0)
         found.note(float(np.abs(np.diff(armature))[0]) / unit, f"armature of {names}")
@@ -271,7 +273,7 @@ def signed(value: np.ndarray, sign: float) -> np.ndarray:
 
 
 def mirrored_rows(robot: Robot, mirror: Mirror) -> tuple[np.ndarray, np.ndarray]:
-    """Indices and signs (nv,) with which rates, and local coordinates, of the image follow: v' = sign v[index]."""
+    """Indices and signs (nv,) of the image of rates and of local coordinates: v' = sign v[index]."""
     index, sign = np.arange(robot.nv), np.ones(robot.nv)
     sign[:6] = TWIST
     for joint in range(2, robot.model.njoints):

@@ -28,6 +28,7 @@ NO_NEED = (
 SAME_PLACE = 1e-9
 
 Needs = dict[str, str]
+KEPT_AS_ASKED = "kept as asked"
 
 
 def needed_joints(problem: Problem, keep: Sequence[str]) -> Needs:
@@ -42,7 +43,6 @@ def needed_joints(problem: Problem, keep: Sequence[str]) -> Needs:
     for name in keep:
         if name not in known:
             raise InputError(f"joint '{name}' to keep is unknown", "one of " + ", ".join(known))
-        found.setdefault(name, "kept as asked")
     for phase in problem.schedule.phases:
         for contact in phase.contacts:
             _chain(robot, robot.contact(contact).frame, f"carries contact '{contact}'", found)
@@ -54,6 +54,8 @@ def needed_joints(problem: Problem, keep: Sequence[str]) -> Needs:
     for term in problem.terms:
         for name in _elsewhere(problem, term):
             found.setdefault(name, f"{term.name} wants it elsewhere")
+    for name in keep:
+        found.setdefault(name, KEPT_AS_ASKED)
     return found
 
 

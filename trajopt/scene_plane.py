@@ -9,7 +9,7 @@ from trajopt.errors import InputError
 from trajopt.problem import Problem
 from trajopt.scene_half import half_robot, turned_by_mirror
 from trajopt.scene_lock import chained, locked
-from trajopt.scene_mirror import Mirror, find_mirror, limit_differences, pairs, paired_contacts
+from trajopt.scene_mirror import Mirror, find_mirror, limit_differences, paired_contacts, pairs
 from trajopt.scene_reduction import Reduction
 from trajopt.scene_report import CHOICE, EXACT
 from trajopt.scene_task import TASK, Found, require_symmetric
@@ -52,7 +52,7 @@ def halved(problem: Problem, keep: Sequence[str]) -> Halved:
     reduction = chained(straight, half) if turned else half
     limits = limit_differences(small.robot, mirror)
     exact = max(mirror.asymmetry, found.difference) < ROUNDING and not limits
-    what = f"the right half: {len(pairs(small.robot, mirror))} joints follow their mirror images"
+    what = f"the right side, which follows the left: {len(pairs(small.robot, mirror))} joints"
     if turned:
         what += f", and {', '.join(turned)} stay in the plane"
     return Halved(reduction, EXACT if exact else CHOICE, what, _why(mirror, found, limits))

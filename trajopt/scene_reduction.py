@@ -1,8 +1,9 @@
 """The map between a whole robot and a smaller one that moves as a part of it.
 
-Every joint of the whole robot is locked at its start, or follows a joint of the small one: itself, or its mirror
-image with a sign. Rates, accelerations and the local coordinates' derivatives follow linearly, v = E v_small;
-a joint that stands for n mirrored ones has n times their torque, a contact n times their force.
+Every joint of the whole robot is locked at its start, or follows a joint of the small one: itself, or its
+mirror image with a sign. Rates, accelerations and the local coordinates' derivatives follow linearly,
+v = E v_small; a joint that stands for n mirrored ones has n times their torque, a contact n times their
+force.
 
 A whole robot on a free-flyer that is halved keeps (x, z, pitch) of its base, nose up:
 
@@ -29,7 +30,7 @@ PLANAR_ROWS = ((0, 1.0), (2, 1.0), (4, -1.0))
 
 @dataclass(frozen=True)
 class Follower:
-    """What a joint or contact of the whole robot follows: a name in the small one, and whether as its image."""
+    """What a joint or contact of the whole robot follows in the small one, and whether as its image."""
 
     name: str
     sign: float = 1.0

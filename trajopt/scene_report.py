@@ -63,7 +63,7 @@ class SceneReport:
 
     def __str__(self) -> str:
         lines = [f"{self.problem} on {self.robot}: {self.transcription}, {self.intervals} intervals"]
-        lines += [f"  modelled   {line}" for line in self.modelled]
+        lines += [f"  {'' if i else 'modelled':10} {line}" for i, line in enumerate(self.modelled)]
         for kind, title in ((EXACT, "left out, exactly"), (CHOICE, "left out, a choice"), (OFFER, "offered")):
             for decision in self.of_kind(kind):
                 lines += [f"  {title}: {decision.what}{_saving(decision.saved)}", f"      {decision.why}"]

@@ -32,7 +32,7 @@ RECTANGLE = 1e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sole:
-    """A rectangle: its surface contact, the corners' names, and their places (4, 3) in the sole's frame, m."""
+    """A rectangle: its surface contact, the corners' names, their places (4, 3) in the sole's frame, m."""
 
     contact: Contact
     corners: tuple[str, ...]

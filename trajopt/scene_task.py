@@ -1,4 +1,4 @@
-"""Whether a task is its own mirror image: start, contacts, surfaces, and every term at mirrored random states."""
+"""Whether a task is its own mirror image: start, contacts, surfaces, every term at random states."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def _term(problem: Problem, asked: Asked, mirror: Mirror, images: Sequence[int])
 
 
 def _comparable(asked: Asked, values: np.ndarray) -> np.ndarray:
-    """What of a term does not depend on the order of its rows: a cost; sorted slacks; the norm of equations."""
+    """What does not depend on the order of rows: a cost; sorted slacks; the norm of equations."""
     if asked.rows is None:
         return values
     lower, upper = (bound / asked.rows.unit for bound in (asked.rows.lower, asked.rows.upper))

@@ -1,8 +1,8 @@
 """Terms of a whole robot's problem as those of a small one's, each kind with what becomes of it.
 
-Limits and goals are stated anew for the small robot, so that no row comes twice; costs, and constraints of a kind
-that is not known here, are evaluated on the whole robot's motion (`scene_view`). A term of one's own may say
-better what becomes of it: a method ``reduced(reduction) -> Term | None``.
+Limits and goals are stated anew for the small robot, so that no row comes twice; costs, and constraints of a
+kind that is not known here, are evaluated on the whole robot's motion (`scene_view`). A term of one's own may
+say better what becomes of it: a method ``reduced(reduction) -> Term | None``.
 """
 
 from __future__ import annotations

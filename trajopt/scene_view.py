@@ -1,7 +1,8 @@
 """The whole robot as a function of the small one's symbols: what terms written for the whole see.
 
 A cost keeps its meaning, its unit and its mean over all joints when it is evaluated on the whole robot's
-motion, which follows from the small one's (see `scene_reduction`). Torques that hold locked joints are left out.
+motion, which follows from the small one's (see `scene_reduction`). Torques that hold locked joints are left
+out.
 """
 
 from __future__ import annotations
@@ -199,7 +200,7 @@ def whole_cost(term: Cost, reduction: Reduction) -> Cost:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WholePointRows(PointConstraint):
-    """A point constraint of the whole robot on the motion of the small one, rows that bind nothing left out."""
+    """A point constraint of the whole robot on the small one's motion, without rows that bind nothing."""
 
     term: PointConstraint
     reduction: Reduction
