@@ -8,7 +8,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-DOCUMENTS = ("README.md", "docs/robots.md", "docs/modelling/bases.md", "docs/modelling/coordinates.md")
+DOCUMENTS = (
+    "README.md",
+    "docs/robots.md",
+    "docs/modelling/bases.md",
+    "docs/modelling/coordinates.md",
+    "docs/modelling/actuators.md",
+    "docs/modelling/irb1600.md",
+)
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 
