@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
+import pinocchio as pin
 
 from trajopt.context import Context
 from trajopt.costs import AccelerationCost, TorqueCost, WrenchCost
@@ -71,9 +72,8 @@ def without_torques(problem: Problem, *, replacement: tuple[Cost, ...] | None = 
     """Stage one of a problem: its terms without those that ask for torques, and costs in their place.
 
     replacement: costs to put in the place of those left out; None chooses. Then for a `TorqueCost` comes a
-    `WrenchCost` of the weight that gives the same cost for forces that hold the reference posture,
-    averaged over their directions: tau = -J_joints^T f, so mean tau^2 is |J_joints|^2 / (nu l^2) times the
-    mean f^2 in natural units; and an `AccelerationCost`, if no cost is left that makes motions unique.
+    `WrenchCost` that costs the same for standing still at the reference (`standing_share`); and an
+    `AccelerationCost`, if there is none left, for the motion to be unique.
 
     Raises InputError unless torques are what the actuators give.
     """
@@ -90,20 +90,29 @@ def _replacement(robot: Robot, kept: tuple[Term, ...], dropped: list[Term]) -> t
     costs: list[Cost] = []
     for term in dropped:
         if isinstance(term, TorqueCost):
-            costs.append(WrenchCost(weight=term.weight * lever_share(robot), phases=term.phases))
+            costs.append(WrenchCost(weight=term.weight * standing_share(robot), phases=term.phases))
     if dropped and not any(isinstance(term, AccelerationCost) for term in kept):
         weight = max((term.weight for term in dropped if isinstance(term, Cost)), default=1.0)
         costs.append(AccelerationCost(weight=LEAST_ACCELERATION_SHARE * weight))
     return tuple(costs)
 
 
-def lever_share(robot: Robot) -> float:
-    """Mean square of torques over that of the contact forces they balance at the reference, natural units."""
-    places = [(contact.frame, 3) for contact in robot.contacts]
-    if not places or not robot.nu:
+def standing_share(robot: Robot) -> float:
+    """Mean square of torques over that of wrenches, natural units, of standing still at the reference.
+
+    With the least wrenches, each over its unit, that carry the weight; 0 without contacts or joints.
+    """
+    if not robot.contacts or not robot.nu:
         return 0.0
-    levers = contact_jacobian(robot.model, robot.reference, places)[:, robot.n_unactuated :] / robot.length
-    return float(np.sum(levers**2) / robot.nu)
+    units, n, still = Units(robot), robot.n_unactuated, np.zeros(robot.nv)
+    sizes = [6 if contact.kind == "surface" else 3 for contact in robot.contacts]
+    places = [(contact.frame, size) for contact, size in zip(robot.contacts, sizes, strict=True)]
+    unit = np.concatenate([units.wrench[:size] for size in sizes])
+    jacobian = contact_jacobian(robot.model, robot.reference, places)
+    weight = pin.rnea(robot.model, robot.model.createData(), robot.reference, still, still)
+    wrench = np.linalg.lstsq(jacobian[:, :n].T * unit, weight[:n], rcond=None)[0]
+    torque = (weight - jacobian.T @ (unit * wrench))[n:] / units.torque
+    return float(np.mean(torque**2) / np.mean(wrench**2))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,17 +125,22 @@ class TorqueBounds:
     scale: np.ndarray
 
 
+def effort_limit(problem: Problem) -> np.ndarray:
+    """Effort limit (nu,) of a problem, N m, joint side: its terms' or the robot's; inf where none."""
+    robot = problem.robot
+    limits = {"effort_limit": np.full(robot.nu, np.inf) if robot.effort_limit is None else robot.effort_limit}
+    for term in problem.point_constraints:
+        limits |= term.limits(robot)
+    return np.asarray(limits["effort_limit"], dtype=float)
+
+
 def torque_bounds(problem: Problem, v: np.ndarray) -> TorqueBounds:
     """Bounds on the actuated rows at velocities ``v`` (K, nv).
 
     From the problem's effort limits (the robot's, where it has none) and from its drives: current,
     voltage at the joint's rate, and their friction, which the drive has to overcome.
     """
-    robot = problem.robot
-    limits = {} if robot.effort_limit is None else {"effort_limit": robot.effort_limit}
-    for term in problem.point_constraints:
-        limits |= term.limits(robot)
-    effort = np.asarray(limits.get("effort_limit", np.full(robot.nu, np.inf)), dtype=float)
+    robot, effort = problem.robot, effort_limit(problem)
     rates = v[:, robot.n_unactuated :]
     upper = np.tile(effort, (len(v), 1))
     lower, scale = -upper, effort.copy()

@@ -16,6 +16,7 @@ be left.
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -30,17 +31,19 @@ from trajopt.errors import InputError
 from trajopt.manifold import Coordinates
 from trajopt.model_quantities import contact_jacobian
 from trajopt.problem import Problem
+from trajopt.robot_drives import actuated_row_limit
 from trajopt.samples import Samples, evaluate
 from trajopt.schemes import scheme
 from trajopt.solution import Solution
 from trajopt.term_interfaces import PointConstraint
-from trajopt.two_stage import TorqueBounds, torque_bounds
+from trajopt.two_stage import TorqueBounds, effort_limit, torque_bounds
 from trajopt.units import Units
 
 # Weight of leaving the wrenches as they are where torques do not care, natural units.
 KEEPING = 1e-6
-# Weight of the largest excess: above any multiplier of costs of order one, so that limits come first.
-PENALTY = 1e2
+# Weight of the largest excess: above the multipliers of the limits, which costs of order one keep at a few,
+# so that limits come first; a hundred would cost OSQP its convergence at some points.
+PENALTY = 10.0
 # OSQP's tolerance, natural units: below what the solver of the motion leaves.
 QP_TOLERANCE = 1e-9
 QP_ITERATIONS = 20_000
@@ -56,8 +59,8 @@ def redistributed(problem: Problem, solution: Solution) -> Solution:
     ``problem`` is the full one, with its limits and contact terms; ``solution`` a motion of its schedule.
     Wrenches and torques between the points follow the interpolating polynomials, as in any solution. Where
     there is no internal force, or OSQP finds nothing better, wrenches stay; ``meta["redistributed"]`` counts
-    the points that changed and those that were kept. Raises InputError for phases with coordinates of their
-    own, or a foreign solution.
+    the points that changed and those that were kept, and ``effort_limit`` is the full problem's. Raises
+    InputError for phases with coordinates of their own, or a foreign solution.
     """
     if problem.modes or solution.v.shape[1] != problem.robot.nv:
         raise InputError("wrenches are redistributed for the whole robot in its own coordinates", "no modes")
@@ -76,7 +79,12 @@ def redistributed(problem: Problem, solution: Solution) -> Solution:
         inner = slice(rows.start + 1, rows.stop - 1)
         for values in (f, torque):
             values[[rows.start, rows.stop - 1]] = np.tensordot(interpolation, values[inner], axes=1)
-    meta = {**solution.meta, "redistributed": {"points": changed, "kept": len(points) - changed}}
+    limit = np.asarray(actuated_row_limit(problem.robot, effort_limit(problem)))
+    meta = {
+        **solution.meta,
+        "effort_limit": np.minimum(limit, sys.float_info.max).tolist(),
+        "redistributed": {"points": changed, "kept": len(points) - changed},
+    }
     return replace(solution, f=f, tau=torque, meta=meta)
 
 
