@@ -69,7 +69,7 @@ def least_effort(drive: Drive, limited: bool) -> float:
         max_iter=400000,
         polishing=True,
     )
-    accelerations = programme.solve().x
+    accelerations = programme.solve(raise_error=True).x
     return float(h * np.sum((torque @ accelerations) ** 2))
 
 
