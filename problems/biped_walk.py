@@ -15,6 +15,7 @@ import pinocchio as pin
 import robots
 from robots.talos import SIDES
 from trajopt.com_program import CenterOfMassProgram
+from trajopt.errors import InputError
 from trajopt.family import Family, Parameter
 from trajopt.foot_motion import guess_from_lip
 from trajopt.footsteps import FootstepPlan, Walk
@@ -95,6 +96,8 @@ def build(
     effort_share: float,
 ) -> Problem:
     """Build the walk; see ``FAMILY`` for the parameters. Raises InputError."""
+    if steps != round(steps):
+        raise InputError(f"parameter steps is {steps:g}", "allowed: a whole number")
     robot = talos_legs()
     walk = Walk(
         steps=round(steps),

@@ -32,7 +32,13 @@ def test_phases_alternate_single_and_double_support_and_land_where_planned() -> 
 
 
 def test_unphysical_parameters_are_refused() -> None:
-    for values in ({"steps": 1}, {"length": 2.0}, {"double_support": 0.0}, {"effort_share": 0.0}):
+    for values in (
+        {"steps": 1},
+        {"steps": 2.5},
+        {"length": 2.0},
+        {"double_support": 0.0},
+        {"effort_share": 0.0},
+    ):
         with pytest.raises(InputError, match="allowed"):
             problems.load("biped-walk", **values)
 

@@ -35,6 +35,8 @@ from trajopt.units import Units
 
 # Weight of the accelerations relative to the torque cost's where nothing else makes the motion unique.
 LEAST_ACCELERATION_SHARE = 1e-2
+# Torques beyond a limit by this part of it are what a solver's tolerance leaves (as in ``report``).
+ROUNDING = 1e-6
 
 
 def asks_for_torques(problem: Problem, term: Term) -> bool:
@@ -206,10 +208,6 @@ class TorqueReport:
                 f"{joint.phase:10s} {joint.share_beyond:.1%}"
             )
         return "\n".join([*lines, f"base rows: {self.base_residual:.1e} of the weight"])
-
-
-# Torques beyond a limit by this part of it are what a solver's tolerance leaves (as in ``report``).
-ROUNDING = 1e-6
 
 
 def recover_torques(problem: Problem, solution: Solution) -> tuple[np.ndarray, TorqueReport]:
