@@ -41,7 +41,7 @@ ROUNDING = 1e-6
 
 def asks_for_torques(problem: Problem, term: Term) -> bool:
     """Whether a term depends on the actuated rows, found by writing it out in every phase it acts in."""
-    if not isinstance(term, Cost | PointConstraint):
+    if not (isinstance(term, Cost | PointConstraint) and term.acts_at_points):
         return False
     return any(
         _depends_on_torques(term, context, Units(problem.robot))
@@ -89,10 +89,9 @@ def without_torques(problem: Problem, *, replacement: tuple[Cost, ...] | None = 
 
 
 def _replacement(robot: Robot, kept: tuple[Term, ...], dropped: list[Term]) -> tuple[Cost, ...]:
-    costs: list[Cost] = []
-    for term in dropped:
-        if isinstance(term, TorqueCost):
-            costs.append(WrenchCost(weight=term.weight * standing_share(robot), phases=term.phases))
+    share = standing_share(robot)
+    torques = [term for term in dropped if isinstance(term, TorqueCost)] if share > 0 else []
+    costs: list[Cost] = [WrenchCost(weight=share * term.weight, phases=term.phases) for term in torques]
     if dropped and not any(isinstance(term, AccelerationCost) for term in kept):
         weight = max((term.weight for term in dropped if isinstance(term, Cost)), default=1.0)
         costs.append(AccelerationCost(weight=LEAST_ACCELERATION_SHARE * weight))
