@@ -268,6 +268,30 @@ def test_the_smooth_friction_cone_is_respected_too() -> None:
     assert shared.meta["redistributed"]["points"] > 0
 
 
+def test_soles_and_a_hand_on_a_wall_keep_pressure_inside_and_friction() -> None:
+    problem = problems.load("talos-wall")
+    transcription = transcribe(problem, "legendre:2", 12)
+    solution = extract(transcription, initial_guess(transcription), {"success": False})
+    shared = redistributed(problem, solution)
+    robot, wall = problem.robot, problem.schedule.phases[-1].surfaces["hand"]
+    worst = {}
+    for name, plan in (("before", solution), ("after", shared)):
+        samples, beyond = evaluate(plan), []
+        for row in np.flatnonzero(plan.collocation):
+            for i, contact in enumerate(robot.contacts):
+                axes = samples.rotation[row, i] if contact.kind == "surface" else wall.frame
+                force, moment = axes.T @ plan.f[row, i, :3], axes.T @ plan.f[row, i, 3:]
+                friction = problem.terrain.friction if contact.kind == "surface" else wall.friction
+                beyond.append(np.linalg.norm(force[:2]) - friction * force[2])
+                beyond.append(abs(moment[0]) - contact.half_width * force[2])
+                beyond.append(abs(moment[1]) - contact.half_length * force[2])
+        worst[name] = max(beyond)
+    assert worst["after"] <= max(worst["before"], 0.0) + 1e-6 * robot.weight
+    assert np.mean(shared.tau[shared.collocation] ** 2) < 0.9 * np.mean(
+        solution.tau[solution.collocation] ** 2
+    )
+
+
 def test_one_point_foot_and_flight_have_nothing_to_share() -> None:
     transcription = transcribe(hop(), "legendre:1", 8)
     solution = extract(transcription, initial_guess(transcription), {"success": False})
