@@ -89,10 +89,11 @@ class Context:
         actuation: Actuation = "torque",
         surfaces: Mapping[str, Surface] = MappingProxyType({}),
         mode: Mode | None = None,
+        kept_rows: Mapping[str, tuple[int, ...]] = MappingProxyType({}),
     ) -> None:
         self.robot, self.coordinates, self.contacts = robot, coordinates, contacts
         self.place = place or (Place.NODE if node else Place.POINT)
-        self.actuation, self._surfaces = actuation, surfaces
+        self.actuation, self._surfaces, self._kept_rows = actuation, surfaces, kept_rows
         own = ca.SX.sym("clock", 0 if clocks[1] is None else 1)
         self.clock = own if own.numel() else ca.SX(1)
         nv, order = coordinates.nv, 1 if actuation == "velocity" else 2
@@ -175,6 +176,10 @@ class Context:
         full = ca.SX.zeros(3 if contact.kind == "point" else 6)
         full[list(contact.rows)] = unknown
         return full
+
+    def held_rows(self, contact: Contact) -> tuple[int, ...]:
+        """Rows of an active contact's motion that no other's rows say already (see ``redundancy``)."""
+        return self._kept_rows.get(contact.name, contact.rows)
 
     def surface(self, contact: Contact) -> Surface:
         """The surface that an active contact touches."""
@@ -265,13 +270,13 @@ class Context:
         return np.concatenate(self._values) if self._values else np.zeros(0)
 
     def contact_acceleration(self, contact: Contact) -> ca.SX:
-        """Classical acceleration of an active contact (its rows), in axes that may be turned.
+        """Classical acceleration of an active contact (held rows), in axes that may be turned.
 
         The axes are the base link's for a free-flyer, the world's otherwise: enough for a row that
         asks it to vanish, and cheaper, since no orientation enters.
         """
         if contact not in self._accelerations:
-            self._accelerations[contact] = ca.SX.sym(f"a_{contact.name}", contact.dimension)
+            self._accelerations[contact] = ca.SX.sym(f"a_{contact.name}", len(self.held_rows(contact)))
         return self._accelerations[contact]
 
     @property
@@ -309,7 +314,7 @@ class Context:
         roots = [i for i in range(1, model.njoints) if model.parents[i] == 0]
         return (
             self.moving
-            and all(contact.transmits_all for contact in self.contacts)
+            and all(c.transmits_all and self.held_rows(c) == c.rows for c in self.contacts)
             and roots == [1]
             and self.coordinates.joints[0].kind == "freeflyer"
             and model.jointPlacements[1].isIdentity()

@@ -187,6 +187,7 @@ def _problem_meta(transcription: Transcription) -> dict[str, Any]:
         "problem": problem.name,
         "parameters": dict(problem.parameters),
         "actuation": problem.actuation,
+        "redundant_contact_rows": dict(transcription.redundant),
         "terrain": problem.terrain.describe(),
         "transcription": transcription.layout.scheme.name,
         "intervals": list(transcription.layout.intervals),

@@ -20,8 +20,8 @@ class ContactVelocity(PointConstraint):
     def rows(self, context: Context, units: Units) -> Rows | None:
         parts, scales = [], []
         for contact in context.contacts:
-            parts.append(context.frame(contact.frame).velocity[list(contact.rows)])
-            scales += units.twist[list(contact.rows)].tolist()
+            parts.append(context.frame(contact.frame).velocity[list(context.held_rows(contact))])
+            scales += units.twist[list(context.held_rows(contact))].tolist()
         return Rows.create(ca.vertcat(*parts), 0, 0, np.array(scales)) if parts else None
 
 

@@ -90,24 +90,31 @@ class ContactLanding(NodeConstraint):
         expressions, targets, scales = [], [], []
         for name in self.contacts:
             contact = context.robot.contact(name)
-            frame = context.frame(contact.frame)
+            frame, held = context.frame(contact.frame), context.held_rows(contact)
             foothold, surface = place.phase.footholds.get(name), place.phase.surface(name, self.terrain)
-            height = along_normal(context, surface, frame.position)
-            movable = [row for row in contact.rows if row < 3]
-            expressions.append(height if foothold is None else frame.position[movable])
-            targets.append(np.array([surface.height]) if foothold is None else foothold[movable])
+            movable = [row for row in held if row < 3]
+            if foothold is not None:
+                expressions.append(frame.position[movable])
+                targets.append(foothold[movable])
+            elif 2 in held or (movable and not surface.is_level):
+                expressions.append(along_normal(context, surface, frame.position))
+                targets.append(np.array([surface.height]))
+            else:
+                continue
             scales.append(np.full(len(targets[-1]), units.length))
-            if contact.kind == "surface":
-                tilting = 2 if contact.dimension == 6 else 1
+            tilting = min(2, sum(row > 2 for row in held))
+            if tilting:
                 expressions.append(along_normal(context, surface, frame.rotation[:, :tilting]).T)
                 targets.append(np.zeros(tilting))
                 scales.append(np.ones(tilting))
         if context.actuation != "velocity":
             for name in (*self.contacts, *self.held):
                 contact = context.robot.contact(name)
-                expressions.append(context.frame(contact.frame).velocity[list(contact.rows)])
-                targets.append(np.zeros(contact.dimension))
-                scales.append(units.twist[list(contact.rows)])
+                rows = list(context.held_rows(contact))
+                if rows:
+                    expressions.append(context.frame(contact.frame).velocity[rows])
+                    targets.append(np.zeros(len(rows)))
+                    scales.append(units.twist[rows])
         bound = np.concatenate(targets)
         return Rows.create(ca.vertcat(*expressions), bound, bound, np.concatenate(scales))
 

@@ -111,5 +111,5 @@ class ContactAcceleration(PointConstraint):
         parts, scales = [], []
         for contact in context.contacts:
             parts.append(context.contact_acceleration(contact))
-            scales += units.contact_acceleration[list(contact.rows)].tolist()
+            scales += units.contact_acceleration[list(context.held_rows(contact))].tolist()
         return Rows.create(ca.vertcat(*parts), 0, 0, np.array(scales)) if parts else None

@@ -54,7 +54,7 @@ def _plain_layers(context: Context, used: list[int]) -> Layers:
         tau = _still(context, frames, dimensions)(q, 0, a, w)[0]
     parts = [tau] if context.uses_dynamics else []
     for contact in context.used_accelerations:
-        parts.append(acceleration[list(contact.rows), frames.index(contact.frame)])
+        parts.append(acceleration[list(context.held_rows(contact)), frames.index(contact.frame)])
     for name in context.frames:
         i = frames.index(name)
         parts += [rotation[:, i], position[:, i], velocity[:, i], acceleration[:, i]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
@@ -12,6 +12,7 @@ from trajopt.context import Context, Place
 from trajopt.layout import Layout
 from trajopt.motion_terms import ImpactDynamics
 from trajopt.problem import Problem
+from trajopt.redundancy import independent_rows
 from trajopt.stage_functions import PointFunction, point_function
 from trajopt.term_interfaces import Rows
 from trajopt.timeline import NodeForm
@@ -39,6 +40,7 @@ class TermFunctions:
     problem: Problem
     layout: Layout
     units: Mapping[int, Units]
+    _kept: dict[int, dict[str, tuple[int, ...]]] = field(default_factory=dict, init=False)
 
     def point(self, phase: int) -> Kind:
         """Function of a phase's collocation points."""
@@ -114,6 +116,40 @@ class TermFunctions:
         q, v, _ = (mode.lift if whole else mode.drop)(context.q, context.v, still)
         return after.coordinates.symbolic_node(q, v)
 
+    def redundant(self) -> dict[str, list[str]]:
+        """Rows of contacts that are left out for saying nothing new, in words, by phase."""
+        axes, found = ("x", "y", "z", "rx", "ry", "rz"), {}
+        for index, phase in enumerate(self.problem.schedule.phases):
+            kept = self.kept_rows(index)
+            left = [
+                f"{contact.name} {axes[row]}"
+                for contact in self.layout.contacts[index]
+                for row in contact.rows
+                if row not in kept.get(contact.name, contact.rows)
+            ]
+            if left:
+                found[phase.name] = left
+        return found
+
+    def kept_rows(self, phase: int) -> dict[str, tuple[int, ...]]:
+        """Rows of the contacts' motion that are imposed in a phase, at its guess: see ``redundancy``."""
+        if phase not in self._kept:
+            self._kept[phase] = self._independent(phase)
+        return self._kept[phase]
+
+    def _independent(self, phase: int) -> dict[str, tuple[int, ...]]:
+        layout, form = self.layout, self.layout.form_of(phase)
+        kept = self.problem.schedule.kept_contacts(phase) if phase else ()
+        contacts = layout.contacts[phase] if form.robot is not layout.robot else layout.touching[phase]
+        before = [contact for contact in contacts if contact.name in kept]
+        after = [contact for contact in contacts if contact.name not in kept]
+        first, last = layout.intervals_of(phase)[[0, -1]]
+        q = self.problem.guess(float(layout.node_times[first] + layout.node_times[last + 1]) / 2)
+        if form.robot is not layout.robot:
+            still = np.zeros(layout.robot.nv)
+            q = self.problem.modes[self.problem.schedule.phases[phase].name].dropped(q, still, still)[0]
+        return independent_rows(form.robot, q, before, after)
+
     def _context(self, phase: int, form: NodeForm, place: Place) -> Context:
         contacts = {Place.POINT: self.layout.contacts, Place.IMPACT: self.layout.touching}
         return Context(
@@ -124,6 +160,7 @@ class TermFunctions:
             clocks=(form.n_clocks, form.clock),
             actuation=self.problem.actuation,
             surfaces=self.problem.surfaces_of(phase),
+            kept_rows=self.kept_rows(phase),
             mode=self.problem.modes.get(self.problem.schedule.phases[phase].name),
         )
 

@@ -7,7 +7,7 @@ its natural unit, every unknown is measured in its own, so that one tolerance me
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +50,7 @@ class Transcription:
 
     ``gap_rows`` (one array a stage) and ``linear`` (n_rows, n_unknowns) are the defects' rows and the part
     of all rows that is linear in the unknowns. ``scale`` (n_unknowns,) turns a scaled unknown into SI.
+    ``redundant`` names, by phase, rows of contacts that others say already (see ``redundancy``).
     """
 
     problem: Problem
@@ -64,6 +65,7 @@ class Transcription:
     upper_x: np.ndarray
     scale: np.ndarray
     gap_rows: tuple[np.ndarray, ...]
+    redundant: Mapping[str, list[str]]
 
     def stage_sizes(self) -> tuple[list[int], list[int], list[int]]:
         """Numbers of states, controls and path rows of each stage, as structured solvers want them."""
@@ -132,6 +134,7 @@ class Transcriber:
             upper_x=upper_x,
             scale=self.collocation.scale,
             gap_rows=tuple(numbers.gap),
+            redundant=self.functions.redundant(),
         )
 
     # Rows
