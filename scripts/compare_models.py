@@ -70,7 +70,7 @@ def rows() -> Iterator[Compared]:
         "solo12-jump",
         no_motors={},
         motors_at_24_V={"voltage": 24},
-        motors_at_12_V={"voltage": 12},
+        motors_at_6_V={"voltage": 6},
     )
     jump = {"distance": 0.2, "yaw": 0.6}
     yield from family("base (Solo12 jump, yaw 0.6)", "solo12-jump", quaternion=jump)
@@ -107,7 +107,7 @@ def rows() -> Iterator[Compared]:
         "goal (IRB 1600 transfer)",
         "irb1600-transfer",
         minimum_effort={},
-        minimum_time={"goal": "time"},
+        minimum_time={"minimise": "time"},
     )
 
 
