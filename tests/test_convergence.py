@@ -176,7 +176,7 @@ def test_transcription_holds_on_the_propagated_states(name):
     for k in range(count):
         window = x[layout.node_offset[k] : layout.node_offset[k + 1]]
         for i in range(layout.scheme.s):
-            window[layout.local_acceleration(0, i)] = propagation.y[k, i]
+            window[layout.local_derivative(0, i)] = propagation.y[k, i]
     x = x / prepared.transcription.scale
     assert set(prepared.transcription.rows.names) == {"defect", "base_dynamics"}
     assert_allclose(prepared.nlp.engine.g(x), 0.0, atol=DEFECT)

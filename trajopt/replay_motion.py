@@ -9,10 +9,14 @@ import pinocchio as pin
 
 from trajopt.errors import InputError
 from trajopt.model_quantities import gravity_of, mass_of
+from trajopt.sole import centre_of_pressure
 from trajopt.solution import Solution
+from trajopt.touched import touched
 
 # Pictures a second of playback: what screens show.
 FRAME_RATE = 60.0
+# An impulse is shown this long (s of the solution), as the constant force that gives it in that time.
+FLASH = 0.1
 # A sole pressed with less than this part of the weight has no meaningful centre of pressure.
 LEAST_PRESSURE = 1e-3
 
@@ -24,7 +28,8 @@ class Motion:
     t: (n,) s of the solution. frame_rate: frames a second of playback. speed: solution over playback time.
     joints: (n, njoints, 4, 4) world placements. feet: (n, nc, 3) m, contact frames.
     pressed: (n, nc, 3) m, where the force acts. force: (n, nc, 3) N in world axes. active: (n, nc).
-    weight: N.
+    impact: (n, nc, 3) N, impulse over `FLASH` while it is shown, else zero. struck: (n, nc, 3) m, where
+    it acts. phase: (n,). weight: N.
     """
 
     t: np.ndarray
@@ -35,6 +40,9 @@ class Motion:
     pressed: np.ndarray
     force: np.ndarray
     active: np.ndarray
+    impact: np.ndarray
+    struck: np.ndarray
+    phase: np.ndarray
     weight: float
 
     @property
@@ -46,7 +54,8 @@ class Motion:
 def motion_of(solution: Solution, speed: float = 1.0) -> Motion:
     """Resample ``solution`` on the manifold at about `FRAME_RATE`, first and last sample included.
 
-    Forces are interpolated linearly within an interval. Raises `InputError` without a duration.
+    Forces are interpolated linearly within an interval. Raises `InputError` without a duration,
+    `SolutionFileError` for terrain or surfaces that cannot be read.
     """
     start, duration = float(solution.t[0]), float(solution.t[-1] - solution.t[0])
     if not duration > 0:
@@ -54,18 +63,22 @@ def motion_of(solution: Solution, speed: float = 1.0) -> Motion:
     steps = max(1, round(duration / speed * FRAME_RATE))
     t = start + duration * np.linspace(0.0, 1.0, steps + 1)
     joints, contacts = _placements(solution, solution.interpolate(t))
-    wrench, active = _contact_wrenches(solution, t)
+    sample, wrench = _contact_wrenches(solution, t)
     weight = _weight(solution.model)
-    feet = contacts[:, :, :3, 3]
+    feet, soles = contacts[:, :, :3, 3], _pressing_soles(solution, sample)
+    impact = _impacts(solution, t)
     return Motion(
         t=t,
         frame_rate=steps * speed / duration,
         speed=speed,
         joints=joints,
         feet=feet,
-        pressed=feet + _pressure_offsets(solution, contacts, wrench, weight),
+        pressed=feet + _pressure_offsets(contacts, wrench, soles, weight),
         force=wrench[:, :, :3],
-        active=active,
+        active=solution.active[sample],
+        impact=impact[:, :, :3],
+        struck=feet + _pressure_offsets(contacts, impact, soles, weight),
+        phase=solution.phase[sample],
         weight=weight,
     )
 
@@ -86,26 +99,41 @@ def _placements(solution: Solution, q: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _contact_wrenches(solution: Solution, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The sample (n,) that begins each frame's span, and wrenches (n, nc, 6) between it and the next."""
     last = np.clip(np.searchsorted(solution.t, t, side="right") - 1, 0, len(solution.t) - 2)
     span = solution.t[last + 1] - solution.t[last]
     part = np.where(span > 0, (t - solution.t[last]) / np.where(span > 0, span, 1.0), 1.0)
     part = np.clip(part, 0.0, 1.0)[:, None, None]
     wrench = (1 - part) * solution.f[last] + part * solution.f[last + 1]
-    return wrench, solution.active[last]
+    return last, wrench
+
+
+def _impacts(solution: Solution, t: np.ndarray) -> np.ndarray:
+    """Impulses over `FLASH` (n, nc, 6) at the frames that show them: at least one frame each."""
+    impact = np.zeros((len(t), len(solution.contact_frames), 6))
+    if solution.impulse is None or solution.impact_index is None:
+        return impact
+    for impulse, sample in zip(solution.impulse, solution.impact_index, strict=True):
+        first = min(int(np.searchsorted(t, solution.t[sample])), len(t) - 1)
+        end = max(int(np.searchsorted(t, solution.t[sample] + FLASH)), first + 1)
+        struck = impulse.any(axis=1)
+        impact[first:end, struck] = impulse[struck] / FLASH
+    return impact
+
+
+def _pressing_soles(solution: Solution, sample: np.ndarray) -> np.ndarray:
+    """Where (n, nc) a contact has a centre of pressure: soles that nothing but pressure holds."""
+    kinds = solution.meta.get("contact_kinds", ())
+    return ~touched(solution).bilateral[sample] & np.array([kind == "surface" for kind in kinds], dtype=bool)
 
 
 def _pressure_offsets(
-    solution: Solution, contacts: np.ndarray, wrench: np.ndarray, weight: float
+    contacts: np.ndarray, wrench: np.ndarray, soles: np.ndarray, weight: float
 ) -> np.ndarray:
-    """From each contact frame to its centre of pressure, ``n x m / (n . f)``; zero for points."""
-    offsets = np.zeros((*wrench.shape[:2], 3))
+    """From each contact frame to its centre of pressure (n, nc, 3); zero for all but ``soles`` (n, nc)."""
     normal, force, moment = contacts[:, :, :3, 2], wrench[:, :, :3], wrench[:, :, 3:]
-    pressure = np.einsum("nci,nci->nc", normal, force)
-    soles = np.array([kind == "surface" for kind in solution.meta.get("contact_kinds", ())], dtype=bool)
-    if soles.any():
-        pressed = (np.abs(pressure) > LEAST_PRESSURE * weight) & soles
-        offsets[pressed] = np.cross(normal, moment)[pressed] / pressure[pressed][:, None]
-    return offsets
+    pressed = soles & (np.sum(normal * force, axis=-1) > LEAST_PRESSURE * weight)
+    return np.where(pressed[:, :, None], centre_of_pressure(force, moment, normal), 0.0)
 
 
 def _weight(model: pin.Model) -> float:

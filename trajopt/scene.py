@@ -23,7 +23,7 @@ from trajopt.scene_facts import modelled, remarks
 from trajopt.scene_flat import flattened
 from trajopt.scene_lift import lifted
 from trajopt.scene_lock import behind_base, chained, locked
-from trajopt.scene_needs import KEPT_AS_ASKED, needed_joints
+from trajopt.scene_needs import KEPT_AS_ASKED, cleared_contacts, needed_joints, require_lockable
 from trajopt.scene_plane import Halved, halved
 from trajopt.scene_reduction import Reduction
 from trajopt.scene_report import CHOICE, EXACT, KEPT, Decision, SceneReport, Size
@@ -66,6 +66,7 @@ def smallest(
     problem: Problem,
     *,
     keep: Sequence[str] = (),
+    lock: Sequence[str] = (),
     plane: Plane = "auto",
     soles: bool = True,
     torques: bool = False,
@@ -74,8 +75,9 @@ def smallest(
 ) -> Scene:
     """Return the smallest problem with the task of ``problem``.
 
-    keep: joints, by name, that are never locked. plane: halve a symmetric robot on a symmetric task if that
-    is found possible ("auto"), must be (True), or never (False). soles: four coplanar point contacts at a
+    keep: joints, by name, that are never locked. lock: joints that are, whatever needs them. plane: halve a
+    symmetric robot on a symmetric task if that is found possible ("auto"), must be (True), or never (False).
+    soles: four coplanar point contacts at a
     rectangle's corners on one link become one surface contact. torques: model them although no term asks for
     them. transcription, intervals: the grid that sizes are reported for; default the problem's.
 
@@ -84,7 +86,8 @@ def smallest(
     """
     if plane not in get_args(Plane) or (isinstance(plane, int) and not isinstance(plane, bool)):
         raise InputError(f"plane={plane!r} is unknown", "'auto', True or False")
-    return _Smallest(problem, tuple(keep), plane, (transcription, intervals)).build(soles, torques)
+    made = _Smallest(problem, tuple(keep), plane, (transcription, intervals))
+    return made.build(tuple(lock), soles, torques)
 
 
 def size_of(problem: Problem, transcription: str | None = None, intervals: int | None = None) -> Size:
@@ -105,15 +108,16 @@ class _Smallest:
         names = [contact.name for contact in problem.robot.contacts]
         self.reduction = locked(problem.robot, (), names, problem.initial_q)
 
-    def build(self, soles: bool, torques: bool) -> Scene:
+    def build(self, lock: tuple[str, ...], soles: bool, torques: bool) -> Scene:
         self.drop_idle_costs()
         merged = self.merge_corners() if soles else None
         self.needs = needed_joints(self.whole, self.keep)
+        require_lockable(self.whole, lock, self.keep)
         if self.refuses():
             self.keep_whole()
         else:
             self.drop_contacts()
-            self.lock()
+            self.lock(lock)
             self.halve()
         if not torques:
             self.drop_torques()
@@ -166,19 +170,22 @@ class _Smallest:
     def drop_contacts(self) -> None:
         """Contacts that no phase has, unless a swing must clear the ground with them."""
         robot, phases = self.whole.robot, self.whole.schedule.phases
-        active = {name for phase in phases for name in phase.contacts}
-        cleared = any(reason.endswith("swing_clearance") for reason in self.needs.values())
-        idle = [c.name for c in robot.contacts if c.name not in active]
-        if idle and not cleared:
-            names = [c.name for c in robot.contacts if c.name in active]
+        needed = {name for phase in phases for name in phase.contacts} | cleared_contacts(self.whole)
+        idle = [c.name for c in robot.contacts if c.name not in needed]
+        if idle:
+            names = [c.name for c in robot.contacts if c.name in needed]
             self.reduce(locked(robot, (), names, self.whole.initial_q))
             self.note(EXACT, f"contacts {', '.join(idle)}", "active in no phase, and nothing must clear them")
 
-    def lock(self) -> None:
-        robot = self.whole.robot
+    def lock(self, wanted: tuple[str, ...]) -> None:
+        robot, contacts = self.whole.robot, list(self.reduction.contacts)
         idle = [name for name in behind_base(robot) if name not in self.needs]
+        if wanted:
+            self.reduce(locked(robot, wanted, contacts, self.whole.initial_q))
+            self.note(CHOICE, f"{len(wanted)} joints locked: {', '.join(wanted)}", "at their start, as asked")
+        idle = [name for name in idle if name not in wanted]
         if idle:
-            self.reduce(locked(robot, idle, list(self.reduction.contacts), self.whole.initial_q))
+            self.reduce(locked(robot, [*wanted, *idle], contacts, self.whole.initial_q))
             why = (
                 "at their start: no contact, goal, clearance or other target needs them; they shift no weight"
             )

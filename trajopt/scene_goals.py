@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -15,8 +16,9 @@ from trajopt.node_terms import FramePose, SwingClearance, TerminalRest, Terminal
 from trajopt.problem import Motion, Problem
 from trajopt.robot import Robot
 from trajopt.scene import Plane, Scene, smallest
-from trajopt.scene_guess import SceneGuess, end_posture
+from trajopt.scene_guess import SceneGuess, end_posture, frames_at
 from trajopt.schedule import FlatGround, Schedule
+from trajopt.surface import SAME_PLANE
 from trajopt.terms import (
     AccelerationCost,
     EffortLimits,
@@ -56,7 +58,7 @@ def scene(
     """Return the smallest problem that takes ``robot`` through ``schedule`` to its ``goals``.
 
     goals: what holds at the end: a pose (`pin.SE3`) or position (3,) in m for each frame by name; or a whole
-        configuration (nq,), in the directions that contacts leave free; None asks for none.
+        configuration (nq,), with contacts that land in the schedule landing there; None asks for none.
     terrain: default level ground at height 0 with friction 0.7. start: configuration (nq,), default the
         reference; start_rates: (nv,), default at rest. rest: the motion ends at rest.
     costs: default torques 1, contact forces, accelerations and rates 1e-2, distance from the start 1e-1, each
@@ -78,6 +80,8 @@ def scene(
             robot.contact(contact)
     targets = _targets(robot, goals)
     posture = _posture(robot, goals)
+    if posture is not None:
+        schedule = _landing_on(robot, schedule, ground, posture)
     end = posture if posture is not None else end_posture(robot, schedule, ground, first, targets)
     problem = Problem(
         name=name,
@@ -113,6 +117,22 @@ def _targets(robot: Robot, goals: Goals | None) -> dict[str, pin.SE3 | np.ndarra
             raise InputError(f"goal of frame '{frame}' is {goal!r}", "a pin.SE3, or 3 finite numbers, m")
         found[frame] = place
     return found
+
+
+def _landing_on(robot: Robot, schedule: Schedule, ground: FlatGround, posture: np.ndarray) -> Schedule:
+    """Footholds, where none are given, for the last landing of contacts that hold at the end.
+
+    A goal asks only for what contacts leave free: they must land where the goal configuration has them.
+    """
+    places, phases = frames_at(robot, posture), list(schedule.phases)
+    for name in phases[-1].contacts:
+        began = [i for i in range(len(phases)) if name in schedule.new_contacts(i)]
+        if not began or name in phases[began[-1]].footholds:
+            continue
+        phase, place = phases[began[-1]], places[name].translation
+        if abs(float(phase.surface(name, ground).distance(place))) <= SAME_PLANE:
+            phases[began[-1]] = replace(phase, footholds={**phase.footholds, name: place})
+    return Schedule(tuple(phases))
 
 
 def _posture(robot: Robot, goals: Goals | None) -> np.ndarray | None:

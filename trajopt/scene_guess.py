@@ -21,7 +21,7 @@ SWING = 0.15
 Target: TypeAlias = pin.SE3 | np.ndarray
 
 
-def _frames_at(robot: Robot, q: np.ndarray) -> dict[str, pin.SE3]:
+def frames_at(robot: Robot, q: np.ndarray) -> dict[str, pin.SE3]:
     """Pose of every contact's frame, by contact."""
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, q)
@@ -41,7 +41,7 @@ def end_posture(
     """
     places = _places(robot, schedule, ground, start, start)[-1]
     moved = np.mean(
-        [places[name] - pose.translation for name, pose in _frames_at(robot, start).items()] or [np.zeros(3)],
+        [places[name] - pose.translation for name, pose in frames_at(robot, start).items()] or [np.zeros(3)],
         axis=0,
     )
     q = start.copy()
@@ -63,7 +63,7 @@ def _target(robot: Robot, name: str, place: np.ndarray, start: np.ndarray) -> Ta
     """A point's place, or a sole's pose turned as at the start."""
     if robot.contact(name).kind == "point":
         return place
-    return pin.SE3(_frames_at(robot, start)[name].rotation, place)
+    return pin.SE3(frames_at(robot, start)[name].rotation, place)
 
 
 def _places(
@@ -73,8 +73,8 @@ def _places(
 
     A contact that lands without a foothold lands on its surface below where it is on the way to the end.
     """
-    first = {name: pose.translation for name, pose in _frames_at(robot, start).items()}
-    last = {name: pose.translation for name, pose in _frames_at(robot, end).items()}
+    first = {name: pose.translation for name, pose in frames_at(robot, start).items()}
+    last = {name: pose.translation for name, pose in frames_at(robot, end).items()}
     times = list(accumulate(phase.duration for phase in schedule.phases))
     found = [dict(first)]
     for index, phase in enumerate(schedule.phases):

@@ -69,7 +69,7 @@ def _carrying(
         for contact, row in chosen:
             corrected[k, row, list(contact.rows)] += change[: contact.dimension]
             change = change[contact.dimension :]
-    return _interpolated(solution, corrected)
+    return interpolated(solution, corrected)
 
 
 def _torques(solution: Solution, robot: Robot, motion: Motion, f: np.ndarray) -> np.ndarray:
@@ -80,10 +80,10 @@ def _torques(solution: Solution, robot: Robot, motion: Motion, f: np.ndarray) ->
     for k in np.flatnonzero(solution.collocation):
         state = (motion[0][k], motion[1][k], motion[2][k])
         found[k] = generalized_force(model, data, state, frames, f[k])
-    return _interpolated(solution, found)[:, robot.n_unactuated :]
+    return interpolated(solution, found)[:, robot.n_unactuated :]
 
 
-def _interpolated(solution: Solution, values: np.ndarray) -> np.ndarray:
+def interpolated(solution: Solution, values: np.ndarray) -> np.ndarray:
     """Values at collocation points with the interpolants' values at the ends of every interval."""
     ends = scheme(solution.meta["transcription"]).interpolation(np.array([0.0, 1.0]))
     found = values.copy()

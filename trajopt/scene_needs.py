@@ -11,7 +11,7 @@ from trajopt.costs import AccelerationCost, PostureCost, TimeCost, TorqueCost, V
 from trajopt.drive_terms import DriveLimits, MotorTorqueCost
 from trajopt.errors import InputError
 from trajopt.motion_terms import ImpulseCost
-from trajopt.node_terms import TerminalRest, TerminalState
+from trajopt.node_terms import SwingClearance, TerminalRest, TerminalState
 from trajopt.point_terms import EffortLimits, PositionLimits, VelocityLimits
 from trajopt.problem import Problem
 from trajopt.robot import Robot
@@ -57,6 +57,28 @@ def needed_joints(problem: Problem, keep: Sequence[str]) -> Needs:
     for name in keep:
         found.setdefault(name, KEPT_AS_ASKED)
     return found
+
+
+def cleared_contacts(problem: Problem) -> set[str]:
+    """Contacts that a term about swings keeps off the ground in some phase."""
+    frames = {
+        frame
+        for asked in Reader(problem).every(dynamics=False)
+        if isinstance(asked.term, SwingClearance)
+        for frame in asked.frames
+    }
+    return {contact.name for contact in problem.robot.contacts if contact.frame in frames}
+
+
+def require_lockable(problem: Problem, lock: Sequence[str], keep: Sequence[str]) -> None:
+    """Raise `InputError` for joints to lock that are unknown, kept, the base's, passive, or moving."""
+    known = list(problem.robot.model.names)[1:]
+    for name in lock:
+        if name not in known:
+            raise InputError(f"joint '{name}' to lock is unknown", "one of " + ", ".join(known))
+        reason = "is kept as well" if name in keep else _always(problem).get(name)
+        if reason:
+            raise InputError(f"joint '{name}' to lock {reason}", "another joint")
 
 
 def _always(problem: Problem) -> Needs:

@@ -21,6 +21,7 @@ from trajopt.contact import Contact
 from trajopt.contact_terms import ContactConstraint, FrictionCone, FrictionPyramid, SoleCone
 from trajopt.extraction import robot_meta
 from trajopt.problem import Problem
+from trajopt.scene_lift import interpolated
 from trajopt.scene_report import CHOICE
 from trajopt.schedule import Phase, Schedule
 from trajopt.solution import Solution
@@ -66,7 +67,7 @@ class Soles:
         model, data = own.model, own.model.createData()
         names = [contact.name for contact in own.contacts]
         f = np.zeros((solution.n_samples, len(robot.contacts), 6))
-        for k in range(solution.n_samples):
+        for k in np.flatnonzero(solution.collocation):
             pin.framesForwardKinematics(model, data, solution.q[k])
             forces = {n: solution.f[k, row] for row, n in enumerate(names)}
             for sole in self.soles:
@@ -79,7 +80,7 @@ class Soles:
             solution,
             meta={**solution.meta, **robot_meta(original)},
             model_text=robot.limited_model().saveToString(),
-            f=f,
+            f=interpolated(solution, f),
             active=np.array(active, dtype=bool).reshape(len(phases), -1)[solution.phase],
         )
 

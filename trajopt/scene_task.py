@@ -44,8 +44,11 @@ def require_symmetric(problem: Problem, mirror: Mirror, images: Sequence[int]) -
     found = [_start(problem, mirror)]
     for phase in problem.schedule.phases:
         found.append(_contacts(problem, phase, images))
+    groups: dict[tuple[object, ...], list[Asked]] = {}
     for asked in Reader(problem).every(dynamics=False):
-        found.append(_term(problem, asked, mirror, images))
+        place = asked.node.index if asked.node is not None else asked.context.place
+        groups.setdefault((type(asked.term), asked.phase, place), []).append(asked)
+    found += [_terms(problem, group, mirror, images) for group in groups.values()]
     return max(found, key=lambda entry: entry.difference)
 
 
@@ -91,33 +94,39 @@ def _contacts(problem: Problem, phase: Phase, images: Sequence[int]) -> Found:
     return Found(worst, f"surfaces of phase '{phase.name}'")
 
 
-def _term(problem: Problem, asked: Asked, mirror: Mirror, images: Sequence[int]) -> Found:
-    """Compare a term at random inputs and at their mirror images."""
-    where = f"{asked.term.name} of phase '{problem.schedule.phases[asked.phase].name}'"
-    if asked.expression.numel() == 0:
+def _terms(problem: Problem, group: list[Asked], mirror: Mirror, images: Sequence[int]) -> Found:
+    """Compare terms of one kind at one place, together, at random inputs and at their mirror images."""
+    where = f"{group[0].term.name} of phase '{problem.schedule.phases[group[0].phase].name}'"
+    filled = [asked for asked in group if asked.expression.numel()]
+    if not filled:
         return Found(0.0, where)
-    function, generator = asked.function(), np.random.default_rng(0)
+    functions, generator = [asked.function() for asked in filled], np.random.default_rng(0)
     worst = 0.0
     for _ in range(STATES):
-        z, image = _mirrored_inputs(problem, asked, mirror, images, generator)
-        values = [_comparable(asked, np.array(function(entry)).ravel()) for entry in (z, image)]
-        scale = 1.0 + np.abs(values[0])
-        worst = max(worst, float((np.abs(values[0] - values[1]) / scale).max()))
-    allowed = TASK + (PASSED_ON * mirror.asymmetry if asked.uses_dynamics else 0.0)
-    if not worst <= allowed:
+        inputs = _mirrored_inputs(problem, filled[0], mirror, images, generator)
+        sides = [[np.array(function(z)).ravel() for function in functions] for z in inputs]
+        own, image = (_comparable(filled, values) for values in sides)
+        worst = max(worst, float((np.abs(own - image) / (1.0 + np.abs(own))).max()))
+    uses_dynamics = any(asked.uses_dynamics for asked in filled)
+    if not worst <= TASK + (PASSED_ON * mirror.asymmetry if uses_dynamics else 0.0):
         raise _refuse(where, worst)
-    return Found(0.0 if asked.uses_dynamics else worst, where)
+    return Found(0.0 if uses_dynamics else worst, where)
 
 
-def _comparable(asked: Asked, values: np.ndarray) -> np.ndarray:
-    """What does not depend on the order of rows: a cost; sorted slacks; the norm of equations."""
-    if asked.rows is None:
-        return values
-    lower, upper = (bound / asked.rows.unit for bound in (asked.rows.lower, asked.rows.upper))
-    equal = lower == upper
-    slacks = np.concatenate([(values - lower)[~equal], (upper - values)[~equal]])
-    norm = np.linalg.norm((values - lower)[equal])
-    return np.concatenate([np.sort(slacks[np.isfinite(slacks)]), [norm]])
+def _comparable(group: list[Asked], values: list[np.ndarray]) -> np.ndarray:
+    """What does not depend on the order of rows: the cost; sorted slacks; the norm of equations."""
+    costs, slacks, equations = 0.0, [np.zeros(0)], [np.zeros(0)]
+    for asked, value in zip(group, values, strict=True):
+        if asked.rows is None:
+            costs += float(value.sum())
+            continue
+        lower, upper = (bound / asked.rows.unit for bound in (asked.rows.lower, asked.rows.upper))
+        equal = lower == upper
+        slacks += [(value - lower)[~equal], (upper - value)[~equal]]
+        equations.append((value - lower)[equal])
+    every = np.concatenate(slacks)
+    norm = np.linalg.norm(np.concatenate(equations))
+    return np.array([costs, norm, *np.sort(every[np.isfinite(every)])])
 
 
 def _mirrored_inputs(
