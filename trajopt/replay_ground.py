@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 import uuid
 from typing import Any
 
 import meshcat.geometry as shapes
 import numpy as np
+import pinocchio as pin
 from pinocchio.visualize.meshcat_visualizer import Plane
 
 from trajopt.replay_commands import Command
-from trajopt.replay_motion import Motion
-from trajopt.replay_robot import DrawnRobot
-from trajopt.solution import Solution
+from trajopt.surface import Surface
 
 SKY_TOP, SKY_BOTTOM = [0.70, 0.79, 0.90], [0.96, 0.97, 0.98]
 GROUND_COLOUR, GRID_COLOUR, GRID_STRONG = 0xDCE1E8, 0xAEB7C3, 0x808C9B
@@ -20,10 +20,6 @@ GROUND_COLOUR, GRID_COLOUR, GRID_STRONG = 0xDCE1E8, 0xAEB7C3, 0x808C9B
 CELL_PART, BOLD_EVERY = 0.3, 5
 # Ground on each side of the motion, in robot extents.
 MARGIN = 8.0
-# A foot's visual reaches below its contact frame by at most this part of the robot's extent.
-DEEPEST_FOOT = 0.15
-# Stance frames at which the feet's lowest points are measured.
-MEASURED_STANCES = 20
 # Light from the sun and around it; together a level white surface is just white.
 SUN, FILL_LIGHTS = (
     0.6,
@@ -36,40 +32,22 @@ SHADOW_REACH = 3.0
 GRID_LIFT = 0.002
 
 
-def ground_height(solution: Solution, motion: Motion, robot: DrawnRobot, size: float) -> float:
-    """Return the height of the ground one sees: where the drawn feet stand, else that of the terrain.
+def light_and_ground(vis: Any, box: np.ndarray, ground: Surface, size: float) -> None:
+    """Draw plane and grid of the ``ground`` around ``box`` (2, 3), a pale sky, a light with shadows.
 
-    Contact frames may lie inside the foot (the centre of a rounded tip): the ground is drawn
-    lower by the typical distance from the frame to the lowest point of its link in stance.
+    The grid's lines run along the plane's tangents, every line at a round distance from the world's origin.
     """
-    rows, contacts = np.nonzero(motion.active)
-    if len(rows) == 0:
-        terrain = solution.meta.get("terrain")
-        return float(terrain.get("height", 0.0)) if isinstance(terrain, dict) else 0.0
-    heights = motion.feet[rows, contacts, 2]
-    drops = []
-    for stance in np.unique(np.linspace(0, len(rows) - 1, MEASURED_STANCES).astype(int)):
-        frame = solution.model.getFrameId(solution.contact_frames[contacts[stance]])
-        joint = solution.model.frames[frame].parentJoint
-        placement = motion.joints[rows[stance], joint]
-        points = np.concatenate(robot.points.get(joint, [np.zeros((1, 3))]))
-        drops.append(heights[stance] - float((points @ placement[2, :3]).min() + placement[2, 3]))
-    drop = float(np.median(drops))
-    return float(heights.min()) - (drop if 0 < drop < DEEPEST_FOOT * size else 0.0)
-
-
-def light_and_ground(vis: Any, box: np.ndarray, ground: float, size: float) -> None:
-    """Draw plane and grid at height ``ground`` around ``box`` (2, 3), a pale sky, a light with shadows."""
     vis["/Background"].set_property("top_color", SKY_TOP)
     vis["/Background"].set_property("bottom_color", SKY_BOTTOM)
     vis["/Grid"].set_property("visible", False)
     vis["/Axes"].set_property("visible", False)
     cell = _round_cell(CELL_PART * size)
     step = BOLD_EVERY * cell
-    low = np.floor((box[0, :2] - MARGIN * size) / step) * step
-    high = np.ceil((box[1, :2] + MARGIN * size) / step) * step
-    plane = np.eye(4)
-    plane[:3, 3] = [*(low + high) / 2, ground - GRID_LIFT * size]
+    corners = np.array(list(itertools.product(*box.T))) @ ground.tangents.T
+    low = np.floor((corners.min(axis=0) - MARGIN * size) / step) * step
+    high = np.ceil((corners.max(axis=0) + MARGIN * size) / step) * step
+    centre = ground.frame @ np.array([*(low + high) / 2, ground.height - GRID_LIFT * size])
+    plane = pin.SE3(ground.frame, centre).homogeneous
     width, depth = (float(length) for length in high - low)
     vis["ground"]["plane"].set_object(Plane(width, depth), shapes.MeshLambertMaterial(color=GROUND_COLOUR))
     vis["ground"]["plane"].set_transform(plane)
@@ -83,18 +61,18 @@ def _round_cell(length: float) -> float:
     return float(power * max(step for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)))
 
 
-def _grid(low: np.ndarray, high: np.ndarray, cell: float, height: float, bold: bool) -> Any:
+def _grid(low: np.ndarray, high: np.ndarray, cell: float, ground: Surface, bold: bool) -> Any:
     """Lines of the grid, in pieces: some drivers drop a line that ends behind the camera."""
     pieces = []
     for axis in (0, 1):
         stops = np.arange(round(low[1 - axis] / cell), round(high[1 - axis] / cell) + 1, BOLD_EVERY) * cell
         for number in range(round(low[axis] / cell), round(high[axis] / cell) + 1):
             if (number % BOLD_EVERY == 0) == bold:
-                ends = np.full((2 * (len(stops) - 1), 3), height)
+                ends = np.full((2 * (len(stops) - 1), 3), ground.height)
                 ends[:, axis] = number * cell
                 ends[:, 1 - axis] = np.column_stack([stops[:-1], stops[1:]]).ravel()
                 pieces.append(ends)
-    points = shapes.PointsGeometry(position=np.concatenate(pieces).T.astype(np.float32))
+    points = shapes.PointsGeometry(position=(ground.frame @ np.concatenate(pieces).T).astype(np.float32))
     return shapes.LineSegments(points, shapes.LineBasicMaterial(color=GRID_STRONG if bold else GRID_COLOUR))
 
 

@@ -14,7 +14,7 @@ import meshcat
 import umsgpack
 
 from trajopt.errors import TrajoptError
-from trajopt.replay_motion import Motion
+from trajopt.replay_motion import FLASH, Motion
 from trajopt.replay_scene import Scene
 from trajopt.solution import Solution
 
@@ -40,6 +40,7 @@ body {{ margin: 0; font: 13px/1.5 system-ui, sans-serif; color: #222a33; }}
 #clock {{ font-variant-numeric: tabular-nums; }}
 .failed {{ color: #b3261e; }}
 .arrow {{ color: #b5330f; }}
+.impulse {{ color: #7a1fa2; }}
 </style>
 </head>
 <body>
@@ -200,6 +201,9 @@ def _caption(scene: Scene, solution: Solution, motion: Motion) -> str:
     if len(solution.contact_frames):
         scale = f"forces: {scene.weight_arrow:.2f} m is the weight, {motion.weight:.1f} N"
         lines.append(f'<span class="arrow">{scale}</span>')
+    if motion.impact.any():
+        scale = f"impulses: {scene.weight_arrow:.2f} m is {motion.weight * FLASH:.2f} N s"
+        lines.append(f'<span class="impulse">{scale}</span>')
     if scene.note:
         lines.append(html.escape(scene.note))
     return "<br>".join(lines)

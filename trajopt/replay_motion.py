@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from trajopt.contact_figures import is_sole
 from trajopt.errors import InputError
 from trajopt.model_quantities import gravity_of, mass_of
 from trajopt.sole import centre_of_pressure
@@ -123,8 +124,7 @@ def _impacts(solution: Solution, t: np.ndarray) -> np.ndarray:
 
 def _pressing_soles(solution: Solution, sample: np.ndarray) -> np.ndarray:
     """Where (n, nc) a contact has a centre of pressure: soles that nothing but pressure holds."""
-    kinds = solution.meta.get("contact_kinds", ())
-    return ~touched(solution).bilateral[sample] & np.array([kind == "surface" for kind in kinds], dtype=bool)
+    return ~touched(solution).bilateral[sample] & is_sole(solution)
 
 
 def _pressure_offsets(

@@ -22,6 +22,8 @@ from trajopt.solution import Solution
 BONE_COLOUR, JOINT_COLOUR, FOOT_COLOUR = 0x8A93A0, 0x2F6DB5, 0x303438
 # Radii of a skeleton over its reach.
 BONE_RADIUS, JOINT_RADIUS = 0.012, 0.02
+# The thinnest side of a box over its longest: flat links stay visible.
+THINNEST = 0.02
 # Directions in which a round shape is probed for its extent: 2 % of its radius.
 ROUND_PROBES = 200
 
@@ -157,11 +159,33 @@ def draw_skeleton(vis: Any, solution: Solution) -> DrawnRobot:
         if is_tip:
             node[f"tip{number}"].set_object(shapes.Sphere(ball), shapes.MeshPhongMaterial(color=FOOT_COLOUR))
             node[f"tip{number}"].set_transform(pin.SE3(np.eye(3), end).homogeneous)
+            drawn.add(joint, end + ball * _round_probes())
         if length > ball:
             rod = shapes.Cylinder(length, bone)
             node[f"rod{number}"].set_object(rod, shapes.MeshPhongMaterial(color=BONE_COLOUR))
             node[f"rod{number}"].set_transform(_rod_placement(end))
+    _draw_trunk(vis, model, drawn)
     return drawn
+
+
+def _draw_trunk(vis: Any, model: pin.Model, drawn: DrawnRobot) -> None:
+    """Draw the link of a moving base, which no rod shows, as the solid box of its mass and inertia."""
+    base = _base_joint(model)
+    if base == 0 or not model.inertias[base].mass > 0:
+        return
+    inertia = model.inertias[base]
+    moments, axes = np.linalg.eigh(inertia.inertia)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    # I_1 = m (b^2 + c^2) / 12 and so on in turn, for the sides a, b, c
+    sides = np.sqrt(np.maximum(6 * (moments.sum() - 2 * moments) / inertia.mass, 0.0))
+    if not sides.max() > 0:
+        return
+    sides = np.maximum(sides, THINNEST * sides.max())
+    place, node = pin.SE3(axes, inertia.lever), vis[joint_path(model, base)]["trunk"]
+    node.set_object(shapes.Box(sides.tolist()), shapes.MeshPhongMaterial(color=BONE_COLOUR))
+    node.set_transform(place.homogeneous)
+    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * sides
+    drawn.add(base, corners @ axes.T + inertia.lever)
 
 
 def _base_joint(model: pin.Model) -> int:

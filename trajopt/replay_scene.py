@@ -10,22 +10,17 @@ import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
 
+from trajopt.replay_arrows import WEIGHT_ARROW, draw_arrows
 from trajopt.replay_commands import Command, Recorder, Tracks, without_shadow
-from trajopt.replay_ground import ground_height, light_and_ground
+from trajopt.replay_ground import light_and_ground
 from trajopt.replay_motion import Motion
 from trajopt.replay_robot import DrawnRobot, draw_robot, joint_path, tip_frames
+from trajopt.replay_surfaces import draw_surfaces, seen_plane, terrain_of, touches_of
 from trajopt.robot_building import BASE_JOINT, base_of
 from trajopt.solution import Solution
+from trajopt.surface import Surface
 
-FORCE_COLOUR = 0xD9421F
 TRAIL_COLOURS = (0x1F77B4, 0x2CA02C, 0x9467BD, 0xC77700)
-# An arrow of the robot's weight is this part of the robot's largest extent long.
-WEIGHT_ARROW = 0.8
-# Arrow over the robot's extent; a head never takes more than half of its arrow.
-SHAFT_RADIUS, HEAD_RADIUS, HEAD_LENGTH = 0.007, 0.02, 0.055
-HIDDEN_OPACITY = 0.55
-# Forces below this part of the weight are not drawn.
-LEAST_FORCE = 1e-3
 # Vertical field of view in degrees: little perspective.
 FIELD_OF_VIEW = 35.0
 # Direction from the robot to the camera: from its right and ahead, slightly above.
@@ -55,11 +50,13 @@ def build_scene(solution: Solution, motion: Motion) -> Scene:
         _animate_placement(tracks, vis[joint_path(solution.model, joint)], motion.joints[:, joint])
     cloud = _cloud(robot, motion)
     size = max(float(np.ptp(cloud[0], axis=0).max()), 1e-3)
-    ground = ground_height(solution, motion, robot, size)
-    box = np.array([cloud.min(axis=(0, 1)), cloud.max(axis=(0, 1))])
+    standing, elsewhere = touches_of(solution, motion)
+    ground = seen_plane(standing, solution, motion, robot, size) if standing else terrain_of(solution)
+    places = draw_surfaces(vis["surfaces"], elsewhere, solution, motion, robot, size)
+    cloud = np.concatenate([cloud.reshape(-1, 3), places])
+    box = np.array([cloud.min(axis=0), cloud.max(axis=0)])
     light_and_ground(vis, box, ground, size)
-    for contact, frame in enumerate(solution.contact_frames):
-        _arrow(vis["forces"][frame.replace("/", "_")], tracks, motion, contact, size)
+    draw_arrows(vis, tracks, solution, motion, size)
     _trails(vis["trails"], solution, motion)
     carrier = BASE_JOINT[base_of(solution.model)] or min(1, solution.model.njoints - 1)
     _camera(vis, tracks, motion, carrier, box, ground, size)
@@ -82,51 +79,6 @@ def _cloud(robot: DrawnRobot, motion: Motion) -> np.ndarray:
         local = np.concatenate(points)
         parts.append(local @ placement[:, :3, :3].transpose(0, 2, 1) + placement[:, None, :3, 3])
     return np.concatenate(parts, axis=1)
-
-
-def _arrow(node: Any, tracks: Tracks, motion: Motion, contact: int, size: float) -> None:
-    """Animate the arrow of one contact: length proportional to force over weight, from where it acts."""
-    force = motion.force[:, contact]
-    norm = np.linalg.norm(force, axis=1)
-    shown = motion.active[:, contact] & (norm > LEAST_FORCE * motion.weight)
-    length = np.where(shown, norm / motion.weight * WEIGHT_ARROW * size, size)
-    head = np.minimum(1.0, length / (2 * HEAD_LENGTH * size))
-    neck = length - head * HEAD_LENGTH * size
-    across = np.zeros_like(neck)
-    _draw_arrow(node, size)
-    tracks.add(node, "position", "vector3", motion.pressed[:, contact])
-    tracks.add(node, "quaternion", "quaternion", _turns_to(force, shown))
-    tracks.add(node, "visible", "boolean", shown)
-    tracks.add(node["shaft"], "scale", "vector3", np.column_stack([head, head, neck]))
-    tracks.add(node["head"], "scale", "vector3", np.column_stack([head, head, head]))
-    tracks.add(node["head"], "position", "vector3", np.column_stack([across, across, neck]))
-
-
-def _draw_arrow(node: Any, size: float) -> None:
-    """Shaft of length one and head, along z; where the robot hides them, they shine through."""
-    tip = HEAD_LENGTH * size
-    parts = {
-        "shaft": (shapes.Cylinder(1.0, SHAFT_RADIUS * size), 0.5),
-        "head": (shapes.Cylinder(tip, radiusTop=0.0, radiusBottom=HEAD_RADIUS * size), tip / 2),
-    }
-    through = {"opacity": HIDDEN_OPACITY, "depthTest": False, "depthWrite": False, "side": 0}
-    upright = pin.utils.rotate("x", np.pi / 2)  # Meshcat's cylinders lie along y
-    for name, (shape, height) in parts.items():
-        for part, options in (("solid", {}), ("hidden", through)):
-            place = node[name][part]
-            place.set_object(shape, shapes.MeshLambertMaterial(color=FORCE_COLOUR, **options))
-            without_shadow(place)
-            place.set_transform(pin.SE3(upright, np.array([0.0, 0.0, height])).homogeneous)
-
-
-def _turns_to(force: np.ndarray, shown: np.ndarray) -> np.ndarray:
-    """Quaternions (n, 4) that turn z to each force; the identity where none is shown."""
-    vertical = np.array([0.0, 0.0, 1.0])
-    turns = [
-        pin.Quaternion.FromTwoVectors(vertical, entry).coeffs() if visible else np.array([0.0, 0, 0, 1])
-        for entry, visible in zip(force, shown, strict=True)
-    ]
-    return np.array(turns)
 
 
 def _trails(node: Any, solution: Solution, motion: Motion) -> None:
@@ -154,16 +106,18 @@ def _frame_paths(model: pin.Model, motion: Motion, frames: list[int]) -> np.ndar
 
 
 def _camera(
-    vis: Any, tracks: Tracks, motion: Motion, carrier: int, box: np.ndarray, ground: float, size: float
+    vis: Any, tracks: Tracks, motion: Motion, carrier: int, box: np.ndarray, ground: Surface, size: float
 ) -> None:
-    """Frame the whole motion, or travel with the base, which the joint ``carrier`` carries, if it is long.
+    """Frame the whole motion; if it is long, travel along the ground with the base, on the joint ``carrier``.
 
     Meshcat's camera always looks at the origin of the viewer: the world is moved there instead.
     """
     base = motion.joints[:, carrier, :3, 3]
-    travel = base - base[0]
-    low, high = np.array([*box[0, :2], min(ground, box[0, 2])]), box[1]
-    follows = float(np.ptp(travel[:, :2], axis=0).max()) > FOLLOW_FROM * size
+    travel = (base - base[0]) @ ground.tangents.T
+    middle = box.mean(axis=0)
+    below = middle - ground.distance(middle) * ground.normal
+    low, high = np.minimum(box[0], below), np.maximum(box[1], below)
+    follows = float(np.ptp(travel, axis=0).max()) > FOLLOW_FROM * size
     if follows:
         low, high = base[0] - 0.75 * size, base[0] + 0.75 * size
     target = (low + high) / 2
@@ -174,4 +128,4 @@ def _camera(
     lens.set_property("position", [float(offset[0]), float(offset[2]), float(-offset[1])])  # y is up there
     vis.set_transform(pin.SE3(np.eye(3), -target).homogeneous)
     if follows:
-        tracks.add(vis, "position", "vector3", -target - travel * [1, 1, 0])
+        tracks.add(vis, "position", "vector3", -target - travel @ ground.tangents)

@@ -1,0 +1,91 @@
+"""Arrows of a replay: contact forces while they act, impulses of impacts as a flash in another colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import meshcat.geometry as shapes
+import numpy as np
+import pinocchio as pin
+
+from trajopt.replay_commands import Tracks, without_shadow
+from trajopt.replay_motion import Motion
+from trajopt.solution import Solution
+
+FORCE_COLOUR, IMPULSE_COLOUR = 0xD9421F, 0x7A1FA2
+# An arrow of the robot's weight is this part of the robot's largest extent long.
+WEIGHT_ARROW = 0.8
+# Arrow over the robot's extent; a head never takes more than half of its arrow.
+SHAFT_RADIUS, HEAD_RADIUS, HEAD_LENGTH = 0.007, 0.02, 0.055
+HIDDEN_OPACITY = 0.55
+# Forces below this part of the weight are not drawn.
+LEAST_FORCE = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Arrow:
+    """One arrow at n frames: start (n, 3) m, force (n, 3) over the weight, shown (n,)."""
+
+    start: np.ndarray
+    force: np.ndarray
+    shown: np.ndarray
+    colour: int
+
+
+def draw_arrows(vis: Any, tracks: Tracks, solution: Solution, motion: Motion, size: float) -> None:
+    """Animate an arrow for each contact's force, and for its impulses (as forces over `FLASH`) if it has any.
+
+    Lengths are proportional to force over weight; ``size`` is the robot's extent, m.
+    """
+    for contact, frame in enumerate(solution.contact_frames):
+        place = frame.replace("/", "_")
+        force, impact = motion.force[:, contact] / motion.weight, motion.impact[:, contact] / motion.weight
+        shown = motion.active[:, contact] & (np.linalg.norm(force, axis=1) > LEAST_FORCE)
+        push = _Arrow(start=motion.pressed[:, contact], force=force, shown=shown, colour=FORCE_COLOUR)
+        _animate(vis["forces"][place], tracks, push, size)
+        shown = np.linalg.norm(impact, axis=1) > LEAST_FORCE
+        if shown.any():
+            blow = _Arrow(start=motion.struck[:, contact], force=impact, shown=shown, colour=IMPULSE_COLOUR)
+            _animate(vis["impulses"][place], tracks, blow, size)
+
+
+def _animate(node: Any, tracks: Tracks, arrow: _Arrow, size: float) -> None:
+    length = np.where(arrow.shown, np.linalg.norm(arrow.force, axis=1) * WEIGHT_ARROW * size, size)
+    head = np.minimum(1.0, length / (2 * HEAD_LENGTH * size))
+    neck = length - head * HEAD_LENGTH * size
+    across = np.zeros_like(neck)
+    _draw(node, size, arrow.colour)
+    tracks.add(node, "position", "vector3", arrow.start)
+    tracks.add(node, "quaternion", "quaternion", _turns_to(arrow.force, arrow.shown))
+    tracks.add(node, "visible", "boolean", arrow.shown)
+    tracks.add(node["shaft"], "scale", "vector3", np.column_stack([head, head, neck]))
+    tracks.add(node["head"], "scale", "vector3", np.column_stack([head, head, head]))
+    tracks.add(node["head"], "position", "vector3", np.column_stack([across, across, neck]))
+
+
+def _draw(node: Any, size: float, colour: int) -> None:
+    """Shaft of length one and head, along z; where the robot hides them, they shine through."""
+    tip = HEAD_LENGTH * size
+    parts = {
+        "shaft": (shapes.Cylinder(1.0, SHAFT_RADIUS * size), 0.5),
+        "head": (shapes.Cylinder(tip, radiusTop=0.0, radiusBottom=HEAD_RADIUS * size), tip / 2),
+    }
+    through = {"opacity": HIDDEN_OPACITY, "depthTest": False, "depthWrite": False, "side": 0}
+    upright = pin.utils.rotate("x", np.pi / 2)  # Meshcat's cylinders lie along y
+    for name, (shape, height) in parts.items():
+        for part, options in (("solid", {}), ("hidden", through)):
+            place = node[name][part]
+            place.set_object(shape, shapes.MeshLambertMaterial(color=colour, **options))
+            without_shadow(place)
+            place.set_transform(pin.SE3(upright, np.array([0.0, 0.0, height])).homogeneous)
+
+
+def _turns_to(force: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """Quaternions (n, 4) that turn z to each force; the identity where none is shown."""
+    vertical = np.array([0.0, 0.0, 1.0])
+    turns = [
+        pin.Quaternion.FromTwoVectors(vertical, entry).coeffs() if visible else np.array([0.0, 0, 0, 1])
+        for entry, visible in zip(force, shown, strict=True)
+    ]
+    return np.array(turns)
