@@ -14,6 +14,7 @@ from trajopt.scene_asked import Reader
 from trajopt.scene_lock import locked, out_of_plane
 from trajopt.scene_reduction import Reduction
 from trajopt.scene_task import TASK
+from trajopt.scene_terminal import HalfEnd
 
 # Terms about frames that ask for nothing across the plane; landings on footholds are looked at apart.
 ALONG_PLANE = (ContactLanding, FrameHeight, SwingClearance)
@@ -70,8 +71,9 @@ def _goals(problem: Problem) -> set[str]:
     """Joints that a goal wants elsewhere than at their start."""
     found: set[str] = set()
     for term in problem.terms:
-        if isinstance(term, TerminalState):
-            apart = np.abs(term.q - problem.initial_q) > TASK
+        if isinstance(term, HalfEnd) and isinstance(term.term, TerminalState):
+            goal = term.reduction.drop_q(np.asarray(term.term.q, dtype=float))
+            apart = np.abs(goal - problem.initial_q) > TASK
             found |= {
                 problem.robot.model.names[j.id]
                 for j in list(problem.robot.model.joints)[2:]

@@ -15,8 +15,8 @@ from trajopt.errors import InputError
 from trajopt.node_terms import FramePose, SwingClearance, TerminalRest, TerminalState
 from trajopt.problem import Motion, Problem
 from trajopt.robot import Robot
-from trajopt.scene import Plane, Scene, smallest
 from trajopt.scene_guess import SceneGuess, end_posture, frames_at
+from trajopt.scene_smallest import Plane, Scene, smallest
 from trajopt.schedule import FlatGround, Schedule
 from trajopt.surface import SAME_PLANE
 from trajopt.terms import (

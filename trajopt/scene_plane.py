@@ -74,5 +74,5 @@ def _why(mirror: Mirror, found: Found, limits: list[str]) -> str:
     if mirror.asymmetry >= ROUNDING:
         asymmetry += f" ({mirror.worst})"
     task = f"task within {found.difference:.1e}"
-    text = f"symmetric about the plane of its base: {asymmetry}, {task}"
+    text = f"{asymmetry}, {task}; its optimum is one of the whole problem, among mirrored motions the best"
     return text + (f"; tighter limits of {', '.join(limits)}" if limits else "")

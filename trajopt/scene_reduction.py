@@ -13,16 +13,19 @@ A whole robot on a free-flyer that is halved keeps (x, z, pitch) of its base, no
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 
+from trajopt.node_terms import NodePlace
 from trajopt.rerooting import joint_slices
 from trajopt.robot import Robot
 from trajopt.robot_building import BASE_COORDINATES, BASE_ROWS
 from trajopt.scene_mirror import REFLECTION, TWIST, signed
+from trajopt.schedule import Phase
+from trajopt.surface import Surface
 
 # Rows of a free-flyer's twist that a planar base has, and their signs: forward, up, pitch about -y.
 PLANAR_ROWS = ((0, 1.0), (2, 1.0), (4, -1.0))
@@ -165,3 +168,30 @@ class Reduction:
     def reflected_point(self, point: np.ndarray) -> np.ndarray:
         """Mirror image of a world position (3,) about the plane of the half, m."""
         return REFLECTION * point + np.array([0.0, 2 * self.y0, 0.0])
+
+
+def whole_place(place: NodePlace, reduction: Reduction) -> NodePlace:
+    """The node's place with the whole robot's contacts, their footholds and surfaces."""
+    return replace(place, phase=whole_phase(place.phase, reduction))
+
+
+def whole_phase(phase: Phase, reduction: Reduction) -> Phase:
+    """The phase of the whole robot that a reduced phase stands for."""
+    active = {name: f for name, f in reduction.contacts.items() if f.name in phase.contacts}
+    footholds, surfaces = {}, {}
+    for name, follower in active.items():
+        if follower.name in phase.footholds:
+            place = phase.footholds[follower.name]
+            footholds[name] = reduction.reflected_point(place) if follower.mirrored else place
+        if follower.name in phase.surfaces:
+            surface = phase.surfaces[follower.name]
+            surfaces[name] = _reflected(surface, reduction) if follower.mirrored else surface
+    return replace(phase, contacts=tuple(active), footholds=footholds, surfaces=surfaces)
+
+
+def _reflected(surface: Surface, reduction: Reduction) -> Surface:
+    return replace(
+        surface,
+        point=reduction.reflected_point(surface.point),
+        normal=reduction.reflected_point(surface.normal) - reduction.reflected_point(np.zeros(3)),
+    )

@@ -47,7 +47,7 @@ def require_symmetric(problem: Problem, mirror: Mirror, images: Sequence[int]) -
     groups: dict[tuple[object, ...], list[Asked]] = {}
     for asked in Reader(problem).every(dynamics=False):
         place = asked.node.index if asked.node is not None else asked.context.place
-        groups.setdefault((type(asked.term), asked.phase, place), []).append(asked)
+        groups.setdefault((asked.term.name, asked.phase, place), []).append(asked)
     found += [_terms(problem, group, mirror, images) for group in groups.values()]
     return max(found, key=lambda entry: entry.difference)
 

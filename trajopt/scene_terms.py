@@ -36,6 +36,7 @@ from trajopt.point_terms import (
 )
 from trajopt.problem import Motion, Problem
 from trajopt.scene_reduction import Reduction
+from trajopt.scene_terminal import HalfEnd
 from trajopt.scene_view import WholeNodeRows, WholePointRows, whole_cost
 from trajopt.schedule import Phase, Schedule
 from trajopt.term_interfaces import Cost, PointConstraint, Term
@@ -141,4 +142,6 @@ def _(term: FrameHeight | FramePose | FrameVelocity, reduction: Reduction) -> Te
 @_reduced.register(TerminalState)
 @_reduced.register(TerminalRest)
 def _(term: TerminalState | TerminalRest, reduction: Reduction) -> Term:
+    if reduction.is_half:
+        return HalfEnd(phases=term.phases, term=term, reduction=reduction)
     return replace(term, q=reduction.drop_q(np.asarray(term.q, dtype=float)))

@@ -21,7 +21,7 @@ from trajopt.robot import Contact, Robot
 from trajopt.robot_building import BASE_ROWS
 from trajopt.robot_layers import robot_layers
 from trajopt.scene_mirror import REFLECTION, TWIST
-from trajopt.scene_reduction import Reduction
+from trajopt.scene_reduction import Reduction, whole_place
 from trajopt.surface import Surface
 from trajopt.term_interfaces import Cost, PointConstraint, Rows
 from trajopt.units import Units
@@ -229,7 +229,8 @@ class WholeNodeRows(NodeConstraint):
         return self.term.acts_at(place)
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
-        found = self.term.rows(whole_view(context, self.reduction), Units(self.reduction.whole), place)
+        view, own = whole_view(context, self.reduction), Units(self.reduction.whole)
+        found = self.term.rows(view, own, whole_place(place, self.reduction))
         return distinct(found, context)
 
 
