@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import gzip
 import json
 import re
 import signal
@@ -16,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import umsgpack
+from replay_pages import objects_of, scene_of, tracks_of, with_meta
 from synthetic import Motion, arm_motion, meta_of, sampled, standing
 
 import robots
@@ -24,8 +23,8 @@ from trajopt.errors import InputError
 from trajopt.replay import replay, serve
 from trajopt.replay_motion import motion_of
 from trajopt.replay_robot import joint_path
-from trajopt.robot import Contact, Robot
-from trajopt.robot_data import data_share, robot_file
+from trajopt.robot import Robot
+from trajopt.robot_data import robot_file
 from trajopt.solution import Solution
 
 SOLO_URDF = "example-robot-data/robots/solo_description/robots/solo12.urdf"
@@ -75,36 +74,6 @@ def page(jump, tmp_path_factory) -> str:
     path = tmp_path_factory.mktemp("page") / "jump.html"
     replay(jump, html=path)
     return path.read_text()
-
-
-def with_meta(solution: Solution, **changes: object) -> Solution:
-    return replace(solution, meta={**solution.meta, **changes})
-
-
-def scene_of(text: str) -> dict:
-    packed = re.search(r'<script id="scene"[^>]*>([^<]*)</script>', text).group(1)
-    return umsgpack.unpackb(gzip.decompress(base64.b64decode(packed)))
-
-
-def tracks_of(scene: dict) -> dict[tuple[str, str], np.ndarray]:
-    """(place, property) -> rows of values, one a frame."""
-    message = next(command for command in scene["commands"] if command["type"] == "set_animation")
-    found = {}
-    for animation in message["animations"]:
-        for track in animation["clip"]["tracks"]:
-            values = track["values"]
-            rows = np.array(values) if isinstance(values, list) else np.frombuffer(values.data, np.float32)
-            key = (animation["path"].removeprefix("/meshcat/"), track["name"].removeprefix("."))
-            found[key] = rows.reshape(len(track["times"].data) // 4, -1)
-    return found
-
-
-def objects_of(scene: dict) -> dict[str, dict]:
-    return {
-        command["path"].removeprefix("/meshcat/"): command["object"]
-        for command in scene["commands"]
-        if command["type"] == "set_object"
-    }
 
 
 def test_page_forbids_and_makes_no_load_from_elsewhere(page):
@@ -194,31 +163,6 @@ def test_ground_lies_under_the_visible_feet_not_under_the_frames_inside_them(pag
         if command["type"] == "set_transform" and command["path"].endswith("ground/plane")
     )
     assert plane["matrix"][14] == pytest.approx(-0.016, abs=0.003)  # the tips' radius
-
-
-def test_force_of_a_sole_starts_at_its_centre_of_pressure():
-    frame, offset = "left_sole_link", np.array([0.03, -0.02, 0.0])
-    sole = Contact(frame=frame, kind="surface", half_length=0.1, half_width=0.06)
-    robot = Robot.from_urdf(
-        robot_file("talos_data/robots/talos_reduced.urdf"), contacts=[sole], package_dirs=[data_share()]
-    )
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, robot.reference)
-    place = data.oMf[robot.model.getFrameId(frame)]
-    force = np.array([30.0, -10.0, 800.0])
-    wrench = np.concatenate([force, np.cross(place.rotation @ offset, force)])
-    still = np.zeros(robot.nv)
-    stance = Motion(
-        duration=0.1,
-        contacts=(frame,),
-        q=lambda t: robot.reference,
-        v=lambda t: still,
-        a=lambda t: still,
-        tau=lambda t: still[6:],
-        f=lambda t: wrench[None],
-    )
-    motion = motion_of(sampled(robot, [stance], 2))
-    np.testing.assert_allclose(motion.pressed[:, 0], [place.act(offset)] * motion.n_frames, atol=1e-9)
 
 
 def test_arm_is_drawn_whole_and_in_the_colours_of_its_files(arm, tmp_path):

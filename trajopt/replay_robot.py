@@ -22,6 +22,7 @@ from trajopt.solution import Solution
 BONE_COLOUR, JOINT_COLOUR, FOOT_COLOUR = 0x8A93A0, 0x2F6DB5, 0x303438
 # Radii of a skeleton over its reach.
 BONE_RADIUS, JOINT_RADIUS = 0.012, 0.02
+TRUNK_OPACITY = 0.7
 # The thinnest side of a box over its longest: flat links stay visible.
 THINNEST = 0.02
 # Directions in which a round shape is probed for its extent: 2 % of its radius.
@@ -182,7 +183,8 @@ def _draw_trunk(vis: Any, model: pin.Model, drawn: DrawnRobot) -> None:
         return
     sides = np.maximum(sides, THINNEST * sides.max())
     place, node = pin.SE3(axes, inertia.lever), vis[joint_path(model, base)]["trunk"]
-    node.set_object(shapes.Box(sides.tolist()), shapes.MeshPhongMaterial(color=BONE_COLOUR))
+    material = shapes.MeshPhongMaterial(color=BONE_COLOUR, opacity=TRUNK_OPACITY)
+    node.set_object(shapes.Box(sides.tolist()), material)
     node.set_transform(place.homogeneous)
     corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * sides
     drawn.add(base, corners @ axes.T + inertia.lever)

@@ -1,0 +1,83 @@
+"""A short hop to replay, and what the page of a replay holds, decoded."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import umsgpack
+from synthetic import Motion, sampled, standing
+
+import robots
+from trajopt.replay import replay as show
+from trajopt.robot import Robot
+from trajopt.solution import Solution
+from trajopt.surface import Surface
+
+INTERVALS = 3
+STANCE, FLIGHT = 0.2, 0.1  # s
+
+
+def hopping() -> Solution:
+    """Solo12, with its meshes, stands, floats where it stood, and stands again."""
+    robot = robots.load("solo12")
+    stance = standing(robot, STANCE)
+    return sampled(robot, [stance, flying(robot), stance], INTERVALS, visual=robot.visual.to_meta())
+
+
+def flying(robot: Robot) -> Motion:
+    still = standing(robot)
+    return replace(still, duration=FLIGHT, contacts=(), f=lambda t: np.zeros_like(still.f(t)))
+
+
+def with_meta(solution: Solution, **changes: object) -> Solution:
+    return replace(solution, meta={**solution.meta, **changes})
+
+
+def shown(solution: Solution, tmp_path: Path, **options: float) -> dict:
+    show(solution, html=tmp_path / "page.html", **options)
+    return scene_of((tmp_path / "page.html").read_text())
+
+
+def on_surface(solution: Solution, *surfaces: dict[str, Surface]) -> Solution:
+    described = [{frame: surface.describe() for frame, surface in phase.items()} for phase in surfaces]
+    return with_meta(solution, surfaces=described)
+
+
+def scene_of(text: str) -> dict:
+    packed = re.search(r'<script id="scene"[^>]*>([^<]*)</script>', text).group(1)
+    return umsgpack.unpackb(gzip.decompress(base64.b64decode(packed)))
+
+
+def tracks_of(scene: dict) -> dict[tuple[str, str], np.ndarray]:
+    """(place, property) -> rows of values, one a frame."""
+    message = next(command for command in scene["commands"] if command["type"] == "set_animation")
+    found = {}
+    for animation in message["animations"]:
+        for track in animation["clip"]["tracks"]:
+            values = track["values"]
+            rows = np.array(values) if isinstance(values, list) else np.frombuffer(values.data, np.float32)
+            key = (animation["path"].removeprefix("/meshcat/"), track["name"].removeprefix("."))
+            found[key] = rows.reshape(len(track["times"].data) // 4, -1)
+    return found
+
+
+def objects_of(scene: dict) -> dict[str, dict]:
+    return {
+        command["path"].removeprefix("/meshcat/"): command["object"]
+        for command in scene["commands"]
+        if command["type"] == "set_object"
+    }
+
+
+def placements_of(scene: dict) -> dict[str, np.ndarray]:
+    """Place -> homogeneous matrix (4, 4) of every part that is placed once."""
+    return {
+        command["path"].removeprefix("/meshcat/"): np.reshape(command["matrix"], (4, 4)).T
+        for command in scene["commands"]
+        if command["type"] == "set_transform"
+    }
