@@ -15,10 +15,15 @@ import problems
 import trajopt
 from trajopt.errors import InputError
 from trajopt.mode import Mode
-from trajopt.schedule import Phase, Schedule
+from trajopt.node_terms import SwingClearance
+from trajopt.robot import Robot
+from trajopt.robot_data import robot_file
+from trajopt.schedule import FlatGround, Phase, Schedule
 from trajopt.solution import Solution
 from trajopt.solving import prepare
+from trajopt.terms import EffortLimits, FrictionCone, PostureCost, TorqueCost, VelocityCost, WrenchCost
 from trajopt.timeline import StageKind
+from trajopt.transcription import Transcription
 
 INTERVALS = 40
 # The transcriptions have different errors: measured 2.6e-4 of the optimum at 40 intervals, 2.3e-5 at 80,
@@ -86,7 +91,7 @@ def test_impact_before_a_mode_takes_the_velocity_off_the_foot():
 
 def standing_hop() -> trajopt.Problem:
     """The small hopper in space: a spherical ankle holds its stance and its landing."""
-    robot = hopper()
+    robot = hop().robot
     phases = hop().schedule.phases
     landing = replace(phases[2], footholds={FOOT: np.array([0.02, 0.0, 0.0])})
     modes = {
@@ -156,5 +161,119 @@ def test_mode_away_from_its_foothold_is_refused():
     with pytest.raises(InputError, match="mode of phase 'landing' stands at"):
         replace(problem, schedule=schedule)
     nowhere = Phase(name="landing", duration=0.5, contacts=("foot",))
-    with pytest.raises(InputError, match="phase 'landing' has a mode but no foothold for 'foot'"):
+    with pytest.raises(InputError, match="phase 'landing' has no foothold for 'foot', on which a mode"):
         replace(problem, schedule=Schedule((*problem.schedule.phases[:2], nowhere)))
+
+
+def test_limits_and_postures_of_the_whole_robot_mean_the_same_joints_in_a_mode():
+    """The small hopper's mode has its joints in another order: shank, hip."""
+    limit = EffortLimits(limit=np.array([10.0, 50.0]))
+    t = prepare(replace(standing_hop(), terms=(limit,)), intervals=6, compile="none").transcription
+    torque = hop().robot.weight * hop().robot.length
+    effort = t.rows.block == t.rows.names.index("effort_limits")
+    phase = np.array([t.layout.phase_at(int(k)) for k in t.rows.stage])
+    bounds = [t.upper_g[effort & (phase == i)][:2] * torque for i in range(3)]
+    assert_allclose(bounds, [[50.0, 10.0], [10.0, 50.0], [50.0, 10.0]])
+    posture = hop().robot.reference.copy()
+    posture[-2:] += [0.3, -0.1]
+    problem = replace(standing_hop(), terms=(PostureCost(weight=1.0, q=posture),))
+    costs = [guess_cost(each) for each in (problem, replace(problem, modes={}))]
+    assert costs[0] == pytest.approx(costs[1], rel=1e-9)
+
+
+def guess_cost(problem: trajopt.Problem) -> float:
+    prepared = prepare(problem, intervals=6, compile="none")
+    return float(prepared.nlp.engine.f(prepared.guess))
+
+
+def test_effort_limit_of_wrong_length_is_refused():
+    with pytest.raises(InputError, match=r"values of shape \(3,\) for the actuated joints; allowed: \(2,\)"):
+        prepare(hop(terms=(EffortLimits(limit=np.ones(3)),)), intervals=4, compile="none")
+
+
+def test_start_that_moves_the_contact_of_its_mode_is_refused():
+    problem = hop_of_the_plane()
+    moving = np.zeros(problem.robot.nv)
+    moving[0] = 0.1
+    with pytest.raises(InputError, match="moves the contact on which its first mode stands"):
+        replace(problem, initial_v=moving)
+    aside = problem.initial_q + np.eye(problem.robot.nq)[0] * 0.3
+    with pytest.raises(InputError, match="mode of phase 'stance' stands at"):
+        replace(problem, initial_q=aside)
+
+
+def test_mode_of_another_robot_is_refused():
+    other = hopper(mass=30.0)
+    with pytest.raises(InputError, match="mode of phase 'stance' is of another robot"):
+        replace(standing_hop(), modes={"stance": Mode.standing(other, FOOT)})
+
+
+def two_legs() -> trajopt.Problem:
+    """Bolt stands on one point foot in minimal coordinates and on the other by contact rows, or swings it."""
+    robot = Robot.from_urdf(
+        robot_file("bolt_description/robots/bolt.urdf"),
+        contacts=["FL_FOOT", "FR_FOOT"],
+        reference={f"{leg}_{joint}": angle for leg in ("FL", "FR") for joint, angle in BENT.items()},
+    )
+    ground = FlatGround()
+    return trajopt.Problem(
+        name="two-legs",
+        robot=robot,
+        schedule=Schedule(
+            (
+                Phase(name="double", duration=0.2, contacts=("FL_FOOT", "FR_FOOT")),
+                Phase(name="single", duration=0.2, contacts=("FL_FOOT",)),
+            )
+        ),
+        terrain=ground,
+        initial_q=robot.reference,
+        initial_v=np.zeros(robot.nv),
+        terms=(
+            TorqueCost(weight=1.0),
+            WrenchCost(weight=1e-2),
+            FrictionCone(contacts=("FL_FOOT",)),
+            FrictionCone(contacts=("FR_FOOT",)),
+            SwingClearance(height=0.02, terrain=ground),
+        ),
+        guess=lambda t: robot.reference,
+    )
+
+
+BENT = {"HAA": 0.0, "HFE": 0.6, "KFE": -1.2}
+
+
+def test_other_contacts_keep_their_rows_beside_an_embedded_one():
+    problem = two_legs()
+    stance = Mode.standing(problem.robot, "FL_FOOT")
+    minimal = replace(problem, modes={"double": stance, "single": stance})
+    t = prepare(minimal, intervals=6, compile="none").transcription
+    assert t.layout.n_wrench(0) == 3  # of the other foot
+    assert t.layout.n_wrench(1) == 0
+    excess = prepare(problem, intervals=6, compile="none").transcription
+
+    def count(found: Transcription, name: str) -> int:
+        return int(np.sum(found.rows.block == found.rows.names.index(name)))
+
+    for name in ("swing_clearance", "friction_cone"):
+        assert count(t, name) == count(excess, name)
+    assert count(t, "contact_acceleration") < count(excess, "contact_acceleration")
+    solutions = [trajopt.solve(p, intervals=6, compile="none", tolerance=1e-8) for p in (problem, minimal)]
+    assert [solution.success for solution in solutions] == [True, True]
+    objectives = [solution.meta["objective"] for solution in solutions]
+    assert objectives[1] == pytest.approx(objectives[0], rel=SAME_OPTIMUM)
+
+
+def test_statics_of_a_velocity_source_hold_in_a_mode():
+    problem = hop_of_the_plane()
+    stance = Schedule((problem.schedule.phases[0],))
+    terms = (VelocityCost(weight=1.0), PostureCost(weight=1.0), FrictionCone())
+    still = replace(
+        problem,
+        schedule=stance,
+        modes={"stance": problem.modes["stance"]},
+        terms=terms,
+        actuation="velocity",
+    )
+    solution = trajopt.solve(still, intervals=6, compile="none")
+    assert solution.success
+    assert trajopt.check(solution).ok

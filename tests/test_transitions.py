@@ -17,11 +17,13 @@ import trajopt
 from trajopt.errors import InputError
 from trajopt.model_quantities import contact_jacobian
 from trajopt.nlp import Nlp
+from trajopt.node_terms import FrameHeight
 from trajopt.problem import Problem
 from trajopt.schedule import Phase, Schedule
 from trajopt.solving import prepare
 from trajopt.terms import (
     AccelerationCost,
+    BaseDynamics,
     EffortLimits,
     FrictionCone,
     ImpulseCost,
@@ -92,6 +94,8 @@ def nlp_of(name: str, scheme: str = "legendre:2") -> Nlp:
 @pytest.mark.parametrize("scheme", ["legendre:2", "hermite-simpson"])
 @pytest.mark.parametrize("name", VARIANTS)
 def test_derivatives_of_the_whole_nlp_equal_differences(name, scheme):
+    if name == "velocity" and scheme == "hermite-simpson":
+        scheme = "radau:2"  # statics at both ends of an interval say everything twice
     nlp = nlp_of(name, scheme)
     layout = nlp.transcription.layout
     clocks = np.concatenate(
@@ -242,7 +246,9 @@ def test_impact_at_the_start_of_a_phase_that_nothing_begins_is_refused():
         )
 
 
-@pytest.mark.parametrize("bounds", [(0.0, 1.0), (0.5, 0.2), (0.6, 1.0), (0.1, math.inf), (math.nan, 1.0)])
+@pytest.mark.parametrize(
+    "bounds", [(0.0, 1.0), (0.5, 0.2), (0.6, 1.0), (0.1, math.inf), (math.nan, 1.0), 0.5, ("a", "b")]
+)
 def test_duration_bounds_that_make_no_sense_are_refused(bounds):
     with pytest.raises(InputError, match="duration_bounds of phase 'p'"):
         Phase(name="p", duration=0.5, duration_bounds=bounds)
@@ -271,3 +277,65 @@ def test_kinematic_reach_of_an_arm_solves_with_less_than_a_dynamic_one():
     line = np.linspace(solution.q[0], solution.q[-1], 31)
     nodes = solution.q[np.searchsorted(solution.t, np.linspace(0, solution.t[-1], 31) - 1e-9)]
     assert_allclose(nodes, line, atol=1e-3)
+
+
+def test_scheme_that_states_the_balance_of_a_velocity_source_twice_is_refused():
+    with pytest.raises(InputError, match="'hermite-simpson' states the balance of a velocity source twice"):
+        nlp_of("velocity", "hermite-simpson")
+
+
+def bounded(problem: Problem, scheme: str = "legendre:1") -> dict[int, tuple[bool, bool]]:
+    """Nodes with bounds or rows of limits: of positions, of rates; the start left out."""
+    t = prepare(problem, transcription=scheme, intervals=6, compile="none").transcription
+    found = {}
+    for k, form in enumerate(t.layout.forms[1:], start=1):
+        finite = np.isfinite(t.upper_x[t.layout.node(k)])
+        rates = finite[form.rates].any() or any(
+            t.rows.names[b] == "velocity_limits" and s == k and p < 0
+            for b, s, p in zip(t.rows.block, t.rows.stage, t.rows.point, strict=True)
+        )
+        if finite[form.additive].any() or rates:
+            found[k] = (bool(finite[form.additive].any()), bool(rates))
+    return found
+
+
+def limited(schedule: Schedule, *phases: str) -> Problem:
+    return hop(schedule=schedule, terms=(PositionLimits(phases=phases), VelocityLimits(phases=phases)))
+
+
+def test_limits_of_a_phase_hold_at_its_nodes_whatever_lies_between_phases():
+    """Two intervals a phase: nodes 2 and 4 end stance and flight; changes of clock add one each."""
+    both = (True, True)
+    fixed, free = phases(free=False, impact=False), phases(free=True, impact=False)
+    assert bounded(limited(fixed, "flight")) == {2: both, 3: both, 4: both}
+    assert bounded(limited(free, "flight")) == {3: both, 4: both, 6: both}
+
+
+def test_limits_across_an_impact_are_those_of_each_side():
+    schedule = phases(free=False, impact=True)
+    assert bounded(limited(schedule, "flight")) == {2: (True, True), 3: (True, True), 4: (True, True)}
+    assert bounded(limited(schedule, "landing")) == {5: (True, True), 6: (True, True), 7: (True, True)}
+    assert bounded(limited(schedule, "flight", "landing"))[5] == (False, True)
+
+
+def test_limits_of_a_scheme_with_a_point_at_the_end_are_not_repeated_after_a_change():
+    assert bounded(limited(phases(free=True, impact=False), "flight"), "radau:2") == {3: (True, True)}
+
+
+def test_impact_in_the_first_phase_is_refused():
+    with pytest.raises(InputError, match="the first phase 'p' begins with an impact"):
+        Schedule((Phase(name="p", duration=1.0, contacts=(FOOT,), impact=True),))
+
+
+def test_impact_of_a_model_without_contact_rows_is_refused():
+    with pytest.raises(InputError, match="begins with an impact, but the dynamics hold no contacts"):
+        replace(landing(impact=True), dynamics=(BaseDynamics(),))
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.5, 1.0])
+def test_frame_height_acts_at_one_node_of_its_phase(fraction):
+    for impact in (False, True):
+        raised = FrameHeight(frame=FOOT, height=0.02, phase="flight", fraction=fraction)
+        problem = hop(schedule=phases(free=False, impact=impact), terms=(raised,))
+        rows = prepare(problem, intervals=6, compile="none").transcription.rows
+        assert np.sum(rows.block == rows.names.index("frame_height")) == 1

@@ -38,13 +38,18 @@ class ContactConstraint(PointConstraint):
 
     def _pressed(self, context: Context) -> Iterator[Contact]:
         """Active contacts that the term is about."""
-        chosen = None if self.contacts is None else [context.robot.contact(name) for name in self.contacts]
+        chosen = None if self.contacts is None else [context.contact(name) for name in self.contacts]
         for contact in context.pressing:
             if (chosen is None or contact in chosen) and not context.surface(contact).bilateral:
                 yield contact
 
     def _friction(self, context: Context, contact: Contact) -> float:
         return context.surface(contact).friction if self.friction is None else self.friction
+
+
+def _turning(contact: Contact) -> tuple[int, ...]:
+    """Axes of a sole about which it transmits a moment: in a plane only the one across it."""
+    return (0, 1, 2) if contact.dimension == 6 else tuple(row - 3 for row in contact.rows if row > 2)
 
 
 def contact_force(context: Context, contact: Contact) -> ca.SX:
@@ -74,7 +79,8 @@ class FrictionPyramid(ContactConstraint):
         for contact in self._pressed(context):
             mu = context.parameter(self._friction(context, contact) / math.sqrt(2))
             f = surface_force(context, contact)
-            parts += [f[2], *friction_rows((f[0], f[1], f[2]), mu)]
+            sides = friction_rows((f[0], f[1], f[2]), mu)
+            parts += [f[2], *(side for i, side in enumerate(sides) if not f[i // 2].is_zero())]
         return Rows.create(ca.vertcat(*parts), 0, np.inf, units.force) if parts else None
 
 
@@ -115,7 +121,7 @@ class SoleLimits(ContactConstraint):
                     contact.half_length,
                     mu * (contact.half_width + contact.half_length) / 2,
                 )
-                for i in range(3):
+                for i in _turning(contact):
                     parts += [arm[i] * pressure - moment[i], arm[i] * pressure + moment[i]]
         return Rows.create(ca.vertcat(*parts), 0, np.inf, units.torque) if parts else None
 
@@ -170,7 +176,7 @@ class NormalForce(PointConstraint):
         )
 
     def rows(self, context: Context, units: Units) -> Rows | None:
-        contact = context.robot.contact(self.contact)
-        if contact not in context.contacts:
+        contact = context.contact(self.contact)
+        if contact not in context.pressing:
             return None
         return Rows.create(surface_force(context, contact)[2], *self._bounds(), units.force)

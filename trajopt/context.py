@@ -99,7 +99,7 @@ class Context:
         nv, order = coordinates.nv, 1 if actuation == "velocity" else 2
         names = () if self.place is Place.NODE else tuple((c.name, c.dimension) for c in contacts)
         self.unknown_wrenches: dict[str, ca.SX] = {name: ca.SX.sym(f"w_{name}", n) for name, n in names}
-        self._mode = mode if self.place is Place.POINT else None
+        self._mode = mode if mode is not None and mode.robot is robot else None
         if self.place is Place.NODE:
             state = ca.SX.sym("x", coordinates.n_node if order == 2 else coordinates.n_node - nv)
             every = ca.SX.sym("clocks", clocks[0])
@@ -155,7 +155,33 @@ class Context:
     @property
     def pressing(self) -> tuple[Contact, ...]:
         """Active contacts with a wrench: unknown, or the reaction where coordinates embed the contact."""
-        return (*self.contacts, *(self._mode.embedded if self._mode else ()))
+        if self._mode is None or self.place is not Place.POINT:
+            return self.contacts
+        return (*self.contacts, self._mode.embedded)
+
+    def contact(self, name: str) -> Contact:
+        """The contact of that name, of this phase's coordinates or embedded in them. Raises InputError."""
+        for contact in self.pressing:
+            if contact.name == name:
+                return contact
+        return (self._mode.whole if self._mode else self.robot).contact(name)
+
+    def actuated(self, values: np.ndarray) -> np.ndarray:
+        """Values of the whole robot's actuated rows (nu,) in the order of this context's torques."""
+        rows = np.array(values, dtype=float)
+        if rows.shape != (self.robot.nu,):
+            raise InputError(
+                f"a term has values of shape {rows.shape} for the actuated joints",
+                f"allowed: ({self.robot.nu},)",
+            )
+        return rows if self._mode is None else rows[self._mode.torque_rows]
+
+    def posture(self, q: np.ndarray) -> np.ndarray:
+        """A configuration of the whole robot in the coordinates of this context (nq,)."""
+        if self._mode is None:
+            return np.asarray(q, dtype=float)
+        still = np.zeros(self._mode.whole.nv)
+        return self._mode.dropped(np.asarray(q, dtype=float), still, still)[0]
 
     @cached_property
     def wrenches(self) -> dict[str, ca.SX]:
@@ -163,10 +189,13 @@ class Context:
         if self.place is Place.NODE:
             return {}
         full = {contact.name: self._full_wrench(contact) for contact in self.contacts}
-        if self._mode is None:
+        if self._mode is None or self.place is not Place.POINT:
             return full
-        forces = ca.vertsplit(self._mode.reaction(self.q, self.v, self.a), 3)
-        return full | dict(zip(self._mode.embedded_names, forces, strict=True))
+        rates = self.v if self.moving else ca.SX.zeros(self.coordinates.nv)
+        force = self._mode.reaction(self.q, rates, self.a)
+        for wrench in full.values():
+            force = force - wrench[:3]
+        return full | {self._mode.embedded.name: force}
 
     def _full_wrench(self, contact: Contact) -> ca.SX:
         """Wrench with zeros where a contact within a plane transmits nothing."""

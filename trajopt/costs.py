@@ -50,7 +50,7 @@ class PostureCost(Cost):
 
     def residual(self, context: Context, units: Units) -> ca.SX:
         robot, coordinates = context.robot, context.coordinates
-        q = robot.reference if self.q is None else self.q
+        q = robot.reference if self.q is None else context.posture(self.q)
         node = coordinates.node_from_pinocchio(q, np.zeros(robot.nv))
         n4 = 4 * coordinates.n_rotations
         additive = coordinates.additive_index

@@ -44,7 +44,7 @@ def extract(transcription: Transcription, x: np.ndarray, meta: dict[str, Any]) -
     unknowns = x * transcription.scale
     clocks = layout.clocks(unknowns)
     steps = layout.steps * clocks[layout.phase_of]
-    times = np.concatenate([[0.0], np.cumsum(steps)])
+    times = layout.times(unknowns)
     ends = layout.scheme.interpolation(np.array([0.0, 1.0]))
     columns: dict[str, list[np.ndarray]] = {name: [] for name in ("t", "q", "v", "a", "tau", "f")}
     for k in layout.interval_stages:
@@ -146,10 +146,11 @@ def _interval(layout: Layout, unknowns: np.ndarray, k: int, h: float, clock: flo
     full = [np.concatenate([e[:1], p, e[1:]]) for p, e in zip((q, v, a), edge, strict=True)]
     mode = layout.modes.get(layout.schedule.phases[phase].name)
     if mode is not None:
-        *full, reaction = mode.lifted(*full)
+        still = np.zeros_like(full[1])
+        reaction = mode.lifted(full[0], still, still)[3] if layout.order == 1 else mode.lifted(*full)[3]
+        full = list(mode.lifted(*full)[:3])
         names = [contact.name for contact in layout.robot.contacts]
-        for row, name in enumerate(mode.embedded_names):
-            f[:, names.index(name), :3] = reaction[1:-1, 3 * row : 3 * row + 3]
+        f[:, names.index(mode.embedded.name), :3] = reaction[1:-1] - f[:, :, :3].sum(axis=1)
     tau = _torques(layout, [part[1:-1] for part in full], f)
     return _Interval(full[0], full[1], full[2], f, tau)
 

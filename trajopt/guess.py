@@ -85,11 +85,13 @@ def _node_phase(layout: Layout, k: int) -> int:
     Of two phases that meet there, the one with more contacts: its feet do not move. Across an impact
     each side has its own.
     """
-    before = int(layout.phase_of[k - 1])
-    after = int(layout.phase_of[min(k, layout.n_stages - 1)])
-    into_impact = k < layout.n_stages and layout.stages[k].kind is StageKind.IMPACT
-    if into_impact or layout.stages[k - 1].kind is not StageKind.INTERVAL:
-        return before
+    meeting = layout.meeting(k)
+    if meeting.before is None or meeting.after is None:
+        only = meeting.after if meeting.before is None else meeting.before
+        return int(layout.phase_of[only])
+    before, after = int(layout.phase_of[meeting.before]), int(layout.phase_of[meeting.after])
+    if meeting.impact_ahead or meeting.impact_behind:
+        return before if meeting.impact_ahead else after
     return before if len(layout.touching[before]) > len(layout.touching[after]) else after
 
 

@@ -24,6 +24,16 @@ from trajopt.timeline import NodeForm, Stage, StageKind, Timeline, timeline
 
 
 @dataclass(frozen=True)
+class Meeting:
+    """The intervals (stages, or None) around a node, and whether impacts lie between it and them."""
+
+    before: int | None
+    after: int | None
+    impact_behind: bool
+    impact_ahead: bool
+
+
+@dataclass(frozen=True)
 class Layout:
     """Index ranges of one transcription; ``intervals`` is the number of intervals of each phase.
 
@@ -93,7 +103,7 @@ class Layout:
             tuple(
                 self.form_of(i).robot.contact(name)
                 for name in phase.contacts
-                if phase.name not in self.modes or name not in self.modes[phase.name].embedded_names
+                if phase.name not in self.modes or name != self.modes[phase.name].embedded.name
             )
             for i, phase in enumerate(self.schedule.phases)
         )
@@ -177,8 +187,27 @@ class Layout:
             return None
         phase, index = found
         count = self.intervals[phase]
-        last = phase == len(self.intervals) - 1 and index == count
-        return NodePlace(self.schedule.phases[phase], index, count, last)
+        final = phase == len(self.intervals) - 1
+        return NodePlace(self.schedule.phases[phase], index, count, final and index == count, final)
+
+    def meeting(self, k: int) -> Meeting:
+        """The intervals between which node k lies, whatever transitions are there."""
+        kinds = [stage.kind for stage in self.stages]
+        before, after = k - 1, k
+        while before >= 0 and kinds[before] is not StageKind.INTERVAL:
+            before -= 1
+        while after < self.n_stages and kinds[after] is not StageKind.INTERVAL:
+            after += 1
+        return Meeting(
+            before=before if before >= 0 else None,
+            after=after if after < self.n_stages else None,
+            impact_behind=StageKind.IMPACT in kinds[before + 1 : k],
+            impact_ahead=StageKind.IMPACT in kinds[k:after],
+        )
+
+    def times(self, unknowns: np.ndarray) -> np.ndarray:
+        """Time of each node in s (n_stages + 1,), from unscaled unknowns."""
+        return np.concatenate([[0.0], np.cumsum(self.steps * self.clocks(unknowns)[self.phase_of])])
 
     def place_phase(self, k: int) -> int:
         """Phase index of ``place(k)``, -1 where there is none."""

@@ -23,9 +23,10 @@ the world frame Pinocchio's body-frame twist and its rate are
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -111,6 +112,11 @@ class Joint:
     kind: str  # "plain" | "continuous" | "planar" | "spherical" | "freeflyer"
     q: slice
     v: slice
+
+    @property
+    def is_counted(self) -> bool:
+        """Whether the coordinate counts whole turns that q does not."""
+        return self.kind == "continuous"
 
     @property
     def rotation(self) -> slice | None:
@@ -271,8 +277,11 @@ class Coordinates:
                 xi[joint.v] = qj
         return np.concatenate([*rotations, xi[self.additive_index], rates])
 
-    def symbolic_node(self, q: ca.SX, v: ca.SX) -> ca.SX:
-        """Symbolic node state (n_node,) of q (nq,) and v (nv,), as ``node_from_pinocchio``."""
+    def symbolic_node(self, q: ca.SX, v: ca.SX, counted: Mapping[str, ca.SX] = MappingProxyType({})) -> ca.SX:
+        """Symbolic node state (n_node,) of q (nq,) and v (nv,), as ``node_from_pinocchio``.
+
+        ``counted`` are angles of continuous joints, by name, whose whole turns q does not tell.
+        """
         rotations, xi, rates = [], ca.SX.zeros(self.nv), v + 0
         for joint in self.joints:
             qj, at = q[joint.q], joint.v
@@ -288,7 +297,7 @@ class Coordinates:
                 turn = ca.vertcat(ca.horzcat(c, -s), ca.horzcat(s, c))
                 rates[two] = ca.mtimes(turn, v[two])
             elif joint.kind == "continuous":
-                xi[at] = ca.atan2(qj[1], qj[0])
+                xi[at] = counted.get(joint.name, ca.atan2(qj[1], qj[0]))
             elif joint.kind == "plain":
                 xi[at] = qj
         return ca.vertcat(*rotations, xi[self.additive_index.tolist()], rates)

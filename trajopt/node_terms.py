@@ -13,7 +13,7 @@ from trajopt.context import Context
 from trajopt.errors import InputError
 from trajopt.manifold import Coordinates, rotation_matrix
 from trajopt.model_quantities import contact_jacobian
-from trajopt.robot import Robot
+from trajopt.robot import Contact, Robot
 from trajopt.schedule import FlatGround, Phase
 from trajopt.surface import Surface
 from trajopt.term_interfaces import Rows, Term
@@ -25,12 +25,16 @@ RANK_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class NodePlace:
-    """A node within its phase: ``index`` of ``count`` intervals; ``last`` of the whole schedule."""
+    """A node within its phase: ``index`` of ``count`` intervals; ``last`` of the whole schedule.
+
+    ``ends_schedule``: the phase is the last one.
+    """
 
     phase: Phase
     index: int
     count: int
     last: bool
+    ends_schedule: bool = True
 
     @property
     def fraction(self) -> float:
@@ -102,11 +106,11 @@ class ContactLanding(NodeConstraint):
             else:
                 continue
             scales.append(np.full(len(targets[-1]), units.length))
-            tilting = min(2, sum(row > 2 for row in held))
+            tilting = _tilting_axes(contact, held)
             if tilting:
-                expressions.append(along_normal(context, surface, frame.rotation[:, :tilting]).T)
-                targets.append(np.zeros(tilting))
-                scales.append(np.ones(tilting))
+                expressions.append(along_normal(context, surface, frame.rotation[:, tilting]).T)
+                targets.append(np.zeros(len(tilting)))
+                scales.append(np.ones(len(tilting)))
         if context.actuation != "velocity":
             for name in (*self.contacts, *self.held):
                 contact = context.robot.contact(name)
@@ -117,6 +121,13 @@ class ContactLanding(NodeConstraint):
                     scales.append(units.twist[rows])
         bound = np.concatenate(targets)
         return Rows.create(ca.vertcat(*expressions), bound, bound, np.concatenate(scales))
+
+
+def _tilting_axes(contact: Contact, held: tuple[int, ...]) -> list[int]:
+    """Axes of a sole (0: x, 1: y) that must lie in its surface: of a planar robot the one in its plane."""
+    if contact.dimension == 6:
+        return [0, 1][: sum(row > 2 for row in held)]
+    return [0 if row == 4 else 1 for row in held if row in (3, 4)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,7 +157,10 @@ class SwingClearance(NodeConstraint):
 
 @dataclass(frozen=True, kw_only=True)
 class FrameHeight(NodeConstraint):
-    """A frame at least ``height`` m high at the node nearest to ``fraction`` of the phase ``phase``."""
+    """A frame at least ``height`` m high at the node nearest to ``fraction`` of the phase ``phase``.
+
+    Of the phase's own nodes: the last one of all but the last phase belongs to the next.
+    """
 
     frame: str
     height: float
@@ -154,7 +168,9 @@ class FrameHeight(NodeConstraint):
     fraction: float = 0.5
 
     def acts_at(self, place: NodePlace) -> bool:
-        return place.phase.name == self.phase and place.index == round(self.fraction * place.count)
+        nearest = round(self.fraction * place.count)
+        own = nearest if place.ends_schedule else min(nearest, place.count - 1)
+        return place.phase.name == self.phase and place.index == own
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         return Rows.create(context.frame(self.frame).position[2], self.height, np.inf, units.length)

@@ -22,7 +22,7 @@ class EffortLimits(PointConstraint):
     limit: np.ndarray | None = None
 
     def rows(self, context: Context, units: Units) -> Rows | None:
-        limit = context.robot.effort_limit if self.limit is None else np.asarray(self.limit)
+        limit = context.robot.effort_limit if self.limit is None else context.actuated(self.limit)
         if limit is None:
             return None
         bound = np.flatnonzero(limit < units.unreachable_torque)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
+import pinocchio as pin
 
 from trajopt.context import ACTUATIONS, Actuation
 from trajopt.errors import InputError
@@ -15,7 +16,7 @@ from trajopt.motion_terms import ContactVelocity
 from trajopt.node_terms import ContactLanding, NodeConstraint
 from trajopt.point_terms import BaseDynamics, ContactAcceleration
 from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.schedule import FlatGround, Schedule
 from trajopt.surface import Surface
 from trajopt.term_interfaces import Cost, PointConstraint, Term
 
@@ -70,12 +71,13 @@ class Problem:
         object.__setattr__(self, "modes", MappingProxyType(dict(self.modes)))
         names = [phase.name for phase in self.schedule.phases]
         self._require_actuation()
-        self._require_modes(names)
         if len(set(names)) != len(names):
             raise InputError(f"problem '{self.name}' has two phases of one name: {', '.join(names)}")
         for phase in self.schedule.phases:
             for contact in phase.contacts:
                 self.robot.contact(contact)
+        self._require_modes(names)
+        self._require_impacts()
         self.schedule.require_steady_surfaces(self.terrain)
         for term in self.terms:
             for name in term.phases or ():
@@ -83,32 +85,62 @@ class Problem:
                     raise InputError(f"{term.name} acts in phase '{name}'", f"allowed: {', '.join(names)}")
 
     def _require_modes(self, names: list[str]) -> None:
-        """A mode stands where its contact is: at the start, or on the foothold where that lands."""
+        """A mode is of this robot and stands where its contact is: where it was at the start, or landed."""
         for name, mode in self.modes.items():
             if name not in names:
                 raise InputError(f"a mode is given for phase '{name}'", f"allowed: {', '.join(names)}")
+            if mode.whole is not self.robot:
+                raise InputError(
+                    f"mode of phase '{name}' is of another robot", "allowed: modes of the problem's robot"
+                )
             index = names.index(name)
-            phase = self.schedule.phases[index]
-            for contact in mode.embedded_names:
-                if contact not in phase.contacts:
-                    raise InputError(
-                        f"mode of phase '{name}' stands on '{contact}'", "allowed: contacts of the phase"
-                    )
-                if contact in self.schedule.new_contacts(index):
-                    self._require_foothold(phase, contact, mode)
-
-    @staticmethod
-    def _require_foothold(phase: Phase, contact: str, mode: Mode) -> None:
-        if contact not in phase.footholds:
+            contact = mode.embedded.name
+            if contact not in self.schedule.phases[index].contacts:
+                raise InputError(
+                    f"mode of phase '{name}' stands on '{contact}'", "allowed: contacts of the phase"
+                )
+            self._require_place(contact, index, mode)
+        first = self.modes.get(names[0])
+        if first is not None and first.loses(self.initial_q, self.initial_v) > SAME_PLACE:
             raise InputError(
-                f"phase '{phase.name}' has a mode but no foothold for '{contact}'",
+                f"the start of problem '{self.name}' moves the contact on which its first mode stands",
+                "allowed: an initial_q and initial_v with that contact at rest",
+            )
+
+    def _require_place(self, contact: str, index: int, mode: Mode) -> None:
+        place = self.contact_place(contact, index)
+        if place is None:
+            begins = self.schedule.phases[self.schedule.beginning(contact, index)].name
+            raise InputError(
+                f"phase '{begins}' has no foothold for '{contact}', on which a mode stands",
                 "allowed: a foothold at which the mode stands",
             )
-        if np.linalg.norm(phase.footholds[contact] - mode.anchor) > SAME_PLACE:
-            raise InputError(
-                f"mode of phase '{phase.name}' stands at {mode.anchor}",
-                f"allowed: {phase.footholds[contact]}",
-            )
+        if np.linalg.norm(place - mode.anchor) > SAME_PLACE:
+            name = self.schedule.phases[index].name
+            raise InputError(f"mode of phase '{name}' stands at {mode.anchor}", f"allowed: {place}")
+
+    def contact_place(self, contact: str, phase: int) -> np.ndarray | None:
+        """World position (3,) in m of an active contact of a phase, None where it may land anywhere."""
+        begins = self.schedule.beginning(contact, phase)
+        if begins:
+            return self.schedule.phases[begins].footholds.get(contact)
+        model = self.robot.model
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, self.initial_q)
+        place: np.ndarray = data.oMf[model.getFrameId(self.robot.contact(contact).frame)].translation
+        return place.copy()
+
+    def _require_impacts(self) -> None:
+        for phase in self.schedule.phases:
+            if phase.impact and not self._holds_contacts:
+                raise InputError(
+                    f"phase '{phase.name}' begins with an impact, but the dynamics hold no contacts",
+                    "allowed: impact=False for a reduced model",
+                )
+
+    @property
+    def _holds_contacts(self) -> bool:
+        return any(isinstance(rows, ContactAcceleration | ContactVelocity) for rows in self.motion_rows)
 
     def _require_actuation(self) -> None:
         if self.actuation not in ACTUATIONS:
@@ -162,7 +194,6 @@ class Problem:
 
         Where the dynamics hold no contact (a reduced model without legs), nothing lands.
         """
-        holding = any(isinstance(rows, ContactAcceleration | ContactVelocity) for rows in self.motion_rows)
         landings = tuple(
             ContactLanding(
                 phase=phase.name,
@@ -171,6 +202,6 @@ class Problem:
                 held=self.schedule.kept_contacts(i) if phase.impact else (),
             )
             for i, phase in enumerate(self.schedule.phases)
-            if holding and self.schedule.new_contacts(i)
+            if self._holds_contacts and self.schedule.new_contacts(i)
         )
         return landings + tuple(term for term in self.terms if isinstance(term, NodeConstraint))

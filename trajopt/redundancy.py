@@ -7,7 +7,8 @@ LICQ). Forces keep all components; what they share among redundant contacts is f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 import pinocchio as pin
@@ -30,17 +31,21 @@ Kept = dict[str, tuple[int, ...]]
 
 
 def independent_rows(
-    robot: Robot, q: np.ndarray, before: Sequence[Contact], after: Sequence[Contact]
+    robot: Robot,
+    q: np.ndarray,
+    before: Sequence[Contact],
+    after: Sequence[Contact],
+    places: Mapping[str, np.ndarray] = MappingProxyType({}),
 ) -> Kept:
     """Rows to keep of every contact, by name: of ``before`` first, then of ``after``.
 
-    A row is left out if at q (nq,), and at postures around it with the contacts in the same places, it
-    depends on those kept before it.
+    A row is left out if at q (nq,), and at postures around it with the contacts where they hold, it depends
+    on those kept before it. ``places`` (3,) m are where contacts are, by name; default where q has them.
     """
     kept = _kept([q], robot, before, after)
     if all(kept[contact.name] == contact.rows for contact in (*before, *after)):
         return kept
-    return _kept([q, *_neighbours(robot, q, (*before, *after))], robot, before, after)
+    return _kept([q, *_neighbours(robot, q, (*before, *after), places)], robot, before, after)
 
 
 def _kept(
@@ -65,16 +70,19 @@ def _ordered(before: Sequence[Contact], after: Sequence[Contact]) -> list[tuple[
     return [(c, row) for group in (before, after) for row in ORDER for c in group if row in c.rows]
 
 
-def _neighbours(robot: Robot, q: np.ndarray, contacts: Sequence[Contact]) -> list[np.ndarray]:
-    """Postures around q (nq,) with the contacts where they are there: a point's origin, a sole's pose."""
+def _neighbours(
+    robot: Robot, q: np.ndarray, contacts: Sequence[Contact], places: Mapping[str, np.ndarray]
+) -> list[np.ndarray]:
+    """Postures around q (nq,) with the contacts where they hold: a point's origin, a sole's pose."""
     model, generator = robot.model, np.random.default_rng(0)
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
-    places = {c.frame: data.oMf[model.getFrameId(c.frame)].copy() for c in contacts}
-    targets = {
-        c.frame: places[c.frame].translation if c.kind == "point" else places[c.frame] for c in contacts
-    }
-    moves = generator.uniform(-SPREAD, SPREAD, (SAMPLES, robot.nv))
+    targets: dict[str, pin.SE3 | np.ndarray] = {}
+    for contact in contacts:
+        pose = data.oMf[model.getFrameId(contact.frame)].copy()
+        pose.translation = places.get(contact.name, pose.translation)
+        targets[contact.frame] = pose.translation if contact.kind == "point" else pose
+    moves = np.vstack([np.zeros(robot.nv), generator.uniform(-SPREAD, SPREAD, (SAMPLES, robot.nv))])
     moved = [np.clip(pin.integrate(model, q, m), robot.position_lower, robot.position_upper) for m in moves]
     return [inverse_kinematics(robot, start, targets, move_base=True).q for start in moved]
 

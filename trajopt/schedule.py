@@ -84,12 +84,16 @@ class Phase:
         return self.surfaces.get(contact, terrain.surface)
 
     def _require_bounds(self, bounds: tuple[float, float]) -> None:
-        if not (len(bounds) == 2 and 0 < bounds[0] <= self.duration <= bounds[1] < math.inf):
+        try:
+            lower, upper = (float(bound) for bound in bounds)
+        except (TypeError, ValueError):
+            lower = upper = math.nan
+        if not 0 < lower <= self.duration <= upper < math.inf:
             raise InputError(
                 f"duration_bounds of phase '{self.name}' are {bounds} s",
                 f"allowed: (lower, upper), finite, 0 < lower <= duration = {self.duration:g} <= upper",
             )
-        object.__setattr__(self, "duration_bounds", (float(bounds[0]), float(bounds[1])))
+        object.__setattr__(self, "duration_bounds", (lower, upper))
 
 
 @dataclass(frozen=True)
@@ -103,6 +107,11 @@ class Schedule:
         if not self.phases:
             raise InputError("the schedule has no phase", "allowed: at least one phase")
         for index, phase in enumerate(self.phases):
+            if phase.impact and index == 0:
+                raise InputError(
+                    f"the first phase '{phase.name}' begins with an impact",
+                    "allowed: impact=True where a contact begins after another phase",
+                )
             if phase.impact and not self.new_contacts(index):
                 raise InputError(
                     f"phase '{phase.name}' begins with an impact, but no contact begins with it",
@@ -136,6 +145,12 @@ class Schedule:
             return ()
         before = self.phases[index - 1].contacts
         return tuple(name for name in self.phases[index].contacts if name not in before)
+
+    def beginning(self, contact: str, index: int) -> int:
+        """Phase with which an active contact of phase ``index`` began; 0 if it holds from the start."""
+        while index and contact in self.phases[index - 1].contacts:
+            index -= 1
+        return index
 
     def kept_contacts(self, index: int) -> tuple[str, ...]:
         """Contacts of phase ``index`` that held before it."""

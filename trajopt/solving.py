@@ -172,7 +172,7 @@ def _solution(
         "variables": t.layout.n_unknowns,
         "constraints": t.n_rows,
         "max_violation": _number(worst),
-        "worst_blocks": worst_blocks(t, violations, 3),
+        "worst_blocks": worst_blocks(t, result.x, violations, 3),
         "wall_time_s": result.wall_time,
         "function_time_s": result.function_time,
         "build_time_s": prepared.build_time,

@@ -114,7 +114,8 @@ class TermFunctions:
         mode = next(m for m in self.problem.modes.values() if m.robot is (before if whole else after).robot)
         still = ca.SX.zeros(before.coordinates.nv)
         q, v, _ = (mode.lift if whole else mode.drop)(context.q, context.v, still)
-        return after.coordinates.symbolic_node(q, v)
+        shared = {joint.name: context.xi[joint.v] for joint in before.coordinates.joints if joint.is_counted}
+        return after.coordinates.symbolic_node(q, v, shared)
 
     def redundant(self) -> dict[str, list[str]]:
         """Rows of contacts that are left out for saying nothing new, in words, by phase."""
@@ -148,7 +149,9 @@ class TermFunctions:
         if form.robot is not layout.robot:
             still = np.zeros(layout.robot.nv)
             q = self.problem.modes[self.problem.schedule.phases[phase].name].dropped(q, still, still)[0]
-        return independent_rows(form.robot, q, before, after)
+        known = {c.name: self.problem.contact_place(c.name, phase) for c in contacts}
+        places = {name: place for name, place in known.items() if place is not None}
+        return independent_rows(form.robot, q, before, after, places)
 
     def _context(self, phase: int, form: NodeForm, place: Place) -> Context:
         contacts = {Place.POINT: self.layout.contacts, Place.IMPACT: self.layout.touching}

@@ -259,4 +259,9 @@ def transcribe(
     total = problem.default_intervals if intervals is None else intervals
     if not isinstance(total, (int, np.integer)) or isinstance(total, bool):
         raise InputError(f"intervals is {total!r}", "allowed: a whole number")
+    if problem.actuation == "velocity" and problem.robot.n_unactuated and 0.0 in method.c:
+        raise InputError(
+            f"transcription '{method.name}' states the balance of a velocity source twice at every node",
+            "allowed: legendre or radau for a free base",
+        )
     return Transcriber(problem, method, problem.schedule.intervals(total)).build()

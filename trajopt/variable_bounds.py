@@ -7,6 +7,7 @@ a limit of the true rate is no bound but a linear row: |x'| <= s limit.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,25 +44,28 @@ def variable_bounds(
     lower = np.full(layout.n_unknowns, -np.inf)
     upper = np.full(layout.n_unknowns, np.inf)
     for term in problem.point_constraints:
-        for k in _bounded_nodes(term, layout):
-            form = layout.forms[k]
+        for at in _bounded_nodes(term, layout):
+            form, node = layout.forms[at.node], layout.node(at.node)
             bounds = term.node_bounds(form.robot)
             if bounds is None:
                 continue
-            low = _node_values(form, bounds[0], bounds[2], -np.inf)
-            high = _node_values(form, bounds[1], bounds[3], np.inf)
             scale = collocation.node_scale(form)
-            lower[layout.node(k)] = np.maximum(lower[layout.node(k)], low / scale)
-            upper[layout.node(k)] = np.minimum(upper[layout.node(k)], high / scale)
+            low = _node_values(form, at, bounds[0], bounds[2], -np.inf)
+            high = _node_values(form, at, bounds[1], bounds[3], np.inf)
+            lower[node] = np.maximum(lower[node], low / scale)
+            upper[node] = np.minimum(upper[node], high / scale)
     _fix_start(problem, layout, collocation, lower, upper)
     return lower, upper
 
 
-def _node_values(form: NodeForm, positions: np.ndarray, rates: np.ndarray, free: float) -> np.ndarray:
+def _node_values(
+    form: NodeForm, at: _Bounded, positions: np.ndarray, rates: np.ndarray, free: float
+) -> np.ndarray:
     """A node of bounds on local positions and rates (nv,), ``free`` elsewhere; clocked rates have none."""
     values = np.full(form.size, free)
-    values[form.additive] = positions[form.coordinates.additive_index]
-    if form.order == 2 and form.clock is None:
+    if at.positions:
+        values[form.additive] = positions[form.coordinates.additive_index]
+    if at.rates and form.order == 2 and form.clock is None:
         values[form.rates] = rates
     return values
 
@@ -100,12 +104,12 @@ def clocked_limits(
     """Rows of rates that are measured in a free clock: their limits at nodes, and a start that moves."""
     found: dict[int, list[ClockedLimit]] = {}
     for term in problem.point_constraints:
-        for k in _bounded_nodes(term, layout):
-            form, bounds = layout.forms[k], term.node_bounds(layout.forms[k].robot)
-            if form.clock is not None and form.order == 2 and bounds is not None:
-                limit = _clocked(term.name, form, bounds[3], collocation, layout.n_unknowns)
+        for at in _bounded_nodes(term, layout):
+            form, bounds = layout.forms[at.node], term.node_bounds(layout.forms[at.node].robot)
+            if at.rates and form.clock is not None and form.order == 2 and bounds is not None:
+                limit = _clocked(term.name, form, bounds[2:], collocation, layout.n_unknowns)
                 if len(limit.lower):
-                    found.setdefault(k, []).append(limit)
+                    found.setdefault(at.node, []).append(limit)
     form = layout.forms[0]
     if form.clock is not None and form.order == 2:
         state = form.coordinates.node_from_pinocchio(*start_of(problem, layout))
@@ -122,38 +126,60 @@ def clocked_limits(
 
 
 def _clocked(
-    name: str, form: NodeForm, limit: np.ndarray, collocation: Collocation, n_unknowns: int
+    name: str,
+    form: NodeForm,
+    limits: Sequence[np.ndarray],
+    collocation: Collocation,
+    n_unknowns: int,
 ) -> ClockedLimit:
-    """x' - s limit <= 0 and x' + s limit >= 0, over the rates' units."""
-    bound = np.flatnonzero(np.isfinite(limit))
-    scale = collocation.node_scale(form)[form.rates[bound]]
-    n = len(bound)
-    rows = np.zeros((2 * n, form.size))
-    every = np.arange(n)
-    rows[every, form.rates[bound]] = rows[n + every, form.rates[bound]] = 1.0
-    rows[:n, form.clocks[form.clock]] = -limit[bound] / scale
-    rows[n:, form.clocks[form.clock]] = limit[bound] / scale
-    lower = np.concatenate([np.full(n, -np.inf), np.zeros(n)])
-    upper = np.concatenate([np.zeros(n), np.full(n, np.inf)])
-    return ClockedLimit(name, rows, lower, upper, n_unknowns)
+    """x' - s lower >= 0 and x' - s upper <= 0, over the rates' units, where both limits (nv,) are finite."""
+    rows, lower, upper = [], [], []
+    scale = collocation.node_scale(form)[form.rates]
+    for limit, (low, high) in zip(limits, ((0.0, np.inf), (-np.inf, 0.0)), strict=True):
+        for index in np.flatnonzero(np.isfinite(limit)):
+            row = np.zeros(form.size)
+            row[form.rates[index]] = 1.0
+            row[form.clocks[form.clock]] = -limit[index] / scale[index]
+            rows.append(row)
+            lower.append(low)
+            upper.append(high)
+    coefficients = np.array(rows).reshape(len(rows), form.size)
+    return ClockedLimit(name, coefficients, np.array(lower), np.array(upper), n_unknowns)
 
 
-def _bounded_nodes(term: PointConstraint, layout: Layout) -> list[int]:
-    """Nodes after the start that the term's phases touch and that no point of theirs coincides with.
+@dataclass(frozen=True)
+class _Bounded:
+    """A node at which a limit of positions, of rates, or of both is stated."""
 
-    A node that a change of coordinates leads out of repeats the next one.
+    node: int
+    positions: bool
+    rates: bool
+
+
+def _bounded_nodes(term: PointConstraint, layout: Layout) -> list[_Bounded]:
+    """Nodes after the start at which a term's limits are stated, once for every state of the motion.
+
+    Where intervals meet, with changes of coordinates between them or not, there is one state: the last of
+    its nodes has the limit, of either phase. An impact has two: rates before it have the limits of the phase
+    before, rates after it those of the phase after, and the configuration is the same.
     """
-    acting = [term.acts_in(layout.schedule.phases[stage.phase].name) for stage in layout.stages]
-    is_interval = [stage.kind is StageKind.INTERVAL for stage in layout.stages]
-    at_start, at_end = 0.0 in layout.scheme.c, 1.0 in layout.scheme.c
-    nodes = []
+    found = []
     for k in range(1, layout.n_stages + 1):
-        if k < layout.n_stages and layout.stages[k].kind is StageKind.CHANGE:
+        meeting = layout.meeting(k)
+        before, after = (_acts(term, layout, stage) for stage in (meeting.before, meeting.after))
+        stated_before, stated_after = before and 1.0 in layout.scheme.c, after and 0.0 in layout.scheme.c
+        if meeting.impact_ahead:
+            if layout.stages[k].kind is StageKind.IMPACT and before and not stated_before:
+                found.append(_Bounded(k, positions=True, rates=True))
+        elif k < layout.n_stages and layout.stages[k].kind is StageKind.CHANGE:
             continue
-        before, after = acting[k - 1], k < layout.n_stages and acting[k]
-        covered = (at_end and before and is_interval[k - 1]) or (
-            at_start and after and k < layout.n_stages and is_interval[k]
-        )
-        if (before or after) and not covered:
-            nodes.append(k)
-    return nodes
+        elif meeting.impact_behind:
+            if after and not stated_after:
+                found.append(_Bounded(k, positions=not before, rates=True))
+        elif (before or after) and not (stated_before or stated_after):
+            found.append(_Bounded(k, positions=True, rates=True))
+    return found
+
+
+def _acts(term: PointConstraint, layout: Layout, stage: int | None) -> bool:
+    return stage is not None and term.acts_in(layout.schedule.phases[layout.stages[stage].phase].name)

@@ -21,7 +21,7 @@ def _outside(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.nda
     return np.maximum(0.0, np.maximum(lower - values, values - upper))
 
 
-def worst_blocks(t: Transcription, violations: np.ndarray, count: int) -> list[dict[str, Any]]:
+def worst_blocks(t: Transcription, x: np.ndarray, violations: np.ndarray, count: int) -> list[dict[str, Any]]:
     """The ``count`` blocks of rows with the largest violation, each at its worst place.
 
     Each has ``block``, ``phase``, ``node`` (the interval's for a point), ``point`` (or null), ``time``
@@ -36,7 +36,8 @@ def worst_blocks(t: Transcription, violations: np.ndarray, count: int) -> list[d
         entries.append((rows[worst], name, int(t.rows.stage[worst]), int(t.rows.point[worst])))
     entries.append(_worst_bound(t, violations[t.n_rows :]))
     entries.sort(key=lambda entry: -entry[0])
-    return [_describe(t, *entry) for entry in entries[:count]]
+    times = t.layout.times(x * t.scale)
+    return [_describe(t, times, *entry) for entry in entries[:count]]
 
 
 def _worst_bound(t: Transcription, violations: np.ndarray) -> tuple[float, str, int, int]:
@@ -45,11 +46,13 @@ def _worst_bound(t: Transcription, violations: np.ndarray) -> tuple[float, str, 
     return float(violations[worst]), "bounds", node, -1
 
 
-def _describe(t: Transcription, violation: float, name: str, stage: int, point: int) -> dict[str, Any]:
+def _describe(
+    t: Transcription, times: np.ndarray, violation: float, name: str, stage: int, point: int
+) -> dict[str, Any]:
     layout = t.layout
-    time = float(layout.node_times[stage])
+    time = float(times[stage])
     if point >= 0:
-        time += float(layout.scheme.c[point] * layout.steps[stage])
+        time += float(layout.scheme.c[point] * (times[stage + 1] - times[stage]))
     return {
         "block": name,
         "phase": layout.schedule.phases[layout.phase_at(stage)].name,
