@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 import robots
+from problems import common
 from robots.talos import SIDES
 from trajopt.com_program import CenterOfMassProgram
 from trajopt.errors import InputError
@@ -25,24 +26,15 @@ from trajopt.node_terms import SwingClearance, TerminalRest
 from trajopt.problem import Motion, Problem
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround
-from trajopt.terms import (
-    AccelerationCost,
-    EffortLimits,
-    PositionLimits,
-    PostureCost,
-    SoleCone,
-    Term,
-    TorqueCost,
-    VelocityCost,
-    VelocityLimits,
-    WrenchCost,
-)
+from trajopt.terms import EffortLimits, PositionLimits, SoleCone, Term, VelocityLimits
 
 # Part of the soles that the pendulum's ZMP keeps away from: the robot is no pendulum.
 MARGIN = 0.5
 # Swings of the guess rise this much higher than they must.
 GUESS_SWING = 1.5
 INTERVALS_PER_SECOND = 10
+# Of every part of the walk, s.
+DURATIONS = (0.05, 5.0)
 
 
 @lru_cache(maxsize=1)
@@ -66,14 +58,10 @@ def _guess(robot: Robot, plan: FootstepPlan, clearance: float) -> Motion:
     return guess_from_lip(robot, plan, program.solve(), clearance=GUESS_SWING * clearance)
 
 
-def _terms(clearance: float, ground: FlatGround, end: np.ndarray, effort: np.ndarray) -> tuple[Term, ...]:
+def _terms(clearance: float, ground: FlatGround, end: np.ndarray, effort: EffortLimits) -> tuple[Term, ...]:
     return (
-        TorqueCost(weight=1.0),
-        AccelerationCost(weight=1e-2),
-        VelocityCost(weight=1e-2),
-        PostureCost(weight=1e-1),
-        WrenchCost(weight=1e-2),
-        EffortLimits(limit=effort),
+        *common.legged_costs(acceleration=1e-2),
+        effort,
         PositionLimits(),
         VelocityLimits(),
         SoleCone(),
@@ -117,7 +105,7 @@ def build(
         terrain=ground,
         initial_q=robot.reference,
         initial_v=np.zeros(robot.nv),
-        terms=_terms(clearance, ground, guess(plan.duration), effort_share * robot.effort_limit),
+        terms=_terms(clearance, ground, guess(plan.duration), common.share_of_effort(robot, effort_share)),
         guess=guess,
         parameters={
             "steps": walk.steps,
@@ -135,10 +123,6 @@ def build(
     )
 
 
-def _duration(name: str, default: float, meaning: str) -> Parameter:
-    return Parameter(name=name, default=default, unit="s", lower=0.05, upper=5.0, meaning=meaning)
-
-
 FAMILY = Family(
     name="biped-walk",
     robot="talos",
@@ -146,40 +130,17 @@ FAMILY = Family(
     summary="walk some steps on two soles, the last of which brings the feet side by side, and come to rest",
     parameters=(
         Parameter(name="steps", default=4, unit="", lower=2, upper=20, meaning="number of steps"),
-        Parameter(
-            name="length", default=0.2, unit="m", lower=-0.4, upper=0.4, meaning="from one step to the next"
+        common.length("length", 0.2, "from one step to the next", (-0.4, 0.4)),
+        common.angle("turn", 0.0, "to the left from one step to the next", (-0.4, 0.4)),
+        common.duration("step_time", 0.6, "duration of a swing", DURATIONS),
+        common.duration(
+            "double_support", 0.15, "duration of both feet on the ground between steps", DURATIONS
         ),
-        Parameter(
-            name="turn",
-            default=0.0,
-            unit="rad",
-            lower=-0.4,
-            upper=0.4,
-            meaning="to the left from one step to the next",
-        ),
-        _duration("step_time", 0.6, "duration of a swing"),
-        _duration("double_support", 0.15, "duration of both feet on the ground between steps"),
-        _duration("shift", 0.5, "duration from rest to the first step"),
-        _duration("settle", 0.6, "duration from the last touchdown to rest"),
-        Parameter(
-            name="clearance",
-            default=0.04,
-            unit="m",
-            lower=0.0,
-            upper=0.2,
-            meaning="least height of a sole in mid swing",
-        ),
-        Parameter(
-            name="friction", default=0.7, unit="", lower=0.0, upper=10.0, meaning="Coulomb coefficient"
-        ),
-        Parameter(
-            name="effort_share",
-            default=1.0,
-            unit="",
-            lower=1e-3,
-            upper=1.0,
-            meaning="share of the effort limits to use",
-        ),
+        common.duration("shift", 0.5, "duration from rest to the first step", DURATIONS),
+        common.duration("settle", 0.6, "duration from the last touchdown to rest", DURATIONS),
+        common.length("clearance", 0.04, "least height of a sole in mid swing", (0.0, 0.2)),
+        common.friction(0.7),
+        common.effort_share(),
     ),
     build=build,
 )

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from problems import common
 from robots import irb1600
 from trajopt.drive_terms import DriveLimits, MotorTorqueCost
 from trajopt.errors import InputError
@@ -31,19 +32,8 @@ _TRANSCRIPTIONS: dict[str, dict[str, Any]] = {
 }
 # A free duration lies within these multiples of the guessed one.
 SHORTEST, LONGEST = 0.1, 4.0
-# Peak rate and acceleration of the polynomial 10 s^3 - 15 s^4 + 6 s^5 over a unit of time.
+# Peak rate and acceleration of the guess, 10 s^3 - 15 s^4 + 6 s^5, over a unit of time.
 PEAK_RATE, PEAK_ACCELERATION = 1.875, 10 / math.sqrt(3)
-
-
-class _Guess:
-    """Joints along a rest-to-rest polynomial, 10 s^3 - 15 s^4 + 6 s^5."""
-
-    def __init__(self, start: np.ndarray, end: np.ndarray, duration: float) -> None:
-        self.start, self.end, self.duration = start, end, duration
-
-    def __call__(self, t: float) -> np.ndarray:
-        s = min(max(t / self.duration, 0.0), 1.0)
-        return self.start + (self.end - self.start) * s**3 * (10 - 15 * s + 6 * s * s)
 
 
 def nearest_posture(robot: Robot, position: np.ndarray, tilt: float, near: np.ndarray) -> np.ndarray:
@@ -109,7 +99,7 @@ def build(
         initial_q=start,
         initial_v=np.zeros(robot.nv),
         terms=_terms(minimise, goal),
-        guess=_Guess(start, goal, given),
+        guess=common.JointPath(start, goal, given),
         parameters={
             "minimise": minimise,
             "duration": given,
@@ -139,14 +129,7 @@ def _terms(minimise: str, goal: np.ndarray) -> tuple[Term, ...]:
 
 def _coordinate(name: str, default: float) -> Parameter:
     end, axis = name.split("_")
-    return Parameter(
-        name=name,
-        default=default,
-        unit="m",
-        lower=-2.0,
-        upper=2.5,
-        meaning=f"tool at the {end}, world {axis}",
-    )
+    return common.length(name, default, f"tool at the {end}, world {axis}", (-2.0, 2.5))
 
 
 FAMILY = Family(
@@ -156,13 +139,11 @@ FAMILY = Family(
     summary="bring the tool from one pose to another, from rest to rest, with least effort or in least time",
     parameters=(
         Choice(name="minimise", default="effort", choices=GOALS, meaning="copper losses, or time"),
-        Parameter(
-            name="duration",
-            default=None,
-            unit="s",
-            lower=1e-2,
-            upper=60.0,
-            meaning="duration (default: twice what the drives need; for least time, its guess)",
+        common.duration(
+            "duration",
+            None,
+            "duration (default: twice what the drives need; for least time, its guess)",
+            (1e-2, 60.0),
         ),
         Parameter(
             name="payload", default=8.0, unit="kg", lower=0.0, upper=20.0, meaning="steel cube on the flange"
@@ -181,14 +162,7 @@ FAMILY = Family(
         _coordinate("goal_x", 0.7),
         _coordinate("goal_y", 0.8),
         _coordinate("goal_z", 1.1),
-        Parameter(
-            name="tilt",
-            default=math.pi / 3,
-            unit="rad",
-            lower=-math.pi / 2,
-            upper=math.pi,
-            meaning="angle of the tool below the horizontal",
-        ),
+        common.angle("tilt", math.pi / 3, "angle of the tool below the horizontal", (-math.pi / 2, math.pi)),
     ),
     build=build,
 )

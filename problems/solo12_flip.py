@@ -8,27 +8,17 @@ import numpy as np
 import pinocchio as pin
 
 import robots
-from problems.solo12_jump import BASE, CLEARANCE
+from problems import common
+from robots.solo12 import BASE
 from trajopt.base_conversion import with_virtual_base
-from trajopt.family import Choice, Family, Parameter
-from trajopt.kinematics import inverse_kinematics
+from trajopt.family import Choice, Family
+from trajopt.kinematics import contact_positions, inverse_kinematics
 from trajopt.model_quantities import STANDARD_GRAVITY
 from trajopt.node_terms import FrameHeight, FramePose, SwingClearance
 from trajopt.problem import Problem
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.terms import (
-    AccelerationCost,
-    EffortLimits,
-    FrictionPyramid,
-    PositionLimits,
-    PostureCost,
-    Term,
-    TorqueCost,
-    VelocityCost,
-    VelocityLimits,
-    WrenchCost,
-)
+from trajopt.terms import EffortLimits, FrictionPyramid, PositionLimits, Term, VelocityLimits
 from trajopt.virtual_base import DEFAULT_ORDER, ORDERS
 
 # In the guess the base rises by this much, m, and turns by this part of the whole, while the feet stand.
@@ -54,16 +44,12 @@ class _Guess:
         # Height (m), pitch and yaw (rad): at take-off, and their rates there.
         self.takeoff = np.array([RISE, *(GROUND_SHARE * turn)])
         self.rates = np.array([upward, *((1 - GROUND_SHARE) * turn / flight)])
-        frames = [contact.frame for contact in robot.contacts]
-        data = robot.model.createData()
-        pin.framesForwardKinematics(robot.model, data, robot.reference)
-        self.feet = {name: data.oMf[robot.model.getFrameId(name)].translation.copy() for name in frames}
+        self.feet = contact_positions(robot, robot.reference)
 
     def __call__(self, t: float) -> np.ndarray:
         stance, _ = self.durations
         if t < stance:
-            s = max(t, 0.0) / stance
-            pose = self._pose(s * s * (3 - 2 * s) * self.takeoff + s * s * (s - 1) * stance * self.rates)
+            pose = self._pose(common.hermite(t / stance, stance, 0.0, 0.0, self.takeoff, self.rates))
             return inverse_kinematics(self.robot, pose, self.feet).q
         flown = t - stance
         fall = np.array([STANDARD_GRAVITY * flown**2 / 2, 0.0, 0.0])
@@ -84,16 +70,12 @@ class _Guess:
 
 def _terms(robot: Robot, pitch: float, yaw: float, ground: FlatGround) -> tuple[Term, ...]:
     return (
-        TorqueCost(weight=1.0),
-        AccelerationCost(weight=2e-2),
-        VelocityCost(weight=1e-2),
-        PostureCost(weight=1e-1),
-        WrenchCost(weight=1e-2),
+        *common.legged_costs(acceleration=2e-2),
         EffortLimits(),
         PositionLimits(),
         VelocityLimits(),
         FrictionPyramid(friction=ground.friction),
-        SwingClearance(height=CLEARANCE, terrain=ground),
+        SwingClearance(height=common.CLEARANCE, terrain=ground),
         FrameHeight(frame=BASE, height=robot.reference[2] + END_RISE, phase="flight", fraction=1.0),
         FramePose(frame=BASE, rotation=orientation(pitch, yaw)),
     )
@@ -129,31 +111,11 @@ FAMILY = Family(
     phases=("stance", "flight"),
     summary="half a backflip: take off and fly until the nose is beyond the vertical",
     parameters=(
-        Parameter(
-            name="pitch",
-            default=math.radians(110),
-            unit="rad",
-            lower=0.0,
-            upper=math.pi,
-            meaning="nose up at the end of the flight",
-        ),
-        Parameter(
-            name="yaw",
-            default=0.5,
-            unit="rad",
-            lower=-math.pi / 2,
-            upper=math.pi / 2,
-            meaning="turn to the left",
-        ),
-        Parameter(
-            name="duration", default=0.4, unit="s", lower=0.1, upper=2.0, meaning="duration of the flight"
-        ),
-        Parameter(
-            name="stance", default=0.4, unit="s", lower=1e-3, upper=10.0, meaning="duration of the push"
-        ),
-        Parameter(
-            name="friction", default=0.7, unit="", lower=0.0, upper=10.0, meaning="Coulomb coefficient"
-        ),
+        common.angle("pitch", math.radians(110), "nose up at the end of the flight", (0.0, math.pi)),
+        common.yaw(0.5),
+        common.duration("duration", 0.4, "duration of the flight", (0.1, 2.0)),
+        common.duration("stance", 0.4, "duration of the push", (1e-3, 10.0)),
+        common.friction(0.7),
         Choice(
             name="base",
             default="freeflyer",

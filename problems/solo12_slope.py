@@ -8,28 +8,17 @@ import numpy as np
 import pinocchio as pin
 
 import robots
-from trajopt.family import Family, Parameter
+from problems import common
+from robots.solo12 import BASE
+from trajopt.family import Family
+from trajopt.kinematics import contact_positions
 from trajopt.model_quantities import STANDARD_GRAVITY
 from trajopt.node_terms import FrameHeight, SwingClearance, TerminalRest, TerminalState
 from trajopt.problem import Problem
 from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.terms import (
-    AccelerationCost,
-    EffortLimits,
-    FrictionCone,
-    PositionLimits,
-    PostureCost,
-    Term,
-    TorqueCost,
-    VelocityCost,
-    VelocityLimits,
-    WrenchCost,
-)
+from trajopt.schedule import FlatGround
+from trajopt.terms import EffortLimits, FrictionCone, PositionLimits, Term, VelocityLimits
 
-BASE = "base_link"
-# Least distance of a foot from the slope in mid flight, m.
-CLEARANCE = 0.03
 # A flight shorter than this leaves no time to move the feet, s.
 SHORTEST_FLIGHT = 0.2
 
@@ -42,12 +31,6 @@ def _standing(robot: Robot, ground: FlatGround, uphill: float) -> np.ndarray:
     q[:3] = turn @ q[:3] + ground.surface.point
     q[3:7] = pin.Quaternion(turn @ pin.Quaternion(q[3:7]).toRotationMatrix()).coeffs()
     return q
-
-
-def _footholds(robot: Robot, q: np.ndarray) -> dict[str, np.ndarray]:
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, q)
-    return {c.name: data.oMf[robot.model.getFrameId(c.frame)].translation.copy() for c in robot.contacts}
 
 
 class _Guess:
@@ -66,16 +49,12 @@ class _Guess:
 
 def _terms(end: np.ndarray, top: float, ground: FlatGround, effort: float | None) -> tuple[Term, ...]:
     return (
-        TorqueCost(weight=1.0),
-        AccelerationCost(weight=2e-2),
-        VelocityCost(weight=1e-2),
-        PostureCost(weight=1e-1),
-        WrenchCost(weight=1e-2),
+        *common.legged_costs(acceleration=2e-2),
         EffortLimits(limit=None if effort is None else np.full(len(end) - 7, effort)),
         PositionLimits(),
         VelocityLimits(),
         FrictionCone(),
-        SwingClearance(height=CLEARANCE, terrain=ground),
+        SwingClearance(height=common.CLEARANCE, terrain=ground),
         FrameHeight(frame=BASE, height=top, phase="flight"),
         TerminalState(q=end),
         TerminalRest(q=end),
@@ -95,20 +74,13 @@ def build(
 ) -> Problem:
     """Build the hop; see ``FAMILY`` for the parameters. Raises InputError."""
     robot = robots.load("solo12")
-    feet = tuple(contact.name for contact in robot.contacts)
     ground = FlatGround(friction=friction, normal=(-math.sin(slope), 0.0, math.cos(slope)))
     start, end = (_standing(robot, ground, uphill) for uphill in (0.0, distance))
     flight = max(SHORTEST_FLIGHT, 2 * math.sqrt(2 * height / STANDARD_GRAVITY)) if flight is None else flight
     return Problem(
         name="solo12-slope",
         robot=robot,
-        schedule=Schedule(
-            (
-                Phase(name="stance", duration=stance, contacts=feet),
-                Phase(name="flight", duration=flight),
-                Phase(name="landing", duration=landing, contacts=feet, footholds=_footholds(robot, end)),
-            )
-        ),
+        schedule=common.hop_schedule(contact_positions(robot, end), (stance, flight, landing)),
         terrain=ground,
         initial_q=start,
         initial_v=np.zeros(robot.nv),
@@ -124,50 +96,16 @@ FAMILY = Family(
     phases=("stance", "flight", "landing"),
     summary="hop along a slope from stance to stance and come to rest, with Coulomb's cone on its normal",
     parameters=(
-        Parameter(
-            name="slope", default=math.radians(20), unit="rad", lower=-0.7, upper=0.7, meaning="rises forward"
+        common.angle("slope", math.radians(20), "rises forward", (-0.7, 0.7)),
+        common.length("distance", 0.1, "along the slope, forward", (-0.5, 0.5)),
+        common.length("height", 0.05, "least rise of the base over its start in mid flight", (0.0, 0.4)),
+        common.duration("stance", 0.3, "duration of the push", (1e-3, 10.0)),
+        common.duration(
+            "flight", None, "duration of the flight (default: from the height, at least 0.2)", (1e-3, 2.0)
         ),
-        Parameter(
-            name="distance", default=0.1, unit="m", lower=-0.5, upper=0.5, meaning="along the slope, forward"
-        ),
-        Parameter(
-            name="height",
-            default=0.05,
-            unit="m",
-            lower=0.0,
-            upper=0.4,
-            meaning="least rise of the base over its start in mid flight",
-        ),
-        Parameter(
-            name="stance", default=0.3, unit="s", lower=1e-3, upper=10.0, meaning="duration of the push"
-        ),
-        Parameter(
-            name="flight",
-            default=None,
-            unit="s",
-            lower=1e-3,
-            upper=2.0,
-            meaning="duration of the flight (default: from the height, at least 0.2)",
-        ),
-        Parameter(
-            name="landing",
-            default=0.4,
-            unit="s",
-            lower=1e-3,
-            upper=10.0,
-            meaning="duration from touchdown to rest",
-        ),
-        Parameter(
-            name="friction", default=0.8, unit="", lower=0.0, upper=10.0, meaning="Coulomb coefficient"
-        ),
-        Parameter(
-            name="effort",
-            default=None,
-            unit="N m",
-            lower=0.0,
-            upper=1e4,
-            meaning="torque limit (default: the URDF's)",
-        ),
+        common.duration("landing", 0.4, "duration from touchdown to rest", (1e-3, 10.0)),
+        common.friction(0.8),
+        common.effort(),
     ),
     build=build,
 )

@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pinocchio as pin
 
 import robots
+from problems import common
 from robots.talos import HAND, SIDES, SOLES
 from trajopt.family import Family, Parameter
-from trajopt.kinematics import inverse_kinematics
+from trajopt.foot_motion import smooth_step
+from trajopt.kinematics import frame_pose, inverse_kinematics
 from trajopt.node_terms import TerminalRest
 from trajopt.problem import Problem
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround, Phase, Schedule
 from trajopt.surface import Surface
 from trajopt.terms import (
-    AccelerationCost,
     EffortLimits,
     FrictionCone,
     NormalForce,
     PositionLimits,
-    PostureCost,
     SoleCone,
     Term,
-    TorqueCost,
-    VelocityCost,
     VelocityLimits,
-    WrenchCost,
 )
 
 # Where the hand goes across, m: in front of the left shoulder.
@@ -42,47 +37,37 @@ def _leaning(robot: Robot, hand: np.ndarray, push: np.ndarray) -> np.ndarray:
 
     The centre of mass is moved by what balances the moment of ``push`` (3,) N on the hand about the ground.
     """
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, robot.reference)
-    targets: dict[str, pin.SE3 | np.ndarray] = {
-        frame: data.oMf[robot.model.getFrameId(frame)].copy() for frame in SOLES.values()
-    }
     leaning = robot.reference.copy()
     leaning[0] -= push[0] * hand[2] / robot.weight
-    return inverse_kinematics(robot, leaning, targets | {HAND: hand}, move_base=True).q
+    return inverse_kinematics(robot, leaning, {**_soles(robot), HAND: hand}, move_base=True).q
+
+
+def _soles(robot: Robot) -> dict[str, pin.SE3]:
+    return {frame: frame_pose(robot, robot.reference, frame) for frame in SOLES.values()}
 
 
 class _Guess:
     """From standing to leaning along 10 s^3 - 15 s^4 + 6 s^5, soles kept in place by the legs, then still."""
 
     def __init__(self, robot: Robot, end: np.ndarray, duration: float) -> None:
-        self.robot, self.end, self.duration = robot, end, duration
-        data = robot.model.createData()
-        pin.framesForwardKinematics(robot.model, data, robot.reference)
-        self.soles = {frame: data.oMf[robot.model.getFrameId(frame)].copy() for frame in SOLES.values()}
+        self.robot, self.end, self.duration, self.soles = robot, end, duration, _soles(robot)
 
     def __call__(self, t: float) -> np.ndarray:
-        s = min(max(t / self.duration, 0.0), 1.0)
-        smooth = s**3 * (10 - 15 * s + 6 * s * s)
-        between = pin.interpolate(self.robot.model, self.robot.reference, self.end, smooth)
+        s = smooth_step(t / self.duration)
+        between = pin.interpolate(self.robot.model, self.robot.reference, self.end, s)
         return inverse_kinematics(self.robot, between, self.soles).q
 
 
 def _wall(distance: float, height: float, tilt: float, friction: float, held: bool) -> Surface:
     """Plane through the hand's place; a positive tilt turns its top away from the robot."""
-    normal = np.array([-math.cos(tilt), 0.0, math.sin(tilt)])
     point = np.array([distance, ACROSS, height])
-    return Surface(point=point, normal=normal, friction=friction, bilateral=held)
+    return Surface(point=point, normal=common.wall_normal(tilt), friction=friction, bilateral=held)
 
 
 def _terms(force: float, end: np.ndarray) -> tuple[Term, ...]:
     bounds = {"lower": force} if force >= 0 else {"upper": force}
     return (
-        TorqueCost(weight=1.0),
-        AccelerationCost(weight=1e-2),
-        VelocityCost(weight=1e-2),
-        PostureCost(weight=1e-1),
-        WrenchCost(weight=1e-2),
+        *common.legged_costs(acceleration=1e-2),
         EffortLimits(),
         PositionLimits(),
         VelocityLimits(),
@@ -139,15 +124,9 @@ FAMILY = Family(
     phases=("reach", "touch", "push"),
     summary="lean on a wall with one hand and push, or hold a handle on it and pull, at rest at the end",
     parameters=(
-        Parameter(
-            name="distance", default=0.55, unit="m", lower=0.2, upper=1.2, meaning="of the wall, forward"
-        ),
-        Parameter(
-            name="height", default=1.2, unit="m", lower=0.5, upper=1.8, meaning="of the hand on the wall"
-        ),
-        Parameter(
-            name="tilt", default=0.0, unit="rad", lower=-0.6, upper=0.6, meaning="of the wall's top, away"
-        ),
+        common.length("distance", 0.55, "of the wall, forward", (0.2, 1.2)),
+        common.length("height", 1.2, "of the hand on the wall", (0.5, 1.8)),
+        common.angle("tilt", 0.0, "of the wall's top, away", (-0.6, 0.6)),
         Parameter(
             name="force",
             default=80.0,
@@ -156,21 +135,10 @@ FAMILY = Family(
             upper=300.0,
             meaning="least push along the wall's normal; negative: least pull at a handle, a bilateral grasp",
         ),
-        Parameter(
-            name="reach", default=0.8, unit="s", lower=1e-2, upper=10.0, meaning="duration until touch"
-        ),
-        Parameter(name="push", default=0.4, unit="s", lower=1e-2, upper=10.0, meaning="duration of the push"),
-        Parameter(
-            name="friction", default=0.7, unit="", lower=0.0, upper=10.0, meaning="coefficient of the ground"
-        ),
-        Parameter(
-            name="wall_friction",
-            default=0.5,
-            unit="",
-            lower=0.0,
-            upper=10.0,
-            meaning="coefficient of the wall",
-        ),
+        common.duration("reach", 0.8, "duration until touch", (1e-2, 10.0)),
+        common.duration("push", 0.4, "duration of the push", (1e-2, 10.0)),
+        common.friction(0.7, meaning="coefficient of the ground"),
+        common.friction(0.5, "wall_friction", "coefficient of the wall"),
     ),
     build=build,
 )

@@ -9,17 +9,17 @@ import numpy as np
 import pinocchio as pin
 
 import robots
+from problems import common
 from robots.ur5 import TOOL
 from trajopt.contact import Contact
 from trajopt.family import Family, Parameter
-from trajopt.kinematics import inverse_kinematics
+from trajopt.kinematics import frame_pose, inverse_kinematics
 from trajopt.problem import Problem
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround, Phase, Schedule
 from trajopt.surface import Surface
 from trajopt.terms import (
     AccelerationCost,
-    EffortLimits,
     NormalForce,
     PositionLimits,
     TorqueCost,
@@ -44,22 +44,9 @@ def _gripping() -> Robot:
 
 def _grasping(robot: Robot, board: Surface) -> np.ndarray:
     """Posture with the gripper on the handle, turned from its start as little as the board asks for."""
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, robot.reference)
-    start = data.oMf[robot.model.getFrameId(GRIP)].rotation
+    start = frame_pose(robot, robot.reference, GRIP).rotation
     turn = pin.Quaternion.FromTwoVectors(start[:, 2], board.normal).toRotationMatrix()
     return inverse_kinematics(robot, robot.reference, {GRIP: pin.SE3(turn @ start, board.point)}).q
-
-
-class _Guess:
-    """Joints along 10 s^3 - 15 s^4 + 6 s^5 to the grasp, then still."""
-
-    def __init__(self, start: np.ndarray, end: np.ndarray, duration: float) -> None:
-        self.start, self.end, self.duration = start, end, duration
-
-    def __call__(self, t: float) -> np.ndarray:
-        s = min(max(t / self.duration, 0.0), 1.0)
-        return self.start + (self.end - self.start) * s**3 * (10 - 15 * s + 6 * s * s)
 
 
 def build(
@@ -76,8 +63,7 @@ def build(
 ) -> Problem:
     """Build the pull; see ``FAMILY`` for the parameters. Raises InputError."""
     robot = _gripping()
-    normal = np.array([-math.cos(tilt), 0.0, math.sin(tilt)])
-    board = Surface(point=np.array([x, y, z]), normal=normal, bilateral=True)
+    board = Surface(point=np.array([x, y, z]), normal=common.wall_normal(tilt), bilateral=True)
     held = {"contacts": (GRIP,), "surfaces": {GRIP: board}}
     return Problem(
         name="ur5-pull",
@@ -96,24 +82,18 @@ def build(
             TorqueCost(weight=1.0),
             AccelerationCost(weight=1e-2),
             WrenchCost(weight=1e-2),
-            EffortLimits(limit=None if robot.effort_limit is None else effort_share * robot.effort_limit),
+            common.share_of_effort(robot, effort_share),
             PositionLimits(),
             VelocityLimits(),
             NormalForce(contact=GRIP, upper=-force, phases=("pull",)),
         ),
-        guess=_Guess(robot.reference, _grasping(robot, board), reach),
+        guess=common.JointPath(robot.reference, _grasping(robot, board), reach),
         default_intervals=30,
     )
 
 
 def _place(name: str, default: float) -> Parameter:
-    return Parameter(
-        name=name, default=default, unit="m", lower=-2.0, upper=2.0, meaning="of the handle, world"
-    )
-
-
-def _duration(name: str, default: float, meaning: str) -> Parameter:
-    return Parameter(name=name, default=default, unit="s", lower=1e-2, upper=60.0, meaning=meaning)
+    return common.length(name, default, "of the handle, world", (-2.0, 2.0))
 
 
 FAMILY = Family(
@@ -125,13 +105,11 @@ FAMILY = Family(
         _place("x", 0.6),
         _place("y", 0.1),
         _place("z", 0.4),
-        Parameter(
-            name="tilt",
-            default=math.radians(30),
-            unit="rad",
-            lower=-math.pi / 3,
-            upper=math.pi / 2,
-            meaning="of the board's top, away; 0 is a wall, a right angle a table",
+        common.angle(
+            "tilt",
+            math.radians(30),
+            "of the board's top, away; 0 is a wall, a right angle a table",
+            (-math.pi / 3, math.pi / 2),
         ),
         Parameter(
             name="force",
@@ -141,17 +119,10 @@ FAMILY = Family(
             upper=500.0,
             meaning="least pull along the normal",
         ),
-        _duration("reach", 1.2, "duration until the grasp"),
-        _duration("grasp", 0.3, "duration in which the force may grow"),
-        _duration("pull", 0.5, "duration of the pull"),
-        Parameter(
-            name="effort_share",
-            default=1.0,
-            unit="",
-            lower=1e-3,
-            upper=1.0,
-            meaning="share of the effort limits to use",
-        ),
+        common.duration("reach", 1.2, "duration until the grasp", (1e-2, 60.0)),
+        common.duration("grasp", 0.3, "duration in which the force may grow", (1e-2, 60.0)),
+        common.duration("pull", 0.5, "duration of the pull", (1e-2, 60.0)),
+        common.effort_share(),
     ),
     build=build,
 )

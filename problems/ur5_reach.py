@@ -8,17 +8,17 @@ import numpy as np
 import pinocchio as pin
 
 import robots
+from problems import common
 from robots.ur5 import TOOL
 from trajopt.context import ACTUATIONS, Actuation
 from trajopt.family import Choice, Family, Parameter
-from trajopt.kinematics import inverse_kinematics
+from trajopt.kinematics import frame_pose, inverse_kinematics
 from trajopt.node_terms import FramePose, TerminalRest
 from trajopt.problem import Problem
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround, Phase, Schedule
 from trajopt.terms import (
     AccelerationCost,
-    EffortLimits,
     PositionLimits,
     Term,
     TorqueCost,
@@ -27,29 +27,12 @@ from trajopt.terms import (
 )
 
 
-class _Guess:
-    """Joints along a smooth rest-to-rest polynomial, 10 s^3 - 15 s^4 + 6 s^5."""
-
-    def __init__(self, start: np.ndarray, end: np.ndarray, duration: float) -> None:
-        self.start, self.end, self.duration = start, end, duration
-
-    def __call__(self, t: float) -> np.ndarray:
-        s = min(max(t / self.duration, 0.0), 1.0)
-        return self.start + (self.end - self.start) * s**3 * (10 - 15 * s + 6 * s * s)
-
-
-def _tool_pose(robot: Robot, q: np.ndarray) -> pin.SE3:
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, q)
-    return data.oMf[robot.model.getFrameId(TOOL)].copy()
-
-
 def _effort(robot: Robot, share: float, end: np.ndarray) -> dict[Actuation, tuple[Term, ...]]:
     """What each kind of source can price and limit; a source of velocity stops when it likes."""
-    limit = None if robot.effort_limit is None else share * robot.effort_limit
+    limits = common.share_of_effort(robot, share)
     rest = TerminalRest(q=end)
     return {
-        "torque": (TorqueCost(weight=1.0), AccelerationCost(weight=1e-2), EffortLimits(limit=limit), rest),
+        "torque": (TorqueCost(weight=1.0), AccelerationCost(weight=1e-2), limits, rest),
         "acceleration": (AccelerationCost(weight=1.0), rest),
         "velocity": (VelocityCost(weight=1.0),),
     }
@@ -75,7 +58,7 @@ def build(
     robot = robots.load("ur5")
     start = robot.reference
     turn = pin.rpy.rpyToMatrix(roll, pitch, yaw)
-    goal = pin.SE3(turn @ _tool_pose(robot, start).rotation, np.array([x, y, z]))
+    goal = pin.SE3(turn @ frame_pose(robot, start, TOOL).rotation, np.array([x, y, z]))
     end = inverse_kinematics(robot, start, {TOOL: goal}).q
     terms = (
         *_effort(robot, effort_share, end)[actuation],
@@ -91,21 +74,15 @@ def build(
         initial_q=start,
         initial_v=np.zeros(robot.nv),
         terms=terms,
-        guess=_Guess(start, end, duration),
+        guess=common.JointPath(start, end, duration),
         actuation=actuation,
         default_intervals=30,
     )
 
 
 def _turn(name: str, axis: str) -> Parameter:
-    return Parameter(
-        name=name,
-        default=0.0,
-        unit="rad",
-        lower=-math.pi,
-        upper=math.pi,
-        meaning=f"turn of the tool about the world's {axis} axis from its start orientation",
-    )
+    meaning = f"turn of the tool about the world's {axis} axis from its start orientation"
+    return common.angle(name, 0.0, meaning, (-math.pi, math.pi))
 
 
 FAMILY = Family(
@@ -114,23 +91,14 @@ FAMILY = Family(
     phases=("reach",),
     summary="bring the tool to a pose, from rest to rest, within torque, velocity and position limits",
     parameters=(
-        Parameter(name="x", default=0.3, unit="m", lower=-5.0, upper=5.0, meaning="goal of the tool, world"),
-        Parameter(name="y", default=0.45, unit="m", lower=-5.0, upper=5.0, meaning="goal of the tool, world"),
-        Parameter(name="z", default=0.45, unit="m", lower=-5.0, upper=5.0, meaning="goal of the tool, world"),
+        common.length("x", 0.3, "goal of the tool, world", (-5.0, 5.0)),
+        common.length("y", 0.45, "goal of the tool, world", (-5.0, 5.0)),
+        common.length("z", 0.45, "goal of the tool, world", (-5.0, 5.0)),
         _turn("roll", "x"),
         _turn("pitch", "y"),
         _turn("yaw", "z"),
-        Parameter(
-            name="duration", default=1.5, unit="s", lower=1e-3, upper=60.0, meaning="duration of the motion"
-        ),
-        Parameter(
-            name="effort_share",
-            default=1.0,
-            unit="",
-            lower=1e-3,
-            upper=1.0,
-            meaning="share of the effort limits to use",
-        ),
+        common.duration("duration", 1.5, "duration of the motion", (1e-3, 60.0)),
+        common.effort_share(),
         Choice(
             name="actuation",
             default="torque",

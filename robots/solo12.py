@@ -8,6 +8,7 @@ from trajopt.drive import Drive
 from trajopt.robot import Robot
 from trajopt.robot_data import robot_file
 
+BASE = "base_link"
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
 
 # The posture "standing" of the robot's SRDF: knees inwards, legs slightly spread.

@@ -1,4 +1,4 @@
-"""Branches of inverse kinematics: all of them, within limits, against a closed form."""
+"""Where frames are, and branches of inverse kinematics: all, within limits, against a closed form."""
 
 import itertools
 import math
@@ -10,7 +10,7 @@ import pytest
 import robots
 from robots import irb1600
 from trajopt.errors import InputError
-from trajopt.kinematics import inverse_kinematics_branches
+from trajopt.kinematics import contact_positions, frame_pose, inverse_kinematics_branches
 from trajopt.robot import Robot
 from trajopt.robot_data import robot_file
 
@@ -19,6 +19,8 @@ REFINED = 1e-10
 # What that error makes of joint angles away from singularities, rad.
 ANGLE = 1e-7
 SEED = 3
+# Of a chain of rotations and lengths of order one, m.
+ROUNDING = 1e-13
 
 
 def pose(robot: Robot, q: np.ndarray, frame: str) -> pin.SE3:
@@ -171,3 +173,24 @@ def test_search_is_deterministic_and_nothing_out_of_reach_is_found():
     assert inverse_kinematics_branches(robot, {irb1600.TOOL: far}, starts=40) == ()
     with pytest.raises(InputError, match="at least 1"):
         inverse_kinematics_branches(robot, target, starts=0)
+
+
+def test_frames_and_contacts_are_where_the_joints_carry_them():
+    robot = robots.load("talos")
+    q = pin.integrate(robot.model, robot.reference, np.random.default_rng(SEED).normal(size=robot.nv))
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, q)
+    places = contact_positions(robot, q)
+    assert list(places) == [contact.name for contact in robot.contacts]
+    for contact in robot.contacts:
+        frame = robot.model.frames[robot.model.getFrameId(contact.frame)]
+        carried = data.oMi[frame.parentJoint] * frame.placement
+        np.testing.assert_allclose(places[contact.name], carried.translation, atol=ROUNDING)
+        found = frame_pose(robot, q, contact.frame)
+        np.testing.assert_allclose(found.homogeneous, carried.homogeneous, atol=ROUNDING)
+
+
+def test_pose_of_an_unknown_frame_names_those_close_to_it():
+    robot = robots.load("irb1600")
+    with pytest.raises(InputError, match=r"no frame 'tool1'.*tool0"):
+        frame_pose(robot, robot.reference, "tool1")

@@ -1,4 +1,4 @@
-"""Numeric inverse kinematics: damped Gauss-Newton on several frames at once, one posture or all branches."""
+"""Numeric kinematics: where frames are, and by damped Gauss-Newton postures that bring them elsewhere."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import pinocchio as pin
 from scipy.stats import qmc
 
 from trajopt.errors import InputError
+from trajopt.model_content import frame_content
 from trajopt.robot import Robot
 
 # A pose, or a position (3,) in m, for each frame by name.
@@ -25,6 +26,19 @@ LEAST_DAMPING = 1e-12
 DAMPING_GROWTH = 10.0
 MOST_ITERATIONS = 60
 TOLERANCE = 1e-10
+
+
+def frame_pose(robot: Robot, q: np.ndarray, frame: str) -> pin.SE3:
+    """Pose in the world of a frame at ``q`` (nq,), m. Raises `InputError` that lists close names."""
+    frame_content(robot.model, frame)  # checks the name: Pinocchio answers an unknown one past the end
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, q)
+    return data.oMf[robot.model.getFrameId(frame)].copy()
+
+
+def contact_positions(robot: Robot, q: np.ndarray) -> dict[str, np.ndarray]:
+    """Where every contact is at ``q`` (nq,): its frame's origin (3,), world, m, by the contact's name."""
+    return {contact.name: frame_pose(robot, q, contact.frame).translation for contact in robot.contacts}
 
 
 @dataclass(frozen=True)
