@@ -112,7 +112,7 @@ def variants() -> Iterator[tuple[str, int, list[Variant]]]:
         [("as built", made.original, None), ("fingers locked", made.problem, made)],
     )
     made = talos_squat()
-    locked, half = (smallest(made.original, plane=False), smallest(made.original, keep=_sideways(made)))
+    locked, half = (smallest(made.original, plane=False), smallest(made.original, keep=sideways()))
     yield (
         "talos-squat",
         SQUAT_INTERVALS,
@@ -125,8 +125,8 @@ def variants() -> Iterator[tuple[str, int, list[Variant]]]:
     )
 
 
-def _sideways(made: Scene) -> list[str]:
-    """Hip yaw and roll, ankle roll."""
+def sideways() -> list[str]:
+    """Joints of Talos' legs that leave the plane: hip yaw and roll, ankle roll."""
     return [f"leg_{side}_{joint}_joint" for side in talos.SIDES for joint in (1, 2, 6)]
 
 

@@ -11,8 +11,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 import problems
+import robots
 import trajopt
-from tests.problems_for_tests import one_joint_arm, reach
+from scripts.compare_scenes import SQUAT_INTERVALS, sideways, talos_squat, upright_jump
+from tests.problems_for_tests import hopper, one_joint_arm, reach
 from tests.scenes_for_tests import FEET, biped, drive, push, symmetrised, usual
 from trajopt import Contact, FlatGround, InputError, Phase, Problem, Robot, Schedule, Solution
 from trajopt.context import Context
@@ -458,8 +460,6 @@ def corners(robot: Robot) -> Problem:
 
 
 def cornered(half_length: float = 0.08, half_width: float = 0.05, skew: float = 0.0) -> Robot:
-    from tests.problems_for_tests import hopper
-
     robot = hopper("surface")
     model = pin.Model(robot.model)
     foot = model.frames[model.getFrameId("foot")]
@@ -522,8 +522,6 @@ def test_an_arm_reaches_a_place_and_its_fingers_are_locked() -> None:
 
 
 def test_a_configuration_is_a_goal_too_and_a_planar_robot_jumps_to_it() -> None:
-    import robots
-
     robot = robots.load("hopper")
     end = robot.reference.copy()
     end[0] += 0.1
@@ -557,11 +555,9 @@ def test_goals_that_cannot_be_are_refused(goals, words: str) -> None:  # type: i
 
 @pytest.mark.slow
 def test_talos_squats_on_the_joints_it_needs_within_measured_differences() -> None:
-    from scripts.compare_scenes import SQUAT_INTERVALS, _sideways, talos_squat
-
     made = talos_squat()
     locked = smallest(made.original, plane=False)
-    half = smallest(made.original, keep=_sideways(made))
+    half = smallest(made.original, keep=sideways())
     assert (locked.problem.robot.nv, half.problem.robot.nv, made.problem.robot.nv) == (18, 9, 6)
     found = [
         objective(solved(p, SQUAT_INTERVALS))
@@ -582,6 +578,26 @@ def test_an_exactly_symmetric_solo12_passes_the_check_as_half() -> None:
     own = solved(made.problem)
     report = trajopt.check(made.lift(own))
     assert report.ok, report.failures()
+
+
+def test_in_the_plane_the_optimum_is_that_of_the_whole_robot_with_abduction_locked() -> None:
+    problem = upright_jump().original
+    problem = replace(problem, robot=symmetrised(problem.robot))
+    legs = [name for name in problem.robot.model.names if name.endswith("HAA")]
+    whole = smallest(problem, lock=legs, plane=False).problem
+    half = smallest(problem, lock=legs)
+    flat = smallest(problem)
+    assert (whole.robot.nv, half.problem.robot.nv, flat.problem.robot.nv) == (14, 7, 7)
+    found = [objective(solved(entry, 12)) for entry in (whole, half.problem, flat.problem)]
+    assert_allclose(found[1:], found[0], rtol=SAME_OPTIMUM)
+
+
+def test_a_robot_of_which_nothing_is_asked_keeps_its_joints() -> None:
+    made = smallest(reach(terms=(AccelerationCost(weight=1.0),)), keep=[])
+    idle = replace(made.original, terms=(AccelerationCost(weight=1.0),))
+    kept = smallest(idle)
+    assert kept.problem.robot.nv == 1
+    assert any("no joint is asked" in decision.why for decision in kept.report.of_kind("kept"))
 
 
 def test_ground_and_arm_of_the_reach_are_untouched() -> None:

@@ -52,7 +52,7 @@ def test_smallest_solves_the_same_silently_and_json_has_the_scene(tmp_path: Path
     result = trajopt(*JUMP, "--smallest", "--json", "--output", tmp_path / "jump.npz")
     found = json.loads(result.stdout)
     assert found["variables"] == found["scene"]["after"]["variables"] == HALF
-    assert found["scene"]["before"] ["variables"] == WHOLE
+    assert found["scene"]["before"]["variables"] == WHOLE
     assert found["scene"]["exact"] is False
     kinds = {decision["kind"] for decision in found["scene"]["decisions"]}
     assert kinds <= {"exact", "choice", "kept", "offer"}

@@ -13,7 +13,8 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from trajopt.context import Actuation, Context, Place
+from trajopt.context import Context
+from trajopt.context_symbols import Actuation, Place
 from trajopt.manifold import Coordinates
 from trajopt.node_terms import NodeConstraint, NodePlace
 from trajopt.problem import Problem

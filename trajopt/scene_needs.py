@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trajopt.context import Place
+from trajopt.context_symbols import Place
 from trajopt.costs import AccelerationCost, PostureCost, TimeCost, TorqueCost, VelocityCost, WrenchCost
 from trajopt.drive_terms import DriveLimits, MotorTorqueCost
 from trajopt.errors import InputError

@@ -182,7 +182,10 @@ class _Smallest:
             self.reduce(locked(robot, wanted, contacts, self.whole.initial_q))
             self.note(CHOICE, f"{len(wanted)} joints locked: {', '.join(wanted)}", "at their start, as asked")
         idle = [name for name in idle if name not in wanted]
-        if idle:
+        if len(idle) + len(wanted) == robot.model.njoints - 1:
+            why = "no joint is asked for anything, and a robot without joints is none"
+            self.decisions.append(Decision(kind=KEPT, what="all other joints", why=why))
+        elif idle:
             self.reduce(locked(robot, [*wanted, *idle], contacts, self.whole.initial_q))
             why = (
                 "at their start: no contact, goal, clearance or other target needs them; they shift no weight"

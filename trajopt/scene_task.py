@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from trajopt.context import Place
+from trajopt.context_symbols import Place
 from trajopt.errors import InputError
 from trajopt.problem import Problem
 from trajopt.robot import Contact

@@ -17,7 +17,7 @@ import numpy as np
 from trajopt.context import Context
 from trajopt.node_terms import NodeConstraint, NodePlace, TerminalRest, TerminalState, free_directions
 from trajopt.scene_reduction import Reduction, whole_place
-from trajopt.scene_view import whole_view
+from trajopt.scene_view import WholeView
 from trajopt.term_interfaces import Rows
 from trajopt.units import Units
 
@@ -39,7 +39,7 @@ class HalfEnd(NodeConstraint):
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         there, own = whole_place(place, self.reduction), Units(self.reduction.whole)
         combined = context.parameter(self._combinations(place, there, own)).T
-        found = self.term.rows(whole_view(context, self.reduction), own, there)
+        found = self.term.rows(WholeView(context, self.reduction), own, there)
         return Rows.create(ca.mtimes(combined, found.expression), 0, 0, 1.0)
 
     def _combinations(self, place: NodePlace, there: NodePlace, own: Units) -> np.ndarray:

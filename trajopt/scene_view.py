@@ -8,21 +8,21 @@ out.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, cast
+from functools import cached_property
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
 
-from trajopt.context import Context, FrameSymbols, Place
+from trajopt.context import Context
+from trajopt.context_symbols import FrameSymbols, Place
 from trajopt.manifold import Coordinates
 from trajopt.node_terms import NodeConstraint, NodePlace
 from trajopt.rerooting import joint_slices
-from trajopt.robot import Contact, Robot
 from trajopt.robot_building import BASE_ROWS
 from trajopt.robot_layers import robot_layers
 from trajopt.scene_mirror import REFLECTION, TWIST
 from trajopt.scene_reduction import Reduction, whole_place
-from trajopt.surface import Surface
 from trajopt.term_interfaces import Cost, PointConstraint, Rows
 from trajopt.units import Units
 
@@ -31,26 +31,30 @@ SAMPLES = 3
 SAME = 1e-9
 
 
-class WholeView:
-    """A `Context` of the whole robot whose symbols are expressions in a context of the small one.
+class WholeView(Context):
+    """A context of the whole robot whose symbols are expressions in a context of the small one.
 
     Rotations of the base are its present orientation, so that local coordinates are zero there.
     """
 
     def __init__(self, context: Context, reduction: Reduction) -> None:
         self.small, self.reduction = context, reduction
-        self.robot: Robot = reduction.whole
-        self.coordinates = Coordinates(self.robot.model)
-        self.place, self.actuation, self.clock = context.place, context.actuation, context.clock
         active = {contact.name for contact in context.contacts}
-        self.contacts: tuple[Contact, ...] = tuple(
-            contact
-            for contact in self.robot.contacts
-            if contact.name in reduction.contacts and reduction.contacts[contact.name].name in active
+        followed = {name: f.name for name, f in reduction.contacts.items() if f.name in active}
+        super().__init__(
+            reduction.whole,
+            Coordinates(reduction.whole.model),
+            tuple(contact for contact in reduction.whole.contacts if contact.name in followed),
+            place=context.place,
+            actuation=context.actuation,
+            surfaces={name: context.surface(reduction.small.contact(f)) for name, f in followed.items()},
         )
-        self.rotations, self.xi = self._configuration()
+        self.clock = context.clock
+        self.rotations, self.xi = self._configuration_of_start()
+        matrix = ca.DM(reduction.rates)
+        self._rates, self._highest = ca.mtimes(matrix, context._rates), ca.mtimes(matrix, context._highest)
 
-    def _configuration(self) -> tuple[ca.SX, ca.SX]:
+    def _configuration_of_start(self) -> tuple[ca.SX, ca.SX]:
         small, reduction = self.small, self.reduction
         node = self.coordinates.node_from_pinocchio(reduction.start, np.zeros(self.robot.nv))
         n4 = 4 * self.coordinates.n_rotations
@@ -66,46 +70,34 @@ class WholeView:
             return ca.vertcat(0, -ca.sin(half), 0, ca.cos(half)), xi
         n = BASE_ROWS[self.robot.base]
         xi[:n] = small.xi[:n]
-        return self._rotations(node[:n4]), xi
+        return self._rotations_of_start(node[:n4]), xi
 
-    def _rotations(self, start: np.ndarray) -> ca.SX:
+    def _rotations_of_start(self, start: np.ndarray) -> ca.SX:
         """Rotations of the base and of spherical joints: the small robot's own, or locked at the start."""
-        own = {joint.name: joint for joint in self.small.coordinates.joints if joint.rotation is not None}
-        order = {name: row for row, name in enumerate(own)}
+        own = [joint.name for joint in self.small.coordinates.joints if joint.rotation is not None]
         parts = []
         for row, joint in enumerate(j for j in self.coordinates.joints if j.rotation is not None):
-            at = order.get(joint.name)
-            parts.append(ca.SX(start[4 * row : 4 * row + 4]) if at is None else self._rotation(at))
+            if joint.name in own:
+                at = own.index(joint.name)
+                parts.append(self.small.rotations[4 * at : 4 * at + 4])
+            else:
+                parts.append(ca.SX(start[4 * row : 4 * row + 4]))
         return ca.vertcat(*parts) if parts else ca.SX(0, 1)
-
-    def _rotation(self, row: int) -> ca.SX:
-        return self.small.rotations[4 * row : 4 * row + 4]
-
-    @property
-    def dxi(self) -> ca.SX:
-        return ca.mtimes(ca.DM(self.reduction.rates), self.small.dxi)
-
-    @property
-    def rates(self) -> ca.SX:
-        return ca.mtimes(ca.DM(self.reduction.rates), self.small.rates)
-
-    @property
-    def ddxi(self) -> ca.SX:
-        return ca.mtimes(ca.DM(self.reduction.rates), self.small.ddxi)
-
-    @property
-    def jump(self) -> ca.SX:
-        return ca.mtimes(ca.DM(self.reduction.rates), self.small.jump)
 
     @property
     def torque(self) -> ca.SX:
+        """Torques (nu,) that drives deliver, N m: each image's share; zero at locked joints."""
         return ca.mtimes(ca.DM(self.reduction.shares), self.small.torque)
 
     @property
-    def pressing(self) -> tuple[Contact, ...]:
-        return self.contacts
+    def generalized_forces(self) -> ca.SX:
+        """Those that the small robot has, (nv,): the base's within the plane, joints' shares."""
+        own, unactuated = self.small.generalized_forces, self.reduction.small.n_unactuated
+        base = ca.mtimes(ca.DM(self.reduction.rates[:, :unactuated]), own[:unactuated])
+        joints = ca.mtimes(ca.DM(self.reduction.shares), own[unactuated:])
+        return ca.vertcat(base[: self.robot.n_unactuated], joints)
 
-    @property
+    @cached_property
     def wrenches(self) -> dict[str, ca.SX]:
         """Wrench of every active contact of the whole robot: its share, mirrored for an image."""
         if self.place is Place.NODE:
@@ -117,31 +109,8 @@ class WholeView:
             found[contact.name] = ca.DM(TWIST[: share.numel()]) * share if follower.mirrored else share
         return found
 
-    def surface(self, contact: Contact) -> Surface:
-        follower = self.reduction.contacts[contact.name]
-        return self.small.surface(self.reduction.small.contact(follower.name))
-
-    @property
-    def q(self) -> ca.SX:
-        return self._pinocchio[0]
-
-    @property
-    def v(self) -> ca.SX:
-        return self._pinocchio[1]
-
-    @property
-    def a(self) -> ca.SX:
-        return self._pinocchio[2]
-
-    @property
-    def _pinocchio(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        rates, still = self.rates, ca.SX.zeros(self.robot.nv)
-        if self.place is Place.IMPACT:
-            return self.coordinates.to_pinocchio(self.rotations, self.xi, rates + self.jump, still)
-        moving = self.place is Place.POINT and self.actuation != "velocity"
-        return self.coordinates.to_pinocchio(self.rotations, self.xi, rates, self.ddxi if moving else still)
-
     def frame(self, name: str) -> FrameSymbols:
+        """Symbols of a frame of the small robot, mirrored if it is on a limb that is an image."""
         frame = self.small.frame(name)
         if name not in self.reduction.mirrored_frames:
             return frame
@@ -154,12 +123,8 @@ class WholeView:
         )
 
     def parameter(self, value: np.ndarray | float) -> ca.SX:
+        """A parameter of the small robot's context."""
         return self.small.parameter(value)
-
-
-def whole_view(context: Context, reduction: Reduction) -> Context:
-    """The view in the type that terms name; it has all of a context that terms may ask for."""
-    return cast(Context, WholeView(context, reduction))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,10 +139,10 @@ class WholeCost(Cost):
         return self.term.name
 
     def residual(self, context: Context, units: Units) -> ca.SX:
-        return self.term.residual(whole_view(context, self.reduction), self._units(context))
+        return self.term.residual(WholeView(context, self.reduction), self._units(context))
 
     def value(self, context: Context, units: Units) -> ca.SX:
-        return self.term.value(whole_view(context, self.reduction), self._units(context))
+        return self.term.value(WholeView(context, self.reduction), self._units(context))
 
     def _units(self, context: Context) -> Units:
         units = Units(self.reduction.whole)
@@ -210,7 +175,7 @@ class WholePointRows(PointConstraint):
         return self.term.name
 
     def rows(self, context: Context, units: Units) -> Rows | None:
-        found = self.term.rows(whole_view(context, self.reduction), Units(self.reduction.whole))
+        found = self.term.rows(WholeView(context, self.reduction), Units(self.reduction.whole))
         return None if found is None else distinct(found, context)
 
 
@@ -229,7 +194,7 @@ class WholeNodeRows(NodeConstraint):
         return self.term.acts_at(place)
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
-        view, own = whole_view(context, self.reduction), Units(self.reduction.whole)
+        view, own = WholeView(context, self.reduction), Units(self.reduction.whole)
         found = self.term.rows(view, own, whole_place(place, self.reduction))
         return distinct(found, context)
 
