@@ -10,7 +10,7 @@ import pinocchio as pin
 import robots
 from problems import common
 from robots.ur5 import TOOL
-from trajopt.context import ACTUATIONS, Actuation
+from trajopt.context_symbols import ACTUATIONS, Actuation
 from trajopt.family import Choice, Family, Parameter
 from trajopt.kinematics import frame_pose, inverse_kinematics
 from trajopt.node_terms import FramePose, TerminalRest

@@ -13,7 +13,8 @@ from functools import lru_cache
 
 import casadi as ca
 
-from trajopt.manifold import CONTINUOUS_JOINTS, quaternion_product, rotation_matrix
+from trajopt.manifold import CONTINUOUS_JOINTS
+from trajopt.rotations import quaternion_product, rotation_matrix
 
 # Below this square of the argument the series are used: seven terms are exact to rounding there, and
 # above it the closed forms lose at most four digits of sixteen to cancellation.

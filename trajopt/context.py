@@ -8,60 +8,19 @@ all terms in ``stage_functions``. So a term stays a small expression.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from enum import Enum
 from functools import cached_property
 from types import MappingProxyType
-from typing import Literal, get_args
 
 import casadi as ca
 import numpy as np
 
+from trajopt.context_symbols import Actuation, FrameSymbols, Place
 from trajopt.errors import InputError
 from trajopt.manifold import Coordinates
 from trajopt.mode import Mode
 from trajopt.robot import Contact, Robot
 from trajopt.robot_drives import drive_torque
 from trajopt.surface import Surface
-
-
-@dataclass(frozen=True)
-class FrameSymbols:
-    """Symbols of one frame, world axes: placement (m), velocity and classical acceleration.
-
-    The last two have 6 entries: linear, angular.
-    """
-
-    rotation: ca.SX  # (3, 3)
-    position: ca.SX  # (3,)
-    velocity: ca.SX  # (6,)
-    acceleration: ca.SX  # (6,)
-
-    @classmethod
-    def create(cls, frame: str) -> FrameSymbols:
-        """Fresh symbols for ``frame``."""
-        return cls(
-            ca.SX.sym(f"R_{frame}", 3, 3),
-            ca.SX.sym(f"p_{frame}", 3),
-            ca.SX.sym(f"v_{frame}", 6),
-            ca.SX.sym(f"a_{frame}", 6),
-        )
-
-    def stacked(self) -> ca.SX:
-        """All entries in one column (24,), columns of the rotation first."""
-        return ca.vertcat(ca.vec(self.rotation), self.position, self.velocity, self.acceleration)
-
-
-class Place(Enum):
-    """Where a term is evaluated."""
-
-    POINT = "collocation point"
-    NODE = "node"
-    IMPACT = "impact"
-
-
-Actuation = Literal["torque", "acceleration", "velocity"]
-ACTUATIONS: tuple[Actuation, ...] = get_args(Actuation)
 
 
 class Context:

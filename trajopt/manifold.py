@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from types import MappingProxyType
 
 import casadi as ca
@@ -33,10 +33,13 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import UnsupportedJointError
-
-# Terms of the series in |theta|^2: relative error below 1e-15 up to |theta| = pi and below
-# 1e-11 up to 2 pi, without a branch and so without 0/0 in any derivative.
-_SERIES_TERMS = 16
+from trajopt.rotations import (
+    body_rates,
+    exp_quaternion,
+    quaternion_product,
+    right_jacobian,
+    rotation_matrix,
+)
 
 _PLAIN = (
     "RX",
@@ -54,54 +57,6 @@ CONTINUOUS_JOINTS = ("RUBX", "RUBY", "RUBZ", "RevoluteUnboundedUnalignedTpl", "R
 SUPPORTED_JOINTS = (
     "free-flyer, planar, spherical, revolute, continuous, prismatic, translation, spherical ZYX"
 )
-
-
-def _series(t: ca.SX, first_factorial: int) -> ca.SX:
-    """Sum over n of (-t)^n / (2 n + first_factorial)!, by Horner's rule."""
-    total = ca.SX(0)
-    for n in reversed(range(_SERIES_TERMS)):
-        total = 1 / math.factorial(2 * n + first_factorial) - t * total
-    return total
-
-
-def exp_quaternion(theta: ca.SX) -> ca.SX:
-    """Unit quaternion (x, y, z, w) of the rotation vector ``theta`` (3,) in rad, up to about a turn."""
-    quarter = ca.sumsqr(theta) / 4
-    return ca.vertcat(_series(quarter, 1) * theta / 2, _series(quarter, 0))
-
-
-def right_jacobian(theta: ca.SX) -> ca.SX:
-    """Right Jacobian (3, 3) of SO(3) at the rotation vector ``theta`` (3,) in rad."""
-    t = ca.sumsqr(theta)
-    cross = ca.skew(theta)
-    return ca.SX.eye(3) - _series(t, 2) * cross + _series(t, 3) * ca.mtimes(cross, cross)
-
-
-def quaternion_product(left: ca.SX, right: ca.SX) -> ca.SX:
-    """Hamilton product of quaternions stored as (x, y, z, w)."""
-    lv, lw, rv, rw = left[:3], left[3], right[:3], right[3]
-    return ca.vertcat(lw * rv + rw * lv + ca.cross(lv, rv), lw * rw - ca.dot(lv, rv))
-
-
-def rotation_matrix(quaternion: ca.SX) -> ca.SX:
-    """Rotation matrix (3, 3) of a unit quaternion (x, y, z, w)."""
-    cross = ca.skew(quaternion[:3])
-    return ca.SX.eye(3) + 2 * quaternion[3] * cross + 2 * ca.mtimes(cross, cross)
-
-
-@lru_cache(maxsize=1)
-def _body_rates() -> ca.Function:
-    theta, dtheta, ddtheta = (ca.SX.sym(name, 3) for name in ("theta", "dtheta", "ddtheta"))
-    jacobian = right_jacobian(theta)
-    omega = ca.mtimes(jacobian, dtheta)
-    domega = ca.mtimes(jacobian, ddtheta) + ca.jtimes(omega, theta, dtheta)
-    return ca.Function("body_rates", [theta, dtheta, ddtheta], [omega, domega])
-
-
-def body_rates(theta: ca.SX, dtheta: ca.SX, ddtheta: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Angular velocity and acceleration in the body frame from exponential coordinates."""
-    omega, domega = _body_rates()(theta, dtheta, ddtheta)
-    return omega, domega
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,10 @@ import numpy as np
 
 from trajopt.context import Context
 from trajopt.errors import InputError
-from trajopt.manifold import Coordinates, rotation_matrix
+from trajopt.manifold import Coordinates
 from trajopt.model_quantities import contact_jacobian
 from trajopt.robot import Contact, Robot
+from trajopt.rotations import rotation_matrix
 from trajopt.schedule import FlatGround, Phase
 from trajopt.surface import Surface
 from trajopt.term_interfaces import Rows, Term

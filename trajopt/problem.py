@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 import pinocchio as pin
 
-from trajopt.context import ACTUATIONS, Actuation
+from trajopt.context_symbols import ACTUATIONS, Actuation
 from trajopt.errors import InputError
 from trajopt.mode import Mode
 from trajopt.motion_terms import ContactVelocity

@@ -17,8 +17,9 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt import rigid_body
-from trajopt.context import Context, Place
-from trajopt.manifold import body_rates, exp_quaternion, quaternion_product, rotation_matrix
+from trajopt.context import Context
+from trajopt.context_symbols import Place
+from trajopt.rotations import body_rates, exp_quaternion, quaternion_product, rotation_matrix
 
 Layers = tuple[ca.Function, ...]
 

@@ -26,10 +26,10 @@ from trajopt.errors import InputError
 from trajopt.foot_motion import require_free_flyer
 from trajopt.footsteps import Foothold, FootstepPlan, Support, feet_of
 from trajopt.kinematics import inverse_kinematics
-from trajopt.manifold import rotation_matrix
 from trajopt.node_terms import FrameHeight, FramePose, FrameVelocity, TerminalRest, TerminalState
 from trajopt.problem import Problem
 from trajopt.robot import Robot
+from trajopt.rotations import rotation_matrix
 from trajopt.schedule import Schedule
 from trajopt.term_interfaces import PointConstraint, Rows, Term
 from trajopt.units import Units

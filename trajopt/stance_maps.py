@@ -12,9 +12,10 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt import rigid_body
-from trajopt.manifold import CONTINUOUS_JOINTS, quaternion_product
+from trajopt.manifold import CONTINUOUS_JOINTS
 from trajopt.rerooting import BASE_FRAME, joint_motion, joint_slices, path_to_base
 from trajopt.robot import Robot
+from trajopt.rotations import quaternion_product
 
 NAMES = ("q", "v", "a")
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from trajopt.context import Context, Place
+from trajopt.context import Context
+from trajopt.context_symbols import Place
 from trajopt.layout import Layout
 from trajopt.motion_terms import ImpactDynamics
 from trajopt.problem import Problem
