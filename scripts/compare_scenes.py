@@ -31,7 +31,19 @@ REACH_TIME = 1.0  # s
 PANDA = {"panda_joint2": -0.5, "panda_joint4": -2.2, "panda_joint6": 1.8, "panda_joint7": 0.8}
 PANDA_GOAL = (0.4, 0.3, 0.5)  # m
 TALOS_ARMS = {"2": 0.25, "4": -1.0}  # rad; of the right arm the second is mirrored
-JUMP_INTERVALS, REACH_INTERVALS, SQUAT_INTERVALS = 50, 30, 8
+JUMP_INTERVALS, QUADRUPED_INTERVALS, REACH_INTERVALS, SQUAT_INTERVALS = 50, 30, 30, 8
+
+# File, frames of the feet, and joints of a leg with their angles, rad; ANYmal's hind legs bend the other way.
+BENT = {"{}_thigh_joint": 0.8, "{}_calf_joint": -1.6}
+QUADRUPEDS = {
+    "a1": ("a1_description/urdf/a1.urdf", "{}_foot", BENT),
+    "go2": ("go2_description/urdf/go2.urdf", "{}_foot", BENT),
+    "anymal": (
+        "anymal_c_simple_description/urdf/anymal.urdf",
+        "{}_FOOT",
+        {"{}_HFE": 0.7, "{}_KFE": -1.4},
+    ),
+}
 
 Variant = tuple[str, Problem, Scene | None]
 
@@ -55,6 +67,30 @@ def upright_jump() -> Scene:
         )
     )
     return scene(robot, schedule, end, name="upright-jump")
+
+
+def quadruped_jump(name: str) -> Scene:
+    """A quadruped of ``QUADRUPEDS`` jumps forward onto the feet of the goal posture."""
+    path, foot, angles = QUADRUPEDS[name]
+    feet = [foot.format(leg) for leg in ("LF", "RF", "LH", "RH")] if name == "anymal" else []
+    feet = feet or [foot.format(leg) for leg in ("FL", "FR", "RL", "RR")]
+    posture = {
+        joint.format(foot[:2]): angle * (-1 if name == "anymal" and foot[1] == "H" else 1)
+        for foot in feet
+        for joint, angle in angles.items()
+    }
+    robot = Robot.from_urdf(robot_file(path), name=name, contacts=feet, reference=posture)
+    end = robot.reference.copy()
+    end[0] += DISTANCE
+    legs = tuple(feet)
+    schedule = Schedule(
+        (
+            Phase(name="stance", duration=STANCE, contacts=legs),
+            Phase(name="flight", duration=FLIGHT),
+            Phase(name="landing", duration=LANDING, contacts=legs),
+        )
+    )
+    return scene(robot, schedule, end, name=f"{name}-jump")
 
 
 def panda_reach() -> Scene:
@@ -105,6 +141,13 @@ def variants() -> Iterator[tuple[str, int, list[Variant]]]:
             ("half, abduction locked: in the plane", made.problem, made),
         ],
     )
+    for name in QUADRUPEDS:
+        made = quadruped_jump(name)
+        yield (
+            made.original.name,
+            QUADRUPED_INTERVALS,
+            [("as built", made.original, None), ("half in the plane", made.problem, made)],
+        )
     made = panda_reach()
     yield (
         "panda-reach",

@@ -234,6 +234,14 @@ def test_limits_and_drives_of_a_pair_are_merged() -> None:
     assert merged.voltage_use(2 * torque, rate) == pytest.approx(single.voltage_use(torque, rate))
 
 
+def test_feet_of_a_planar_robot_may_slide_sideways_only_if_its_legs_stay_in_the_plane() -> None:
+    path, _, sides = REAL["solo12"]
+    planar = Robot.from_urdf(robot_file(path), base="planar", contacts=[f"{side}_FOOT" for side in sides])
+    assert all(contact.rows == (0, 1, 2) for contact in planar.contacts)
+    abductions = [name for name in planar.model.names if name.endswith("HAA")]
+    assert all(contact.rows == (0, 2) for contact in planar.with_locked(abductions).contacts)
+
+
 def test_an_asymmetric_robot_is_kept_whole_with_the_reason_and_refused_if_it_must_be_halved() -> None:
     problem = push(biped(heavier=1.5))
     made = smallest(problem)
