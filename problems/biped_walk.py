@@ -15,15 +15,15 @@ import pinocchio as pin
 import robots
 from problems import common
 from robots.talos import SIDES
-from trajopt.com_program import CenterOfMassProgram
 from trajopt.errors import InputError
 from trajopt.family import Family, Parameter
-from trajopt.foot_motion import guess_from_lip
-from trajopt.footsteps import FootstepPlan, Walk
-from trajopt.lip import Pendulum
 from trajopt.model_quantities import gravity_of
 from trajopt.node_terms import SwingClearance, TerminalRest
 from trajopt.problem import Motion, Problem
+from trajopt.reduced.com_program import CenterOfMassProgram
+from trajopt.reduced.foot_motion import guess_from_lip
+from trajopt.reduced.footsteps import FootstepPlan, Walk
+from trajopt.reduced.lip import Pendulum
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround
 from trajopt.terms import EffortLimits, PositionLimits, SoleCone, Term, VelocityLimits

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.family import Choice, Parameter
-from trajopt.foot_motion import smooth_step
+from trajopt.reduced.foot_motion import smooth_step
 from trajopt.robot import Robot
 from trajopt.schedule import Phase, Schedule
 from trajopt.terms import (

@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from problems import common
 from robots import irb1600
-from trajopt.drive_terms import DriveLimits, MotorTorqueCost
+from trajopt.actuators.terms import DriveLimits, MotorTorqueCost
 from trajopt.errors import InputError
 from trajopt.family import Choice, Family, Parameter
 from trajopt.kinematics import inverse_kinematics_branches

@@ -10,7 +10,8 @@ import pinocchio as pin
 import robots
 from problems import common
 from robots.solo12 import BASE
-from trajopt.base_conversion import with_virtual_base
+from trajopt.bases.base_conversion import with_virtual_base
+from trajopt.bases.virtual_base import DEFAULT_ORDER, ORDERS
 from trajopt.family import Choice, Family
 from trajopt.kinematics import contact_positions, inverse_kinematics
 from trajopt.model_quantities import STANDARD_GRAVITY
@@ -19,7 +20,6 @@ from trajopt.problem import Problem
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround, Phase, Schedule
 from trajopt.terms import EffortLimits, FrictionPyramid, PositionLimits, Term, VelocityLimits
-from trajopt.virtual_base import DEFAULT_ORDER, ORDERS
 
 # In the guess the base rises by this much, m, and turns by this part of the whole, while the feet stand.
 RISE = 0.04

@@ -10,7 +10,7 @@ import pinocchio as pin
 import robots
 from problems import common
 from robots import solo12
-from trajopt.drive_terms import DriveLimits
+from trajopt.actuators.terms import DriveLimits
 from trajopt.errors import InputError
 from trajopt.family import Family, Parameter
 from trajopt.kinematics import contact_positions, inverse_kinematics

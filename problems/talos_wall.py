@@ -9,10 +9,10 @@ import robots
 from problems import common
 from robots.talos import HAND, SIDES, SOLES
 from trajopt.family import Family, Parameter
-from trajopt.foot_motion import smooth_step
 from trajopt.kinematics import frame_pose, inverse_kinematics
 from trajopt.node_terms import TerminalRest
 from trajopt.problem import Problem
+from trajopt.reduced.foot_motion import smooth_step
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround, Phase, Schedule
 from trajopt.surface import Surface

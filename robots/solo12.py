@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from trajopt.drive import Drive
+from trajopt.actuators.drive import Drive
 from trajopt.robot import Robot
 from trajopt.robot_data import robot_file
 

@@ -10,12 +10,12 @@ import numpy as np
 import pinocchio as pin
 
 import problems
-from trajopt.base_conversion import with_virtual_base
+from trajopt.bases.base_conversion import with_virtual_base
+from trajopt.bases.virtual_base import ORDERS, to_free_flyer, virtual_order
 from trajopt.problem import Problem
 from trajopt.solution import Solution
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solving import solve
-from trajopt.virtual_base import ORDERS, to_free_flyer, virtual_order
 
 QUATERNION = "quaternion"
 HEADER = (

@@ -3,7 +3,7 @@
 uv run python -m scripts.compare_guesses
 uv run python -m scripts.compare_guesses --seeds 20 --sigma 0.3
 
-Jumps of Solo12 from the problem's own guess, from one rigid body (`trajopt.body_guess`), and from standing
+Jumps of Solo12 from the problem's own guess, from one rigid body (`trajopt.reduced.body_guess`), and standing
 still; walks of Talos from the linear inverted pendulum, with the CoM midway between the feet, and from
 standing still.
 """
@@ -19,12 +19,12 @@ import numpy as np
 
 import problems
 import trajopt
-from trajopt.body_guess import guess_from_srb
-from trajopt.foot_motion import DEFAULT_CLEARANCE, FootMotion, guess_from_lip
-from trajopt.footsteps import feet_of
 from trajopt.guess import perturbed
 from trajopt.problem import Problem
-from trajopt.single_rigid_body import body_problem, footholds_of
+from trajopt.reduced.body_guess import guess_from_srb
+from trajopt.reduced.foot_motion import DEFAULT_CLEARANCE, FootMotion, guess_from_lip
+from trajopt.reduced.footsteps import feet_of
+from trajopt.reduced.single_rigid_body import body_problem, footholds_of
 from trajopt.solvers import Status, run
 from trajopt.solvers.drivers import SOLVERS, Stop
 from trajopt.solving import prepare

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import click
 
 import problems
-from trajopt.base_conversion import with_virtual_base
+from trajopt.bases.base_conversion import with_virtual_base
 from trajopt.check import check
 from trajopt.problem import Problem
 from trajopt.schedule import Schedule

@@ -20,7 +20,7 @@ from trajopt import Contact, Phase, Problem, Robot, Schedule
 from trajopt.compilation import LEVELS
 from trajopt.robot_building import reference_posture
 from trajopt.robot_data import robot_file
-from trajopt.scene import Scene, scene, smallest
+from trajopt.scenes import Scene, scene, smallest
 from trajopt.solvers.drivers import SOLVERS
 
 DISTANCE = 0.2  # m, of the jump from upright legs

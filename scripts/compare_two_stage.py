@@ -4,7 +4,7 @@ uv run python -m scripts.compare_two_stage
 uv run python -m scripts.compare_two_stage solo12-jump --set distance=0.5 --set effort=2.2
 
 Costs are the full problem's objective, evaluated at each solution. "shared anew" is stage one with its
-contact wrenches redistributed (`trajopt.wrench_distribution`).
+contact wrenches redistributed (`trajopt.reduced.wrench_distribution`).
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ import problems
 import trajopt
 from trajopt.extraction import extract
 from trajopt.problem import Problem
+from trajopt.reduced.two_stage import recover_torques, without_torques
+from trajopt.reduced.wrench_distribution import redistributed
 from trajopt.solution import Solution
 from trajopt.solvers import Result, Status, run
 from trajopt.solvers.drivers import SOLVERS, Stop
 from trajopt.solving import Prepared, prepare
 from trajopt.stage_functions import derivatives
 from trajopt.transcription import Transcription
-from trajopt.two_stage import recover_torques, without_torques
-from trajopt.wrench_distribution import redistributed
 
 CASES = (
     ("solo12-jump", {}),

@@ -9,11 +9,11 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt import Contact, FlatGround, Phase, Problem, Robot, Schedule
-from trajopt.drive import Drive
+from trajopt.actuators.drive import Drive
+from trajopt.bases.rerooting import joint_slices
 from trajopt.kinematics import inverse_kinematics
 from trajopt.node_terms import SwingClearance, TerminalRest, TerminalState
-from trajopt.rerooting import joint_slices
-from trajopt.scene_mirror import find_mirror, pairs, reflected, reflected_inertia
+from trajopt.scenes.mirror import find_mirror, pairs, reflected, reflected_inertia
 from trajopt.terms import (
     AccelerationCost,
     EffortLimits,

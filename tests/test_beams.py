@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from trajopt.beams import DENSITY, Beam, assembled
+from trajopt.actuators.beams import DENSITY, Beam, assembled
 from trajopt.errors import InputError
 
 # Sums of a few products of doubles.

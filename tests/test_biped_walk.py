@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 import problems
 import trajopt
 from trajopt.errors import InputError
-from trajopt.footsteps import feet_of
+from trajopt.reduced.footsteps import feet_of
 
 # Iterations within which every example is to solve from its own guess.
 MOST_ITERATIONS = 60

@@ -13,9 +13,9 @@ import pytest
 from synthetic import arm_motion, planar_flight, pushing_off, sampled, standing, tumbling_flight
 
 import robots
+from trajopt.certify.report import Tolerances
 from trajopt.check import check
 from trajopt.errors import InputError, SolutionFileError
-from trajopt.report import Tolerances
 from trajopt.robot import Robot
 from trajopt.solution import Solution
 

@@ -8,16 +8,16 @@ import pytest
 from contact_cases import INDEPENDENT, Case, body, close, independent, pinocchio_constraints, vanishes
 from robots_for_tests import robot
 
-from trajopt.contact_dynamics import (
+from trajopt.dynamics.contact_dynamics import (
     ContactDynamics,
     ContactMotion,
     actuated_force,
     forward_dynamics,
     inverse_dynamics,
 )
-from trajopt.contact_set import ContactSet, contact_kinematics
+from trajopt.dynamics.contact_set import ContactSet, contact_kinematics
+from trajopt.dynamics.impact import impact
 from trajopt.errors import InputError
-from trajopt.impact import impact
 from trajopt.model_quantities import contact_jacobian
 from trajopt.robot_building import base_of
 

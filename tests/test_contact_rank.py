@@ -8,8 +8,8 @@ from contact_cases import FEET, body, close, independent, vanishes
 from robots_for_tests import robot
 
 from trajopt.contact import Contact
-from trajopt.contact_dynamics import ContactDynamics, actuated_force, forward_dynamics
-from trajopt.contact_set import ContactSet
+from trajopt.dynamics.contact_dynamics import ContactDynamics, actuated_force, forward_dynamics
+from trajopt.dynamics.contact_set import ContactSet
 from trajopt.model_quantities import contact_jacobian
 from trajopt.robot_data import robot_file
 

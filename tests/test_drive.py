@@ -11,10 +11,10 @@ import pytest
 import robots
 from robots import solo12
 from tests.problems_for_tests import hopper, one_joint_arm
-from trajopt.drive import Drive
+from trajopt.actuators.drive import Drive
+from trajopt.actuators.on_robot import actuated_row_limit, drive_torque_values
 from trajopt.errors import InputError, UnsupportedJointError
 from trajopt.robot import Robot
-from trajopt.robot_drives import actuated_row_limit, drive_torque_values
 
 # A handful of products of doubles.
 ROUNDING = 1e-12

@@ -13,9 +13,9 @@ from scipy import sparse
 import problems
 import trajopt
 from tests.problems_for_tests import REACH, REACH_TIME, hopper, one_joint_arm, point_of, random_point, reach
+from trajopt.actuators.drive import Drive
+from trajopt.actuators.terms import DriveLimits, MotorTorqueCost
 from trajopt.context import Context
-from trajopt.drive import Drive
-from trajopt.drive_terms import DriveLimits, MotorTorqueCost
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.manifold import Coordinates
 from trajopt.schedule import Schedule

@@ -10,9 +10,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from problems_for_tests import FOOT, hop, hopper, planar_hopper, reach
 
+from trajopt.certify.samples import evaluate
 from trajopt.extraction import extract
 from trajopt.guess import initial_guess
-from trajopt.samples import evaluate
 from trajopt.schemes import scheme
 from trajopt.solution import Solution
 from trajopt.solving import solve

@@ -12,13 +12,8 @@ from problems_for_tests import hop, hopper
 import problems
 import robots
 import trajopt
-from trajopt.base_conversion import with_virtual_base
-from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.schedule import Phase, Schedule
-from trajopt.solvers import Status
-from trajopt.virtual_base import (
+from trajopt.bases.base_conversion import with_virtual_base
+from trajopt.bases.virtual_base import (
     LEAST_MARGIN,
     ORDERS,
     from_free_flyer,
@@ -28,6 +23,11 @@ from trajopt.virtual_base import (
     rotation_jacobian,
     rotation_of,
 )
+from trajopt.errors import InputError
+from trajopt.problem import Problem
+from trajopt.robot import Robot
+from trajopt.schedule import Phase, Schedule
+from trajopt.solvers import Status
 
 ROUNDING = 1e-12
 # Objectives of the same flip on two bases, solved to 1e-6 and to the order of the scheme.

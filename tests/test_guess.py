@@ -12,11 +12,11 @@ from problems_for_tests import SCHEME_ORDERS, hop, hopper, reach
 from robots_for_tests import hand_built, random_state
 
 import problems
+from trajopt.certify.samples import evaluate
 from trajopt.extraction import extract
 from trajopt.guess import initial_guess, perturbed
 from trajopt.problem import Problem
 from trajopt.robot import Robot
-from trajopt.samples import evaluate
 from trajopt.schedule import FlatGround, Phase, Schedule
 from trajopt.transcription import Transcription, transcribe
 

@@ -9,9 +9,9 @@ from contact_cases import INDEPENDENT, body, close, independent, pinocchio_const
 from robots_for_tests import robot
 from scipy.linalg import expm
 
-from trajopt.contact_set import ContactSet, contact_kinematics
+from trajopt.dynamics.contact_set import ContactSet, contact_kinematics
+from trajopt.dynamics.impact import cone_margins, impact, momentum, total_wrench
 from trajopt.errors import InputError
-from trajopt.impact import cone_margins, impact, momentum, total_wrench
 from trajopt.robot_building import base_of
 
 # Two ways to the same numbers, in a well-conditioned problem; rounding of what vanishes.

@@ -10,10 +10,11 @@ from models_for_structure import HALF_TORSO, THIGH, named, planar_hopper, three_
 from numpy.testing import assert_allclose
 from robots_for_tests import JOINT_KINDS, random_state, robot
 
-from trajopt import lagrange, rigid_body
+from trajopt import rigid_body
+from trajopt.dynamics import lagrange
+from trajopt.dynamics.newton_euler import joint_forces
+from trajopt.dynamics.structure import mass_matrix, symbolic_mass_matrix_rate
 from trajopt.errors import UnsupportedJointError
-from trajopt.newton_euler import joint_forces
-from trajopt.structure import mass_matrix, symbolic_mass_matrix_rate
 
 # Sums of products of order 1 to 1e3, differentiated exactly: rounding only.
 SAME = {"rtol": 1e-9, "atol": 1e-10}

@@ -13,12 +13,12 @@ from scipy.integrate import solve_ivp
 
 import robots
 from problems.biped_walk import talos_legs
-from trajopt.com_planning import analytic_motion, distance_outside
-from trajopt.com_program import CenterOfMassProgram
 from trajopt.errors import InputError
-from trajopt.foot_motion import FootMotion, Swing, guess_from_lip
-from trajopt.footsteps import Foothold, FootstepPlan, Support, Walk, feet_of, support_vertices
-from trajopt.lip import Pendulum, PendulumMotion, dcm_at_steps
+from trajopt.reduced.com_planning import analytic_motion, distance_outside
+from trajopt.reduced.com_program import CenterOfMassProgram
+from trajopt.reduced.foot_motion import FootMotion, Swing, guess_from_lip
+from trajopt.reduced.footsteps import Foothold, FootstepPlan, Support, Walk, feet_of, support_vertices
+from trajopt.reduced.lip import Pendulum, PendulumMotion, dcm_at_steps
 from trajopt.robot import Contact, Robot
 from trajopt.robot_data import robot_file
 

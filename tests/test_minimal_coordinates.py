@@ -11,10 +11,10 @@ import pytest
 from problems_for_tests import FOOT, hopper
 
 import robots
+from trajopt.actuators.drive import Drive
+from trajopt.bases.minimal_coordinates import StanceMode, stance_mode
 from trajopt.check import check
-from trajopt.drive import Drive
 from trajopt.errors import InputError, UnsupportedJointError
-from trajopt.minimal_coordinates import StanceMode, stance_mode
 from trajopt.problem import Problem
 from trajopt.robot import Contact, Robot
 from trajopt.robot_data import robot_file

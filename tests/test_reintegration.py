@@ -9,9 +9,9 @@ import pytest
 from synthetic import arm_motion, pushing_off, sampled, standing, tumbling_flight
 
 import robots
+from trajopt.certify.reintegration import open_loop
+from trajopt.certify.report import Tolerances
 from trajopt.check import check
-from trajopt.reintegration import open_loop
-from trajopt.report import Tolerances
 from trajopt.robot import Robot
 from trajopt.solution import Solution
 

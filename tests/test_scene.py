@@ -17,12 +17,12 @@ from scripts.compare_scenes import SQUAT_INTERVALS, sideways, talos_squat, uprig
 from tests.problems_for_tests import hopper, one_joint_arm, reach
 from tests.scenes_for_tests import FEET, biped, drive, push, symmetrised, usual
 from trajopt import Contact, FlatGround, InputError, Phase, Problem, Robot, Schedule, Solution
+from trajopt.actuators.terms import DriveLimits, MotorTorqueCost
 from trajopt.context import Context
-from trajopt.drive_terms import DriveLimits, MotorTorqueCost
 from trajopt.node_terms import FrameHeight, FramePose, NodeConstraint, NodePlace
 from trajopt.robot_building import leaving_plane
 from trajopt.robot_data import robot_file
-from trajopt.scene import scene, smallest
+from trajopt.scenes import scene, smallest
 from trajopt.surface import Surface
 from trajopt.term_interfaces import Cost, PointConstraint, Rows
 from trajopt.terms import (

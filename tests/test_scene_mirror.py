@@ -13,10 +13,10 @@ from tests.scenes_for_tests import FEET, biped, drive, push, symmetrised
 from trajopt import Contact, InputError, Robot
 from trajopt.model_quantities import generalized_force
 from trajopt.robot_data import robot_file
-from trajopt.scene import smallest
-from trajopt.scene_half import half_robot, turned_by_mirror
-from trajopt.scene_lock import locked
-from trajopt.scene_mirror import (
+from trajopt.scenes import smallest
+from trajopt.scenes.half import half_robot, turned_by_mirror
+from trajopt.scenes.lock import locked
+from trajopt.scenes.mirror import (
     find_mirror,
     limit_differences,
     mirrored_configuration,
@@ -24,7 +24,7 @@ from trajopt.scene_mirror import (
     paired_contacts,
     pairs,
 )
-from trajopt.scene_reduction import Reduction
+from trajopt.scenes.reduction import Reduction
 
 # Rounding of sums over some ten bodies, parts of the largest entry.
 ROUNDING = 1e-10

@@ -16,14 +16,13 @@ import robots
 import trajopt
 from problems.biped_walk import talos_legs
 from tests.problems_for_tests import FOOT, hop, hopper, planar_hopper
-from trajopt.body_guess import BasePath, guess_from_srb
 from trajopt.context import Context
 from trajopt.errors import InputError
-from trajopt.footsteps import feet_of
 from trajopt.manifold import Coordinates
 from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.single_rigid_body import (
+from trajopt.reduced.body_guess import BasePath, guess_from_srb
+from trajopt.reduced.footsteps import feet_of
+from trajopt.reduced.single_rigid_body import (
     BODY,
     LONGEST,
     BodyDynamics,
@@ -33,6 +32,7 @@ from trajopt.single_rigid_body import (
     footholds_of,
     rigid_body,
 )
+from trajopt.robot import Robot
 from trajopt.solution import Solution
 from trajopt.units import Units
 

@@ -21,7 +21,7 @@ from models_for_structure import (
 from numpy.testing import assert_allclose
 from robots_for_tests import JOINT_KINDS, random_state
 
-from trajopt import structure
+from trajopt.dynamics import structure
 from trajopt.errors import InputError, UnsupportedJointError
 from trajopt.model_quantities import mass_of
 

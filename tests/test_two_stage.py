@@ -15,15 +15,23 @@ from scipy.optimize import linprog
 import problems
 import trajopt
 from tests.problems_for_tests import FOOT, hop, hopper, reach
+from trajopt.actuators.drive import Drive
+from trajopt.actuators.terms import DriveLimits
+from trajopt.certify.samples import evaluate
 from trajopt.context import Context
-from trajopt.drive import Drive
-from trajopt.drive_terms import DriveLimits
 from trajopt.errors import InputError
 from trajopt.extraction import extract
 from trajopt.guess import initial_guess
 from trajopt.model_quantities import contact_jacobian
 from trajopt.problem import Problem
-from trajopt.samples import evaluate
+from trajopt.reduced.two_stage import (
+    asks_for_torques,
+    recover_torques,
+    standing_share,
+    torque_bounds,
+    without_torques,
+)
+from trajopt.reduced.wrench_distribution import redistributed
 from trajopt.solution import Solution
 from trajopt.solving import prepare
 from trajopt.stage_functions import derivatives
@@ -38,15 +46,7 @@ from trajopt.terms import (
     WrenchCost,
 )
 from trajopt.transcription import transcribe
-from trajopt.two_stage import (
-    asks_for_torques,
-    recover_torques,
-    standing_share,
-    torque_bounds,
-    without_torques,
-)
 from trajopt.units import Units
-from trajopt.wrench_distribution import redistributed
 
 # Numeric Pinocchio against itself in another order of sums.
 ROUNDING = 1e-9

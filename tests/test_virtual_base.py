@@ -13,8 +13,20 @@ from problems_for_tests import FOOT, hopper, lean
 import problems
 import robots
 import trajopt
-from trajopt.base_conversion import BaseAccelerationCost, with_virtual_base
-from trajopt.drive import Drive
+from trajopt.actuators.drive import Drive
+from trajopt.bases.base_conversion import BaseAccelerationCost, with_virtual_base
+from trajopt.bases.virtual_base import (
+    ORDERS,
+    angles_of,
+    base_jacobian,
+    from_free_flyer,
+    rotation_jacobian,
+    rotation_jacobian_rate,
+    rotation_of,
+    to_free_flyer,
+    virtual_model,
+    virtual_order,
+)
 from trajopt.errors import InputError
 from trajopt.model_quantities import generalized_force
 from trajopt.node_terms import TerminalRest, TerminalState
@@ -27,18 +39,6 @@ from trajopt.robot_data import robot_file
 from trajopt.solution import Solution
 from trajopt.terms import AccelerationCost, PostureCost, VelocityCost
 from trajopt.units import Units
-from trajopt.virtual_base import (
-    ORDERS,
-    angles_of,
-    base_jacobian,
-    from_free_flyer,
-    rotation_jacobian,
-    rotation_jacobian_rate,
-    rotation_of,
-    to_free_flyer,
-    virtual_model,
-    virtual_order,
-)
 
 # Rounding of algorithms over a dozen bodies, and of a solve with J_w, whose condition stays below ten here.
 ROUNDING = 1e-10

@@ -12,11 +12,11 @@ from numpy.testing import assert_allclose
 from robots_for_tests import random_state
 from scipy.integrate import solve_ivp
 
-from trajopt import structure
+from trajopt.dynamics import structure
+from trajopt.dynamics.newton_euler import joint_forces
+from trajopt.dynamics.whole_body import whole_body_balance
 from trajopt.errors import InputError
 from trajopt.model_quantities import contact_jacobian
-from trajopt.newton_euler import joint_forces
-from trajopt.whole_body import whole_body_balance
 
 # Two ways of summing the same numbers of order 1 to 1e3.
 SAME = {"rtol": 1e-9, "atol": 1e-10}

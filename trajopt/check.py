@@ -9,21 +9,21 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from trajopt.consistency import interval_gaps
-from trajopt.contact_figures import force_figures, is_sole, place_figures
-from trajopt.drive import Drive
-from trajopt.flight import flight_errors
-from trajopt.impact_figures import impact_figures
+from trajopt.actuators.drive import Drive
+from trajopt.actuators.on_robot import drive_torque_values
+from trajopt.bases.virtual_base import gimbal_margin_along
+from trajopt.certify.consistency import interval_gaps
+from trajopt.certify.contact_figures import force_figures, is_sole, place_figures
+from trajopt.certify.flight import flight_errors
+from trajopt.certify.impact_figures import impact_figures
+from trajopt.certify.reintegration import OpenLoopError, open_loop
+from trajopt.certify.report import PhaseReport, Report
+from trajopt.certify.samples import Samples, evaluate
+from trajopt.certify.touched import touched
 from trajopt.model_quantities import gravity_of, mass_of
-from trajopt.reintegration import OpenLoopError, open_loop
-from trajopt.report import PhaseReport, Report
 from trajopt.robot_building import position_limits
-from trajopt.robot_drives import drive_torque_values
-from trajopt.samples import Samples, evaluate
 from trajopt.solution import Solution
 from trajopt.solution_file import consistent_meta
-from trajopt.touched import touched
-from trajopt.virtual_base import gimbal_margin_along
 
 
 def check(solution: Solution | str | Path) -> Report:

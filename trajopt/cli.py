@@ -27,9 +27,9 @@ from trajopt.errors import TrajoptError
 from trajopt.progress import CANCELLED, stdout_to_stderr, watched
 
 if TYPE_CHECKING:
+    from trajopt.certify.report import Report
     from trajopt.problem import Problem
-    from trajopt.report import Report
-    from trajopt.scene import Scene
+    from trajopt.scenes import Scene
     from trajopt.solution import Solution
 
 BAD_INPUT = 2
@@ -204,7 +204,7 @@ def solve(
 
 def _scene(problem: Problem, keep: tuple[str, ...], arguments: dict[str, Any]) -> Scene:
     """The smallest problem with the same task, on the grid that is asked for."""
-    from trajopt.scene import smallest
+    from trajopt.scenes import smallest
 
     grid = {name: arguments[name] for name in ("transcription", "intervals")}
     return smallest(problem, keep=keep, **grid)

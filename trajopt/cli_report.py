@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 
 if TYPE_CHECKING:
+    from trajopt.certify.report import Report
     from trajopt.family import Choice, Family, Parameter
-    from trajopt.report import Report
     from trajopt.solution import Solution
 
 # Keys of a solution's meta that the JSON of a solve repeats as they are.
@@ -176,7 +176,7 @@ def _times(meta: dict[str, Any]) -> str:
 
 def accuracy_line(report: Report) -> str:
     """The key figures of a check in one line."""
-    from trajopt.report import FIGURES
+    from trajopt.certify.report import FIGURES
 
     parts = []
     for name, short in KEY_FIGURES.items():
@@ -188,7 +188,7 @@ def accuracy_line(report: Report) -> str:
 
 def beyond(report: Report) -> str:
     """The figures beyond the check's tolerances in words, or an empty text."""
-    from trajopt.report import FIGURES
+    from trajopt.certify.report import FIGURES
 
     return ", ".join(FIGURES[name].text for name in report.failures())
 

@@ -14,12 +14,12 @@ from types import MappingProxyType
 import casadi as ca
 import numpy as np
 
+from trajopt.actuators.on_robot import drive_torque
 from trajopt.context_symbols import Actuation, FrameSymbols, Place
 from trajopt.errors import InputError
 from trajopt.manifold import Coordinates
 from trajopt.mode import Mode
 from trajopt.robot import Contact, Robot
-from trajopt.robot_drives import drive_torque
 from trajopt.surface import Surface
 
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from trajopt.actuators.on_robot import actuated_row_limit
 from trajopt.layout import Layout
 from trajopt.model_quantities import generalized_force
 from trajopt.problem import Problem
 from trajopt.robot import Contact
-from trajopt.robot_drives import actuated_row_limit
 from trajopt.solution import Solution
 from trajopt.timeline import NodeForm, StageKind
 from trajopt.transcription import Transcription

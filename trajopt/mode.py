@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from trajopt.minimal_coordinates import stance_mode
+from trajopt.bases.minimal_coordinates import stance_mode
+from trajopt.bases.stance_maps import symbols
 from trajopt.robot import Contact, Robot
-from trajopt.stance_maps import symbols
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -19,8 +19,9 @@ from trajopt.model_quantities import contact_jacobian
 from trajopt.robot import Robot
 
 # What remains of a row of unit length when others are taken off: less is no row of its own to a solver. Feet
-# that fix an angle to second order only (the roll of a base on legs in parallel planes) are far below.
-INDEPENDENT = 1e-3
+# that fix an angle to second order only (the roll of a base on legs in parallel planes) leave the root of the
+# asymmetry of a description file, a thousandth; corners of a foot of a few centimetres leave more.
+INDEPENDENT = 1e-2
 # Postures about the given one that tell a dependence of the contacts from one of the posture (straight
 # legs): as many, displaced by this much (rad, m), with the contacts where they were.
 SAMPLES, SPREAD = 3, 0.2

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from trajopt.contact_figures import is_sole
+from trajopt.certify.contact_figures import is_sole
+from trajopt.certify.touched import touched
 from trajopt.errors import InputError
 from trajopt.model_quantities import gravity_of, mass_of
 from trajopt.sole import centre_of_pressure
 from trajopt.solution import Solution
-from trajopt.touched import touched
 
 # Pictures a second of playback: what screens show.
 FRAME_RATE = 60.0

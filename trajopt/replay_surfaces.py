@@ -9,12 +9,12 @@ import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
 
+from trajopt.certify.touched import surfaces_of, terrain_surface
 from trajopt.replay_commands import without_shadow
 from trajopt.replay_motion import Motion
 from trajopt.replay_robot import DrawnRobot
 from trajopt.solution import Solution
 from trajopt.surface import UP, Surface, frame_of_normal
-from trajopt.touched import surfaces_of, terrain_surface
 
 WALL_COLOUR, HANDLE_COLOUR = 0xB98A4E, 0x1E8C7E
 WALL_OPACITY, HANDLE_OPACITY = 0.45, 0.8

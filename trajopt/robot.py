@@ -13,16 +13,16 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from trajopt import robot_building as building
+from trajopt.actuators.drive import Drive
+from trajopt.actuators.on_robot import driven, require_drives
+from trajopt.bases.virtual_base import DEFAULT_ORDER
 from trajopt.contact import Contact, require_frame
-from trajopt.drive import Drive
 from trajopt.errors import InputError
 from trajopt.model_quantities import gravity_of, mass_of
 from trajopt.robot_building import Base
 from trajopt.robot_conversion import lock, on_virtual_base
 from trajopt.robot_data import VisualSource, package_directories
-from trajopt.robot_drives import driven, require_drives
 from trajopt.robot_validation import require_contacts, require_limits, require_reference
-from trajopt.virtual_base import DEFAULT_ORDER
 
 # A base lower than this part of the reach does not stand on its contacts: it lies, or hangs.
 STANDING_PART = 0.05

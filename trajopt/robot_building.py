@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from trajopt.bases.virtual_base import virtual_model, virtual_order
 from trajopt.contact import Contact
 from trajopt.errors import InputError, UnsupportedJointError
-from trajopt.virtual_base import virtual_model, virtual_order
 
 Base = Literal["freeflyer", "virtual", "planar", "fixed"]
 BASES: tuple[Base, ...] = ("freeflyer", "virtual", "planar", "fixed")

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trajopt.bases.virtual_base import from_free_flyer, virtual_model
 from trajopt.errors import InputError
 from trajopt.robot_building import locked_model
-from trajopt.virtual_base import from_free_flyer, virtual_model
 
 if TYPE_CHECKING:
     from trajopt.robot import Robot

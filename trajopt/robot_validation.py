@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
+from trajopt.bases.virtual_base import LEAST_MARGIN, gimbal_margin
 from trajopt.contact import require_frame
 from trajopt.errors import InputError
-from trajopt.virtual_base import LEAST_MARGIN, gimbal_margin
 
 if TYPE_CHECKING:
     from trajopt.robot import Robot

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.drive import Drive
+from trajopt.actuators.drive import Drive
+from trajopt.certify.touched import surfaces_of
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.solution import OTHERS, SAMPLED, Solution
-from trajopt.touched import surfaces_of
 
 META_KEYS = (
     "format",

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from trajopt.bases.virtual_base import LEAST_MARGIN, gimbal_margin_along
 from trajopt.compilation import DEFAULT_LEVEL, CompilationReport, compile_points, entry_key
 from trajopt.errors import InputError
 from trajopt.extraction import extract
@@ -21,7 +22,6 @@ from trajopt.solvers import Result, Status, run
 from trajopt.solvers.drivers import SOLVERS, Option, Stop
 from trajopt.transcription import Transcription, transcribe
 from trajopt.violations import nonfinite_place, row_violations, worst_blocks
-from trajopt.virtual_base import LEAST_MARGIN, gimbal_margin_along
 
 Progress = Callable[[dict[str, float]], bool]
 

@@ -1,0 +1,1 @@
+"""Motors and gears on joints, and links as beams."""

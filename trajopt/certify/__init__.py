@@ -1,0 +1,1 @@
+"""The parts of a solution's check: samples, figures, re-integration."""

@@ -1,0 +1,108 @@
+"""Figures of a check about contacts: friction, pressure, soles, places and motion on their surfaces."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajopt.certify.samples import Samples
+from trajopt.certify.touched import Touched
+from trajopt.model_quantities import gravity_of, mass_of
+from trajopt.sole import pressure_rows, yaw_rows
+from trajopt.solution import Solution
+
+Figures = dict[str, float | None]
+
+
+def force_figures(plan: Solution, samples: Samples, surfaces: Touched) -> Figures:
+    """Margins of contact forces over the weight; nothing is asked of a bilateral surface."""
+    weight = mass_of(plan.model) * gravity_of(plan.model)
+    points = plan.collocation[:, None]
+    force = plan.f[..., :3] / weight
+    normal = surfaces.along_normal(force)
+    tangential = np.linalg.norm(force - normal[..., None] * surfaces.normal, axis=-1)
+    margin = surfaces.friction * normal - tangential
+    pressed = plan.active & ~surfaces.bilateral
+    return {
+        "friction_margin": _least(margin[pressed & points]),
+        "friction_margin_between": _least(margin[pressed & ~points]),
+        "unilateral_margin": _least(normal[pressed & points]),
+        "sole_margin": _sole_margin(plan, samples, surfaces, weight),
+        "inactive_force": _largest(np.abs(plan.f[~plan.active]) / weight),
+    }
+
+
+def _sole_margin(plan: Solution, samples: Samples, surfaces: Touched, weight: float) -> float | None:
+    """Least distance from the limits of pressure and yaw moment in the sole's axes, weight times metre.
+
+    Half sizes [half_length, half_width] come from the optional key ``contact_sizes`` of meta (null for a
+    point). The yaw moment is held against what friction with the whole coefficient along the sole's
+    axes leaves of it: beyond that no distribution of forces in Coulomb's cones exists.
+    """
+    sizes = plan.meta.get("contact_sizes")
+    if not isinstance(sizes, list) or len(sizes) != plan.f.shape[1]:
+        return None
+    found = []
+    for index in np.flatnonzero(is_sole(plan)):
+        rows = plan.active[:, index] & ~surfaces.bilateral[:, index] & plan.collocation
+        if sizes[index] is None or not rows.any():
+            continue
+        size = (float(sizes[index][0]), float(sizes[index][1]))
+        to_sole = np.swapaxes(samples.rotation[rows, index], -1, -2)
+        force, moment = (
+            np.einsum("kij,kj->ik", to_sole, part) / weight
+            for part in (plan.f[rows, index, :3], plan.f[rows, index, 3:])
+        )
+        margins = pressure_rows(force, moment, size)
+        margins += yaw_rows(force, moment, size, surfaces.friction[rows, index])
+        found.append(float(np.min(margins)))
+    return min(found) if found else None
+
+
+def place_figures(plan: Solution, samples: Samples, surfaces: Touched) -> Figures:
+    """Where contacts are, and whether they stay: over all samples, and at the start of each phase."""
+    drift, turn, landing = [], [], []
+    distance = surfaces.distance(samples.position)
+    for phase in plan.phases:
+        for index in np.flatnonzero(plan.active[phase.start]):
+            rows = slice(phase.start, phase.stop)
+            place = samples.position[rows, index]
+            drift.append(np.linalg.norm(place - place[0], axis=1).max())
+            if surfaces.known[phase.start, index]:
+                landing.append(abs(distance[phase.start, index]))
+            if is_sole(plan)[index]:
+                turn.append(_turn(samples.rotation[rows, index]))
+    speed = np.linalg.norm(samples.velocity[plan.active][:, :3], axis=1)
+    return {
+        "contact_velocity": _largest(speed),
+        "penetration": _largest(np.maximum(-distance[surfaces.known], 0.0)),
+        "landing_height": _largest(np.array(landing)),
+        "foot_drift": _largest(np.array(drift)),
+        "foot_turn": _largest(np.array(turn)),
+        "sole_tilt": _sole_tilt(plan, samples, surfaces),
+    }
+
+
+def is_sole(plan: Solution) -> np.ndarray:
+    """Which contacts are soles (nc,)."""
+    return np.array([kind == "surface" for kind in plan.meta["contact_kinds"]], dtype=bool)
+
+
+def _sole_tilt(plan: Solution, samples: Samples, surfaces: Touched) -> float | None:
+    """Largest angle (rad) between an active sole's z axis and its surface's normal, exact for small ones."""
+    flat = plan.active & is_sole(plan) & surfaces.known
+    chord = np.linalg.norm(samples.rotation[flat][..., 2] - surfaces.normal[flat], axis=-1)
+    return _largest(2 * np.arcsin(np.minimum(chord / 2, 1.0)))
+
+
+def _turn(rotation: np.ndarray) -> float:
+    """Largest angle (rad) between rotations (n, 3, 3) and the first, exact for small angles."""
+    chord = np.linalg.norm(rotation - rotation[0], axis=(1, 2)).max() / np.sqrt(8)
+    return float(2 * np.arcsin(min(chord, 1.0)))
+
+
+def _largest(values: np.ndarray) -> float | None:
+    return float(np.max(values)) if values.size else None
+
+
+def _least(values: np.ndarray) -> float | None:
+    return float(np.min(values)) if values.size else None

@@ -1,0 +1,107 @@
+"""Figures of a check about impacts: their law, momentum, energy, and jumps where there is no impact."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.certify.touched import Touched
+from trajopt.dynamics.contact_set import ContactSet, contact_kinematics
+from trajopt.dynamics.impact import cone_margins, momentum, total_wrench
+from trajopt.model_quantities import gravity_of, mass_of
+from trajopt.robot_building import base_of
+from trajopt.solution import Solution
+
+Figures = dict[str, float | None]
+
+
+def impact_figures(plan: Solution, surfaces: Touched) -> Figures:
+    """Worst figures over all impacts of ``plan``, None without any, and of jumps elsewhere.
+
+    The contacts of an impact are those that are active just after it. Speeds are over sqrt(g 1 m),
+    momenta over the mass times that, angular ones over one metre more, energies over the weight times one
+    metre.
+    """
+    rows = [] if plan.impact_index is None else [int(row) for row in plan.impact_index]
+    found = [_impact(plan, surfaces, number, row) for number, row in enumerate(rows)]
+    worst: Figures = {}
+    for name in (
+        "impact_residual",
+        "impact_velocity",
+        "impact_friction_margin",
+        "impact_momentum_error",
+        "impact_energy_gain",
+    ):
+        values = [figures[name] for figures in found if figures[name] is not None]
+        choose = min if name == "impact_friction_margin" else max
+        worst[name] = choose(values) if values else None  # type: ignore[type-var]
+    return {**worst, "state_jump": _state_jump(plan, rows)}
+
+
+def _impact(plan: Solution, surfaces: Touched, number: int, row: int) -> Figures:
+    assert plan.impulse is not None
+    model, q, before, after = plan.model, plan.q[row], plan.v[row - 1], plan.v[row]
+    active = np.flatnonzero(plan.active[row])
+    kinds = [plan.meta["contact_kinds"][index] for index in active]
+    frames = [plan.contact_frames[index] for index in active]
+    contacts = ContactSet.of(
+        model, [(frame, 3 if kind == "point" else 6) for frame, kind in zip(frames, kinds, strict=True)]
+    )
+    impulses = plan.impulse[number][active]
+    data = model.createData()
+    mass = pin.crba(model, data, q)
+    kinematics = contact_kinematics(model, data, q, after, contacts)
+    stacked = np.concatenate([f[:d] for f, d in zip(impulses, contacts.dimensions, strict=True)])
+    speed = math.sqrt(gravity_of(model))
+    unit = mass_of(model) * speed
+    pressed = ~surfaces.bilateral[row, active]
+    margins = cone_margins(impulses, surfaces.normal[row, active], surfaces.friction[row, active])[pressed]
+    energies = [v @ mass @ v / 2 for v in (before, after)]
+    return {
+        "impact_residual": float(
+            np.abs(mass @ (after - before) - kinematics.jacobian.T @ stacked).max() / unit
+        ),
+        "impact_velocity": float(np.abs(kinematics.velocity).max() / speed),
+        "impact_friction_margin": float(margins.min() / unit) if margins.size else None,
+        "impact_momentum_error": _momentum_error(plan, row, contacts, impulses, unit),
+        "impact_energy_gain": float((energies[1] - energies[0]) / (mass_of(model) * gravity_of(model))),
+    }
+
+
+def _momentum_error(
+    plan: Solution, row: int, contacts: ContactSet, impulses: np.ndarray, unit: float
+) -> float | None:
+    """Change of linear and angular momentum about the centre of mass against the impulses'.
+
+    None for a fixed base, whose root gives an impulse of its own; in a plane only what it leaves free.
+    """
+    model, q = plan.model, plan.q[row]
+    base = base_of(model)
+    if base == "fixed":
+        return None
+    jump = momentum(model, q, plan.v[row]) - momentum(model, q, plan.v[row - 1])
+    given = total_wrench(model, q, contacts, impulses, jump.point)
+    linear, angular = jump.linear - given.linear, jump.angular - given.angular
+    if base == "planar":
+        axes = model.jointPlacements[1].rotation
+        linear, angular = linear @ axes[:, :2], angular @ axes[:, 2:]
+    return float(max(np.abs(linear).max(), np.abs(angular).max()) / unit)
+
+
+def _state_jump(plan: Solution, impacts: list[int]) -> float | None:
+    """Largest jump of q (m, rad) and, over sqrt(g 1 m), of v where intervals meet without an impact.
+
+    The velocity of a velocity source may jump.
+    """
+    starts = [rows.start for rows in plan.intervals[1:]]
+    if not starts:
+        return None
+    speed = math.sqrt(gravity_of(plan.model))
+    worst = 0.0
+    for row in starts:
+        worst = max(worst, float(np.abs(pin.difference(plan.model, plan.q[row - 1], plan.q[row])).max()))
+        if row not in impacts and plan.meta.get("actuation") != "velocity":
+            worst = max(worst, float(np.abs(plan.v[row] - plan.v[row - 1]).max() / speed))
+    return worst

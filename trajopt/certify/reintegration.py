@@ -1,0 +1,157 @@
+"""Open-loop re-integration: what the planned torques really do, by numeric Pinocchio alone.
+
+Within an interval the torque is the Lagrange polynomial through its collocation points. With the
+active contacts of the interval the acceleration solves
+
+    M a + h = S^T tau + J^T f,      J a + Jdot v = 0                                    (KKT)
+
+(Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8) without any stabilisation, so that a
+plan which is inconsistent between its points drifts away here. States are integrated on the
+manifold, q = q_k (+) delta, with the eighth-order method of Dormand and Prince.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.dynamics.contact_dynamics import ContactDynamics
+from trajopt.dynamics.contact_set import ContactSet
+from trajopt.robot_building import BASE_JOINT, BASE_POSITION, BASE_ROWS, base_of
+from trajopt.solution import Solution
+
+# Far below what is measured (1e-6 at best), far above rounding.
+RELATIVE_ERROR = 1e-10
+ABSOLUTE_ERROR = 1e-12
+# An interval of a sane plan takes about five steps; one that needs so many has run away.
+MAX_STEPS = 300
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpenLoopError:
+    """Largest error at the nodes of a phase: base m and rad (None for a fixed base), joints rad or m."""
+
+    position: float | None
+    orientation: float | None
+    joints: float
+
+
+def lagrange_coefficients(fractions: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return polynomial coefficients (s, n), lowest power first, through ``values`` (s, n)."""
+    return np.linalg.solve(np.vander(fractions, increasing=True), values)
+
+
+def open_loop(solution: Solution) -> tuple[OpenLoopError, ...]:
+    """Integrate every phase from its first sample with the planned torques; errors at its nodes.
+
+    Of a velocity source the planned rates are integrated instead. An error is inf where the integration
+    ran away before the phase's end.
+    """
+    return tuple(_phase_error(solution, phase) for phase in solution.phases)
+
+
+def _phase_error(solution: Solution, phase: range) -> OpenLoopError:
+    q, v = solution.q[phase.start].copy(), solution.v[phase.start].copy()
+    worst: np.ndarray = np.zeros(3)
+    dynamics = _dynamics(solution, solution.active[phase.start])
+    for rows in solution.intervals[solution.interval[phase.start] : solution.interval[phase.stop - 1] + 1]:
+        if solution.meta.get("actuation") == "velocity":
+            end = follow_rates(solution, rows, q)
+        else:
+            end = integrate_interval(solution, dynamics, rows, q, v)
+        if end is None:
+            worst[:] = np.inf
+            break
+        q, v = end
+        worst = np.maximum(worst, _distance(solution.model, solution.q[rows.stop - 1], q))
+    if base_of(solution.model) == "fixed":
+        return OpenLoopError(position=None, orientation=None, joints=float(worst[2]))
+    return OpenLoopError(position=float(worst[0]), orientation=float(worst[1]), joints=float(worst[2]))
+
+
+def _distance(model: pin.Model, planned: np.ndarray, reached: np.ndarray) -> np.ndarray:
+    """Distance of base position (m), base orientation (rad) and worst joint (rad or m)."""
+    base = base_of(model)
+    rows = BASE_ROWS[base]
+    difference = pin.difference(model, planned, reached)
+    position = BASE_POSITION[base]
+    turn = difference[position:rows]
+    if base == "virtual":  # differences of its angles are no rotation
+        turn = pin.log3(_base_rotation(model, planned).T @ _base_rotation(model, reached))
+    return np.array(
+        [
+            np.linalg.norm(reached[:position] - planned[:position]),
+            np.linalg.norm(turn),
+            np.abs(difference[rows:]).max(initial=0.0),
+        ]
+    )
+
+
+def _base_rotation(model: pin.Model, q: np.ndarray) -> np.ndarray:
+    data = model.createData()
+    pin.forwardKinematics(model, data, q)
+    return np.array(data.oMi[BASE_JOINT[base_of(model)]].rotation)
+
+
+def integrate_interval(
+    solution: Solution, dynamics: ContactDynamics, rows: range, q: np.ndarray, v: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Integrate one interval from ``q``, ``v`` with its torques and contacts; None where it runs away."""
+    model, nv = solution.model, solution.model.nv
+    start, end = (float(time) for time in solution.interval_t[solution.interval[rows.start]])
+    points = [row for row in rows if solution.collocation[row]]
+    torque = lagrange_coefficients((solution.t[points] - start) / (end - start), solution.tau[points])
+    powers = np.arange(len(points))
+    force = np.zeros(nv)
+
+    def rate(fraction: float, state: np.ndarray) -> np.ndarray:
+        delta, velocity = state[:nv], state[nv:]
+        force[solution.n_unactuated :] = fraction**powers @ torque
+        here = pin.integrate(model, q, delta)
+        to_local = pin.dIntegrate(model, q, delta, pin.ArgumentPosition.ARG1)
+        moved = np.linalg.solve(to_local, velocity)
+        return (end - start) * np.concatenate([moved, dynamics.acceleration(here, velocity, force)])
+
+    final = _run(rate, np.concatenate([np.zeros(nv), v]))
+    return None if final is None else (pin.integrate(model, q, final[:nv]), final[nv:])
+
+
+def follow_rates(solution: Solution, rows: range, q: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Integrate the rates of one interval, polynomials through its points, from ``q``; None if not finite."""
+    model = solution.model
+    start, end = (float(time) for time in solution.interval_t[solution.interval[rows.start]])
+    points = [row for row in rows if solution.collocation[row]]
+    velocity = lagrange_coefficients((solution.t[points] - start) / (end - start), solution.v[points])
+    powers = np.arange(len(points))
+
+    def rate(fraction: float, delta: np.ndarray) -> np.ndarray:
+        to_local = pin.dIntegrate(model, q, delta, pin.ArgumentPosition.ARG1)
+        return (end - start) * np.linalg.solve(to_local, fraction**powers @ velocity)
+
+    final = _run(rate, np.zeros(model.nv))
+    return None if final is None else (pin.integrate(model, q, final), velocity.sum(axis=0))
+
+
+def _run(rate: Callable[[float, np.ndarray], np.ndarray], state: np.ndarray) -> np.ndarray | None:
+    """Integrate from 0 to 1, or return None if that takes too many steps or is not finite."""
+    from scipy.integrate import DOP853  # takes longer to load than all the rest
+
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            method = DOP853(rate, 0.0, state, 1.0, rtol=RELATIVE_ERROR, atol=ABSOLUTE_ERROR)
+            for _ in range(MAX_STEPS):
+                method.step()
+                if method.status != "running":
+                    break
+    except (ValueError, np.linalg.LinAlgError):
+        return None
+    return method.y if method.status == "finished" and np.isfinite(method.y).all() else None
+
+
+def _dynamics(solution: Solution, active: np.ndarray) -> ContactDynamics:
+    kinds = zip(solution.contact_frames, solution.meta["contact_kinds"], active, strict=True)
+    contacts = [(frame, 3 if kind == "point" else 6) for frame, kind, on in kinds if on]
+    return ContactDynamics(solution.model, ContactSet.of(solution.model, contacts))

@@ -1,0 +1,1 @@
+"""Numeric and symbolic rigid-body dynamics with contacts: what the optimisation is compared with."""

@@ -1,0 +1,1 @@
+"""Reduced models and two-stage locomotion: pendulum, one rigid body, base rows alone."""

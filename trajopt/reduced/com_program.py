@@ -1,0 +1,256 @@
+"""CoM trajectories from footsteps as a quadratic program with the ZMP inside the feet, solved by OSQP.
+
+Unknowns are, for each of N intervals of length h, a state x_k and an input u_k of the linear inverted
+pendulum c'' = omega^2 (c - p) of ``lip``, x_(k+1) = A x_k + B u_k exactly, for both axes:
+
+- control "zmp_rate": x = (c, c', p), u = p'. The ZMP is linear in an interval and the CoM hyperbolic, the
+  closed form; a ZMP inside a convex polygon at both ends of an interval is inside all along.
+- control "jerk": x = (c, c', c''), u the jerk (Kajita et al. 2003; Wieber 2006). The CoM is cubic and so is
+  the ZMP p = c - c'' / omega^2; its four Bernstein coefficients are held in the polygon, and their hull holds
+  the curve. A ZMP that must stand still (point feet) is beyond it.
+
+The polygon is the convex hull of support vertices s_i: each ZMP value is sum_i w_i s_i with w >= 0,
+sum w = 1, which is right for points and segments (point feet) too. Where two consecutive supports share no
+foot the third state may jump.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Literal, get_args
+
+import numpy as np
+import osqp
+from scipy import sparse
+from scipy.linalg import expm
+
+from trajopt.errors import InputError
+from trajopt.reduced.com_planning import ComMotion, CubicMotion
+from trajopt.reduced.footsteps import FootstepPlan, support_vertices
+from trajopt.reduced.lip import Pendulum, PendulumMotion
+from trajopt.robot import Robot
+
+Control = Literal["zmp_rate", "jerk"]
+Terminal = Literal["rest", "captured"]
+
+# OSQP's tolerance in m: far below what a foot is placed to. Its iterations are cheap.
+QP_TOLERANCE = 1e-9
+QP_ITERATIONS = 100_000
+# Rows that tie a ZMP to a polygon may be off by this much after OSQP, m; more is no solution.
+TRUSTED = 1e-6
+# Part of an interval by which rounding may exceed a whole number of them.
+COUNT_SLACK = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class CenterOfMassProgram:
+    """The quadratic program of a walk; ``solve()`` gives the motion.
+
+    com_start, velocity_start: (2,) m, m/s.
+    step: longest interval, s.
+    smoothing: time tau in s that weighs the input in the cost, the mean over time of
+        |p - middle of the support|^2 + tau^2 |p'|^2 (with control "jerk", the jerk over omega^2 for p').
+    terminal: "rest" ends at rest over the ZMP, "captured" with the capture point on the ZMP: the pendulum
+        comes to rest if that stays.
+    shrink: part of a sole's size kept as a margin.
+    """
+
+    robot: Robot
+    plan: FootstepPlan
+    pendulum: Pendulum
+    com_start: np.ndarray
+    velocity_start: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    control: Control = "zmp_rate"
+    terminal: Terminal = "rest"
+    step: float = 0.05
+    smoothing: float = 0.05
+    shrink: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("control", get_args(Control)), ("terminal", get_args(Terminal))):
+            if getattr(self, name) not in allowed:
+                raise InputError(f"{name}={getattr(self, name)!r}", f"allowed: {', '.join(allowed)}")
+        for name in ("step", "smoothing"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise InputError(f"{name} is {getattr(self, name):g} s", "allowed: finite and > 0")
+        if not 0 <= self.shrink < 1:
+            raise InputError(f"shrink is {self.shrink:g}", "allowed: 0 <= shrink < 1")
+
+    def solve(self) -> ComMotion:
+        """The optimal motion. Raises InputError if OSQP finds none that keeps the ZMP in the supports."""
+        assembled = _Assembly(self)
+        rows, lower, upper = assembled.rows()
+        solver = osqp.OSQP()
+        solver.setup(
+            *assembled.cost(), rows, lower, upper, verbose=False, polishing=True,
+            eps_abs=QP_TOLERANCE, eps_rel=QP_TOLERANCE, max_iter=QP_ITERATIONS,
+        )  # fmt: skip
+        result = solver.solve(raise_error=False)
+        excess = math.nan
+        if result.x is not None and np.isfinite(result.x).all():
+            reached = rows @ result.x
+            excess = float(np.maximum(lower - reached, reached - upper).max())
+        if not excess <= TRUSTED:
+            raise InputError(
+                f"no CoM motion keeps the ZMP in the supports (OSQP: {result.info.status})",
+                "try longer supports, shorter steps, less shrink or control='zmp_rate'",
+            )
+        return assembled.motion(result.x)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Model:
+    """One interval: x_next = A x + B u; coefficients of the ZMP Zx x + Zu u, whose hull holds it."""
+
+    A: np.ndarray  # (3, 3)
+    B: np.ndarray  # (3, 1)
+    Zx: np.ndarray  # (n, 3)
+    Zu: np.ndarray  # (n, 1)
+    terminal: Mapping[Terminal, np.ndarray]  # rows over x that vanish at the end
+
+
+def _zmp_rate_model(omega: float, h: float) -> _Model:
+    system = np.zeros((4, 4))
+    system[0, 1], system[1, 0], system[1, 2], system[2, 3] = 1.0, omega**2, -(omega**2), 1.0
+    flow = expm(system * h)
+    return _Model(
+        A=flow[:3, :3],
+        B=flow[:3, 3:],
+        Zx=np.array([[0.0, 0, 1], [0, 0, 1]]),
+        Zu=np.array([[0.0], [h]]),
+        terminal={
+            "rest": np.array([[0.0, 1, 0], [1, 0, -1]]),
+            "captured": np.array([[1.0, 1 / omega, -1]]),
+        },
+    )
+
+
+def _jerk_model(omega: float, h: float) -> _Model:
+    down = 1 / omega**2
+    # Powers of s in p(s) = c(s) - c''(s) / omega^2, then from powers to Bernstein coefficients of degree 3.
+    powers_x = np.array([[1.0, 0, -down], [0, h, 0], [0, 0, h**2 / 2], [0, 0, 0]])
+    powers_u = np.array([[0.0], [-down * h], [0], [h**3 / 6]])
+    bernstein = np.array([[1.0, 0, 0, 0], [1, 1 / 3, 0, 0], [1, 2 / 3, 1 / 3, 0], [1, 1, 1, 1]])
+    return _Model(
+        A=np.array([[1, h, h**2 / 2], [0, 1, h], [0, 0, 1]]),
+        B=np.array([[h**3 / 6], [h**2 / 2], [h]]),
+        Zx=bernstein @ powers_x,
+        Zu=bernstein @ powers_u,
+        terminal={
+            "rest": np.array([[0.0, 1, 0], [0, 0, 1]]),
+            "captured": np.array([[0.0, 1 / omega, down]]),
+        },
+    )
+
+
+_MODELS = {"zmp_rate": _zmp_rate_model, "jerk": _jerk_model}
+
+
+class _Unknowns:
+    """Named blocks of one vector; ``pick`` is the sparse matrix that selects one block."""
+
+    def __init__(self, sizes: Mapping[str, Sequence[int]]) -> None:
+        keys = [(name, k) for name, each in sizes.items() for k in range(len(each))]
+        lengths = [size for each in sizes.values() for size in each]
+        starts = np.concatenate([[0], np.cumsum(lengths)])
+        self._columns = {
+            key: np.arange(a, b) for key, a, b in zip(keys, starts[:-1], starts[1:], strict=True)
+        }
+        self._identity = sparse.eye_array(int(starts[-1]), format="csr")
+
+    def pick(self, name: str, k: int) -> sparse.csr_array:
+        """Rows of the identity for block k of that name."""
+        return self._identity[self._columns[name, k]]
+
+
+class _Assembly:
+    """Rows, cost and motion of a program, interval by interval; both axes at once by Kronecker products."""
+
+    def __init__(self, program: CenterOfMassProgram) -> None:
+        self.program, plan = program, program.plan
+        counts = [
+            max(1, math.ceil(support.duration / program.step - COUNT_SLACK)) for support in plan.supports
+        ]
+        self.support_of = np.repeat(np.arange(len(counts)), counts)
+        self.steps = np.repeat([s.duration / n for s, n in zip(plan.supports, counts, strict=True)], counts)
+        self.n = len(self.steps)
+        self.vertices = [support_vertices(program.robot, s, program.shrink) for s in plan.supports]
+        apart = [not a.feet.keys() & b.feet.keys() for a, b in pairwise(plan.supports)]
+        jumps = np.cumsum(counts)[:-1][apart]
+        self.jump_at = {int(k): i for i, k in enumerate(jumps)}
+        model = _MODELS[program.control]
+        made = {h: model(program.pendulum.omega, float(h)) for h in np.unique(self.steps)}
+        self.models = [made[h] for h in self.steps]
+        corners = [len(self.models[0].Zu) * len(self.vertices[i]) for i in self.support_of]
+        self.unknowns = _Unknowns(
+            {"x": [6] * (self.n + 1), "u": [2] * self.n, "jump": [2] * len(jumps), "w": corners}
+        )
+
+    def _zmp(self, k: int) -> sparse.csr_array:
+        """ZMP coefficients of interval k, (2 n, unknowns)."""
+        model, pick = self.models[k], self.unknowns.pick
+        return _both(model.Zx) @ pick("x", k) + _both(model.Zu) @ pick("u", k)
+
+    def rows(self) -> tuple[sparse.csc_matrix, np.ndarray, np.ndarray]:
+        """Rows with lower and upper bounds: dynamics, ZMP in the hull, start and end."""
+        pick, program = self.unknowns.pick, self.program
+        blocks, lower, upper = [], [], []
+
+        def add(block: sparse.csr_array, low: np.ndarray | float, high: np.ndarray | float) -> None:
+            blocks.append(block)
+            lower.append(np.broadcast_to(low, block.shape[0]))
+            upper.append(np.broadcast_to(high, block.shape[0]))
+
+        start = np.concatenate([program.com_start, program.velocity_start])
+        add(pick("x", 0)[:4], start, start)
+        for k, model in enumerate(self.models):
+            following = pick("x", k + 1) - _both(model.A) @ pick("x", k) - _both(model.B) @ pick("u", k)
+            if k + 1 in self.jump_at:
+                following -= _both(np.eye(3)[:, 2:]) @ pick("jump", self.jump_at[k + 1])
+            add(following, 0.0, 0.0)
+            vertices, points = self.vertices[self.support_of[k]], len(model.Zu)
+            weights, each = pick("w", k), sparse.eye_array(points)
+            add(self._zmp(k) - sparse.kron(each, vertices.T) @ weights, 0.0, 0.0)
+            add(sparse.kron(each, np.ones((1, len(vertices)))) @ weights, 1.0, 1.0)
+            add(weights, 0.0, np.inf)
+        add(_both(self.models[-1].terminal[program.terminal]) @ pick("x", self.n), 0.0, 0.0)
+        return sparse.csc_matrix(sparse.vstack(blocks)), np.concatenate(lower), np.concatenate(upper)
+
+    def cost(self) -> tuple[sparse.csc_matrix, np.ndarray]:
+        """Hessian (upper triangle) and gradient."""
+        pick, program = self.unknowns.pick, self.program
+        scale = 1.0 if program.control == "zmp_rate" else 1 / program.pendulum.omega**4
+        hessian, gradient = 0.0, 0.0
+        for k, h in enumerate(self.steps):
+            zmp, share = self._zmp(k), h / self.steps.sum()
+            points = len(self.models[k].Zu)
+            middle = np.tile(self.vertices[self.support_of[k]].mean(axis=0), points)
+            hessian += 2 * share / points * (zmp.T @ zmp)
+            hessian += 2 * share * scale * program.smoothing**2 * (pick("u", k).T @ pick("u", k))
+            gradient -= 2 * share / points * (zmp.T @ middle)
+        return sparse.csc_matrix(sparse.triu(hessian)), np.asarray(gradient)
+
+    def motion(self, z: np.ndarray) -> ComMotion:
+        """The motion of the unknowns z."""
+        times = np.concatenate([[0.0], np.cumsum(self.steps)])
+        states = np.array([self.unknowns.pick("x", k) @ z for k in range(self.n + 1)]).reshape(-1, 3, 2)
+        inputs = np.array([self.unknowns.pick("u", k) @ z for k in range(self.n)])
+        pendulum = self.program.pendulum
+        if self.program.control == "jerk":
+            return CubicMotion(pendulum=pendulum, times=times, states=states[:-1], jerk=inputs)
+        first = states[:-1, 2]
+        return PendulumMotion(
+            pendulum=pendulum,
+            times=times,
+            zmp=np.stack([first, first + self.steps[:, None] * inputs], axis=1),
+            com_start=self.program.com_start,
+            dcm_end=pendulum.capture_point(states[-1, 0], states[-1, 1]),
+        )
+
+
+def _both(matrix: np.ndarray) -> sparse.csr_array:
+    """The same matrix for both horizontal axes, which alternate in every vector."""
+    return sparse.csr_array(sparse.kron(matrix, np.eye(2)))

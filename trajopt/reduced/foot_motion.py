@@ -1,0 +1,176 @@
+"""Guesses from footsteps: feet on their footholds or on smooth swings, legs by inverse kinematics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from itertools import accumulate
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.errors import InputError
+from trajopt.kinematics import inverse_kinematics
+from trajopt.problem import Motion
+from trajopt.reduced.com_planning import ComMotion
+from trajopt.reduced.footsteps import Foothold, FootstepPlan, feet_of
+from trajopt.robot import Robot
+
+# Height in m of a swing over the straight line between its footholds, unless the caller says otherwise.
+DEFAULT_CLEARANCE = 0.05
+# Fixed-point steps that bring the CoM to its place: each leaves the part of the mass that does not follow
+# the base. A fixed number from one start keeps the posture a smooth function of time, to be differenced.
+COM_STEPS = 4
+# Configurations kept of a guess that is asked three times for every point.
+CACHED_POSTURES = 4096
+
+
+def smooth_step(s: float) -> float:
+    """From 0 to 1 with rate and acceleration zero at both ends: 10 s^3 - 15 s^4 + 6 s^5, clipped."""
+    s = min(max(s, 0.0), 1.0)
+    return s**3 * (10 - 15 * s + 6 * s * s)
+
+
+@dataclass(frozen=True)
+class Swing:
+    """A foot in the air from ``start`` to ``end``, between two ``times`` in s, now at a ``fraction`` of them.
+
+    ``airborne``: for some of it no other foot is on the ground.
+    """
+
+    start: Foothold
+    end: Foothold
+    times: tuple[float, float]
+    fraction: float
+    airborne: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FootMotion:
+    """Where each foot of a plan is at a time: on its foothold, or on its way to the next.
+
+    ``initial`` are the feet at the start by contact name: where a foot is before its first support. A
+    foot that does not land again ends where it was lifted. ``clearance`` m.
+    """
+
+    plan: FootstepPlan
+    initial: Mapping[str, Foothold]
+    clearance: float = DEFAULT_CLEARANCE
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.clearance) and self.clearance >= 0):
+            raise InputError(f"clearance is {self.clearance:g} m", "allowed: finite and >= 0")
+
+    @cached_property
+    def _times(self) -> list[float]:
+        return [0.0, *accumulate(support.duration for support in self.plan.supports)]
+
+    def _support_at(self, t: float) -> int:
+        last = len(self.plan.supports) - 1
+        return int(np.clip(np.searchsorted(self._times, t, side="right") - 1, 0, last))
+
+    def at(self, name: str, t: float) -> Foothold | Swing:
+        """The foothold on which the foot ``name`` stands at ``t``, or its swing; times are clipped."""
+        supports, now = self.plan.supports, self._support_at(t)
+        if name in supports[now].feet:
+            return supports[now].feet[name]
+        before = next((i for i in range(now, -1, -1) if name in supports[i].feet), -1)
+        after = next((i for i in range(now, len(supports)) if name in supports[i].feet), len(supports))
+        start = supports[before].feet[name] if before >= 0 else self.initial[name]
+        end = supports[after].feet[name] if after < len(supports) else start
+        begin, over = self._times[before + 1], self._times[after]
+        fraction = min(max((t - begin) / (over - begin), 0.0), 1.0)
+        airborne = any(not support.feet for support in supports[before + 1 : after])
+        return Swing(start, end, (begin, over), fraction, airborne)
+
+    def foothold(self, name: str, t: float) -> Foothold:
+        """Place of the foot in the world; a swing is lifted by ``clearance`` in its middle."""
+        found = self.at(name, t)
+        if isinstance(found, Foothold):
+            return found
+        s, part = found.fraction, smooth_step(found.fraction)
+        position = (1 - part) * found.start.position + part * found.end.position
+        lift = np.array([0.0, 0.0, self.clearance * 16 * s * s * (1 - s) ** 2])
+        turn = math.remainder(found.end.yaw - found.start.yaw, math.tau)
+        return Foothold(position=position + lift, yaw=found.start.yaw + part * turn)
+
+    def heading(self, t: float) -> float:
+        """Mean turn of the feet since the start, rad."""
+        turns = [self.foothold(name, t).yaw - foot.yaw for name, foot in self.initial.items()]
+        return float(np.mean(turns))
+
+
+def foot_targets(robot: Robot, feet: Callable[[str], Foothold]) -> dict[str, pin.SE3 | np.ndarray]:
+    """Targets of inverse kinematics by frame: positions of point feet, level poses of soles."""
+    targets: dict[str, pin.SE3 | np.ndarray] = {}
+    for contact in robot.contacts:
+        foot = feet(contact.name)
+        if contact.kind == "surface":
+            targets[contact.frame] = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, foot.yaw), foot.position.copy())
+        else:
+            targets[contact.frame] = foot.position.copy()
+    return targets
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WalkPosture:
+    """Postures of a walk: base level and along the feet's heading, feet on their paths, CoM on its own.
+
+    The CoM keeps the height of ``q`` (nq,), the posture at the start.
+    """
+
+    robot: Robot
+    feet: FootMotion
+    motion: ComMotion
+    q: np.ndarray
+    data: pin.Data = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "data", self.robot.model.createData())
+
+    @cached_property
+    def _start(self) -> np.ndarray:
+        return np.array(pin.centerOfMass(self.robot.model, self.data, self.q))
+
+    def __call__(self, t: float) -> np.ndarray:
+        """Configuration (nq,) at time ``t`` in s."""
+        targets = foot_targets(self.robot, lambda name: self.feet.foothold(name, t))
+        goal = np.append(self.motion.com(t), self._start[2])
+        q = self.q.copy()
+        turn = pin.Quaternion(pin.rpy.rpyToMatrix(0.0, 0.0, self.feet.heading(t)))
+        q[3:7] = (turn * pin.Quaternion(*q[[6, 3, 4, 5]])).coeffs()
+        q[:3] += goal - self._start
+        for _ in range(COM_STEPS):
+            q = inverse_kinematics(self.robot, q, targets).q
+            q[:3] += goal - pin.centerOfMass(self.robot.model, self.data, q)
+        return inverse_kinematics(self.robot, q, targets).q
+
+
+def guess_from_lip(
+    robot: Robot,
+    plan: FootstepPlan,
+    motion: ComMotion,
+    *,
+    q: np.ndarray | None = None,
+    clearance: float = DEFAULT_CLEARANCE,
+) -> Motion:
+    """A guess ``t -> q`` (nq,) for the full robot: CoM on ``motion``, feet of ``plan``, base level.
+
+    q: posture at the start (nq,), default the reference; its CoM height is kept. clearance: height of
+    the swings, m. Raises InputError for a robot without a free-flyer in world axes.
+    """
+    require_free_flyer(robot)
+    start = np.array(robot.reference if q is None else q, dtype=float)
+    feet = FootMotion(plan=plan, initial=feet_of(robot, start), clearance=clearance)
+    posture = WalkPosture(robot=robot, feet=feet, motion=motion, q=start)
+    return lru_cache(maxsize=CACHED_POSTURES)(posture.__call__)
+
+
+def require_free_flyer(robot: Robot) -> None:
+    """Raise InputError unless the robot's root is a free-flyer placed in world axes."""
+    if robot.base != "freeflyer" or not robot.model.jointPlacements[1].isIdentity():
+        raise InputError(
+            f"robot '{robot.name}' has a {robot.base} base", "allowed: a free-flyer in world axes"
+        )

@@ -1,0 +1,249 @@
+"""A robot as one rigid body on its footholds: a reduced problem of the same pipeline.
+
+The robot's bodies are welded at its reference posture. With m the total mass, I the composite inertia about
+the centre of mass c in base axes, R the base's rotation and p_i known footholds (Di Carlo et al. 2018,
+without their linearisation),
+
+    m (c'' - g) = sum f_i,      I omega' + omega x I omega = R^T sum ((p_i - c) x f_i + m_i)
+
+Legs have no mass of their own and no joints: each active foot is kept within reach of its hip instead. What
+it gives is the motion of the base and the forces; ``body_guess`` makes a guess for the full problem of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+
+from trajopt.contact_terms import ContactConstraint, NormalForce
+from trajopt.context import Context
+from trajopt.costs import AccelerationCost, TimeCost, VelocityCost, WrenchCost
+from trajopt.errors import InputError
+from trajopt.kinematics import inverse_kinematics
+from trajopt.node_terms import FrameHeight, FramePose, FrameVelocity, TerminalRest, TerminalState
+from trajopt.problem import Problem
+from trajopt.reduced.foot_motion import require_free_flyer
+from trajopt.reduced.footsteps import Foothold, FootstepPlan, Support, feet_of
+from trajopt.robot import Robot
+from trajopt.rotations import rotation_matrix
+from trajopt.schedule import Schedule
+from trajopt.term_interfaces import PointConstraint, Rows, Term
+from trajopt.units import Units
+
+# Frame at the origin of the free-flyer, in its axes.
+BODY = "single_rigid_body"
+# Distance of an active foot from its hip over what the leg reaches when straight. A straight leg has no
+# authority and two ways to bend, so a guess keeps well away from it (docs/modelling/reduced-models.md).
+SHORTEST, LONGEST = 0.2, 0.85
+# A target this many times further than the foot is beyond any leg: reaching for it straightens the leg.
+BEYOND = 4.0
+# Terms that mean the same on one body: motion of the base, contact wrenches, time.
+KEPT = (ContactConstraint, NormalForce, AccelerationCost, VelocityCost, WrenchCost, TimeCost)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RigidBody:
+    """What is left of a robot at its reference: mass (kg), ``lever`` (3,) of the CoM in base axes (m),
+    inertia (3, 3) about the CoM in base axes (kg m^2); by contact name, ``hips`` (3,) in base axes (m)
+    and ``legs``, the distance from hip to foot of the straight leg (m)."""
+
+    mass: float
+    lever: np.ndarray
+    inertia: np.ndarray
+    hips: Mapping[str, np.ndarray]
+    legs: Mapping[str, float]
+
+
+def rigid_body(robot: Robot) -> RigidBody:
+    """Mass properties and legs of a robot welded at its reference; rotor inertias (armature) do not count.
+
+    Raises InputError unless its root is a free-flyer in world axes.
+    """
+    require_free_flyer(robot)
+    model, data = robot.model, robot.model.createData()
+    pin.ccrba(model, data, robot.reference, np.zeros(robot.nv))
+    base = data.oMi[1]
+    hips, legs = {}, {}
+    for contact in robot.contacts:
+        frame = model.frames[model.getFrameId(contact.frame)]
+        chain = [int(joint) for joint in model.supports[frame.parentJoint] if joint > 1]
+        if chain:
+            hip = data.oMi[chain[0]].translation.copy()
+            hips[contact.name] = base.actInv(hip)
+            legs[contact.name] = _reach(robot, contact.frame, hip)
+    return RigidBody(
+        mass=float(data.Ig.mass),
+        lever=base.actInv(data.com[0]),
+        inertia=base.rotation.T @ data.Ig.inertia @ base.rotation,
+        hips=hips,
+        legs=legs,
+    )
+
+
+def _reach(robot: Robot, frame: str, hip: np.ndarray) -> float:
+    """Distance (m) from the hip to the frame of the leg straightened towards where the frame is."""
+    model, data = robot.model, robot.model.createData()
+    pin.framesForwardKinematics(model, data, robot.reference)
+    index = model.getFrameId(frame)
+    far = hip + BEYOND * (data.oMf[index].translation - hip)
+    pin.framesForwardKinematics(model, data, inverse_kinematics(robot, robot.reference, {frame: far}).q)
+    return float(np.linalg.norm(data.oMf[index].translation - hip))
+
+
+def body_robot(robot: Robot) -> Robot:
+    """The one-body robot: same base, weight and length, no joints; frames of the base keep their names.
+
+    Contact frames are where they are in the reference posture, fixed to the body.
+    """
+    body = rigid_body(robot)
+    source, data = robot.model, robot.model.createData()
+    pin.framesForwardKinematics(source, data, robot.reference)
+    model = pin.Model()
+    model.name, model.gravity = robot.name, source.gravity
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), source.names[1])
+    inertia = pin.Inertia(body.mass, body.lever, body.inertia)
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.addFrame(pin.Frame(BODY, joint, 0, pin.SE3.Identity(), pin.OP_FRAME))
+    contacts = [contact.frame for contact in robot.contacts]
+    for index, frame in enumerate(source.frames):
+        if frame.parentJoint == 1 or frame.name in contacts:
+            model.addFrame(pin.Frame(frame.name, joint, 0, data.oMi[1].actInv(data.oMf[index]), pin.OP_FRAME))
+    return Robot.from_model(
+        model, name=robot.name, contacts=robot.contacts, reference=robot.reference[: model.nq]
+    )
+
+
+def footholds_of(problem: Problem) -> FootstepPlan:
+    """Where the feet of a problem stand in each phase.
+
+    Those of the first phase from ``initial_q``; later ones from the schedule's footholds, and where it has
+    none from the problem's guess at touchdown, moved along the normal onto the surface.
+    """
+    robot, t = problem.robot, 0.0
+    current = feet_of(robot, problem.initial_q)
+    supports = []
+    for i, phase in enumerate(problem.schedule.phases):
+        landing = problem.schedule.new_contacts(i)
+        guessed = feet_of(robot, problem.guess(t)) if landing else {}
+        for name in landing:
+            surface = phase.surface(name, problem.terrain)
+            point = guessed[name].position
+            onto = point - float(surface.distance(point)) * surface.normal
+            current[name] = replace(guessed[name], position=phase.footholds.get(name, onto))
+        feet = {name: current[name] for name in phase.contacts}
+        supports.append(Support(name=phase.name, duration=phase.duration, feet=feet))
+        t += phase.duration
+    return FootstepPlan(tuple(supports))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BodyDynamics(PointConstraint):
+    """Newton-Euler equations of one body on known ``footholds``, 6 rows: forces in world axes, moments about
+    the CoM in base axes. Mass properties are parameters: no robot needs a compilation of its own."""
+
+    body: RigidBody
+    footholds: Mapping[str, Foothold]
+
+    def rows(self, context: Context, units: Units) -> Rows:
+        rotation = rotation_matrix(context.q[3:7])
+        lever, inertia = context.parameter(self.body.lever), context.parameter(self.body.inertia)
+        omega, domega = context.v[3:6], context.a[3:6]
+        turning = ca.cross(domega, lever) + ca.cross(omega, ca.cross(omega, lever))
+        felt = context.ddxi[:3] + ca.mtimes(rotation, turning)
+        felt -= context.parameter(context.robot.model.gravity.linear)
+        com = context.xi[:3] + ca.mtimes(rotation, lever)
+        force, moment = ca.SX.zeros(3), ca.SX.zeros(3)
+        for contact in context.contacts:
+            wrench = context.wrenches[contact.name]
+            arm = context.parameter(self.footholds[contact.name].position) - com
+            force += wrench[:3]
+            moment += ca.cross(arm, wrench[:3])
+            if contact.kind == "surface":
+                moment += wrench[3:]
+        spin = ca.mtimes(inertia, omega)
+        linear = context.parameter(self.body.mass) * felt - force
+        angular = ca.mtimes(inertia, domega) + ca.cross(omega, spin) - ca.mtimes(rotation.T, moment)
+        return Rows.create(ca.vertcat(linear, angular), 0, 0, units.wrench)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FootReach(PointConstraint):
+    """Active feet within reach: shortest^2 <= |p_i - hip_i|^2 / leg_i^2 <= longest^2."""
+
+    body: RigidBody
+    footholds: Mapping[str, Foothold]
+    shortest: float = SHORTEST
+    longest: float = LONGEST
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.shortest < self.longest:
+            raise InputError(
+                f"reach is from {self.shortest:g} to {self.longest:g}", "allowed: 0 <= shortest < longest"
+            )
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        rotation, parts = rotation_matrix(context.q[3:7]), []
+        for contact in context.contacts:
+            if contact.name in self.body.hips:
+                hip = context.xi[:3] + ca.mtimes(rotation, context.parameter(self.body.hips[contact.name]))
+                leg = context.parameter(self.footholds[contact.name].position) - hip
+                parts.append(ca.sumsqr(leg) / context.parameter(self.body.legs[contact.name]) ** 2)
+        if not parts:
+            return None
+        return Rows.create(ca.vertcat(*parts), self.shortest**2, self.longest**2, 1.0)
+
+
+def body_problem(
+    problem: Problem,
+    *,
+    terms: tuple[Term, ...] = (),
+    shortest: float = SHORTEST,
+    longest: float = LONGEST,
+) -> Problem:
+    """The problem on one rigid body: same schedule, footholds of `footholds_of`, reach of the feet.
+
+    Kept of its terms: contact forces, costs of base motion, wrenches and time, heights of base frames,
+    and the base's part of the terminal state and rest; ``terms`` are added. Impacts become landings at
+    zero velocity: feet without mass have none. Raises InputError without a free-flyer in world axes, or
+    in phases with coordinates of their own.
+    """
+    if problem.modes:
+        raise InputError(f"phases {', '.join(problem.modes)} have coordinates of their own", "allowed: none")
+    body, robot, plan = rigid_body(problem.robot), body_robot(problem.robot), footholds_of(problem)
+    dynamics: list[PointConstraint] = []
+    limits: list[Term] = []
+    for support in plan.supports:
+        feet, here = support.feet, (support.name,)
+        dynamics.append(BodyDynamics(body=body, footholds=feet, phases=here))
+        limits.append(FootReach(body=body, footholds=feet, phases=here, shortest=shortest, longest=longest))
+    phases = tuple(replace(phase, impact=False) for phase in problem.schedule.phases)
+    return replace(
+        problem,
+        name=f"{problem.name}-body",
+        robot=robot,
+        schedule=Schedule(phases),
+        initial_q=problem.initial_q[: robot.nq],
+        initial_v=problem.initial_v[: robot.nv],
+        terms=(*_kept(problem, robot), *limits, *terms),
+        guess=lambda t: problem.guess(t)[: robot.nq],
+        actuation="torque",
+        dynamics=tuple(dynamics),
+    )
+
+
+def _kept(problem: Problem, robot: Robot) -> list[Term]:
+    """The terms that mean something on one body."""
+    terms: list[Term] = []
+    for term in problem.terms:
+        if isinstance(term, KEPT) or (isinstance(term, FrameHeight) and robot.model.existFrame(term.frame)):
+            terms.append(term)
+        elif isinstance(term, TerminalState):
+            turn = pin.Quaternion(*term.q[[6, 3, 4, 5]]).toRotationMatrix()
+            terms.append(FramePose(frame=BODY, position=term.q[:3], rotation=turn))
+        elif isinstance(term, TerminalRest):
+            terms.append(FrameVelocity(frame=BODY, velocity=np.zeros(6)))
+    return terms

@@ -1,0 +1,254 @@
+"""Locomotion in two stages: motion and contact wrenches from the base rows alone, then torques.
+
+Torques act on joint coordinates only: the base rows, Newton-Euler of the whole body, know motion and contact
+wrenches (Del Prete, Focchi: modelling of legged robots). So
+
+1. find motion and wrenches with  RNEA_base(q, v, a) - sum J_base^T f = 0, feet that do not slip, friction;
+2. read off the torques          tau = RNEA_joints(q, v, a) - sum J_joints^T f.
+
+Stage one is the problem without what asks for torques, `without_torques`; the compiled graph holds the base
+rows only. Stage two is `recover_torques`, numeric. No limit on a torque is known to stage one: stage two can
+only report that it is exceeded, or share the wrenches anew (``wrench_distribution``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+
+from trajopt.actuators.on_robot import drive_torque_values
+from trajopt.certify.samples import evaluate
+from trajopt.context import Context
+from trajopt.costs import AccelerationCost, TorqueCost, WrenchCost
+from trajopt.errors import InputError
+from trajopt.manifold import Coordinates
+from trajopt.model_quantities import contact_jacobian
+from trajopt.problem import Problem
+from trajopt.robot import Robot
+from trajopt.solution import Solution
+from trajopt.term_interfaces import Cost, PointConstraint, Term
+from trajopt.units import Units
+
+# Weight of the accelerations relative to the torque cost's where nothing else makes the motion unique.
+LEAST_ACCELERATION_SHARE = 1e-2
+# Torques beyond a limit by this part of it are what a solver's tolerance leaves (as in ``report``).
+ROUNDING = 1e-6
+
+
+def asks_for_torques(problem: Problem, term: Term) -> bool:
+    """Whether a term depends on the actuated rows, found by writing it out in every phase it acts in."""
+    if not (isinstance(term, Cost | PointConstraint) and term.acts_at_points):
+        return False
+    return any(
+        _depends_on_torques(term, context, Units(problem.robot))
+        for name, context in _contexts(problem)
+        if term.acts_in(name)
+    )
+
+
+def _contexts(problem: Problem) -> Iterator[tuple[str, Context]]:
+    robot = problem.robot
+    coordinates = Coordinates(robot.model)
+    for i, phase in enumerate(problem.schedule.phases):
+        contacts = tuple(robot.contact(name) for name in phase.contacts)
+        yield phase.name, Context(robot, coordinates, contacts, surfaces=problem.surfaces_of(i))
+
+
+def _depends_on_torques(term: Cost | PointConstraint, context: Context, units: Units) -> bool:
+    if isinstance(term, Cost):
+        expression = term.value(context, units)
+    else:
+        rows = term.rows(context, units)
+        expression = ca.SX(0, 1) if rows is None else rows.expression
+    if not context.uses_dynamics:
+        return False
+    columns = ca.jacobian_sparsity(ca.vec(expression), context.generalized_forces).get_triplet()[1]
+    return any(column >= context.robot.n_unactuated for column in columns)
+
+
+def without_torques(problem: Problem, *, replacement: tuple[Cost, ...] | None = None) -> Problem:
+    """Stage one of a problem: its terms without those that ask for torques, and costs in their place.
+
+    replacement: costs to put in the place of those left out; None chooses. Then for a `TorqueCost` comes a
+    `WrenchCost` that costs the same for standing still at the reference (`standing_share`); and an
+    `AccelerationCost`, if there is none left, for the motion to be unique.
+
+    Raises InputError unless torques are what the actuators give.
+    """
+    if problem.actuation != "torque":
+        raise InputError(f"actuation of problem '{problem.name}' is {problem.actuation}", "allowed: torque")
+    dropped = [term for term in problem.terms if asks_for_torques(problem, term)]
+    kept = tuple(term for term in problem.terms if not any(term is other for other in dropped))
+    if replacement is None:
+        replacement = _replacement(problem.robot, kept, dropped)
+    return replace(problem, name=f"{problem.name}-base", terms=(*kept, *replacement))
+
+
+def _replacement(robot: Robot, kept: tuple[Term, ...], dropped: list[Term]) -> tuple[Cost, ...]:
+    share = standing_share(robot)
+    torques = [term for term in dropped if isinstance(term, TorqueCost)] if share > 0 else []
+    costs: list[Cost] = [WrenchCost(weight=share * term.weight, phases=term.phases) for term in torques]
+    if dropped and not any(isinstance(term, AccelerationCost) for term in kept):
+        weight = max((term.weight for term in dropped if isinstance(term, Cost)), default=1.0)
+        costs.append(AccelerationCost(weight=LEAST_ACCELERATION_SHARE * weight))
+    return tuple(costs)
+
+
+def standing_share(robot: Robot) -> float:
+    """Mean square of torques over that of wrenches, natural units, of standing still at the reference.
+
+    With the least wrenches, each over its unit, that carry the weight; 0 without contacts or joints.
+    """
+    if not robot.contacts or not robot.nu:
+        return 0.0
+    units, n, still = Units(robot), robot.n_unactuated, np.zeros(robot.nv)
+    sizes = [6 if contact.kind == "surface" else 3 for contact in robot.contacts]
+    places = [(contact.frame, size) for contact, size in zip(robot.contacts, sizes, strict=True)]
+    unit = np.concatenate([units.wrench[:size] for size in sizes])
+    jacobian = contact_jacobian(robot.model, robot.reference, places)
+    weight = pin.rnea(robot.model, robot.model.createData(), robot.reference, still, still)
+    wrench = np.linalg.lstsq(jacobian[:, :n].T * unit, weight[:n], rcond=None)[0]
+    torque = (weight - jacobian.T @ (unit * wrench))[n:] / units.torque
+    return float(np.mean(torque**2) / np.mean(wrench**2))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TorqueBounds:
+    """Least and largest actuated row at every sample, (K, nu) N m, infinite where unlimited; ``scale`` (nu,)
+    N m is what an excess is measured in: the largest torque of the joint."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+    scale: np.ndarray
+
+
+def effort_limit(problem: Problem) -> np.ndarray:
+    """Effort limit (nu,) of a problem, N m, joint side: its terms' or the robot's; inf where none."""
+    robot = problem.robot
+    limits = {"effort_limit": np.full(robot.nu, np.inf) if robot.effort_limit is None else robot.effort_limit}
+    for term in problem.point_constraints:
+        limits |= term.limits(robot)
+    return np.asarray(limits["effort_limit"], dtype=float)
+
+
+def torque_bounds(problem: Problem, v: np.ndarray) -> TorqueBounds:
+    """Bounds on the actuated rows at velocities ``v`` (K, nv).
+
+    From the problem's effort limits (the robot's, where it has none) and from its drives: current,
+    voltage at the joint's rate, and their friction, which the drive has to overcome.
+    """
+    robot, effort = problem.robot, effort_limit(problem)
+    rates = v[:, robot.n_unactuated :]
+    upper = np.tile(effort, (len(v), 1))
+    lower, scale = -upper, effort.copy()
+    if robot.drives is not None:
+        friction = drive_torque_values(robot.drives, np.zeros_like(rates), rates)
+        for row, drive in enumerate(robot.drives):
+            if drive is not None:
+                low, high = drive.torque_range(rates[:, row])
+                lower[:, row] = np.maximum(lower[:, row], low)
+                upper[:, row] = np.minimum(upper[:, row], high)
+                scale[row] = min(
+                    scale[row], drive.joint_torque_limit, abs(drive.gear_ratio) * drive.stall_torque
+                )
+        lower, upper = lower - friction, upper - friction
+    usable = np.isfinite(scale) & (scale > 0)
+    return TorqueBounds(lower=lower, upper=upper, scale=np.where(usable, scale, Units(robot).torque))
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointTorque:
+    """One actuated row: largest torque (N m), and where it comes closest to its limit or exceeds it most.
+
+    ``excess`` beyond the bound over the joint's largest torque, negative inside; -inf where unlimited; at
+    ``time`` s in phase ``phase``. ``share_beyond`` is the part of the points that are beyond.
+    """
+
+    joint: str
+    peak: float
+    excess: float
+    time: float
+    phase: str
+    share_beyond: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorqueReport:
+    """Torques of a motion against their limits, at its collocation points.
+
+    ``joints`` in the order of the actuated rows. ``base_residual``: largest base row over the weight; the
+    motion is none of the robot where it is not small. ``excess_between``: the largest at other samples,
+    where torques follow interpolated wrenches.
+    """
+
+    joints: tuple[JointTorque, ...]
+    base_residual: float
+    excess_between: float
+
+    @property
+    def worst(self) -> JointTorque:
+        """The joint that is furthest beyond its limit, or closest to it."""
+        return max(self.joints, key=lambda joint: joint.excess)
+
+    @property
+    def within_limits(self) -> bool:
+        """Whether no torque is beyond its limit by more than rounding of a solver."""
+        return self.worst.excess <= ROUNDING
+
+    def __str__(self) -> str:
+        lines = [f"{'joint':24s} {'peak N m':>9s} {'beyond':>9s} {'at s':>7s}  {'phase':10s} points beyond"]
+        for joint in self.joints:
+            lines.append(
+                f"{joint.joint:24s} {joint.peak:9.3f} {joint.excess:9.2%} {joint.time:7.3f}  "
+                f"{joint.phase:10s} {joint.share_beyond:.1%}"
+            )
+        return "\n".join([*lines, f"base rows: {self.base_residual:.1e} of the weight"])
+
+
+def recover_torques(problem: Problem, solution: Solution) -> tuple[np.ndarray, TorqueReport]:
+    """Stage two: torques (K, nu) of every sample from the actuated rows, and the report on their limits.
+
+    ``problem`` is the full one: it holds the limits. Raises InputError for a solution of another robot.
+    """
+    robot = problem.robot
+    if solution.v.shape[1] != robot.nv or solution.tau.shape[1] != robot.nu or robot.nu == 0:
+        raise InputError(
+            f"the solution has {solution.v.shape[1]} velocities and {solution.tau.shape[1]} torques",
+            f"allowed: {robot.nv} and {robot.nu}, those of '{robot.name}', which has joints",
+        )
+    forces = evaluate(solution).generalized_force
+    torque = forces[:, robot.n_unactuated :]
+    base = np.abs(forces[solution.collocation, : robot.n_unactuated])
+    bounds = torque_bounds(problem, solution.v)
+    excess = np.maximum(torque - bounds.upper, bounds.lower - torque) / bounds.scale
+    names = _row_names(robot)
+    joints = tuple(_joint(solution, names[row], torque[:, row], excess[:, row]) for row in range(robot.nu))
+    between = excess[~solution.collocation]
+    return torque, TorqueReport(
+        joints=joints,
+        base_residual=float(base.max() / robot.weight) if base.size else 0.0,
+        excess_between=float(between.max()) if between.size else -np.inf,
+    )
+
+
+def _joint(solution: Solution, name: str, torque: np.ndarray, excess: np.ndarray) -> JointTorque:
+    points = np.flatnonzero(solution.collocation)
+    at = points[np.argmax(excess[points])]
+    return JointTorque(
+        joint=name,
+        peak=float(np.abs(torque[points]).max()),
+        excess=float(excess[at]),
+        time=float(solution.t[at]),
+        phase=str(solution.meta["phase_names"][solution.phase[at]]),
+        share_beyond=float(np.mean(excess[points] > ROUNDING)),
+    )
+
+
+def _row_names(robot: Robot) -> list[str]:
+    """Joint of every actuated row."""
+    joints = [joint for joint in list(robot.model.joints)[1:] if joint.idx_v >= robot.n_unactuated]
+    return [robot.model.names[joint.id] for joint in joints for _ in range(joint.nv)]

@@ -1,0 +1,243 @@
+"""Contact wrenches shared anew at every point: least torques, within their limits; the motion is kept.
+
+Let w_0 be the wrenches of the active contacts, N an orthonormal basis of the changes that no base row
+feels, J_base^T N = 0 (internal forces), w = w_0 + N y and tau(y) = tau_0 - J_joints^T N y. OSQP solves at
+every point
+
+    min  sum (tau(y) / (m g l))^2 + eps |y|^2 + rho s
+    s.t. the problem's contact terms                 friction, pressure, soles
+         lower - s tau_max <= tau(y) <= upper + s tau_max,   s >= 0
+
+so that torques are beyond their limits only where no sharing keeps them within (an exact penalty on the
+largest excess s). Contact terms are the problem's own, affine in the wrenches; the smooth friction cone
+enters as its inscribed pyramid, widened to hold w_0, and the step is shortened where the cone itself would
+be left.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+import osqp
+from scipy import sparse
+from scipy.linalg import null_space
+
+from trajopt.actuators.on_robot import actuated_row_limit
+from trajopt.certify.samples import Samples, evaluate
+from trajopt.contact_terms import ContactConstraint, FrictionCone, FrictionPyramid, NormalForce
+from trajopt.context import Context
+from trajopt.errors import InputError
+from trajopt.manifold import Coordinates
+from trajopt.model_quantities import contact_jacobian
+from trajopt.problem import Problem
+from trajopt.reduced.two_stage import TorqueBounds, effort_limit, torque_bounds
+from trajopt.schemes import scheme
+from trajopt.solution import Solution
+from trajopt.term_interfaces import PointConstraint
+from trajopt.units import Units
+
+# Weight of leaving the wrenches as they are where torques do not care, natural units.
+KEEPING = 1e-6
+# Weight of the largest excess: above the multipliers of the limits, which costs of order one keep at a few,
+# so that limits come first; a hundred would cost OSQP its convergence at some points.
+PENALTY = 10.0
+# OSQP's tolerance, natural units: below what the solver of the motion leaves.
+QP_TOLERANCE = 1e-9
+QP_ITERATIONS = 20_000
+# Contact rows may be worse than before by this part of their unit, half of what ``check`` allows: OSQP's
+# polishing fails now and then. More shortens the step, by bisection.
+TRUSTED = 5e-7
+BISECTIONS = 20
+
+
+def redistributed(problem: Problem, solution: Solution) -> Solution:
+    """The solution with wrenches shared anew and the torques that follow; motion, times and phases are kept.
+
+    ``problem`` is the full one, with its limits and contact terms; ``solution`` a motion of its schedule.
+    Wrenches and torques between the points follow the interpolating polynomials, as in any solution. Where
+    there is no internal force, or OSQP finds nothing better, wrenches stay; ``meta["redistributed"]`` counts
+    the points that changed and those that were kept, and ``effort_limit`` is the full problem's. Raises
+    InputError for phases with coordinates of their own, or a foreign solution.
+    """
+    if problem.modes or solution.v.shape[1] != problem.robot.nv:
+        raise InputError("wrenches are redistributed for the whole robot in its own coordinates", "no modes")
+    samples, bounds = evaluate(solution), torque_bounds(problem, solution.v)
+    phases = {i: _Phase(problem, i) for i, phase in enumerate(problem.schedule.phases) if phase.contacts}
+    f, torque = solution.f.copy(), samples.generalized_force[:, problem.robot.n_unactuated :].copy()
+    changed, points = 0, np.flatnonzero(solution.collocation)
+    for row in points:
+        phase = phases.get(int(solution.phase[row]))
+        found = phase.share(solution, samples, bounds, int(row)) if phase else None
+        if found is not None:
+            f[row], torque[row] = found
+            changed += 1
+    interpolation = scheme(solution.meta["transcription"]).interpolation(np.array([0.0, 1.0]))
+    for rows in solution.intervals:
+        inner = slice(rows.start + 1, rows.stop - 1)
+        for values in (f, torque):
+            values[[rows.start, rows.stop - 1]] = np.tensordot(interpolation, values[inner], axes=1)
+    limit = np.asarray(actuated_row_limit(problem.robot, effort_limit(problem)))
+    meta = {
+        **solution.meta,
+        "effort_limit": np.minimum(limit, sys.float_info.max).tolist(),
+        "redistributed": {"points": changed, "kept": len(points) - changed},
+    }
+    return replace(solution, f=f, tau=torque, meta=meta)
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Contact rows (n,) over their units as a function of (w, frames, parameters), with their Jacobian."""
+
+    function: ca.Function
+    parameters: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+    @classmethod
+    def of(cls, terms: list[PointConstraint], context: Context, units: Units) -> _Rows:
+        found = [rows for rows in (term.rows(context, units) for term in terms) if rows is not None]
+        none = np.zeros(0)
+        w = ca.vertcat(*context.unknown_wrenches.values())
+        unit = np.concatenate([none, *[rows.unit for rows in found]])
+        phi = ca.vertcat(ca.SX(0, 1), *[rows.expression for rows in found]) / ca.DM(unit)
+        inputs = [w, context.frame_symbols(), context.parameters]
+        function = ca.Function("contact_rows", inputs, [phi, ca.jacobian(phi, w)])
+        bounds = (
+            np.concatenate([none, *[getattr(rows, side) for rows in found]]) for side in ("lower", "upper")
+        )
+        lower, upper = (bound / unit for bound in bounds)
+        return cls(function, context.parameter_values, lower, upper)
+
+    def at(self, w: np.ndarray, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rows (n,) and their Jacobian (n, n_w) at wrenches w."""
+        values, jacobian = self.function(w, frames, self.parameters)
+        return np.asarray(values).ravel(), np.asarray(ca.densify(jacobian))
+
+
+def _as_pyramid(term: PointConstraint) -> PointConstraint:
+    if isinstance(term, FrictionCone):
+        return FrictionPyramid(friction=term.friction, contacts=term.contacts, phases=term.phases)
+    return term
+
+
+class _Phase:
+    """Contact terms of one phase, and the quadratic program of its points."""
+
+    def __init__(self, problem: Problem, index: int) -> None:
+        self.robot, phase = problem.robot, problem.schedule.phases[index]
+        self.units = Units(self.robot)
+        self.contacts = tuple(self.robot.contact(name) for name in phase.contacts)
+        self.entries = [
+            (self.robot.contacts.index(contact), row) for contact in self.contacts for row in contact.rows
+        ]
+        terms: list[PointConstraint] = [
+            term
+            for term in problem.terms
+            if isinstance(term, ContactConstraint | NormalForce) and term.acts_in(phase.name)
+        ]
+        coordinates, surfaces = Coordinates(self.robot.model), problem.surfaces_of(index)
+        contexts = [Context(self.robot, coordinates, self.contacts, surfaces=surfaces) for _ in range(2)]
+        self.exact = _Rows.of(terms, contexts[0], self.units)
+        self.affine = _Rows.of([_as_pyramid(term) for term in terms], contexts[1], self.units)
+        self.frames = [list(context.frames) for context in contexts]
+
+    def share(
+        self, solution: Solution, samples: Samples, bounds: TorqueBounds, row: int
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Wrenches (nc, 6) and torques (nu,) at one sample, or None where they stay."""
+        which, rows = (np.array(part) for part in zip(*self.entries, strict=True))
+        w = solution.f[row][which, rows]
+        places = [(contact.frame, 6) for contact in self.contacts]
+        full = contact_jacobian(self.robot.model, solution.q[row], places)
+        jacobian = full[[6 * i + k for i, contact in enumerate(self.contacts) for k in contact.rows]]
+        unit, n = self.units.wrench[rows], self.robot.n_unactuated
+        basis = unit[:, None] * null_space((unit[:, None] * jacobian[:, :n]).T / self.robot.weight)
+        if basis.shape[1] == 0:
+            return None
+        torque = samples.generalized_force[row, n:]
+        levers = -jacobian[:, n:].T @ basis
+        exact, affine = (
+            (contact_rows, _frame_values(self.robot.contacts, samples, row, names))
+            for contact_rows, names in zip((self.exact, self.affine), self.frames, strict=True)
+        )
+        limits = (bounds.lower[row], bounds.upper[row], bounds.scale)
+        y = _program((torque, levers, self.units.torque), basis, limits, affine, w)
+        if y is None:
+            return None
+        y *= _longest_step(exact, w, basis @ y)
+        f = solution.f[row].copy()
+        f[which, rows] = w + basis @ y
+        return f, torque + levers @ y
+
+
+def _frame_values(contacts: tuple, samples: Samples, row: int, names: list[str]) -> np.ndarray:
+    """Numbers for a context's frame symbols: rotation by columns, position, velocity, acceleration."""
+    order = [contact.frame for contact in contacts]
+    parts = [np.zeros(0)]
+    for name in names:
+        i = order.index(name)
+        parts += [samples.rotation[row, i].ravel(order="F"), samples.position[row, i]]
+        parts += [samples.velocity[row, i], samples.acceleration[row, i]]
+    return np.concatenate(parts)
+
+
+def _program(
+    joints: tuple[np.ndarray, np.ndarray, float],
+    basis: np.ndarray,
+    limits: tuple[np.ndarray, np.ndarray, np.ndarray],
+    contact: tuple[_Rows, np.ndarray],
+    w: np.ndarray,
+) -> np.ndarray | None:
+    """Internal forces y (k,) of the module's program, or None where OSQP fails."""
+    (torque, levers, unit), (low, high, scale), k = joints, limits, basis.shape[1]
+    use, slope = torque / scale, levers / scale[:, None]
+    values, jacobian = contact[0].at(w, contact[1])
+    ones, still = np.ones((len(torque), 1)), np.zeros((len(values), 1))
+    rows = np.block([
+        [slope, ones], [slope, -ones], [jacobian @ basis, still], [np.zeros((1, k)), np.ones((1, 1))],
+    ])  # fmt: skip
+    free = np.full(len(torque), np.inf)
+    # What the motion's solver left in the rows is allowed to stay: y = 0 is always feasible.
+    lower = np.concatenate([low / scale - use, -free, np.minimum(contact[0].lower - values, 0.0), [0.0]])
+    upper = np.concatenate([free, high / scale - use, np.maximum(contact[0].upper - values, 0.0), [np.inf]])
+    hessian = np.zeros((k + 1, k + 1))
+    hessian[:k, :k] = 2 * (levers.T @ levers / unit**2 + KEEPING * np.eye(k))
+    gradient = np.append(2 * levers.T @ torque / unit**2, PENALTY)
+    solver = osqp.OSQP()
+    solver.setup(
+        sparse.csc_matrix(np.triu(hessian)), gradient, sparse.csc_matrix(rows), lower, upper,
+        verbose=False, polishing=True, eps_abs=QP_TOLERANCE, eps_rel=QP_TOLERANCE, max_iter=QP_ITERATIONS,
+    )  # fmt: skip
+    result = solver.solve(raise_error=False)
+    if result.x is None or not np.isfinite(result.x).all():
+        return None
+    y = result.x[:k]
+
+    def cost(y: np.ndarray) -> float:
+        moved = torque + levers @ y
+        beyond = max(0.0, float((np.maximum(moved - high, low - moved) / scale).max()))
+        return float(np.sum((moved / unit) ** 2)) + PENALTY * beyond
+
+    return y if cost(y) < cost(np.zeros(k)) else None
+
+
+def _longest_step(contact: tuple[_Rows, np.ndarray], w: np.ndarray, step: np.ndarray) -> float:
+    """Largest part of the step, at most all, with which the exact contact terms are no worse than before."""
+    rows, frames = contact
+
+    def violation(at: np.ndarray) -> float:
+        values, _ = rows.at(at, frames)
+        return float(np.maximum(rows.lower - values, values - rows.upper).max(initial=0.0))
+
+    allowed = violation(w) + TRUSTED
+    if violation(w + step) <= allowed:
+        return 1.0
+    least, most = 0.0, 1.0
+    for _ in range(BISECTIONS):
+        middle = (least + most) / 2
+        least, most = (middle, most) if violation(w + middle * step) <= allowed else (least, middle)
+    return least
