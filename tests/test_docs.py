@@ -15,6 +15,11 @@ DOCUMENTS = (
     "docs/modelling/coordinates.md",
     "docs/modelling/actuators.md",
     "docs/modelling/irb1600.md",
+    "docs/modelling/contacts.md",
+    "docs/modelling/contacts-dynamics.md",
+    "docs/modelling/structure.md",
+    "docs/modelling/reduced-models.md",
+    "docs/modelling/scene.md",
 )
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
