@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
-from scipy.stats import qmc
 
 from trajopt.errors import InputError
 from trajopt.model_content import frame_content
@@ -175,6 +174,8 @@ def _without_limits(robot: Robot, turning: list[int]) -> Robot:
 
 def _starts(robot: Robot, near: np.ndarray, count: int) -> Iterator[np.ndarray]:
     """``near``, then postures of a Halton sequence: limited joints over their range, others over a turn."""
+    from scipy.stats import qmc  # takes half a second to load
+
     yield near
     free = np.arange(robot.n_unactuated, robot.nv)
     lower, upper = np.full(robot.nv, -math.pi), np.full(robot.nv, math.pi)
