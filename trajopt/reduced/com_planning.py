@@ -7,7 +7,6 @@ from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
-from scipy.optimize import nnls
 
 from trajopt.errors import InputError
 from trajopt.reduced.footsteps import FootstepPlan, Support, support_vertices
@@ -116,6 +115,8 @@ def distance_outside(point: np.ndarray, vertices: np.ndarray) -> float:
 
     Non-negative least squares over the vertices' weights, which is right for points and segments too.
     """
+    from scipy.optimize import nnls  # takes a quarter of a second to load
+
     centred = np.vstack([(vertices - point).T, np.ones(len(vertices))])
     return float(nnls(centred, np.array([0.0, 0.0, 1.0]))[1])
 
