@@ -339,3 +339,10 @@ def test_frame_height_acts_at_one_node_of_its_phase(fraction):
         problem = hop(schedule=phases(free=False, impact=impact), terms=(raised,))
         rows = prepare(problem, intervals=6, compile="none").transcription.rows
         assert np.sum(rows.block == rows.names.index("frame_height")) == 1
+
+
+def test_impact_that_is_no_truth_value_and_a_term_that_is_none_are_refused():
+    with pytest.raises(InputError, match="impact of phase 'p' is 'no'; allowed: True or False"):
+        Phase(name="p", duration=1.0, contacts=(FOOT,), impact="no")
+    with pytest.raises(InputError, match="a term of problem 'hop' is <class"):
+        hop(terms=(TorqueCost,))

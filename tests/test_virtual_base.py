@@ -36,8 +36,10 @@ from trajopt.replay_robot import draw_skeleton
 from trajopt.robot import Robot
 from trajopt.robot_building import base_of
 from trajopt.robot_data import robot_file
+from trajopt.schedule import Schedule
 from trajopt.solution import Solution
 from trajopt.terms import AccelerationCost, PostureCost, VelocityCost
+from trajopt.transcription import transcribe
 from trajopt.units import Units
 
 # Rounding of algorithms over a dozen bodies, and of a solve with J_w, whose condition stays below ten here.
@@ -332,3 +334,10 @@ def test_a_skeleton_shows_no_virtual_joints(tmp_path):
     assert {joint - 5 for joint in shown.points} == set(still.points)
     for joint, points in still.points.items():
         np.testing.assert_allclose(np.vstack(shown.points[joint + 5]), np.vstack(points), atol=ROUNDING)
+
+
+def test_conversion_takes_free_durations():
+    problem = problems.load("solo12-jump", distance=0.1)
+    phases = [replace(phase, duration_bounds=(0.1, 1.0)) for phase in problem.schedule.phases]
+    free = with_virtual_base(replace(problem, schedule=Schedule(tuple(phases))))
+    assert transcribe(free, "legendre:1", 6).layout.forms[0].n_clocks == 3

@@ -68,6 +68,11 @@ class Problem:
             object.__setattr__(self, label, array)
         object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
         object.__setattr__(self, "terms", tuple(self.terms))
+        for term in self.terms:
+            if not isinstance(term, Term):
+                raise InputError(
+                    f"a term of problem '{self.name}' is {term!r}", "allowed: costs and constraints"
+                )
         object.__setattr__(self, "modes", MappingProxyType(dict(self.modes)))
         names = [phase.name for phase in self.schedule.phases]
         self._require_actuation()

@@ -39,6 +39,8 @@ class Phase:
             raise InputError(
                 f"duration of phase '{self.name}' is {self.duration:g} s", "allowed: finite and > 0"
             )
+        if not isinstance(self.impact, bool):
+            raise InputError(f"impact of phase '{self.name}' is {self.impact!r}", "allowed: True or False")
         if self.duration_bounds is not None:
             self._require_bounds(self.duration_bounds)
         if len(set(self.contacts)) != len(self.contacts):

@@ -132,13 +132,15 @@ def _body_rates(context: Context) -> tuple[ca.SX, ca.SX]:
     order = virtual_order(context.robot.model)
     if order is None:
         raise InputError(f"robot '{context.robot.name}' has base={context.robot.base!r}", "'virtual'")
-    angles, rates, second = context.xi[3:6], context.dxi[3:6], context.ddxi[3:6]
+    angles, rates, second = (ca.SX.sym(name, 3) for name in ("angles", "rates", "second"))
     omega = ca.SX.zeros(3)
     # omega = R_k^T (R_j^T (e_i a') + e_j b') + e_k c', from the outer axis inwards.
     for axis, angle, rate in zip(order, ca.vertsplit(angles), ca.vertsplit(rates), strict=True):
         omega = ca.mtimes(_turn(axis, angle).T, omega) + ca.DM(np.eye(3)[AXES.index(axis)]) * rate
     change = ca.jtimes(omega, angles, rates) + ca.jtimes(omega, rates, second)
-    return omega, change
+    motion = ca.Function("body_rates", [angles, rates, second], [omega, change])
+    turning, turned = motion(context.xi[3:6], context.dxi[3:6], context.ddxi[3:6])
+    return turning, turned
 
 
 def _turn(axis: str, angle: ca.SX) -> ca.SX:
