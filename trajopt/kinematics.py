@@ -35,9 +35,16 @@ def frame_pose(robot: Robot, q: np.ndarray, frame: str) -> pin.SE3:
     return data.oMf[robot.model.getFrameId(frame)].copy()
 
 
+def contact_poses(robot: Robot, q: np.ndarray) -> dict[str, pin.SE3]:
+    """Pose of every contact's frame at ``q`` (nq,), world, m, by the contact's name."""
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, q)
+    return {c.name: data.oMf[robot.model.getFrameId(c.frame)].copy() for c in robot.contacts}
+
+
 def contact_positions(robot: Robot, q: np.ndarray) -> dict[str, np.ndarray]:
     """Where every contact is at ``q`` (nq,): its frame's origin (3,), world, m, by the contact's name."""
-    return {contact.name: frame_pose(robot, q, contact.frame).translation for contact in robot.contacts}
+    return {name: pose.translation for name, pose in contact_poses(robot, q).items()}
 
 
 @dataclass(frozen=True)

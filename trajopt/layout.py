@@ -192,17 +192,16 @@ class Layout:
 
     def meeting(self, k: int) -> Meeting:
         """The intervals between which node k lies, whatever transitions are there."""
-        kinds = [stage.kind for stage in self.stages]
-        before, after = k - 1, k
-        while before >= 0 and kinds[before] is not StageKind.INTERVAL:
+        stages, before, after = self.stages, k - 1, k
+        while before >= 0 and stages[before].kind is not StageKind.INTERVAL:
             before -= 1
-        while after < self.n_stages and kinds[after] is not StageKind.INTERVAL:
+        while after < len(stages) and stages[after].kind is not StageKind.INTERVAL:
             after += 1
         return Meeting(
             before=before if before >= 0 else None,
-            after=after if after < self.n_stages else None,
-            impact_behind=StageKind.IMPACT in kinds[before + 1 : k],
-            impact_ahead=StageKind.IMPACT in kinds[k:after],
+            after=after if after < len(stages) else None,
+            impact_behind=any(stage.kind is StageKind.IMPACT for stage in stages[before + 1 : k]),
+            impact_ahead=any(stage.kind is StageKind.IMPACT for stage in stages[k:after]),
         )
 
     def times(self, unknowns: np.ndarray) -> np.ndarray:

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
-import pinocchio as pin
 
 from trajopt.context_symbols import ACTUATIONS, Actuation
 from trajopt.errors import InputError
+from trajopt.kinematics import contact_positions
 from trajopt.mode import Mode
 from trajopt.motion_terms import ContactVelocity
 from trajopt.node_terms import ContactLanding, NodeConstraint
@@ -129,11 +129,8 @@ class Problem:
         begins = self.schedule.beginning(contact, phase)
         if begins:
             return self.schedule.phases[begins].footholds.get(contact)
-        model = self.robot.model
-        data = model.createData()
-        pin.framesForwardKinematics(model, data, self.initial_q)
-        place: np.ndarray = data.oMf[model.getFrameId(self.robot.contact(contact).frame)].translation
-        return place.copy()
+        place: np.ndarray = contact_positions(self.robot, self.initial_q)[contact]
+        return place
 
     def _require_impacts(self) -> None:
         for phase in self.schedule.phases:

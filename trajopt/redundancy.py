@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.contact import Contact
-from trajopt.kinematics import inverse_kinematics
+from trajopt.kinematics import contact_poses, inverse_kinematics
 from trajopt.model_quantities import contact_jacobian
 from trajopt.robot import Robot
 
@@ -76,11 +76,10 @@ def _neighbours(
 ) -> list[np.ndarray]:
     """Postures around q (nq,) with the contacts where they hold: a point's origin, a sole's pose."""
     model, generator = robot.model, np.random.default_rng(0)
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
+    poses = contact_poses(robot, q)
     targets: dict[str, pin.SE3 | np.ndarray] = {}
     for contact in contacts:
-        pose = data.oMf[model.getFrameId(contact.frame)].copy()
+        pose = poses[contact.name]
         pose.translation = places.get(contact.name, pose.translation)
         targets[contact.frame] = pose.translation if contact.kind == "point" else pose
     moves = np.vstack([np.zeros(robot.nv), generator.uniform(-SPREAD, SPREAD, (SAMPLES, robot.nv))])

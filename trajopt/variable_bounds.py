@@ -7,7 +7,7 @@ a limit of the true rate is no bound but a linear row: |x'| <= s limit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,17 +43,13 @@ def variable_bounds(
     """Scaled bounds (n_unknowns,) of nodes from constraints that have them, of clocks, of the start."""
     lower = np.full(layout.n_unknowns, -np.inf)
     upper = np.full(layout.n_unknowns, np.inf)
-    for term in problem.point_constraints:
-        for at in _bounded_nodes(term, layout):
-            form, node = layout.forms[at.node], layout.node(at.node)
-            bounds = term.node_bounds(form.robot)
-            if bounds is None:
-                continue
-            scale = collocation.node_scale(form)
-            low = _node_values(form, at, bounds[0], bounds[2], -np.inf)
-            high = _node_values(form, at, bounds[1], bounds[3], np.inf)
-            lower[node] = np.maximum(lower[node], low / scale)
-            upper[node] = np.minimum(upper[node], high / scale)
+    for _, at, bounds in _stated_limits(problem, layout):
+        form, node = layout.forms[at.node], layout.node(at.node)
+        scale = collocation.node_scale(form)
+        low = _node_values(form, at, bounds[0], bounds[2], -np.inf)
+        high = _node_values(form, at, bounds[1], bounds[3], np.inf)
+        lower[node] = np.maximum(lower[node], low / scale)
+        upper[node] = np.minimum(upper[node], high / scale)
     _fix_start(problem, layout, collocation, lower, upper)
     return lower, upper
 
@@ -103,13 +99,12 @@ def clocked_limits(
 ) -> dict[int, list[ClockedLimit]]:
     """Rows of rates that are measured in a free clock: their limits at nodes, and a start that moves."""
     found: dict[int, list[ClockedLimit]] = {}
-    for term in problem.point_constraints:
-        for at in _bounded_nodes(term, layout):
-            form, bounds = layout.forms[at.node], term.node_bounds(layout.forms[at.node].robot)
-            if at.rates and form.clock is not None and form.order == 2 and bounds is not None:
-                limit = _clocked(term.name, form, bounds[2:], collocation, layout.n_unknowns)
-                if len(limit.lower):
-                    found.setdefault(at.node, []).append(limit)
+    for term, at, bounds in _stated_limits(problem, layout):
+        form = layout.forms[at.node]
+        if at.rates and form.clock is not None and form.order == 2:
+            limit = _clocked(term.name, form, bounds[2:], collocation, layout.n_unknowns)
+            if len(limit.lower):
+                found.setdefault(at.node, []).append(limit)
     form = layout.forms[0]
     if form.clock is not None and form.order == 2:
         state = form.coordinates.node_from_pinocchio(*start_of(problem, layout))
@@ -179,6 +174,21 @@ def _bounded_nodes(term: PointConstraint, layout: Layout) -> list[_Bounded]:
         elif (before or after) and not (stated_before or stated_after):
             found.append(_Bounded(k, positions=True, rates=True))
     return found
+
+
+def _stated_limits(
+    problem: Problem, layout: Layout
+) -> Iterator[tuple[PointConstraint, _Bounded, tuple[np.ndarray, ...]]]:
+    """Every term with limits at nodes, the node, and its bounds there, which each robot has once."""
+    robots = {id(form.robot): form.robot for form in layout.forms}
+    for term in problem.point_constraints:
+        bounds = {key: term.node_bounds(robot) for key, robot in robots.items()}
+        if all(found is None for found in bounds.values()):
+            continue
+        for at in _bounded_nodes(term, layout):
+            found = bounds[id(layout.forms[at.node].robot)]
+            if found is not None:
+                yield term, at, found
 
 
 def _acts(term: PointConstraint, layout: Layout, stage: int | None) -> bool:

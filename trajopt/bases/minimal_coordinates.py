@@ -27,6 +27,7 @@ from trajopt.bases.rerooting import joint_motion, joint_slices, path_to_base, re
 from trajopt.bases.stance_maps import drop_map, lift_map, symbols
 from trajopt.contact import Contact
 from trajopt.errors import InputError
+from trajopt.kinematics import contact_positions
 from trajopt.robot import Robot
 from trajopt.robot_building import position_limits
 
@@ -130,9 +131,7 @@ def stance_mode(robot: Robot, contact: str, *, anchor: ArrayLike | None = None) 
         raise InputError(f"contact '{contact}' is a {chosen.kind}", "a point contact")
     if robot.base == "planar":
         _require_plane(robot, chosen)
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, robot.reference)
-    here = data.oMf[robot.model.getFrameId(chosen.frame)].translation.copy()
+    here = contact_positions(robot, robot.reference)[contact]
     place = here if anchor is None else np.array(anchor, dtype=float)
     if place.shape != (3,) or not np.isfinite(place).all():
         raise InputError(f"anchor of the stance on '{contact}' is {place}", "3 finite numbers, m")

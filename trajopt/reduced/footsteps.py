@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
-import pinocchio as pin
 
 from trajopt.errors import InputError
+from trajopt.kinematics import contact_poses
 from trajopt.robot import Robot
 from trajopt.schedule import Phase, Schedule
 
@@ -106,11 +106,9 @@ def support_vertices(robot: Robot, support: Support, shrink: float = 0.0) -> np.
 
 def feet_of(robot: Robot, q: np.ndarray) -> dict[str, Foothold]:
     """Where the contacts of a robot are at ``q`` (nq,), as footholds by contact name."""
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, q)
-    feet = {}
+    feet, poses = {}, contact_poses(robot, q)
     for contact in robot.contacts:
-        placement = data.oMf[robot.model.getFrameId(contact.frame)]
+        placement = poses[contact.name]
         yaw = math.atan2(placement.rotation[1, 0], placement.rotation[0, 0])
         feet[contact.name] = Foothold(
             position=placement.translation, yaw=yaw if contact.kind == "surface" else 0.0

@@ -23,7 +23,7 @@ from trajopt.contact_terms import ContactConstraint, NormalForce
 from trajopt.context import Context
 from trajopt.costs import AccelerationCost, TimeCost, VelocityCost, WrenchCost
 from trajopt.errors import InputError
-from trajopt.kinematics import inverse_kinematics
+from trajopt.kinematics import frame_pose, inverse_kinematics
 from trajopt.node_terms import FrameHeight, FramePose, FrameVelocity, TerminalRest, TerminalState
 from trajopt.problem import Problem
 from trajopt.reduced.foot_motion import require_free_flyer
@@ -86,12 +86,9 @@ def rigid_body(robot: Robot) -> RigidBody:
 
 def _reach(robot: Robot, frame: str, hip: np.ndarray) -> float:
     """Distance (m) from the hip to the frame of the leg straightened towards where the frame is."""
-    model, data = robot.model, robot.model.createData()
-    pin.framesForwardKinematics(model, data, robot.reference)
-    index = model.getFrameId(frame)
-    far = hip + BEYOND * (data.oMf[index].translation - hip)
-    pin.framesForwardKinematics(model, data, inverse_kinematics(robot, robot.reference, {frame: far}).q)
-    return float(np.linalg.norm(data.oMf[index].translation - hip))
+    far = hip + BEYOND * (frame_pose(robot, robot.reference, frame).translation - hip)
+    straight = inverse_kinematics(robot, robot.reference, {frame: far}).q
+    return float(np.linalg.norm(frame_pose(robot, straight, frame).translation - hip))
 
 
 def body_robot(robot: Robot) -> Robot:

@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike
 from trajopt.actuators.terms import DriveLimits
 from trajopt.contact import require_frame
 from trajopt.errors import InputError
+from trajopt.kinematics import contact_poses
 from trajopt.node_terms import FramePose, SwingClearance, TerminalRest, TerminalState
 from trajopt.problem import Motion, Problem
 from trajopt.robot import Robot
-from trajopt.scenes.guess import SceneGuess, end_posture, frames_at
+from trajopt.scenes.guess import SceneGuess, end_posture
 from trajopt.scenes.smallest import Plane, Scene, smallest
 from trajopt.schedule import FlatGround, Schedule
 from trajopt.surface import SAME_PLANE
@@ -124,7 +125,7 @@ def _landing_on(robot: Robot, schedule: Schedule, ground: FlatGround, posture: n
 
     A goal asks only for what contacts leave free: they must land where the goal configuration has them.
     """
-    places, phases = frames_at(robot, posture), list(schedule.phases)
+    places, phases = contact_poses(robot, posture), list(schedule.phases)
     for name in phases[-1].contacts:
         began = [i for i in range(len(phases)) if name in schedule.new_contacts(i)]
         if not began or name in phases[began[-1]].footholds:

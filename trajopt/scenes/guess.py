@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from trajopt.kinematics import inverse_kinematics
+from trajopt.kinematics import contact_poses, contact_positions, inverse_kinematics
 from trajopt.model_quantities import gravity_of
 from trajopt.reduced.foot_motion import smooth_step
 from trajopt.robot import Robot
@@ -19,13 +19,6 @@ from trajopt.schedule import FlatGround, Phase, Schedule
 # Swings rise by this part of the robot's length in the guess, more than they must.
 SWING = 0.15
 Target: TypeAlias = pin.SE3 | np.ndarray
-
-
-def frames_at(robot: Robot, q: np.ndarray) -> dict[str, pin.SE3]:
-    """Pose of every contact's frame, by contact."""
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, q)
-    return {c.name: data.oMf[robot.model.getFrameId(c.frame)].copy() for c in robot.contacts}
 
 
 def end_posture(
@@ -41,7 +34,7 @@ def end_posture(
     """
     places = _places(robot, schedule, ground, start, start)[-1]
     moved = np.mean(
-        [places[name] - pose.translation for name, pose in frames_at(robot, start).items()] or [np.zeros(3)],
+        [places[name] - place for name, place in contact_positions(robot, start).items()] or [np.zeros(3)],
         axis=0,
     )
     q = start.copy()
@@ -63,7 +56,7 @@ def _target(robot: Robot, name: str, place: np.ndarray, start: np.ndarray) -> Ta
     """A point's place, or a sole's pose turned as at the start."""
     if robot.contact(name).kind == "point":
         return place
-    return pin.SE3(frames_at(robot, start)[name].rotation, place)
+    return pin.SE3(contact_poses(robot, start)[name].rotation, place)
 
 
 def _places(
@@ -73,8 +66,8 @@ def _places(
 
     A contact that lands without a foothold lands on its surface below where it is on the way to the end.
     """
-    first = {name: pose.translation for name, pose in frames_at(robot, start).items()}
-    last = {name: pose.translation for name, pose in frames_at(robot, end).items()}
+    first = contact_positions(robot, start)
+    last = contact_positions(robot, end)
     times = list(accumulate(phase.duration for phase in schedule.phases))
     found = [dict(first)]
     for index, phase in enumerate(schedule.phases):

@@ -16,7 +16,6 @@ the plane (a pitch), with s = -1 it leaves it and a mirrored motion holds it at 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -280,8 +279,3 @@ def mirrored_rows(robot: Robot, mirror: Mirror) -> tuple[np.ndarray, np.ndarray]
         own, other = (robot.model.joints[j].idx_v for j in (joint, mirror.partner[joint]))
         index[other], sign[other] = own, mirror.sign[joint]
     return index, sign
-
-
-def names_of(robot: Robot, joints: Sequence[int]) -> tuple[str, ...]:
-    """Names of joints by number."""
-    return tuple(robot.model.names[j] for j in joints)

@@ -61,11 +61,6 @@ class Reduction:
         return self.small.base == "planar" and self.whole.base != "planar"
 
     @property
-    def is_identity(self) -> bool:
-        """Whether nothing is smaller."""
-        return self.small.nv == self.whole.nv and len(self.small.contacts) == len(self.whole.contacts)
-
-    @property
     def y0(self) -> float:
         """Where the plane of a half is, m."""
         return float(self.start[1])

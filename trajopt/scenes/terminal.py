@@ -15,26 +15,18 @@ import casadi as ca
 import numpy as np
 
 from trajopt.context import Context
-from trajopt.node_terms import NodeConstraint, NodePlace, TerminalRest, TerminalState, free_directions
-from trajopt.scenes.reduction import Reduction, whole_place
-from trajopt.scenes.view import WholeView
+from trajopt.node_terms import NodePlace, TerminalRest, TerminalState, free_directions
+from trajopt.scenes.reduction import whole_place
+from trajopt.scenes.view import WholeNodeTerm, WholeView
 from trajopt.term_interfaces import Rows
 from trajopt.units import Units
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class HalfEnd(NodeConstraint):
+class HalfEnd(WholeNodeTerm):
     """`TerminalState` or `TerminalRest` of the whole robot on the motion of its half."""
 
     term: TerminalState | TerminalRest
-    reduction: Reduction
-
-    @property
-    def name(self) -> str:
-        return self.term.name
-
-    def acts_at(self, place: NodePlace) -> bool:
-        return self.term.acts_at(place)
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         there, own = whole_place(place, self.reduction), Units(self.reduction.whole)

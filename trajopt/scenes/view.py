@@ -180,8 +180,8 @@ class WholePointRows(PointConstraint):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class WholeNodeRows(NodeConstraint):
-    """A node constraint of the whole robot on the motion of the small one, likewise."""
+class WholeNodeTerm(NodeConstraint):
+    """A node constraint of the whole robot on the motion of the small one: its name, and where it acts."""
 
     term: NodeConstraint
     reduction: Reduction
@@ -192,6 +192,11 @@ class WholeNodeRows(NodeConstraint):
 
     def acts_at(self, place: NodePlace) -> bool:
         return self.term.acts_at(place)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WholeNodeRows(WholeNodeTerm):
+    """Its rows, without those that bind nothing."""
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         view, own = WholeView(context, self.reduction), Units(self.reduction.whole)
