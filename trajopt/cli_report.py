@@ -13,7 +13,7 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from trajopt.certify.report import Report
-    from trajopt.family import Choice, Family, Parameter
+    from trajopt.family import Choice, Family, Parameter, RobotName
     from trajopt.solution import Solution
 
 # Keys of a solution's meta that the JSON of a solve repeats as they are.
@@ -84,6 +84,7 @@ def list_dict(families: Mapping[str, Family]) -> dict[str, Any]:
             {
                 "name": family.name,
                 "robot": family.robot,
+                "robots": list(family.robots),
                 "phases": list(family.phases),
                 "summary": family.summary,
                 "parameters": [_described(parameter) for parameter in family.parameters],
@@ -93,7 +94,7 @@ def list_dict(families: Mapping[str, Family]) -> dict[str, Any]:
     }
 
 
-def _described(parameter: Parameter | Choice) -> dict[str, Any]:
+def _described(parameter: Parameter | Choice | RobotName) -> dict[str, Any]:
     """A parameter as JSON; a choice has no range."""
     common = {"unit": parameter.unit, "lower": parameter.lower, "upper": parameter.upper}
     return {**common, **vars(parameter)}
@@ -114,13 +115,13 @@ def parameter_table(family: Family) -> Table:
     return table
 
 
-def _default(parameter: Parameter | Choice) -> str:
+def _default(parameter: Parameter | Choice | RobotName) -> str:
     if isinstance(parameter.default, str):
         return parameter.default
     return "derived" if parameter.default is None else f"{parameter.default:g} {parameter.unit}".rstrip()
 
 
-def _range(parameter: Parameter | Choice) -> str:
+def _range(parameter: Parameter | Choice | RobotName) -> str:
     if parameter.lower is None or parameter.upper is None:
         return ", ".join(parameter.choices)
     return f"{parameter.lower:g} to {parameter.upper:g} {parameter.unit}".rstrip()

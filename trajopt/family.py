@@ -72,18 +72,55 @@ class Choice:
 
 
 @dataclass(frozen=True, kw_only=True)
+class RobotName:
+    """The parameter ``robot``: a robot by name (or a file that builds one), which the family looks up."""
+
+    default: str
+    choices: tuple[str, ...]
+
+    name: ClassVar[str] = "robot"
+    meaning: ClassVar[str] = "name of a robot, or a .py file with build(); listed are those it is tested on"
+    unit: ClassVar[str] = ""
+    lower: ClassVar[None] = None
+    upper: ClassVar[None] = None
+
+    def parse(self, value: object) -> str:
+        """The text. Raises InputError for anything else."""
+        if not isinstance(value, str) or not value.strip():
+            raise InputError(f"parameter robot={value!r}", f"allowed: a name, such as {self.choices[0]}")
+        return value.strip()
+
+
+@dataclass(frozen=True, kw_only=True)
 class Family:
     """A problem family; ``build`` takes every parameter by name.
 
-    The problem carries the parameters' values; ``build`` names only those that it derives.
+    The problem carries the parameters' values; ``build`` names only those that it derives. A family for many
+    robots names in ``robots`` those on which it is tested, the default first: it then has a parameter
+    ``robot``, which may be any other that suits it.
     """
 
     name: str
-    robot: str
     phases: tuple[str, ...]
     summary: str
-    parameters: tuple[Parameter | Choice, ...]
+    parameters: tuple[Parameter | Choice | RobotName, ...]
     build: Callable[..., Problem]
+    robot: str = ""
+    robots: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not (self.robot or self.robots):
+            raise InputError(f"family '{self.name}' has no robot", "allowed: robot or robots")
+        if self.robots:
+            named = RobotName(default=self.robot or self.robots[0], choices=self.robots)
+            object.__setattr__(self, "parameters", (named, *self.parameters))
+        object.__setattr__(self, "robots", self.robots or (self.robot,))
+        object.__setattr__(self, "robot", self.robot or self.robots[0])
+
+    @property
+    def takes_robot(self) -> bool:
+        """Whether the robot is a parameter."""
+        return any(isinstance(parameter, RobotName) for parameter in self.parameters)
 
     def load(self, values: Mapping[str, object]) -> Problem:
         """Build the problem with ``values`` over the defaults. Raises InputError."""
