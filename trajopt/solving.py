@@ -100,13 +100,35 @@ def solve(
         problem, transcription=transcription, intervals=intervals, compile=compile, threads=threads
     )
     start = perturbed(prepared.transcription, prepared.guess, seed, perturb) if perturb else prepared.guess
-    place = nonfinite_place(prepared.nlp, start)
     stop = Stop(tolerance=tolerance, max_iterations=max_iterations, max_time=max_time)
+    origin = {"seed": seed, "perturb": perturb}
+    return solve_prepared(
+        prepared, start, origin=origin, solver=solver, stop=stop, options=options, progress=progress
+    )
+
+
+def solve_prepared(
+    prepared: Prepared,
+    start: np.ndarray,
+    *,
+    origin: Mapping[str, Any],
+    solver: str = DEFAULT_SOLVER,
+    stop: Stop | None = None,
+    options: Mapping[str, Option] | None = None,
+    progress: Progress | None = None,
+) -> Solution:
+    """Solve what `prepare` made, from the scaled unknowns ``start`` (n_unknowns,): any number of times.
+
+    origin: where the start comes from, for ``meta``: ``seed`` and ``perturb`` at least. The rest is as in
+    `solve`. Never raises because the solver did not converge.
+    """
+    stop = stop or Stop()
+    place = nonfinite_place(prepared.nlp, start)
     if place is None:
         result = run(prepared.nlp, start, solver, stop, options or {}, progress or _continue)
     else:
         result = _not_finite(prepared, start)
-    return _solution(prepared, result, solver, tolerance, place, {"seed": seed, "perturb": perturb})
+    return _solution(prepared, result, solver, stop.tolerance, place, origin)
 
 
 def _continue(_: dict[str, float]) -> bool:
@@ -149,7 +171,7 @@ def _solution(
     solver: str,
     tolerance: float,
     place: str | None,
-    start: dict[str, Any],
+    origin: Mapping[str, Any],
 ) -> Solution:
     t, report = prepared.transcription, prepared.compilation
     violations = row_violations(prepared.nlp, result.x)
@@ -172,13 +194,16 @@ def _solution(
         "variables": t.layout.n_unknowns,
         "constraints": t.n_rows,
         "max_violation": _number(worst),
+        "primal_infeasibility": _number(result.primal),
+        "dual_infeasibility": _number(result.dual),
+        "complementarity": _number(result.complementarity),
         "worst_blocks": worst_blocks(t, result.x, violations, 3),
         "wall_time_s": result.wall_time,
         "function_time_s": result.function_time,
         "build_time_s": prepared.build_time,
         "compile_time_s": report.compile_time,
         "compile": report.level,
-        **start,
+        **origin,
     }
     return _locks_reported(extract(t, result.x, meta))
 

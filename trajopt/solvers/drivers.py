@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -63,7 +64,11 @@ _IPOPT_STATUS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """Outcome of a solve in scaled units; ``wall_time`` and ``function_time`` in s."""
+    """Outcome of a solve in scaled units; ``wall_time`` and ``function_time`` in s.
+
+    primal, dual, complementarity: the solver's own infeasibilities (largest entries, unscaled by its
+    multipliers) at ``x``; NaN where it was not started.
+    """
 
     x: np.ndarray
     lam_g: np.ndarray
@@ -73,6 +78,9 @@ class Result:
     objective: float
     wall_time: float
     function_time: float
+    primal: float = math.nan
+    dual: float = math.nan
+    complementarity: float = math.nan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,6 +127,8 @@ def _fatrop(
     nlp: Nlp, x0: np.ndarray, stop: Stop, options: Mapping[str, Option], callback: Callback
 ) -> Result:
     t = nlp.transcription
+    if t.problem.periodicity is not None or t.problem.duration_bounds is not None:
+        raise ValueError("rows that join the first and the last stage have no place in it; allowed: ipopt")
     chosen = {
         **FATROP_OPTIONS,
         "tolerance": stop.tolerance,
@@ -146,6 +156,9 @@ def _result(raw: dict[str, Any], status: Status) -> Result:
         objective=raw["f"],
         wall_time=raw["wall_time"],
         function_time=raw["function_time"],
+        primal=raw["primal"],
+        dual=raw["dual"],
+        complementarity=raw["complementarity"],
     )
 
 
