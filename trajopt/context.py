@@ -7,7 +7,7 @@ all terms in ``stage_functions``. So a term stays a small expression.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from types import MappingProxyType
 
@@ -79,7 +79,7 @@ class Context:
         self._accelerations: dict[Contact, ca.SX] = {}
         self._frames: dict[str, FrameSymbols] = {}
         self._parameters: list[ca.SX] = []
-        self._values: list[np.ndarray] = []
+        self._values: list[np.ndarray | Callable[[float], np.ndarray]] = []
 
     @property
     def dxi(self) -> ca.SX:
@@ -247,6 +247,13 @@ class Context:
         self._values.append(array.flatten(order="F"))
         return symbol
 
+    def varying(self, value: Callable[[float], np.ndarray], size: int) -> ca.SX:
+        """A parameter (size,) whose value depends on nominal time, s, from the schedule's start."""
+        symbol = ca.SX.sym(f"p{len(self._parameters)}", size)
+        self._parameters.append(symbol)
+        self._values.append(value)
+        return symbol
+
     @property
     def parameters(self) -> ca.SX:
         """All parameters in one column."""
@@ -254,8 +261,19 @@ class Context:
 
     @property
     def parameter_values(self) -> np.ndarray:
-        """Their numeric values."""
-        return np.concatenate(self._values) if self._values else np.zeros(0)
+        """Their numeric values; of those that vary the values at the schedule's start."""
+        return self.parameter_values_at(0.0)
+
+    def parameter_values_at(self, t: float) -> np.ndarray:
+        """Their numeric values at nominal time ``t`` s. Raises InputError for a reference that is not finite."""
+        parts = [value(t) if callable(value) else value for value in self._values]
+        values = np.concatenate([np.zeros(0), *parts])
+        if len(values) != self.parameters.numel() or not np.all(np.isfinite(values)):
+            raise InputError(
+                f"a reference gives {len(values)} numbers at t = {t:g} s, or some that are not finite",
+                f"allowed: {self.parameters.numel()} finite numbers",
+            )
+        return values
 
     def contact_acceleration(self, contact: Contact) -> ca.SX:
         """Classical acceleration of an active contact (held rows), in axes that may be turned.

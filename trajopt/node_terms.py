@@ -156,6 +156,12 @@ class SwingClearance(NodeConstraint):
         return Rows.create(ca.vertcat(*heights), least, np.inf, units.length)
 
 
+def nearest_node(place: NodePlace, fraction: float) -> int:
+    """Index of a phase's own node nearest to ``fraction``: the last node of all but the last is the next's."""
+    nearest = round(fraction * place.count)
+    return nearest if place.ends_schedule else min(nearest, place.count - 1)
+
+
 @dataclass(frozen=True, kw_only=True)
 class FrameHeight(NodeConstraint):
     """A frame at least ``height`` m high at the node nearest to ``fraction`` of the phase ``phase``.
@@ -169,9 +175,7 @@ class FrameHeight(NodeConstraint):
     fraction: float = 0.5
 
     def acts_at(self, place: NodePlace) -> bool:
-        nearest = round(self.fraction * place.count)
-        own = nearest if place.ends_schedule else min(nearest, place.count - 1)
-        return place.phase.name == self.phase and place.index == own
+        return place.phase.name == self.phase and place.index == nearest_node(place, self.fraction)
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         return Rows.create(context.frame(self.frame).position[2], self.height, np.inf, units.length)

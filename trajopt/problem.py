@@ -13,6 +13,7 @@ from trajopt.errors import InputError
 from trajopt.kinematics import contact_positions
 from trajopt.mode import Mode
 from trajopt.motion_terms import ContactVelocity
+from trajopt.node_costs import NodeCost
 from trajopt.node_terms import ContactLanding, NodeConstraint
 from trajopt.point_terms import BaseDynamics, ContactAcceleration
 from trajopt.robot import Robot
@@ -171,6 +172,11 @@ class Problem:
     def impact_costs(self) -> tuple[Cost, ...]:
         """Costs of impacts."""
         return tuple(term for term in self.terms if isinstance(term, Cost) and term.acts_at_impacts)
+
+    @property
+    def node_costs(self) -> tuple[NodeCost, ...]:
+        """Costs at single nodes."""
+        return tuple(term for term in self.terms if isinstance(term, NodeCost))
 
     @property
     def motion_rows(self) -> tuple[PointConstraint, ...]:

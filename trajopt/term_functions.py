@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 import numpy as np
@@ -22,11 +22,11 @@ from trajopt.units import Units
 
 @dataclass(frozen=True)
 class Kind:
-    """A point function with its rows' names, bounds and units, and its parameters."""
+    """A point function with its rows' names, bounds and units, and its parameters' values at a time, s."""
 
     function: PointFunction
     blocks: tuple[tuple[str, Rows], ...]
-    parameters: np.ndarray
+    parameters_at: Callable[[float], np.ndarray]
 
     @property
     def row_scale(self) -> np.ndarray:
@@ -65,21 +65,23 @@ class TermFunctions:
         return _kind(f"impact_{name}", context, sum(costs, ca.SX(0)), rows)
 
     def nodes(self) -> dict[int, Kind]:
-        """For each node with constraints: its function, named rows and parameter values."""
+        """For each node with constraints or costs: its function, named rows and parameter values."""
         functions: dict[tuple[object, ...], PointFunction] = {}
-        kinds, constraints = {}, self.problem.node_constraints
+        kinds, constraints, prices = {}, self.problem.node_constraints, self.problem.node_costs
         for k, form in enumerate(self.layout.forms):
             place, phase = self.layout.place(k), self.layout.place_phase(k)
             acting = [t for t in constraints if place is not None and t.acts_at(place)]
-            if place is None or not acting:
+            priced = [t for t in prices if place is not None and t.acts_at(place)]
+            if place is None or not (acting or priced):
                 continue
-            context = self._context(phase, form, Place.NODE)
-            named = [(term.name, term.rows(context, self.units[id(form.robot)], place)) for term in acting]
-            kind = _kind(f"node_{place.phase.name}", context, ca.SX(0), named)
-            if kind.blocks:
-                key = (id(form), place.phase.name, *(id(term) for term in acting))
+            context, own = self._context(phase, form, Place.NODE), self.units[id(form.robot)]
+            named = [(term.name, term.rows(context, own, place)) for term in acting]
+            cost = sum((term.value(context, own, place) for term in priced), ca.SX(0))
+            kind = _kind(f"node_{place.phase.name}", context, cost, named)
+            if kind.blocks or priced:
+                key = (id(form), place.phase.name, *(id(term) for term in (*acting, *priced)))
                 shared = functions.setdefault(key, kind.function)
-                kinds[k] = Kind(shared, kind.blocks, kind.parameters)
+                kinds[k] = replace(kind, function=shared)
         return kinds
 
     def end(self, form: NodeForm) -> PointFunction | None:
@@ -172,7 +174,7 @@ class TermFunctions:
 def _kind(name: str, context: Context, cost: ca.SX, named: Sequence[tuple[str, Rows | None]]) -> Kind:
     blocks = tuple((label, rows) for label, rows in named if rows is not None and rows.expression.numel())
     function = point_function(name, context, cost, [rows.expression for _, rows in blocks])
-    return Kind(function, blocks, context.parameter_values)
+    return Kind(function, blocks, context.parameter_values_at)
 
 
 def _plain(name: str, z: ca.SX, parts: Sequence[ca.SX]) -> PointFunction:

@@ -172,10 +172,17 @@ class Transcriber:
                     stages=stages,
                     rows=np.array([point_rows[k][i] for k in stages]),
                     row_scale=kind.row_scale,
-                    parameters=np.tile(kind.parameters, (len(stages), 1)),
+                    parameters=self._parameters(kind, stages, self.method.c[i]),
                     cost_weight=self.layout.steps[stages] * self.method.b1[i] / self.time,
                 )
             )
+
+    def _parameters(self, kind: Kind, stages: np.ndarray, fraction: float = 0.0) -> np.ndarray:
+        """Values of the parameters (n, n_p) at that fraction of stages."""
+        times = self.layout.node_times[stages]
+        if fraction:
+            times = times + fraction * self.layout.steps[stages]
+        return np.array([kind.parameters_at(float(t)) for t in times])
 
     def _add_end_group(self, phase: int, gap_rows: list[np.ndarray]) -> None:
         form, stages = self.layout.form_of(phase), self.layout.intervals_of(phase)
@@ -202,7 +209,7 @@ class Transcriber:
                 stages=np.array([k]),
                 rows=rows[None, :],
                 row_scale=kind.row_scale,
-                parameters=kind.parameters[None, :],
+                parameters=self._parameters(kind, np.array([k])),
                 cost_weight=np.ones(1),
             )
         )
@@ -227,8 +234,8 @@ class Transcriber:
                     stages=np.array(members),
                     rows=np.array([node_rows[k] for k in members]),
                     row_scale=first.row_scale,
-                    parameters=np.array([nodes[k].parameters for k in members]),
-                    cost_weight=np.zeros(len(members)),
+                    parameters=np.vstack([self._parameters(nodes[k], np.array([k])) for k in members]),
+                    cost_weight=np.ones(len(members)),
                 )
             )
 
