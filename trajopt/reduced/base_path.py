@@ -1,0 +1,218 @@
+"""The path of a base through given poses: smooth while feet stand, ballistic while none does."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.errors import InputError
+from trajopt.model_quantities import STANDARD_GRAVITY
+from trajopt.schedule import Schedule
+
+# Times of waypoints and of phases that differ by less than this part of the schedule are one.
+SAME_TIME = 1e-9
+# A turn between two waypoints of a supported stretch stays below this, rad: at a whole turn the rate of
+# its rotation vector has no limit.
+MOST_SUPPORTED_TURN = 2 * math.pi - 0.1
+
+
+def hermite(
+    s: float,
+    duration: float,
+    start: float | np.ndarray,
+    start_rate: float | np.ndarray,
+    end: float | np.ndarray,
+    end_rate: float | np.ndarray,
+) -> np.ndarray:
+    """Cubic through values and rates at both ends: a number or (n,), at the fraction ``s`` of the duration.
+
+    ``s`` is clipped to [0, 1]; rates are per unit of ``duration``'s time, s.
+    """
+    s = min(max(s, 0.0), 1.0)
+    return np.asarray(
+        (1 + 2 * s) * (1 - s) ** 2 * start
+        + s * (1 - s) ** 2 * duration * start_rate
+        + s * s * (3 - 2 * s) * end
+        + s * s * (s - 1) * duration * end_rate
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BaseWaypoint:
+    """A pose through which the base passes at ``time`` s: ``position`` (3,) m, world, and its orientation.
+
+    ``turn`` (3,) in rad is the rotation vector, world axes, by which it has turned since the waypoint
+    before (for the first: from the world's axes), R_i = exp(turn) R_(i-1): several turns are several times
+    2 pi. ``velocity`` (3,) m/s and ``rate`` (3,) rad/s, world, are those there; None derives them: from
+    the ballistics beside a flight, rest at both ends of the path, and in between slopes that do not
+    overshoot. Beside a flight the ballistics hold, whatever is given. Raises `InputError`.
+    """
+
+    time: float
+    position: np.ndarray
+    turn: np.ndarray | tuple[float, float, float] = (0.0, 0.0, 0.0)
+    velocity: np.ndarray | None = None
+    rate: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.time):
+            raise InputError(f"a waypoint of the base is at {self.time} s", "allowed: a finite time")
+        for name in ("position", "turn", "velocity", "rate"):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            array = np.array(value, dtype=float)
+            if array.shape != (3,) or not np.isfinite(array).all():
+                raise InputError(
+                    f"{name} of the base's waypoint at {self.time:g} s is {array}",
+                    "allowed: 3 finite numbers",
+                )
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+
+class WaypointPath:
+    """Placement of the base over time, C1: cubics where feet stand, parabolas at a constant rate in flight.
+
+    schedule: says which stretches are flights. waypoints: in time order, the first at 0, two at the ends
+    of every flight and none within it. gravity: m/s^2, along -z. Raises `InputError`.
+
+    Between two waypoints R(t) = exp(theta(t)) R_(i-1), theta along the turn at a constant rate in flight,
+    else the cubic whose ends have the angular velocities there: theta' = J_l(theta)^-1 omega.
+    """
+
+    def __init__(
+        self,
+        schedule: Schedule,
+        waypoints: Sequence[BaseWaypoint],
+        gravity: float = STANDARD_GRAVITY,
+    ) -> None:
+        self._points, self._gravity = tuple(waypoints), gravity
+        self._times = np.array([point.time for point in self._points])
+        tolerance = SAME_TIME * schedule.duration
+        if len(self._points) < 1 or abs(self._times[0]) > tolerance or (np.diff(self._times) <= 0).any():
+            raise InputError(
+                f"the base's waypoints are at {self._times} s",
+                "allowed: rising times that begin with 0",
+            )
+        self._flying = self._flights(schedule, tolerance)
+        self._require_turns()
+        self._rotations = [pin.exp3(self._points[0].turn)]
+        for point in self._points[1:]:
+            self._rotations.append(pin.exp3(point.turn) @ self._rotations[-1])
+        self._velocities = self._rates_of("position")
+        self._spins = self._rates_of("turn")
+
+    def _flights(self, schedule: Schedule, tolerance: float) -> list[bool]:
+        """Which stretches between waypoints are flights; all others touch none."""
+        flying = [False] * (len(self._points) - 1)
+        for begin, end in flights(schedule):
+            first, last = (int(np.argmin(np.abs(self._times - t))) for t in (begin, end))
+            missed = max(abs(self._times[first] - begin), abs(self._times[last] - end))
+            if missed > tolerance or last != first + 1:
+                raise InputError(
+                    f"the base flies from {begin:g} to {end:g} s, its waypoints are at {self._times} s",
+                    "allowed: a waypoint at each end of a flight and none within it",
+                )
+            flying[first] = True
+        return flying
+
+    def _require_turns(self) -> None:
+        for point, flying in zip(self._points[1:], self._flying, strict=True):
+            turned = float(np.linalg.norm(point.turn))
+            if not flying and turned > MOST_SUPPORTED_TURN:
+                raise InputError(
+                    f"the base turns by {turned:g} rad up to {point.time:g} s while feet stand",
+                    f"allowed: at most {MOST_SUPPORTED_TURN:.3g} rad from one waypoint to the next",
+                )
+
+    def _steps(self, what: str) -> np.ndarray:
+        """Mean rates (n - 1, 3) from each waypoint to the next."""
+        values = np.array([getattr(point, what) for point in self._points])
+        steps = values[1:] if what == "turn" else np.diff(values, axis=0)
+        return np.asarray(steps / np.diff(self._times)[:, None])
+
+    def _rates_of(self, what: str) -> list[np.ndarray]:
+        """Velocity or angular velocity (3,) at every waypoint; see `BaseWaypoint`."""
+        mean, given = self._steps(what), "rate" if what == "turn" else "velocity"
+        rates = []
+        for i, point in enumerate(self._points):
+            own = getattr(point, given)
+            if i > 0 and self._flying[i - 1]:
+                rates.append(mean[i - 1] - self._pull(what, i - 1))
+            elif i < len(mean) and self._flying[i]:
+                rates.append(mean[i] + self._pull(what, i))
+            elif own is not None:
+                rates.append(own)
+            elif i in (0, len(mean)):
+                rates.append(np.zeros(3))
+            else:
+                rates.append(_gentle_slope(mean[i - 1], mean[i]))
+        return rates
+
+    def _pull(self, what: str, stretch: int) -> np.ndarray:
+        """What gravity adds to the mean velocity of a flight at its beginning (3,)."""
+        if what == "turn":
+            return np.zeros(3)
+        return np.array([0.0, 0.0, self._gravity * float(np.diff(self._times)[stretch]) / 2])
+
+    @property
+    def end(self) -> pin.SE3:
+        """Placement at the last waypoint."""
+        return pin.SE3(self._rotations[-1], self._points[-1].position)
+
+    def velocity(self, index: int) -> tuple[np.ndarray, np.ndarray]:
+        """Velocity (3,) m/s and angular velocity (3,) rad/s, world, at waypoint ``index``."""
+        return self._velocities[index].copy(), self._spins[index].copy()
+
+    def __call__(self, t: float) -> pin.SE3:
+        """Placement at ``t`` in s; beyond the waypoints that of the nearest one."""
+        if not self._flying or t <= self._times[0]:
+            return pin.SE3(self._rotations[0], self._points[0].position)
+        i = int(np.clip(np.searchsorted(self._times, t, side="right") - 1, 0, len(self._flying) - 1))
+        duration = float(self._times[i + 1] - self._times[i])
+        s = min(max((t - self._times[i]) / duration, 0.0), 1.0)
+        first, last = self._points[i], self._points[i + 1]
+        if self._flying[i]:
+            lift = np.array([0.0, 0.0, self._gravity * duration**2 * s * (1 - s) / 2])
+            position = (1 - s) * first.position + s * last.position + lift
+            turned = s * np.asarray(last.turn)
+        else:
+            before, after = self._velocities[i : i + 2]
+            position = hermite(s, duration, first.position, before, last.position, after)
+            turned = hermite(
+                s, duration, np.zeros(3), self._spins[i], np.asarray(last.turn), self._end_rate(i)
+            )
+        return pin.SE3(pin.exp3(turned) @ self._rotations[i], position)
+
+    def _end_rate(self, stretch: int) -> np.ndarray:
+        """theta' (3,) at the end of a stretch: J_l(theta)^-1 omega, with J_l(theta) = J_r(theta)^T."""
+        turn = np.asarray(self._points[stretch + 1].turn)
+        turned: np.ndarray = np.linalg.solve(pin.Jexp3(turn).T, self._spins[stretch + 1])
+        return turned
+
+
+def _gentle_slope(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Slope (3,) between two mean slopes that makes no new extremum: their harmonic mean, or 0.
+
+    F. N. Fritsch, J. Butland, SIAM J. Sci. Stat. Comput. 5 (1984), for equal steps.
+    """
+    product = before * after
+    total = np.where(product > 0, before + after, 1.0)
+    return np.asarray(np.where(product > 0, 2 * product / total, 0.0))
+
+
+def flights(schedule: Schedule) -> list[tuple[float, float]]:
+    """Begin and end in s of every stretch without any contact; phases that follow each other are one."""
+    found: list[tuple[float, float]] = []
+    t, flew = 0.0, False
+    for phase in schedule.phases:
+        end = t + phase.duration
+        if not phase.contacts:
+            found = [*found[:-1], (found[-1][0], end)] if flew else [*found, (t, end)]
+        t, flew = end, not phase.contacts
+    return found

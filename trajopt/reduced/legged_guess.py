@@ -1,0 +1,233 @@
+"""One guess for all legged motions: the base on a path, feet on their places, legs by inverse kinematics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.errors import InputError
+from trajopt.kinematics import contact_poses, inverse_kinematics
+from trajopt.model_quantities import gravity_of
+from trajopt.problem import Motion
+from trajopt.reduced.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights
+from trajopt.reduced.foot_motion import CACHED_POSTURES, require_free_flyer, smooth_step
+from trajopt.robot import Robot
+from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.surface import Surface, frame_of_normal
+
+# Height of a swing over the straight line between its footholds, as a part of the robot's length.
+CLEARANCE_PART = 0.1
+
+# Place (3,) in m, world, of a swinging contact: its name, where it left, where it lands, the part done.
+SwingPath = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stance:
+    """A contact holds ``place`` (world, m) from ``begin`` to ``end``, s."""
+
+    begin: float
+    end: float
+    place: pin.SE3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LeggedPosture:
+    """Postures of a legged motion over time; see `legged_guess`."""
+
+    robot: Robot
+    schedule: Schedule
+    base: WaypointPath
+    start: np.ndarray
+    terrain: FlatGround
+    clearance: float
+    tuck: float
+    swing: SwingPath | None
+
+    def __call__(self, t: float) -> np.ndarray:
+        """Configuration (nq,) at time ``t`` in s."""
+        placement = self.base(t)
+        q = self.robot.reference.copy()
+        q[:7] = pin.SE3ToXYZQUAT(placement)
+        targets: dict[str, pin.SE3 | np.ndarray] = {}
+        for contact in self.robot.contacts:
+            foot = self.foot(contact.name, t, placement)
+            targets[contact.frame] = foot if contact.kind == "surface" else foot.translation
+        return inverse_kinematics(self.robot, q, targets).q if targets else q
+
+    def foot(self, name: str, t: float, placement: pin.SE3) -> pin.SE3:
+        """Pose in the world of a contact at ``t`` with the base at ``placement``."""
+        stances, t = self.stances[name], min(max(t, 0.0), self.schedule.duration)
+        for stance in stances:
+            if stance.begin - self._rounding <= t <= stance.end + self._rounding:
+                return stance.place
+        before = next((stance for stance in reversed(stances) if stance.end < t), None)
+        after = next((stance for stance in stances if stance.begin > t), None)
+        lifted = self._in_the_air_at_first[name] if before is None else before.place
+        begin = 0.0 if before is None else before.end
+        if after is None:  # it does not land: carried as it left
+            return placement * self.base(begin).inverse() * lifted
+        s = min(max((t - begin) / (after.begin - begin), 0.0), 1.0)
+        if self._flies(begin, after.begin):
+            return self._carried(placement, (begin, after.begin), (lifted, after.place), s)
+        return self._swung(name, lifted, after.place, s)
+
+    def _flies(self, begin: float, end: float) -> bool:
+        """Whether the robot flies for some of the time from ``begin`` to ``end``."""
+        shared = (min(end, last) - max(begin, first) for first, last in self._flights)
+        return any(overlap > self._rounding for overlap in shared)
+
+    def _swung(self, name: str, start: pin.SE3, end: pin.SE3, s: float) -> pin.SE3:
+        if self.swing is not None:
+            position = np.asarray(self.swing(name, start.translation, end.translation, s), dtype=float)
+        else:
+            position = start.translation + smooth_step(s) * (end.translation - start.translation)
+            position = position + np.array([0.0, 0.0, self.clearance * _bump(s)])
+        return pin.SE3(_between(start.rotation, end.rotation, smooth_step(s)), position)
+
+    def _carried(
+        self, placement: pin.SE3, times: tuple[float, float], places: tuple[pin.SE3, pin.SE3], s: float
+    ) -> pin.SE3:
+        """In the base's axes from one stance to the next, drawn up, and over the line between the two.
+
+        The height over that line is the root of the squares of the carried one and of a swing's.
+        """
+        before, after = (self.base(t).actInv(place) for t, place in zip(times, places, strict=True))
+        part = smooth_step(s)
+        local = (1 - part) * before.translation + part * after.translation
+        local = local + np.array([0.0, 0.0, self.tuck * _bump(s)])
+        position = placement.act(local)
+        line = (1 - part) * places[0].translation[2] + part * places[1].translation[2]
+        position[2] = line + math.hypot(position[2] - line, self.clearance * _bump(s))
+        turn = placement.rotation @ _between(before.rotation, after.rotation, part)
+        return pin.SE3(turn, position)
+
+    @cached_property
+    def _rounding(self) -> float:
+        """Times closer than this are one, s."""
+        return SAME_TIME * self.schedule.duration
+
+    @cached_property
+    def _flights(self) -> list[tuple[float, float]]:
+        return flights(self.schedule)
+
+    @cached_property
+    def _in_the_air_at_first(self) -> dict[str, pin.SE3]:
+        return contact_poses(self.robot, self.start)
+
+    @cached_property
+    def stances(self) -> dict[str, list[Stance]]:
+        """Stances of every contact in time order: at the start's places, then where they land."""
+        ends = np.cumsum([phase.duration for phase in self.schedule.phases])
+        found: dict[str, list[Stance]] = {contact.name: [] for contact in self.robot.contacts}
+        for name, stances in found.items():
+            for i, phase in enumerate(self.schedule.phases):
+                if name not in phase.contacts or (i and self.schedule.beginning(name, i) != i):
+                    continue
+                last = i
+                while last + 1 < len(ends) and name in self.schedule.phases[last + 1].contacts:
+                    last += 1
+                begin, end = float(ends[i] - phase.duration), float(ends[last])
+                place = self._in_the_air_at_first[name]
+                if i:
+                    place = self._landing(name, phase, (begin + end) / 2)
+                stances.append(Stance(begin=begin, end=end, place=place))
+        return found
+
+    def _landing(self, name: str, phase: Phase, middle: float) -> pin.SE3:
+        """Where a contact lands: its foothold, or its nominal place at the base's pose in mid stance."""
+        surface = phase.surface(name, self.terrain)
+        nominal = self._nominal(name, self.base(middle))
+        foothold = phase.footholds.get(name)
+        position = _dropped(nominal.translation, surface) if foothold is None else foothold
+        return pin.SE3(_leaning(surface) @ nominal.rotation, np.array(position))
+
+    def _nominal(self, name: str, placement: pin.SE3) -> pin.SE3:
+        """Pose of the contact under an upright base at ``placement``, as in the reference posture."""
+        reference = pin.XYZQUATToSE3(self.robot.reference[:7])
+        turn = _heading(placement.rotation) @ _heading(reference.rotation).T
+        foot = self._reference_feet[name]
+        position = placement.translation + turn @ (foot.translation - reference.translation)
+        return pin.SE3(turn @ foot.rotation, position)
+
+    @cached_property
+    def _reference_feet(self) -> dict[str, pin.SE3]:
+        return contact_poses(self.robot, self.robot.reference)
+
+
+def legged_guess(
+    robot: Robot,
+    schedule: Schedule,
+    path: Sequence[BaseWaypoint] | WaypointPath,
+    *,
+    start: np.ndarray | None = None,
+    terrain: FlatGround | None = None,
+    clearance: float | None = None,
+    tuck: float = 0.0,
+    swing: SwingPath | None = None,
+) -> Motion:
+    """A guess ``t -> q`` (nq,) of a legged motion: base on ``path``, feet where the schedule has them.
+
+    path: waypoints of the base (see `WaypointPath`). start: configuration (nq,) whose contacts are where
+    the first stances are, default the reference. A contact that lands stands on its foothold, or where
+    none is given on its surface (default the ``terrain``'s) at its nominal place under the base in the
+    middle of its stance. While other contacts stand it swings in a smooth arc ``clearance`` m high
+    (default: a tenth of the robot's length), or along ``swing``; where the robot flies the base carries
+    it, drawn up by ``tuck`` m along the base's z axis in the middle, and at least as high as that arc.
+    Legs start from the reference posture at every time: the guess is a function of time alone.
+
+    Raises `InputError` for a robot without a free-flyer in world axes, and for lengths that are none.
+    """
+    require_free_flyer(robot)
+    lift = CLEARANCE_PART * robot.length if clearance is None else clearance
+    if not (math.isfinite(lift) and lift >= 0):
+        raise InputError(f"clearance is {lift:g} m", "allowed: finite and >= 0")
+    if not math.isfinite(tuck):
+        raise InputError(f"tuck is {tuck:g} m", "allowed: finite")
+    if not isinstance(path, WaypointPath):
+        path = WaypointPath(schedule, path, gravity_of(robot.model))
+    posture = LeggedPosture(
+        robot=robot,
+        schedule=schedule,
+        base=path,
+        start=np.array(robot.reference if start is None else start, dtype=float),
+        terrain=terrain or FlatGround(),
+        clearance=lift,
+        tuck=tuck,
+        swing=swing,
+    )
+    return lru_cache(maxsize=CACHED_POSTURES)(posture.__call__)
+
+
+def _bump(s: float) -> float:
+    """From 0 over 1 in the middle to 0, without slope at the ends."""
+    return 16 * s * s * (1 - s) ** 2
+
+
+def _between(start: np.ndarray, end: np.ndarray, part: float) -> np.ndarray:
+    """Rotation (3, 3) on the shortest way from one to another."""
+    between: np.ndarray = start @ pin.exp3(part * pin.log3(start.T @ end))
+    return between
+
+
+def _heading(rotation: np.ndarray) -> np.ndarray:
+    """Rotation (3, 3) about the vertical that turns x to where a rotation's x axis points from above."""
+    return np.array(pin.utils.rotate("z", math.atan2(rotation[1, 0], rotation[0, 0])))
+
+
+def _dropped(position: np.ndarray, surface: Surface) -> np.ndarray:
+    """The point (3,) of a surface right below or above a position; the nearest one of a vertical surface."""
+    distance, upward = float(surface.distance(position)), float(surface.normal[2])
+    if abs(upward) < 1e-6:
+        return np.asarray(position - distance * surface.normal)
+    return np.asarray(position - np.array([0.0, 0.0, distance / upward]))
+
+
+def _leaning(surface: Surface) -> np.ndarray:
+    """Rotation (3, 3) that lays a level sole onto a surface."""
+    return np.eye(3) if surface.is_level else frame_of_normal(surface.normal)
