@@ -13,7 +13,7 @@ from trajopt.actuators.drive import Drive
 from trajopt.bases.rerooting import joint_slices
 from trajopt.kinematics import inverse_kinematics
 from trajopt.node_terms import SwingClearance, TerminalRest, TerminalState
-from trajopt.scenes.mirror import find_mirror, pairs, reflected, reflected_inertia
+from trajopt.mirror import find_mirror, pairs, reflected, reflected_inertia
 from trajopt.terms import (
     AccelerationCost,
     EffortLimits,

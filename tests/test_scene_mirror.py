@@ -16,7 +16,7 @@ from trajopt.robot_data import robot_file
 from trajopt.scenes import smallest
 from trajopt.scenes.half import half_robot, turned_by_mirror
 from trajopt.scenes.lock import locked
-from trajopt.scenes.mirror import (
+from trajopt.mirror import (
     find_mirror,
     limit_differences,
     mirrored_configuration,

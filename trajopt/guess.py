@@ -23,7 +23,7 @@ def initial_guess(transcription: Transcription) -> np.ndarray:
     x = np.zeros(layout.n_unknowns)
     previous: dict[int, np.ndarray] = {}
     for k, form in enumerate(layout.forms):
-        if k == 0:
+        if k == 0 and problem.periodicity is None:
             q, v = start_of(problem, layout)
         else:
             q, v, _ = _in_form(

@@ -38,6 +38,7 @@ class Layout:
     """Index ranges of one transcription; ``intervals`` is the number of intervals of each phase.
 
     ``order`` of the equations of motion: 2, or 1 for a velocity source, whose nodes have no rates.
+    ``closed``: the ends are compared, so their rates are in true time.
     """
 
     robot: Robot
@@ -46,11 +47,12 @@ class Layout:
     scheme: Scheme
     order: int = 2
     modes: Mapping[str, Mode] = field(default_factory=dict)
+    closed: bool = False
 
     @cached_property
     def timeline(self) -> Timeline:
         """Stages, forms of nodes, places of nodes."""
-        return timeline(self.robot, self.schedule, self.modes, self.intervals, self.order)
+        return timeline(self.robot, self.schedule, self.modes, self.intervals, self.order, self.closed)
 
     @property
     def stages(self) -> tuple[Stage, ...]:

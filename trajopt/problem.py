@@ -15,6 +15,7 @@ from trajopt.mode import Mode
 from trajopt.motion_terms import ContactVelocity
 from trajopt.node_costs import NodeCost
 from trajopt.node_terms import ContactLanding, NodeConstraint
+from trajopt.periodicity import Periodicity, UnitRotation, closing_map, landing_at_start
 from trajopt.point_terms import BaseDynamics, ContactAcceleration
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround, Schedule
@@ -40,7 +41,11 @@ class Problem:
     for torques; or "velocity", where configurations are the state, rates the input, contacts do not slide
     and a free base is in static balance. ``dynamics`` are the rows that make it a motion of this robot, by
     default those of the actuation; a reduced model brings its own. ``modes`` are phases, by name, in
-    minimal coordinates. Raises InputError where parts do not fit each other.
+    minimal coordinates.
+
+    ``periodicity`` frees the start and asks the final state to be its image: ``initial_q`` is then only the
+    reference of rotations, and says where the motion is in the world. ``duration_bounds`` (lower, upper) in s
+    are of the sum of all phases, some of which are free. Raises InputError where parts do not fit each other.
     """
 
     name: str
@@ -57,6 +62,8 @@ class Problem:
     actuation: Actuation = "torque"
     dynamics: tuple[PointConstraint, ...] | None = None
     modes: Mapping[str, Mode] = field(default_factory=dict)
+    periodicity: Periodicity | None = None
+    duration_bounds: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         for label, size in (("initial_q", self.robot.nq), ("initial_v", self.robot.nv)):
@@ -85,6 +92,8 @@ class Problem:
         self._require_modes(names)
         self._require_impacts()
         self.schedule.require_steady_surfaces(self.terrain)
+        self._require_periodicity()
+        self._require_duration()
         for term in self.terms:
             for name in term.phases or ():
                 if name not in names:
@@ -140,6 +149,27 @@ class Problem:
                     f"phase '{phase.name}' begins with an impact, but the dynamics hold no contacts",
                     "allowed: impact=False for a reduced model",
                 )
+
+    def _require_periodicity(self) -> None:
+        if self.periodicity is None:
+            return
+        if self.modes or self.actuation == "velocity":
+            what = "modes" if self.modes else "a velocity source"
+            raise InputError(f"the periodic problem '{self.name}' has {what}", "allowed: neither")
+        closing_map(self.robot, self.periodicity, self.initial_q)
+        landing_at_start(self.robot, self.schedule, self.periodicity)
+
+    def _require_duration(self) -> None:
+        if self.duration_bounds is None:
+            return
+        lower, upper = self.schedule.duration_range
+        low, high = (float(bound) for bound in self.duration_bounds)
+        if not (0 < low <= high and high >= lower and low <= upper):
+            raise InputError(
+                f"duration_bounds of problem '{self.name}' are {self.duration_bounds} s",
+                f"allowed: (lower, upper), meeting what the phases allow, {lower:g} to {upper:g} s",
+            )
+        object.__setattr__(self, "duration_bounds", (low, high))
 
     @property
     def _holds_contacts(self) -> bool:
@@ -202,7 +232,7 @@ class Problem:
 
         Where the dynamics hold no contact (a reduced model without legs), nothing lands.
         """
-        landings = tuple(
+        landings = self._start_rows() + tuple(
             ContactLanding(
                 phase=phase.name,
                 contacts=self.schedule.new_contacts(i),
@@ -213,3 +243,29 @@ class Problem:
             if self._holds_contacts and self.schedule.new_contacts(i)
         )
         return landings + tuple(term for term in self.terms if isinstance(term, NodeConstraint))
+
+    @property
+    def free_directions(self) -> tuple[int, ...]:
+        """Horizontal coordinates of the base along which a periodic motion may be shifted: 0 is x, 1 is y.
+
+        None where something says where in the world the motion is: footholds, or a terrain that is no plane.
+        """
+        placed = any(phase.footholds for phase in self.schedule.phases)
+        if self.periodicity is None or placed or not isinstance(self.terrain, FlatGround):
+            return ()
+        if self.robot.base == "fixed":
+            return ()
+        return (0,) if self.robot.base == "planar" or self.periodicity.mirror else (0, 1)
+
+    def _start_rows(self) -> tuple[NodeConstraint, ...]:
+        """A free start has unit rotations, and contacts that land with it."""
+        if self.periodicity is None:
+            return ()
+        first = self.schedule.phases[0].name
+        landing = landing_at_start(self.robot, self.schedule, self.periodicity)
+        rows: tuple[NodeConstraint, ...] = ()
+        if self.robot.base == "freeflyer":
+            rows = (UnitRotation(phase=first),)
+        if landing and self._holds_contacts:
+            rows += (ContactLanding(phase=first, contacts=landing, terrain=self.terrain),)
+        return rows

@@ -126,6 +126,12 @@ class Schedule:
         return sum(phase.duration for phase in self.phases)
 
     @property
+    def duration_range(self) -> tuple[float, float]:
+        """Shortest and longest total duration in s that the phases allow."""
+        bounds = [phase.duration_bounds or (phase.duration, phase.duration) for phase in self.phases]
+        return sum(low for low, _ in bounds), sum(high for _, high in bounds)
+
+    @property
     def clocks(self) -> tuple[int | None, ...]:
         """Number of the clock of every phase: free durations are counted, the others have None."""
         free = [phase.duration_bounds is not None for phase in self.phases]

@@ -113,8 +113,10 @@ class Timeline:
 
 
 class _Builder:
-    def __init__(self, robot: Robot, schedule: Schedule, modes: Mapping[str, Mode], order: int) -> None:
-        self.schedule, self.order = schedule, order
+    def __init__(
+        self, robot: Robot, schedule: Schedule, modes: Mapping[str, Mode], order: int, closed: bool
+    ) -> None:
+        self.schedule, self.order, self.closed = schedule, order, closed
         self.whole = (robot, Coordinates(robot.model))
         self.modes = [modes.get(phase.name) for phase in schedule.phases]
         made = {id(mode): (mode.robot, Coordinates(mode.robot.model)) for mode in self.modes if mode}
@@ -137,7 +139,7 @@ class _Builder:
         for phase, count in enumerate(intervals):
             own = self.form(self.of_phase[phase], self.clocks[phase])
             if phase == 0:
-                self.node(own, (0, 0))
+                self.begin(own)
             step = self.schedule.phases[phase].duration / count
             for index in range(1, count + 1):
                 self.stages.append(Stage(StageKind.INTERVAL, phase, step))
@@ -149,16 +151,25 @@ class _Builder:
         self.forms.append(form)
         self.places.append(place)
 
+    def begin(self, own: NodeForm) -> None:
+        """The first node; of a closed motion in true time, in which both ends can be compared."""
+        if self.closed and own.clock is not None:
+            self.node(self.form(self.of_phase[0], None), (0, 0))
+            self.change(0, own)
+        else:
+            self.node(own, (0, 0))
+
     def transitions(self, before: int, after: int | None) -> None:
         """Into the whole robot's coordinates, impact, into the next phase's; only what is needed."""
         impact = after is not None and self.schedule.phases[after].impact
         same = after is not None and self.modes[after] is self.modes[before] and not impact
         lift = self.modes[before] is not None and not same
         here = before if after is None else after
-        if lift:
-            self.change(here, self.form(self.whole, self.clocks[before]))
+        end = None if after is None and self.closed else self.clocks[before]
+        if lift or end is not self.clocks[before]:
+            self.change(here, self.form(self.whole, end))
         if after is None:
-            if lift:
+            if self.places[-1] is None:
                 self.places[-2:] = [None, self.places[-2]]
             return
         if impact:
@@ -175,7 +186,15 @@ class _Builder:
 
 
 def timeline(
-    robot: Robot, schedule: Schedule, modes: Mapping[str, Mode], intervals: Sequence[int], order: int
+    robot: Robot,
+    schedule: Schedule,
+    modes: Mapping[str, Mode],
+    intervals: Sequence[int],
+    order: int,
+    closed: bool = False,
 ) -> Timeline:
-    """Stages and nodes of a schedule with that number of intervals in each phase."""
-    return _Builder(robot, schedule, modes, order).build(intervals)
+    """Stages and nodes of a schedule with that number of intervals in each phase.
+
+    closed: rates at the first and the last node are in true time, whatever clocks the phases have.
+    """
+    return _Builder(robot, schedule, modes, order, closed).build(intervals)

@@ -18,6 +18,7 @@ from trajopt.errors import InputError
 from trajopt.layout import Layout
 from trajopt.problem import Problem
 from trajopt.row_collection import RowCollection, RowInfo
+from trajopt.schedule_rows import schedule_rows
 from trajopt.schemes import Scheme, scheme
 from trajopt.stage_functions import PointFunction
 from trajopt.term_functions import Kind, TermFunctions
@@ -94,7 +95,13 @@ class Transcriber:
         order = 1 if problem.actuation == "velocity" else 2
         self.problem, self.method = problem, method
         self.layout = Layout(
-            problem.robot, problem.schedule, tuple(intervals), method, order, dict(problem.modes)
+            problem.robot,
+            problem.schedule,
+            tuple(intervals),
+            method,
+            order,
+            dict(problem.modes),
+            closed=problem.periodicity is not None,
         )
         robots = {id(form.robot): form.robot for form in self.layout.forms}
         units = {key: Units(robot, problem.robot) for key, robot in robots.items()}
@@ -102,7 +109,7 @@ class Transcriber:
         self.functions = TermFunctions(problem, self.layout, units)
         self.time = units[id(self.layout.forms[0].robot)].time
         self.clocked = clocked_limits(problem, self.layout, self.collocation)
-        self.clocked_rows: list[tuple[np.ndarray, sparse.coo_matrix]] = []
+        self.linear_rows: list[tuple[np.ndarray, sparse.coo_matrix]] = []
         self.rows = RowCollection()
         self.groups: list[Group] = []
 
@@ -127,7 +134,7 @@ class Transcriber:
             groups=tuple(self.groups),
             rows=self.rows.info(),
             n_rows=self.rows.count,
-            linear=self.collocation.linear_part(numbers.gap, self.clocked_rows, self.rows.count),
+            linear=self.collocation.linear_part(numbers.gap, self.linear_rows, self.rows.count),
             lower_g=np.concatenate(self.rows.lower),
             upper_g=np.concatenate(self.rows.upper),
             lower_x=lower_x,
@@ -144,6 +151,7 @@ class Transcriber:
     ) -> _Numbers:
         found = _Numbers([], {}, {}, {})
         layout = self.layout
+        whole = tuple(schedule_rows(self.problem, layout, self.collocation))
         for k in range(layout.n_stages + 1):
             if k < layout.n_stages:
                 zero = np.zeros(layout.forms[k + 1].size)
@@ -157,7 +165,11 @@ class Transcriber:
                 found.node[k] = self.rows.add_blocks(nodes[k].blocks, k, -1)
             for limit in self.clocked.get(k, ()):
                 rows = self.rows.add(limit.name, k, -1, limit.lower, limit.upper)
-                self.clocked_rows.append((rows, limit.map(int(layout.node_offset[k]))))
+                self.linear_rows.append((rows, limit.map(int(layout.node_offset[k]))))
+            for joined in whole:
+                if joined.node == k:
+                    rows = self.rows.add(joined.name, k, -1, joined.lower, joined.upper)
+                    self.linear_rows.append((rows, joined.coefficients))
         return found
 
     # Groups

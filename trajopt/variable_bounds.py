@@ -71,18 +71,32 @@ def _fix_start(
 ) -> None:
     """The start is fixed, but for moving rates in a free clock; clocks are within their bounds."""
     form = layout.forms[0]
-    q, v = start_of(problem, layout)
-    start = form.node(form.coordinates.node_from_pinocchio(q, v), np.ones(form.n_clocks))
-    start = start / collocation.node_scale(form)
     own_lower, own_upper = lower[layout.node(0)], upper[layout.node(0)]
-    own_lower[:], own_upper[:] = start, start
-    if form.clock is not None and form.order == 2:
-        moving = form.rates[start[form.rates] != 0.0]
-        own_lower[moving], own_upper[moving] = -np.inf, np.inf
     for phase, clock in zip(layout.schedule.phases, layout.schedule.clocks, strict=True):
         if clock is not None and phase.duration_bounds is not None:
             own_lower[form.clocks[clock]] = phase.duration_bounds[0] / phase.duration
             own_upper[form.clocks[clock]] = phase.duration_bounds[1] / phase.duration
+    if problem.periodicity is not None:
+        _fix_place(problem, form, collocation.node_scale(form), own_lower, own_upper)
+        return
+    q, v = start_of(problem, layout)
+    start = form.node(form.coordinates.node_from_pinocchio(q, v), np.ones(form.n_clocks))
+    start = start / collocation.node_scale(form)
+    fixed = np.setdiff1d(np.arange(form.size), form.clocks)
+    own_lower[fixed], own_upper[fixed] = start[fixed], start[fixed]
+    if form.clock is not None and form.order == 2:
+        moving = form.rates[start[form.rates] != 0.0]
+        own_lower[moving], own_upper[moving] = -np.inf, np.inf
+
+
+def _fix_place(
+    problem: Problem, form: NodeForm, scale: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> None:
+    """A periodic motion may be anywhere unless something says where: its base starts over its place."""
+    place = form.coordinates.node_from_pinocchio(problem.initial_q, problem.initial_v)
+    for row in problem.free_directions:
+        entry = form.additive[row]
+        lower[entry] = upper[entry] = place[len(form.rotations) + row] / scale[entry]
 
 
 def start_of(problem: Problem, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
@@ -161,6 +175,8 @@ def _bounded_nodes(term: PointConstraint, layout: Layout) -> list[_Bounded]:
     found = []
     for k in range(1, layout.n_stages + 1):
         meeting = layout.meeting(k)
+        if meeting.before is None:  # the free start of a closed motion: its image at the end has the limits
+            continue
         before, after = (_acts(term, layout, stage) for stage in (meeting.before, meeting.after))
         stated_before, stated_after = before and 1.0 in layout.scheme.c, after and 0.0 in layout.scheme.c
         if meeting.impact_ahead:

@@ -17,9 +17,9 @@ import pinocchio as pin
 from trajopt.actuators.drive import Drive
 from trajopt.bases.rerooting import JOINT_ROWS, joint_slices
 from trajopt.contact import Contact
+from trajopt.mirror import Mirror, keepers, mirrored_range, reflected, reflected_inertia
 from trajopt.robot import Robot
 from trajopt.robot_building import position_limits, sagittal
-from trajopt.scenes.mirror import Mirror, keepers, mirrored_range, reflected, reflected_inertia
 from trajopt.scenes.reduction import Follower, Reduction
 
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from trajopt.errors import InputError
+from trajopt.mirror import Mirror, find_mirror, limit_differences, paired_contacts, pairs
 from trajopt.problem import Problem
 from trajopt.scenes.half import half_robot, turned_by_mirror
 from trajopt.scenes.lock import chained, locked
-from trajopt.scenes.mirror import Mirror, find_mirror, limit_differences, paired_contacts, pairs
 from trajopt.scenes.reduction import Reduction
 from trajopt.scenes.report import CHOICE, EXACT
 from trajopt.scenes.task import TASK, Found, require_symmetric

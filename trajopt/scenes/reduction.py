@@ -20,10 +20,10 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.bases.rerooting import joint_slices
+from trajopt.mirror import REFLECTION, TWIST, signed
 from trajopt.node_terms import NodePlace
 from trajopt.robot import Robot
 from trajopt.robot_building import BASE_COORDINATES, BASE_ROWS
-from trajopt.scenes.mirror import REFLECTION, TWIST, signed
 from trajopt.schedule import Phase
 from trajopt.surface import Surface
 

@@ -10,10 +10,10 @@ import pinocchio as pin
 
 from trajopt.context_symbols import Place
 from trajopt.errors import InputError
+from trajopt.mirror import REFLECTION, TWIST, Mirror, mirrored_configuration, mirrored_rows
 from trajopt.problem import Problem
 from trajopt.robot import Contact
 from trajopt.scenes.asked import Asked, Reader
-from trajopt.scenes.mirror import REFLECTION, TWIST, Mirror, mirrored_configuration, mirrored_rows
 from trajopt.schedule import Phase
 
 # Start, goals and terms may differ from their mirror images by this, in natural units (rad, lengths of the

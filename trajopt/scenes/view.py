@@ -18,10 +18,10 @@ from trajopt.bases.rerooting import joint_slices
 from trajopt.context import Context
 from trajopt.context_symbols import FrameSymbols, Place
 from trajopt.manifold import Coordinates
+from trajopt.mirror import REFLECTION, TWIST
 from trajopt.node_terms import NodeConstraint, NodePlace
 from trajopt.robot_building import BASE_ROWS
 from trajopt.robot_layers import robot_layers
-from trajopt.scenes.mirror import REFLECTION, TWIST
 from trajopt.scenes.reduction import Reduction, whole_place
 from trajopt.term_interfaces import Cost, PointConstraint, Rows
 from trajopt.units import Units

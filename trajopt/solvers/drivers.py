@@ -127,7 +127,7 @@ def _fatrop(
     nlp: Nlp, x0: np.ndarray, stop: Stop, options: Mapping[str, Option], callback: Callback
 ) -> Result:
     t = nlp.transcription
-    if t.problem.periodicity is not None or t.problem.duration_bounds is not None:
+    if t.problem.periodicity is not None:
         raise ValueError("rows that join the first and the last stage have no place in it; allowed: ipopt")
     chosen = {
         **FATROP_OPTIONS,
