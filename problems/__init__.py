@@ -1,4 +1,4 @@
-"""Problems by name: one file a family, each with a ``FAMILY``."""
+"""Problems by name: files of families, each with a ``FAMILY`` or several ``FAMILIES``."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ def families() -> dict[str, Family]:
     """All families by name."""
     modules = [importlib.import_module(f"{__name__}.{info.name}") for info in pkgutil.iter_modules(__path__)]
     found = [module.FAMILY for module in modules if hasattr(module, "FAMILY")]
+    found += [family for module in modules for family in getattr(module, "FAMILIES", ())]
     return {family.name: family for family in sorted(found, key=lambda family: family.name)}
 
 
