@@ -136,11 +136,11 @@ class Context:
         return rows if self._mode is None else rows[self._mode.torque_rows]
 
     def posture(self, q: np.ndarray) -> np.ndarray:
-        """A configuration of the whole robot in the coordinates of this context (nq,)."""
-        if self._mode is None:
-            return np.asarray(q, dtype=float)
-        still = np.zeros(self._mode.whole.nv)
-        return self._mode.dropped(np.asarray(q, dtype=float), still, still)[0]
+        """A configuration of the whole robot in the coordinates of this context (nq,). Raises InputError."""
+        given, whole = np.array(q, dtype=float), self.robot if self._mode is None else self._mode.whole
+        if given.shape != (whole.nq,):
+            raise InputError(f"a term's posture has shape {given.shape}", f"allowed: ({whole.nq},)")
+        return given if self._mode is None else self._mode.dropped(given, *np.zeros((2, whole.nv)))[0]
 
     @cached_property
     def wrenches(self) -> dict[str, ca.SX]:
@@ -265,14 +265,11 @@ class Context:
         return self.parameter_values_at(0.0)
 
     def parameter_values_at(self, t: float) -> np.ndarray:
-        """Their numeric values at nominal time ``t`` s. Raises InputError for a reference that is not finite."""
+        """Their numeric values at nominal time ``t`` s. Raises InputError for values that are not finite."""
         parts = [value(t) if callable(value) else value for value in self._values]
         values = np.concatenate([np.zeros(0), *parts])
-        if len(values) != self.parameters.numel() or not np.all(np.isfinite(values)):
-            raise InputError(
-                f"a reference gives {len(values)} numbers at t = {t:g} s, or some that are not finite",
-                f"allowed: {self.parameters.numel()} finite numbers",
-            )
+        if not np.all(np.isfinite(values)):
+            raise InputError(f"a term's reference is not finite at t = {t:g} s", "allowed: finite numbers")
         return values
 
     def contact_acceleration(self, contact: Contact) -> ca.SX:

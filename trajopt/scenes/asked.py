@@ -83,18 +83,29 @@ class Asked:
         for layer in layers:
             value = layer(value)
         found = value if layers else ca.SX(0, 1)
-        return ca.Function("asked", [z], [terms(z, found, ca.DM(self.context.parameter_values))])
+        values = [self.context.parameter_values_at(t) for t in self._moments]
+        return ca.Function("asked", [z], [ca.vertcat(*[terms(z, found, ca.DM(own)) for own in values])])
+
+    @property
+    def _moments(self) -> tuple[float, ...]:
+        """Times at which the parameters are read, s: rows have none that vary."""
+        return (0.0,)
 
 
 @dataclass(frozen=True, eq=False)
 class AskedCost(Asked):
-    """A cost at one place."""
+    """A cost at one place, read at some ``times``, s: what it follows may vary."""
 
     value: ca.SX
+    times: tuple[float, ...]
 
     @property
     def expression(self) -> ca.SX:
         return self.value
+
+    @property
+    def _moments(self) -> tuple[float, ...]:
+        return self.times
 
 
 class Reader:
@@ -139,18 +150,29 @@ class Reader:
         context = self.context(phase, place)
         units = self.units.impulsive() if place is Place.IMPACT else self.units
         if isinstance(term, Cost):
-            return AskedCost(term, phase, context, None, None, term.value(context, units))
+            return AskedCost(term, phase, context, None, None, term.value(context, units), self.times(phase))
         return Asked(term, phase, context, None, term.rows(context, units))
 
     def nodes(self, phase: int) -> Iterator[Asked]:
-        """Node constraints in a phase, at the first node where they act and at one more inside."""
+        """Node constraints and costs in a phase, at the first node where they act and at one more inside."""
         phases = self.problem.schedule.phases
         for index in range(NODE_INTERVALS + (phase == len(phases) - 1)):
             last = index == NODE_INTERVALS
-            place = NodePlace(phases[phase], index, NODE_INTERVALS, last)
+            place = NodePlace(phases[phase], index, NODE_INTERVALS, last, phase == len(phases) - 1)
             for term in self.problem.node_constraints:
                 if term.acts_at(place):
                     yield self.node(term, phase, place)
+            for cost in self.problem.node_costs:
+                if cost.acts_at(place):
+                    context = self.context(phase, Place.NODE)
+                    value = cost.value(context, self.units, place)
+                    yield AskedCost(cost, phase, context, place, None, value, self.times(phase))
+
+    def times(self, phase: int) -> tuple[float, ...]:
+        """Nominal times in a phase at which costs are read, s: its ends, and some between."""
+        durations = [where.duration for where in self.problem.schedule.phases]
+        start = sum(durations[:phase])
+        return tuple(start + i / NODE_INTERVALS * durations[phase] for i in range(NODE_INTERVALS + 1))
 
     def node(self, term: NodeConstraint, phase: int, place: NodePlace) -> Asked:
         """A node constraint at one node."""

@@ -18,6 +18,7 @@ import numpy as np
 from trajopt.actuators.terms import DriveLimits
 from trajopt.contact_terms import ContactConstraint, NormalForce
 from trajopt.motion_terms import ContactVelocity, ImpactDynamics
+from trajopt.node_costs import NodeCost
 from trajopt.node_terms import (
     FrameHeight,
     FramePose,
@@ -37,7 +38,7 @@ from trajopt.point_terms import (
 from trajopt.problem import Motion, Problem
 from trajopt.scenes.reduction import Reduction
 from trajopt.scenes.terminal import HalfEnd
-from trajopt.scenes.view import WholeNodeRows, WholePointRows, whole_cost
+from trajopt.scenes.view import WholeNodeCost, WholeNodeRows, WholePointRows, whole_cost
 from trajopt.schedule import Phase, Schedule
 from trajopt.term_interfaces import Cost, PointConstraint, Term
 
@@ -98,6 +99,8 @@ def _reduced(term: Term, reduction: Reduction) -> Term | None:
         return term
     if isinstance(term, Cost):
         return whole_cost(term, reduction)
+    if isinstance(term, NodeCost):
+        return WholeNodeCost(weight=term.weight, phases=term.phases, term=term, reduction=reduction)
     if isinstance(term, NodeConstraint):
         return WholeNodeRows(phases=term.phases, term=term, reduction=reduction)
     if isinstance(term, PointConstraint):

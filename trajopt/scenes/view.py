@@ -7,6 +7,7 @@ out.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -19,6 +20,7 @@ from trajopt.context import Context
 from trajopt.context_symbols import FrameSymbols, Place
 from trajopt.manifold import Coordinates
 from trajopt.mirror import REFLECTION, TWIST
+from trajopt.node_costs import NodeCost
 from trajopt.node_terms import NodeConstraint, NodePlace
 from trajopt.robot_building import BASE_ROWS
 from trajopt.robot_layers import robot_layers
@@ -126,6 +128,10 @@ class WholeView(Context):
         """A parameter of the small robot's context."""
         return self.small.parameter(value)
 
+    def varying(self, value: Callable[[float], np.ndarray], size: int) -> ca.SX:
+        """A parameter of the small robot's context that varies in time."""
+        return self.small.varying(value, size)
+
 
 @dataclass(frozen=True, kw_only=True)
 class WholeCost(Cost):
@@ -161,6 +167,25 @@ def whole_cost(term: Cost, reduction: Reduction) -> Cost:
     """Return the cost as the small robot's problem has it."""
     kind = WholeCost if term.acts_at_points else WholeImpactCost
     return kind(weight=term.weight, phases=term.phases, term=term, reduction=reduction)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WholeNodeCost(NodeCost):
+    """A cost at nodes of the whole robot, on the motion of the small one."""
+
+    term: NodeCost
+    reduction: Reduction
+
+    @property
+    def name(self) -> str:
+        return self.term.name
+
+    def acts_at(self, place: NodePlace) -> bool:
+        return self.term.acts_at(place)
+
+    def quantity(self, context: Context, units: Units, place: NodePlace) -> ca.SX:
+        view, own = WholeView(context, self.reduction), Units(self.reduction.whole)
+        return self.term.quantity(view, own, whole_place(place, self.reduction))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
