@@ -9,18 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.family import Choice, Parameter
+from trajopt.objectives import effort_costs
 from trajopt.reduced.foot_motion import smooth_step
 from trajopt.robot import Robot
 from trajopt.schedule import Phase, Schedule
-from trajopt.terms import (
-    AccelerationCost,
-    EffortLimits,
-    PostureCost,
-    Term,
-    TorqueCost,
-    VelocityCost,
-    WrenchCost,
-)
+from trajopt.terms import EffortLimits, Term
 
 # Least height of a foot over the ground in mid flight, m.
 CLEARANCE = 0.03
@@ -74,6 +67,11 @@ def touchdown() -> Choice:
     return Choice(name="touchdown", default="soft", choices=("soft", "impact"), meaning=meaning)
 
 
+def goal(*choices: str) -> Choice:
+    """What the motion minimises or maximises: names of `trajopt.objectives`, the first the default."""
+    return Choice(name="goal", default=choices[0], choices=choices, meaning="what is best")
+
+
 @dataclass(frozen=True)
 class JointPath:
     """Guess: from ``start`` to ``end`` (nq,) along 10 s^3 - 15 s^4 + 6 s^5 in ``duration`` s, then still.
@@ -125,13 +123,7 @@ def legged_costs(*, acceleration: float, joints_only: bool = False) -> tuple[Ter
 
     acceleration: weight of accelerations. joints_only: leave those and rates of the base out.
     """
-    return (
-        TorqueCost(weight=1.0),
-        AccelerationCost(weight=acceleration, joints_only=joints_only),
-        VelocityCost(weight=1e-2, joints_only=joints_only),
-        PostureCost(weight=1e-1),
-        WrenchCost(weight=1e-2),
-    )
+    return effort_costs(acceleration=acceleration, joints_only=joints_only)
 
 
 def share_of_effort(robot: Robot, share: float) -> EffortLimits:

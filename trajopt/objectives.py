@@ -1,0 +1,127 @@
+"""Named goals of a motion, as terms in natural units: the same weights on every robot.
+
+    effort      torques, squared
+    time        duration of phases that are free
+    height      a frame as high as possible, in the middle of a phase
+    distance    a frame as far as possible along a direction, at the end
+    transport   energy over weight and way: the cost of transport
+    smooth      accelerations, squared
+    track       distance from a reference motion
+
+What a goal leaves undetermined is decided by the costs of `effort`, a hundredth of them: without such a rest
+minimum time has many controls, and a robot without torque limits could jump to any height.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, get_args
+
+from trajopt.costs import (
+    AccelerationCost,
+    PostureCost,
+    TimeCost,
+    TorqueCost,
+    VelocityCost,
+    WrenchCost,
+)
+from trajopt.errors import InputError
+from trajopt.node_costs import DistanceCost, FrameHeightCost
+from trajopt.power import PowerCost
+from trajopt.problem import Motion
+from trajopt.robot import Robot
+from trajopt.schedule import Schedule
+from trajopt.term_interfaces import Term
+from trajopt.tracking import TrackingCost
+from trajopt.units import Units
+
+Goal = Literal["effort", "time", "height", "distance", "transport", "smooth", "track"]
+GOALS: tuple[Goal, ...] = get_args(Goal)
+
+# Part of the costs of effort beside any other goal: enough to decide, little enough not to be felt.
+REST = 1e-2
+
+
+def effort_costs(
+    *, acceleration: float = 1e-2, joints_only: bool = False, share: float = 1.0
+) -> tuple[Term, ...]:
+    """Torques, and little for all else, so that no direction of a motion is left without a price.
+
+    acceleration: weight of accelerations. joints_only: leave those and rates of the base out. share: of all.
+    """
+    return (
+        TorqueCost(weight=share),
+        AccelerationCost(weight=share * acceleration, joints_only=joints_only),
+        VelocityCost(weight=share * 1e-2, joints_only=joints_only),
+        PostureCost(weight=share * 1e-1),
+        WrenchCost(weight=share * 1e-2),
+    )
+
+
+def goal_terms(
+    goal: str,
+    robot: Robot,
+    schedule: Schedule,
+    *,
+    frame: str | None = None,
+    phase: str | None = None,
+    direction: tuple[float, float, float] = (1.0, 0.0, 0.0),
+    travel: float | None = None,
+    reference: Motion | None = None,
+    joints_only: bool = False,
+) -> tuple[Term, ...]:
+    """Cost terms of a goal out of ``GOALS``, with the rest that makes its motion unique.
+
+    frame: for "height" and "distance". phase: for "height", by default the longest without contacts.
+    direction: (3,) world, for "distance". travel: m, for "transport", the way that the motion has to go.
+    reference: q(t) (nq,), for "track". joints_only: leave accelerations and rates of the base out.
+    Raises InputError for an unknown goal, and for one whose argument is missing or without effect.
+    """
+    rest = effort_costs(joints_only=joints_only, share=REST)
+    if goal == "effort":
+        return effort_costs(joints_only=joints_only)
+    if goal == "smooth":
+        return (AccelerationCost(weight=1.0, joints_only=joints_only), *rest)
+    if goal == "time":
+        free = any(clock is not None for clock in schedule.clocks)
+        _require(free, goal, "a schedule with duration_bounds in some phase")
+        return (TimeCost(weight=1.0), *rest)
+    if goal == "height":
+        return (
+            FrameHeightCost(weight=1.0, frame=_frame(frame, goal), phase=phase or _flight(schedule)),
+            *rest,
+        )
+    if goal == "distance":
+        return (DistanceCost(weight=1.0, frame=_frame(frame, goal), direction=direction), *rest)
+    if goal == "transport":
+        way = 0.0 if travel is None else travel
+        _require(math.isfinite(way) and way > 0, goal, "travel > 0, the way of the motion in m")
+        return (PowerCost(weight=Units(robot).length / way), *rest)
+    if goal == "track":
+        if reference is None:
+            raise _missing(goal, "a reference motion")
+        return (TrackingCost(weight=1.0, reference=reference), *rest)
+    raise InputError(f"goal '{goal}' is unknown", f"allowed: {', '.join(GOALS)}")
+
+
+def _missing(goal: str, what: str) -> InputError:
+    return InputError(f"goal '{goal}' lacks what it is about", f"allowed: {what}")
+
+
+def _require(given: bool, goal: str, what: str) -> None:
+    if not given:
+        raise _missing(goal, what)
+
+
+def _frame(frame: str | None, goal: str) -> str:
+    if frame is None:
+        raise _missing(goal, "a frame's name")
+    return frame
+
+
+def _flight(schedule: Schedule) -> str:
+    """Name of the longest phase without contacts."""
+    flights = [phase for phase in schedule.phases if not phase.contacts]
+    if not flights:
+        raise _missing("height", "a phase, or a schedule with one without contacts")
+    return max(flights, key=lambda phase: phase.duration).name
