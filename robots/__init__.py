@@ -1,22 +1,153 @@
-"""Robots by name: one file a robot, each with ``build() -> Robot``."""
+"""Robots by name: a file for each, with its ``KIND``, ``build() -> Robot`` and, of an arm, its ``TOOL``."""
 
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import pkgutil
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from types import ModuleType
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, TrajoptError
+from trajopt.kinematics import contact_positions
 from trajopt.robot import Robot
 
+KINDS = ("arm", "quadruped", "biped", "hopper", "pendulum")
+# Robots with a free base by the number of feet that they stand on.
+KIND_OF_FEET = {1: "hopper", 2: "biped", 4: "quadruped"}
+# A contact no higher than this part of the robot's length over the lowest one is a foot.
+FOOT_HEIGHT = 0.05
 
-def names() -> tuple[str, ...]:
-    """Return the names of all robots of this package, sorted."""
-    return tuple(sorted(module.name for module in pkgutil.iter_modules(__path__)))
+
+def names(kind: str | None = None) -> tuple[str, ...]:
+    """Return the names of all robots of this package, or of those of one of `KINDS`, sorted."""
+    if kind is not None and kind not in KINDS:
+        raise InputError(f"kind of robot '{kind}' is unknown", "one of " + ", ".join(KINDS))
+    found = sorted(
+        module.name for module in pkgutil.iter_modules(__path__) if not module.name.startswith("_")
+    )
+    return tuple(name for name in found if kind is None or kind == _module(name).KIND)
 
 
 def load(name: str) -> Robot:
-    """Return the robot of that name; raises `InputError` that lists the known names."""
-    if name not in names():
-        raise InputError(f"robot '{name}' is unknown", "one of " + ", ".join(names()))
-    robot: Robot = importlib.import_module(f"{__name__}.{name}").build()
+    """Return the robot of that name, or the one that ``build()`` of a .py file at that path returns.
+
+    Raises `InputError` for a name that is unknown (and lists the known ones) and for a file that does not
+    exist, cannot be read or does not build a `Robot`.
+    """
+    module = _module(name)
+    try:
+        robot = module.build()
+    except TrajoptError:
+        raise
+    except Exception as error:
+        raise InputError(f"build() of {name} failed: {_line(error)}") from error
+    if not isinstance(robot, Robot):
+        raise InputError(f"build() of {name} returns {type(robot).__name__}", "allowed: a Robot")
     return robot
+
+
+def kind(name: str) -> str:
+    """Return which of `KINDS` a robot is: its module's ``KIND``.
+
+    A file at a path may leave it out: a fixed base then makes an arm, feet a hopper (one), a biped (two) or
+    a quadruped (four). Raises `InputError` for other numbers of feet, and as `load`.
+    """
+    given = getattr(_module(name), "KIND", None)
+    if given is not None:
+        if given not in KINDS:
+            raise InputError(f"KIND of {name} is {given!r}", "one of " + ", ".join(KINDS))
+        return str(given)
+    robot = load(name)
+    if robot.base == "fixed":
+        return "arm"
+    standing = len(feet(robot))
+    if standing not in KIND_OF_FEET:
+        raise InputError(f"{name} stands on {standing} feet", "KIND in the file, or 1, 2 or 4 feet")
+    return KIND_OF_FEET[standing]
+
+
+def tool_frame(name: str) -> str:
+    """Return the name of an arm's tool frame: its module's ``TOOL``.
+
+    A file at a path may leave it out: then it is the last frame behind the last joint. Raises `InputError`
+    for what is not an arm, and as `load`.
+    """
+    if kind(name) != "arm":
+        raise InputError(f"robot '{name}' has no tool: it is no arm", "arms: " + ", ".join(names("arm")))
+    given = getattr(_module(name), "TOOL", None)
+    model = load(name).model
+    carried = [frame.name for frame in model.frames if frame.parentJoint == model.njoints - 1]
+    tool = carried[-1] if given is None else given
+    if not model.existFrame(tool):
+        raise InputError(f"TOOL of {name} is {tool!r}, no frame of the model", ", ".join(carried))
+    return str(tool)
+
+
+def feet(robot: Robot) -> tuple[str, ...]:
+    """Return the names of the contacts that a robot stands on in its reference: those at the bottom."""
+    heights = {name: position[2] for name, position in contact_positions(robot, robot.reference).items()}
+    lowest = min(heights.values(), default=0.0)
+    return tuple(name for name, height in heights.items() if height - lowest < FOOT_HEIGHT * robot.length)
+
+
+def legs_only(robot: Robot) -> Robot:
+    """Return the robot with its feet as its only contacts, and all joints that carry no foot locked.
+
+    What a task on legs alone needs of a humanoid: Talos with its left arm welded in the reference. A robot
+    that has nothing else is returned as it is.
+    """
+    standing = feet(robot)
+    model = robot.model
+    moved = {
+        joint
+        for name in standing
+        for joint in model.supports[model.frames[model.getFrameId(robot.contact(name).frame)].parentJoint]
+    }
+    idle = [
+        model.names[joint.id]
+        for joint in list(model.joints)[1:]
+        if joint.idx_v >= robot.n_unactuated and joint.id not in moved
+    ]
+    if not idle and len(standing) == len(robot.contacts):
+        return robot
+    kept = replace(robot, contacts=tuple(robot.contact(name) for name in standing))
+    return kept.with_locked(idle) if idle else kept
+
+
+def _module(name: str) -> ModuleType:
+    if name.endswith(".py"):
+        path = Path(name).expanduser().absolute()
+        if not path.is_file():
+            raise InputError(f"robot file {path} does not exist")
+        return _from_file(path, path.stat().st_mtime_ns)
+    if name not in names():
+        raise InputError(
+            f"robot '{name}' is unknown", "a .py file with build(), or one of " + ", ".join(names())
+        )
+    return importlib.import_module(f"{__name__}.{name}")
+
+
+@lru_cache(maxsize=16)
+def _from_file(path: Path, _changed: int) -> ModuleType:
+    """Run a file as a module, once for each state of it."""
+    specification = importlib.util.spec_from_file_location(f"robot_file_{path.stem}", path)
+    if specification is None or specification.loader is None:
+        raise InputError(f"robot file {path} cannot be imported", "a file that ends in .py")
+    module = importlib.util.module_from_spec(specification)
+    try:
+        specification.loader.exec_module(module)
+    except TrajoptError:
+        raise
+    except Exception as error:
+        raise InputError(f"robot file {path} cannot be run: {_line(error)}") from error
+    if not callable(getattr(module, "build", None)):
+        raise InputError(f"robot file {path} has no build()", "def build() -> Robot")
+    return module
+
+
+def _line(error: Exception) -> str:
+    text = str(error).strip().splitlines()
+    return f"{type(error).__name__}: {text[0]}" if text else type(error).__name__

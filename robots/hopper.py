@@ -10,6 +10,7 @@ import pinocchio as pin
 from trajopt.robot import Robot
 from trajopt.robot_building import sagittal
 
+KIND = "hopper"
 FOOT = "foot"
 
 # Masses in kg and lengths in m of a small one-legged machine: 10 kg in all, most of it in the torso.
@@ -40,22 +41,32 @@ def build() -> Robot:
     model = pin.Model()
     model.name = "hopper"
     base = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "base")
+    add_torso(model, base)
+    model = sagittal(model)
+    add_leg(model, base, model.jointPlacements[base].inverse())
+    return Robot.from_model(model, name="hopper", contacts=[FOOT], reference=standing())
+
+
+def add_torso(model: pin.Model, base: int) -> None:
+    """Hang the torso on the joint ``base``, its hip at the joint's origin."""
     model.addJointFrame(base)
     torso = _box(TORSO_MASS, TORSO_LENGTH)
     model.appendBodyToJoint(base, torso, _at(0.0, TORSO_CENTRE * TORSO_LENGTH))
     model.addBodyFrame("torso", base, pin.SE3.Identity(), -1)
-    model = sagittal(model)
-    hip = _joint(model, base, "hip", model.jointPlacements[base].inverse(), HIP_RANGE)
+
+
+def add_leg(model: pin.Model, parent: int, placement: pin.SE3) -> None:
+    """Hang thigh, shank and foot on the joint ``parent``: hip and knee turn about y of ``placement``."""
+    hip = add_joint(model, parent, "hip", placement, HIP_RANGE, pin.JointModelRY())
     model.appendBodyToJoint(hip, _box(THIGH_MASS, THIGH_LENGTH), _at(0.0, -THIGH_LENGTH / 2))
     model.addBodyFrame("thigh", hip, pin.SE3.Identity(), -1)
-    knee = _joint(model, hip, "knee", _at(0.0, -THIGH_LENGTH), KNEE_RANGE)
+    knee = add_joint(model, hip, "knee", _at(0.0, -THIGH_LENGTH), KNEE_RANGE, pin.JointModelRY())
     model.appendBodyToJoint(knee, _box(SHANK_MASS, SHANK_LENGTH), _at(0.0, -SHANK_LENGTH / 2))
     model.addBodyFrame("shank", knee, pin.SE3.Identity(), -1)
     model.addFrame(pin.Frame(FOOT, knee, 0, _at(0.0, -SHANK_LENGTH), pin.FrameType.OP_FRAME))
-    return Robot.from_model(model, name="hopper", contacts=[FOOT], reference=_standing())
 
 
-def _standing() -> dict[str, float]:
+def standing() -> dict[str, float]:
     """Hip and knee (rad) of the posture whose centre of mass, the torso upright, lies over the foot.
 
     With the thigh leaning forward by t and the shank by t - knee, foot and centre of mass are at
@@ -78,11 +89,17 @@ def _box(mass: float, length: float) -> pin.Inertia:
     return pin.Inertia.FromBox(mass, side, side, length)
 
 
-def _joint(model: pin.Model, parent: int, name: str, placement: pin.SE3, limits: tuple[float, float]) -> int:
+def add_joint(
+    model: pin.Model,
+    parent: int,
+    name: str,
+    placement: pin.SE3,
+    limits: tuple[float, float],
+    axis: pin.JointModel,
+) -> int:
+    """Add a joint with the hopper's motor (torque, rate, armature) and return its number."""
     lower, upper = (np.array([limit]) for limit in limits)
-    joint = model.addJoint(
-        parent, pin.JointModelRY(), placement, name, np.array([TORQUE]), np.array([SPEED]), lower, upper
-    )
+    joint = model.addJoint(parent, axis, placement, name, np.array([TORQUE]), np.array([SPEED]), lower, upper)
     model.addJointFrame(joint)
     model.armature[model.joints[joint].idx_v] = ARMATURE
     return int(joint)

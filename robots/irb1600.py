@@ -13,6 +13,7 @@ from trajopt.actuators.drive import Drive
 from trajopt.errors import InputError
 from trajopt.robot import Robot
 
+KIND = "arm"
 # Flange frame in the convention of ABB: z out of the flange, x down when the arm is at zero.
 TOOL = "tool0"
 AXES = {"x": pin.JointModelRX, "y": pin.JointModelRY, "z": pin.JointModelRZ}

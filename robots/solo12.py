@@ -8,6 +8,7 @@ from trajopt.actuators.drive import Drive
 from trajopt.robot import Robot
 from trajopt.robot_data import robot_file
 
+KIND = "quadruped"
 BASE = "base_link"
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
 

@@ -6,6 +6,7 @@ from trajopt.contact import Contact
 from trajopt.robot import Robot
 from trajopt.robot_data import robot_file
 
+KIND = "biped"
 SIDES = ("left", "right")
 SOLES = {side: f"{side}_sole_link" for side in SIDES}
 HAND = "wrist_left_ft_tool_link"

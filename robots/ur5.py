@@ -5,6 +5,7 @@ from __future__ import annotations
 from trajopt.robot import Robot
 from trajopt.robot_data import robot_file
 
+KIND = "arm"
 TOOL = "tool0"
 
 # Elbow up, tool pointing down in front of the base, far from the singular straight elbow and wrist.

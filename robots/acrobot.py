@@ -1,0 +1,20 @@
+"""The acrobot: the links of the double pendulum with a motor at the second joint alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from robots.double_pendulum import hanging, weight_moments
+from trajopt.robot import Robot
+
+KIND = "pendulum"
+
+
+def build() -> Robot:
+    """Return the acrobot, hanging: see `robots.double_pendulum`; its first joint has no actuator.
+
+    The motor's torque is limited to the largest moment of the whole pendulum's weight about the first
+    joint (0.74 N m).
+    """
+    robot = hanging(name="acrobot", passive=("joint1",))
+    return replace(robot, effort_limit=weight_moments(robot.model)[:1])

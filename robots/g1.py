@@ -1,0 +1,82 @@
+"""Unitree G1, the 33 kg humanoid, on two soles; its waist and arms are locked."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.contact import Contact
+from trajopt.robot import Robot
+from trajopt.robot_data import robot_file
+
+KIND = "biped"
+SIDES = ("left", "right")
+
+# The foot touches with four balls of 5 mm radius, which the URDF puts at x = -50 and 120 mm of the ankle,
+# 30 mm below it, and at y = -25 and 25 mm (in front 30): this is the rectangle between their centres.
+SOLE_CENTRE = (0.035, 0.0, -0.035)  # m, in the frame of the ankle
+HALF_LENGTH, HALF_WIDTH = 0.085, 0.025  # m
+
+# Knees bent so that legs can lengthen by a seventh; feet level, and the hips such that the centre of mass
+# lies over the middle of the soles.
+HIP_PITCH, KNEE, ANKLE_PITCH = -0.5253, 1.1, -0.5747  # rad
+# Arms hang beside the body with bent elbows.
+SHOULDER_PITCH, SHOULDER_ROLL, ELBOW = 0.2, 0.2, 0.9  # rad
+LOCKED = ("waist", "shoulder", "elbow", "wrist")
+
+
+def build() -> Robot:
+    """Return G1 with the twelve joints of its legs, standing on soles ``left`` and ``right`` of 17 by 5 cm.
+
+    Contacts are in frames ``left_sole`` and ``right_sole``, which this adds: on the ground below the ankle,
+    in the middle of the balls that touch. Limits are those of the URDF.
+    """
+    path = robot_file("g1_description/urdf/g1_29dof_rev_1_0.urdf")
+    described = Robot.from_urdf(path, name="g1")
+    model = pin.Model(described.model)
+    contacts = [
+        Contact(
+            frame=_add_sole(model, side),
+            name=side,
+            kind="surface",
+            half_length=HALF_LENGTH,
+            half_width=HALF_WIDTH,
+        )
+        for side in SIDES
+    ]
+    locked = [name for name in model.names if any(part in name for part in LOCKED)]
+    return Robot.from_model(
+        model,
+        name="g1",
+        base="freeflyer",
+        contacts=contacts,
+        reference=_posture(),
+        locked=locked,
+        visual=described.visual,
+    )
+
+
+def _add_sole(model: pin.Model, side: str) -> str:
+    """Add the frame of a sole and return its name."""
+    ankle = model.getFrameId(f"{side}_ankle_roll_link")
+    placement = model.frames[ankle].placement * pin.SE3(np.eye(3), np.array(SOLE_CENTRE))
+    frame = pin.Frame(
+        f"{side}_sole", model.frames[ankle].parentJoint, ankle, placement, pin.FrameType.OP_FRAME
+    )
+    model.addFrame(frame)
+    return str(frame.name)
+
+
+def _posture() -> dict[str, float]:
+    posture = {}
+    for side in SIDES:
+        outwards = SHOULDER_ROLL if side == "left" else -SHOULDER_ROLL
+        posture |= {
+            f"{side}_hip_pitch_joint": HIP_PITCH,
+            f"{side}_knee_joint": KNEE,
+            f"{side}_ankle_pitch_joint": ANKLE_PITCH,
+            f"{side}_shoulder_pitch_joint": SHOULDER_PITCH,
+            f"{side}_shoulder_roll_joint": outwards,
+            f"{side}_elbow_joint": ELBOW,
+        }
+    return posture

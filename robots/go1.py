@@ -1,0 +1,16 @@
+"""Unitree Go1, a quadruped of 13.1 kg."""
+
+from __future__ import annotations
+
+from robots._quadrupeds import unitree
+from trajopt.robot import Robot
+
+KIND = "quadruped"
+
+
+def build() -> Robot:
+    """Return Go1 with its feet below its hips; a foot frame is the centre of a ball of 20 mm radius.
+
+    The SRDF stands lower (calves at -1.853 rad, feet ahead of the hips). Limits are those of the URDF.
+    """
+    return unitree("go1", "go1_description/urdf/go1.urdf", thigh=0.8, calf=-1.6)

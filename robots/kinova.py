@@ -1,0 +1,36 @@
+"""Jaco 2 of Kinova (j2s6s200: six joints, spherical wrist, two fingers, which the URDF fixes)."""
+
+from __future__ import annotations
+
+import math
+
+from trajopt.robot import Robot
+from trajopt.robot_data import robot_file
+
+KIND = "arm"
+# Between the fingers, x out of the hand.
+TOOL = "j2s6s200_end_effector"
+
+# Elbow up, the hand pointing down in front of the base, far from singular. The SRDF's "arm_up" is outside
+# the limits of the third joint.
+ELBOW_UP = {
+    "j2s6s200_joint_1": -math.pi / 2,
+    "j2s6s200_joint_2": 3.34,
+    "j2s6s200_joint_3": 1.54,
+    "j2s6s200_joint_4": 0.0,
+    "j2s6s200_joint_5": 4.44,
+    "j2s6s200_joint_6": 0.0,
+}
+
+
+def build() -> Robot:
+    """Return the arm with a fixed base and no contacts; limits are those of its URDF.
+
+    Its first, fourth and sixth joints turn without end: their coordinates are (cos, sin).
+    """
+    return Robot.from_urdf(
+        robot_file("kinova_description/robots/kinova.urdf"),
+        name="kinova",
+        base="fixed",
+        reference=ELBOW_UP,
+    )

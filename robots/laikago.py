@@ -1,0 +1,16 @@
+"""Unitree Laikago, a quadruped of 25 kg."""
+
+from __future__ import annotations
+
+from robots._quadrupeds import unitree
+from trajopt.robot import Robot
+
+KIND = "quadruped"
+
+
+def build() -> Robot:
+    """Return Laikago with its feet below its hips; a foot frame is the centre of a ball of 26.5 mm radius.
+
+    There is no SRDF. Limits are those of the URDF.
+    """
+    return unitree("laikago", "laikago_description/urdf/laikago.urdf", thigh=0.7, calf=-1.4)

@@ -1,0 +1,33 @@
+"""Panda of Franka Emika, the seven-joint arm with its hand; the fingers are locked."""
+
+from __future__ import annotations
+
+from trajopt.robot import Robot
+from trajopt.robot_data import robot_file
+
+KIND = "arm"
+# Between the finger tips, z out of the hand.
+TOOL = "panda_hand_tcp"
+FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
+
+# The posture "default" of the SRDF, fingers closed: elbow up, the hand pointing down in front of the base.
+READY = {
+    "panda_joint1": 0.0,
+    "panda_joint2": -0.785398,
+    "panda_joint3": 0.0,
+    "panda_joint4": -2.35619,
+    "panda_joint5": 0.0,
+    "panda_joint6": 1.5707,
+    "panda_joint7": 0.785398,
+}
+
+
+def build() -> Robot:
+    """Return the Panda with a fixed base and no contacts; limits are those of its URDF."""
+    return Robot.from_urdf(
+        robot_file("panda_description/urdf/panda.urdf"),
+        name="panda",
+        base="fixed",
+        reference=READY,
+        locked=FINGERS,
+    )

@@ -1,0 +1,20 @@
+"""xArm 7 of UFACTORY, a seven-joint arm."""
+
+from __future__ import annotations
+
+from trajopt.robot import Robot
+from trajopt.robot_data import robot_file
+
+KIND = "arm"
+# Flange, z out of it.
+TOOL = "link_eef"
+
+# Elbow up, the flange pointing down in front of the base, far from singular: the SRDF's postures are not.
+ELBOW_UP = {"joint2": -0.3, "joint4": 0.9, "joint6": 1.2}
+
+
+def build() -> Robot:
+    """Return the arm with a fixed base and no contacts; limits are those of its URDF."""
+    return Robot.from_urdf(
+        robot_file("xarm_description/urdf/xarm7.urdf"), name="xarm7", base="fixed", reference=ELBOW_UP
+    )

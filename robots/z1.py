@@ -1,0 +1,24 @@
+"""Z1 of Unitree, a light six-joint arm with a gripper, whose jaw is locked."""
+
+from __future__ import annotations
+
+from trajopt.robot import Robot
+from trajopt.robot_data import robot_file
+
+KIND = "arm"
+# Where the gripper is mounted, x out of it.
+TOOL = "link06"
+
+# Elbow up, the gripper pointing down in front of the base; the SRDF's "home" lies on its limits, folded.
+ELBOW_UP = {"joint2": 1.9, "joint3": -1.4, "joint4": 1.07}
+
+
+def build() -> Robot:
+    """Return the arm with a fixed base and no contacts; limits are those of its URDF."""
+    return Robot.from_urdf(
+        robot_file("z1_description/urdf/z1.urdf"),
+        name="z1",
+        base="fixed",
+        reference=ELBOW_UP,
+        locked=["jointGripper"],
+    )
