@@ -23,6 +23,7 @@ from rich.console import Console
 
 from trajopt import cli_report
 from trajopt.cli_input import COUNT, GRID, THREADS, check_output, options_of, values_of
+from trajopt.cli_suite import suite
 from trajopt.errors import TrajoptError
 from trajopt.progress import CANCELLED, stdout_to_stderr, watched
 
@@ -102,6 +103,9 @@ def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
 @click.version_option(package_name="trajopt")
 def main() -> None:
     """Trajectory optimisation for robots with contacts."""
+
+
+main.add_command(suite)
 
 
 @main.command("list")

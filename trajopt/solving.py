@@ -95,7 +95,7 @@ def solve(
     Returns a Solution whose ``meta`` has status, success, advice, iterations, objective, times and the
     worst blocks of rows. Raises InputError for a value that is not allowed.
     """
-    _check_settings(solver, tolerance, max_iterations, max_time, perturb, seed)
+    check_settings(solver, tolerance, max_iterations, max_time, perturb, seed)
     prepared = prepare(
         problem, transcription=transcription, intervals=intervals, compile=compile, threads=threads
     )
@@ -135,7 +135,7 @@ def _continue(_: dict[str, float]) -> bool:
     return True
 
 
-def _check_settings(
+def check_settings(
     solver: str, tolerance: float, max_iterations: int, max_time: float, perturb: float, seed: int
 ) -> None:
     if solver not in SOLVERS:

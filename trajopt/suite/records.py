@@ -1,0 +1,80 @@
+"""Results on disk, one line of JSON a pair, appended as they come: what an interrupted suite goes on from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from trajopt.errors import InputError
+from trajopt.suite.cases import Case
+from trajopt.suite.outcome import Outcome
+from trajopt.suite.settings import Settings
+
+FILE = "results.jsonl"
+
+
+class Records:
+    """The results of one suite in a folder, or nowhere where there is none.
+
+    versions: of what solves. A result of other settings or versions is not one of this suite.
+    Raises InputError for a folder that cannot be written.
+    """
+
+    def __init__(self, folder: Path | None, settings: Settings, versions: Mapping[str, str]) -> None:
+        self._head = {"settings": settings.to_dict(), "versions": dict(versions)}
+        self.folder = folder
+        self._file = None if folder is None else folder / FILE
+
+    def open(self, *, resume: bool) -> tuple[Outcome, ...]:
+        """Make the folder; return what is known from before when resumed, otherwise begin anew.
+
+        A pair that ended with an error (bad input, a lost process) is not taken over: it is tried again.
+        """
+        if self.folder is None or self._file is None:
+            return ()
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            known = self._read() if resume and self._file.exists() else {}
+            self._file.write_text(
+                "".join(self._line(outcome) for outcome in known.values()), encoding="utf-8"
+            )
+        except OSError as error:
+            raise InputError(
+                f"cannot write {self._file}: {error.strerror or error}",
+                "allowed: a folder that can be written",
+            ) from None
+        return tuple(known.values())
+
+    def add(self, outcome: Outcome) -> None:
+        """Append one result."""
+        if self._file is not None:
+            with self._file.open("a", encoding="utf-8") as stream:
+                stream.write(self._line(outcome))
+
+    def _line(self, outcome: Outcome) -> str:
+        return json.dumps({**self._head, "outcome": outcome.to_dict()}) + "\n"
+
+    def _read(self) -> dict[str, Outcome]:
+        """Results of this suite's settings and versions by pair; a line cut off by a crash is passed over."""
+        assert self._file is not None
+        found = {}
+        for text in self._file.read_text(encoding="utf-8").splitlines():
+            try:
+                entry = json.loads(text)
+                outcome = Outcome.from_dict(entry["outcome"])
+            except (ValueError, KeyError, TypeError):
+                continue
+            if {key: entry.get(key) for key in self._head} == self._head and not outcome.error:
+                found[outcome.name] = outcome
+        return found
+
+
+def left(cases: Sequence[Case], known: Sequence[Outcome]) -> tuple[tuple[Case, ...], tuple[Outcome, ...]]:
+    """The cases that are still to be run, and those known results that are among the cases."""
+    results = {outcome.name: outcome for outcome in known}
+    names = {case.name for case in cases}
+    return (
+        tuple(case for case in cases if case.name not in results),
+        tuple(outcome for name, outcome in results.items() if name in names),
+    )

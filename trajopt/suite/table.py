@@ -1,0 +1,140 @@
+"""Outcomes as one line each, as a table, as figures over all, and as JSON."""
+
+from __future__ import annotations
+
+import statistics
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.table import Table
+
+from trajopt.suite.outcome import Outcome
+from trajopt.suite.settings import Settings
+
+
+def line(outcome: Outcome) -> str:
+    """One pair in a line."""
+    parts = []
+    if outcome.own is not None:
+        verdict = "solved" if outcome.own.solved else "NOT solved"
+        parts.append(f"{verdict}, {outcome.own.iterations} iterations, {outcome.own.wall_time:.2f} s")
+    if outcome.mode:
+        parts.append(f"{outcome.mode} ({outcome.detail})")
+    if outcome.starts:
+        starts = outcome.perturbed()
+        parts.append(f"{starts.solved} of {starts.count} perturbed starts")
+    return f"{outcome.name}: {'; '.join(parts)}"
+
+
+def table(outcomes: Sequence[Outcome]) -> Table:
+    """The pairs, sorted; columns on perturbed starts only where there are some."""
+    perturbed = any(outcome.starts for outcome in outcomes)
+    found = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for title in ("problem", "robot", "solved"):
+        found.add_column(title, no_wrap=True)
+    for title in ("iter", "time", "objective"):
+        found.add_column(title, justify="right", no_wrap=True)
+    found.add_column("check, worst/tolerance", overflow="fold")
+    found.add_column("failure", no_wrap=True)
+    if perturbed:
+        for title in ("starts", "iter 50 %", "90 %", "optima"):
+            found.add_column(title, justify="right", no_wrap=True)
+    for outcome in sorted(outcomes, key=lambda one: (one.problem, one.robot)):
+        found.add_row(*_cells(outcome), *(_start_cells(outcome) if perturbed else ()))
+    return found
+
+
+def _cells(outcome: Outcome) -> list[str]:
+    own, check = outcome.own, outcome.check
+    cells = [outcome.problem, outcome.robot, "yes" if outcome.solved else "NO"]
+    if own is None:
+        cells += ["", "", ""]
+    else:
+        objective = "not finite" if own.objective is None else f"{own.objective:.5g}"
+        cells += [str(own.iterations), f"{own.wall_time:.2f} s", objective]
+    if check is None or not outcome.solved:
+        cells.append("")
+    else:
+        used = "" if check.used is None else f"{check.used:.2g} "
+        cells.append(check.error or f"{used}{check.figure}")
+    return [*cells, outcome.mode]
+
+
+def _start_cells(outcome: Outcome) -> list[str]:
+    starts = outcome.perturbed()
+    if not starts.count:
+        return ["", "", "", ""]
+    median = "" if starts.median_iterations is None else f"{starts.median_iterations:g}"
+    ninety = "" if starts.iterations_90 is None else str(starts.iterations_90)
+    return [f"{starts.solved}/{starts.count}", median, ninety, str(starts.optima) if starts.solved else ""]
+
+
+def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Figures over all pairs; iterations over those solved from their own guess, legged and others apart."""
+    starts = [attempt for outcome in outcomes for attempt in outcome.starts]
+    per_pair = [outcome.perturbed() for outcome in outcomes if outcome.starts]
+    return {
+        "pairs": len(outcomes),
+        "problems": len({outcome.problem for outcome in outcomes}),
+        "robots": len({outcome.robot for outcome in outcomes}),
+        "solved": sum(outcome.solved for outcome in outcomes),
+        "within_check": sum(outcome.ok for outcome in outcomes),
+        "failures": dict(Counter(outcome.mode for outcome in outcomes if outcome.mode)),
+        "median_iterations_legged": _median(outcomes, legged=True),
+        "median_iterations_arms": _median(outcomes, legged=False),
+        "perturbed": len(starts),
+        "perturbed_solved": sum(attempt.solved for attempt in starts),
+        "perturbed_failures": dict(Counter(attempt.mode for attempt in starts if attempt.mode)),
+        "least_share_of_starts": min((pair.solved / pair.count for pair in per_pair), default=None),
+    }
+
+
+def _median(outcomes: Sequence[Outcome], *, legged: bool) -> float | None:
+    found = [
+        outcome.own.iterations
+        for outcome in outcomes
+        if outcome.own is not None and outcome.own.solved and outcome.grid and outcome.grid.legged == legged
+    ]
+    return statistics.median(found) if found else None
+
+
+def summary_lines(outcomes: Sequence[Outcome]) -> list[str]:
+    """The figures over all pairs in words, and what failed, one line a pair."""
+    found = summary(outcomes)
+    lines = [
+        f"{found['pairs']} pairs ({found['problems']} problems, {found['robots']} robots): "
+        f"{found['solved']} solved from their own guess, {found['within_check']} within the check"
+    ]
+    medians = [
+        f"{kind} {found[key]:g}"
+        for kind, key in (("legged", "median_iterations_legged"), ("arms", "median_iterations_arms"))
+        if found[key] is not None
+    ]
+    if medians:
+        lines.append(f"median iterations: {', '.join(medians)}")
+    if found["perturbed"]:
+        share = found["perturbed_solved"] / found["perturbed"]
+        lines.append(
+            f"perturbed starts: {found['perturbed_solved']} of {found['perturbed']} solved ({share:.1%}), "
+            f"worst pair {found['least_share_of_starts']:.0%}{_modes(found['perturbed_failures'])}"
+        )
+    lines += [
+        f"failed: {outcome.name}: {outcome.mode}: {outcome.detail}" for outcome in outcomes if outcome.mode
+    ]
+    return lines
+
+
+def _modes(failures: Mapping[str, int]) -> str:
+    return "".join(f", {mode} {count}" for mode, count in failures.items())
+
+
+def to_dict(outcomes: Sequence[Outcome], settings: Settings, versions: Mapping[str, str]) -> dict[str, Any]:
+    """The JSON of a suite."""
+    ordered = sorted(outcomes, key=lambda one: (one.problem, one.robot))
+    return {
+        "versions": dict(versions),
+        "settings": settings.to_dict(),
+        "summary": summary(ordered),
+        "pairs": [outcome.to_dict() for outcome in ordered],
+    }
