@@ -1,0 +1,225 @@
+"""Guesses of gaits: the base at a commanded pace, ballistic in flights, feet under it in mid stance.
+
+A foot's place is that under its hip when half of its stance is over, so that it acts symmetrically before
+and behind (Raibert, "Legged robots that balance", 1986, ch. 2: the neutral point).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.errors import InputError
+from trajopt.model_quantities import gravity_of
+from trajopt.problem import Motion
+from trajopt.reduced.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights
+from trajopt.reduced.foot_motion import smooth_step
+from trajopt.reduced.legged_guess import LeggedPosture, legged_guess
+from trajopt.robot import Robot
+from trajopt.schedule import FlatGround, Schedule
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pace:
+    """A commanded motion of the base over level ground: along an arc, at rest at first or at last if wanted.
+
+    velocity: (forward, left) m/s in axes of the base; turn_rate: rad/s to the left. starts, stops: times
+    (begin, end) in s between which the pace grows from rest, and falls to rest; None does not.
+    Raises `InputError`.
+    """
+
+    velocity: tuple[float, float]
+    turn_rate: float = 0.0
+    starts: tuple[float, float] | None = None
+    stops: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        numbers = (*self.velocity, self.turn_rate)
+        if len(numbers) != 3 or not all(math.isfinite(number) for number in numbers):
+            raise InputError(
+                f"velocity {self.velocity} m/s, turn rate {self.turn_rate} rad/s", "allowed: finite"
+            )
+        for times in (self.starts, self.stops):
+            if times is not None and not times[0] < times[1]:
+                raise InputError(
+                    f"a pace changes from {times[0]:g} to {times[1]:g} s", "allowed: rising times"
+                )
+
+    def part(self, t: float) -> float:
+        """Part of the full pace at ``t`` s, 0 to 1."""
+        rise = 1.0 if self.starts is None else smooth_step(_fraction(t, self.starts))
+        fall = 0.0 if self.stops is None else smooth_step(_fraction(t, self.stops))
+        return rise - fall
+
+    def progress(self, t: float) -> float:
+        """Time in s in which the full pace comes as far as this one from 0 to ``t`` s."""
+        return self._travelled(t) - self._travelled(0.0)
+
+    def _travelled(self, t: float) -> float:
+        rise = t if self.starts is None else _travelled(t, self.starts)
+        return rise - (0.0 if self.stops is None else _travelled(t, self.stops))
+
+    def pose(self, t: float) -> tuple[np.ndarray, float]:
+        """Displacement (2,) m and turn rad of the base since ``t`` = 0, in its axes there.
+
+        A circular arc: p = (sin(a) / w) v + ((1 - cos(a)) / w) z x v, with the turn a = w progress.
+        """
+        time, forward = self.progress(t), np.array(self.velocity)
+        angle = self.turn_rate * time
+        half = angle / 2
+        along = time * np.sinc(angle / math.pi)
+        across = time * np.sinc(half / math.pi) * math.sin(half)
+        return along * forward + across * np.array([-forward[1], forward[0]]), angle
+
+
+def _fraction(t: float, times: tuple[float, float]) -> float:
+    return (t - times[0]) / (times[1] - times[0])
+
+
+def _travelled(t: float, times: tuple[float, float]) -> float:
+    """Integral of ``smooth_step(fraction)`` up to ``t``: s^4 (5/2 - 3 s + s^2), then a straight line."""
+    s = min(max(_fraction(t, times), 0.0), 1.0)
+    return (times[1] - times[0]) * s**4 * (2.5 - 3 * s + s * s) + max(t - times[1], 0.0)
+
+
+def base_pose(robot: Robot, pace: Pace, t: float) -> pin.SE3:
+    """Placement of the base at ``t`` s: level at the reference's height and heading, moved by the pace."""
+    start = pin.XYZQUATToSE3(robot.reference[:7])
+    turned = np.array(pin.utils.rotate("z", _heading_of(start.rotation)))
+    shift, angle = pace.pose(t)
+    position = start.translation + turned @ np.append(shift, 0.0)
+    return pin.SE3(np.array(pin.utils.rotate("z", angle)) @ start.rotation, position)
+
+
+def commanded_motion(robot: Robot, pace: Pace) -> Motion:
+    """The reference posture carried along by the pace, ``t -> q`` (nq,): what a gait should stay near."""
+
+    def motion(t: float) -> np.ndarray:
+        q = robot.reference.copy()
+        q[:7] = pin.SE3ToXYZQUAT(base_pose(robot, pace, t))
+        return q
+
+    return motion
+
+
+def gait_path(robot: Robot, schedule: Schedule, pace: Pace, *, begin: float = 0.0) -> WaypointPath:
+    """The base at a pace through a schedule that begins at ``begin`` s of it.
+
+    At every change of supports, and of a stretch on feet between two flights only at its ends, so that it
+    sinks and rises in one smooth bounce. Raises `InputError`.
+    """
+    waypoints: list[BaseWaypoint] = []
+    before = np.eye(3)
+    for time in _waypoint_times(schedule):
+        placement = base_pose(robot, pace, begin + time)
+        velocity, rate = _velocity(robot, pace, begin + time)
+        waypoints.append(
+            BaseWaypoint(
+                time=time,
+                position=placement.translation,
+                turn=pin.log3(placement.rotation @ before.T),
+                velocity=velocity,
+                rate=rate,
+            )
+        )
+        before = placement.rotation
+    return WaypointPath(schedule, waypoints, gravity_of(robot.model))
+
+
+def _waypoint_times(schedule: Schedule) -> list[float]:
+    """Ends of flights, and of phases that are not between two flights; each time once."""
+    ends = np.cumsum([0.0, *(phase.duration for phase in schedule.phases)])
+    flown = flights(schedule)
+    rounding = SAME_TIME * schedule.duration
+
+    def between_flights(t: float) -> bool:
+        landed = [end for _, end in flown if end < t - rounding]
+        leaving = [begin for begin, _ in flown if begin > t + rounding]
+        return bool(landed and leaving)
+
+    edges = {time for flight in flown for time in flight}
+    at_edge = [any(abs(t - edge) < rounding for edge in edges) for t in ends]
+    return [float(t) for t, edge in zip(ends, at_edge, strict=True) if edge or not between_flights(t)]
+
+
+def _velocity(robot: Robot, pace: Pace, t: float) -> tuple[np.ndarray, np.ndarray]:
+    """Velocity (3,) m/s and angular velocity (3,) rad/s of the base at ``t`` s, world."""
+    part, (_, angle) = pace.part(t), pace.pose(t)
+    heading = _heading_of(pin.XYZQUATToSE3(robot.reference[:7]).rotation) + angle
+    forward = np.array([*pace.velocity, 0.0])
+    turned = np.array(pin.utils.rotate("z", heading)) @ forward
+    return part * turned, np.array([0.0, 0.0, part * pace.turn_rate])
+
+
+def periodic_guess(
+    robot: Robot, cycle: Schedule, pace: Pace, *, mirror: Mapping[str, str] | None = None, clearance: float
+) -> Motion:
+    """A guess ``t -> q`` (nq,) of a periodic motion: the middle one of three cycles of ``cycle``.
+
+    mirror: where the cycle is half of one, the contact on the other side, for every contact: halves before
+    and after are its mirror images. clearance: height of swings, m. Raises `InputError`.
+    """
+    whole, first = _repeated(cycle, mirror)
+    begin = first * cycle.duration
+    motion = legged_guess(robot, whole, gait_path(robot, whole, pace, begin=-begin), clearance=clearance)
+    return lambda t: motion(t + begin)
+
+
+def periodic_footholds(
+    robot: Robot, cycle: Schedule, pace: Pace, *, mirror: Mapping[str, str] | None = None
+) -> Schedule:
+    """The cycle with a foothold for every contact that lands, the first phase's too, as in `periodic_guess`."""
+    whole, first = _repeated(cycle, mirror)
+    path = gait_path(robot, whole, pace, begin=-first * cycle.duration)
+    planned = with_footholds(robot, whole, path).phases[first * len(cycle.phases) :]
+    return Schedule(
+        tuple(
+            replace(own, footholds=phase.footholds) for own, phase in zip(cycle.phases, planned, strict=False)
+        )
+    )
+
+
+def _repeated(cycle: Schedule, mirror: Mapping[str, str] | None) -> tuple[Schedule, int]:
+    """A cycle before and one after this one, or half a cycle's other halves; which of them it is."""
+    own = other = cycle.phases
+    if mirror is not None:
+        other = tuple(
+            replace(phase, contacts=tuple(mirror[name] for name in phase.contacts)) for phase in own
+        )
+    pieces, first = ((own,) * 3, 1) if mirror is None else ((own, other, own, other, own), 2)
+    phases = [replace(phase, name=f"{phase.name}_{i}") for i, piece in enumerate(pieces) for phase in piece]
+    return Schedule(tuple(phases)), first
+
+
+def with_footholds(robot: Robot, schedule: Schedule, path: WaypointPath) -> Schedule:
+    """The schedule with footholds for all contacts that begin with a phase, as in `legged_guess`."""
+    posture = LeggedPosture(
+        robot=robot,
+        schedule=schedule,
+        base=path,
+        start=robot.reference,
+        terrain=FlatGround(),
+        clearance=0.0,
+        tuck=0.0,
+        swing=None,
+    )
+    begins = np.cumsum([0.0, *(phase.duration for phase in schedule.phases)])
+    rounding = SAME_TIME * schedule.duration
+    phases = []
+    for i, phase in enumerate(schedule.phases):
+        places = {
+            name: stance.place.translation
+            for name in schedule.new_contacts(i)
+            for stance in posture.stances[name]
+            if abs(stance.begin - begins[i]) < rounding
+        }
+        phases.append(replace(phase, footholds=places))
+    return Schedule(tuple(phases))
+
+
+def _heading_of(rotation: np.ndarray) -> float:
+    return math.atan2(rotation[1, 0], rotation[0, 0])
