@@ -12,6 +12,7 @@ import pinocchio as pin
 from trajopt.actuators.drive import Drive
 from trajopt.actuators.on_robot import drive_torque_values
 from trajopt.bases.virtual_base import gimbal_margin_along
+from trajopt.certify.closing import periodicity_error
 from trajopt.certify.consistency import interval_gaps
 from trajopt.certify.contact_figures import force_figures, is_sole, place_figures
 from trajopt.certify.flight import flight_errors
@@ -35,8 +36,8 @@ def check(solution: Solution | str | Path) -> Report:
     """
     given = _trusted(solution)
     plan = _on_manifold(given)
-    surfaces = touched(plan)
     samples = evaluate(plan)
+    surfaces = touched(plan, samples.position)
     gaps = interval_gaps(plan)
     phases = _phases(plan)
     return Report(
@@ -46,6 +47,7 @@ def check(solution: Solution | str | Path) -> Report:
         **_drives(plan),
         **place_figures(plan, samples, surfaces),
         **impact_figures(plan, surfaces),
+        periodicity_error=periodicity_error(plan),
         quaternion_error=_quaternion_error(given),
         gimbal_margin=gimbal_margin_along(plan.model, plan.t, plan.q, plan.v),
         position_gap=gaps.position,

@@ -13,9 +13,12 @@ import pinocchio as pin
 from trajopt.actuators.on_robot import actuated_row_limit
 from trajopt.layout import Layout
 from trajopt.model_quantities import generalized_force
+from trajopt.payload import payload_wrench
 from trajopt.problem import Problem
 from trajopt.robot import Contact
 from trajopt.solution import Solution
+from trajopt.surface import Surface
+from trajopt.terrain import FlatGround
 from trajopt.timeline import NodeForm, StageKind
 from trajopt.transcription import Transcription
 from trajopt.versions import installed_version
@@ -40,7 +43,7 @@ def extract(transcription: Transcription, x: np.ndarray, meta: dict[str, Any]) -
     Rotations are normalised: they leave the manifold only by what the solver's tolerance leaves in the
     defects, which ``rotation_norm_error`` in meta keeps on record.
     """
-    layout = transcription.layout
+    layout, problem = transcription.layout, transcription.problem
     unknowns = x * transcription.scale
     clocks = layout.clocks(unknowns)
     steps = layout.steps * clocks[layout.phase_of]
@@ -48,7 +51,9 @@ def extract(transcription: Transcription, x: np.ndarray, meta: dict[str, Any]) -
     ends = layout.scheme.interpolation(np.array([0.0, 1.0]))
     columns: dict[str, list[np.ndarray]] = {name: [] for name in ("t", "q", "v", "a", "tau", "f")}
     for k in layout.interval_stages:
-        interval = _interval(layout, unknowns, int(k), float(steps[k]), float(clocks[layout.phase_of[k]]))
+        interval = _interval(
+            problem, layout, unknowns, int(k), float(steps[k]), float(clocks[layout.phase_of[k]])
+        )
         inner = times[k] + layout.scheme.c * steps[k]
         columns["t"].append(np.concatenate([[times[k]], inner, [times[k + 1]]]))
         for name in ("q", "v", "a"):
@@ -110,7 +115,9 @@ def _labels(layout: Layout) -> dict[str, np.ndarray]:
     }
 
 
-def _interval(layout: Layout, unknowns: np.ndarray, k: int, h: float, clock: float) -> _Interval:
+def _interval(
+    problem: Problem, layout: Layout, unknowns: np.ndarray, k: int, h: float, clock: float
+) -> _Interval:
     """Motion from the collocation map, torques from numeric Pinocchio; ``h`` in s, ``clock`` over nominal."""
     phase, method, form = int(layout.phase_of[k]), layout.scheme, layout.forms[k]
     window, nv = unknowns[layout.window(k)], form.coordinates.nv
@@ -151,8 +158,22 @@ def _interval(layout: Layout, unknowns: np.ndarray, k: int, h: float, clock: flo
         full = list(mode.lifted(*full)[:3])
         names = [contact.name for contact in layout.robot.contacts]
         f[:, names.index(mode.embedded.name), :3] = reaction[1:-1] - f[:, :, :3].sum(axis=1)
-    tau = _torques(layout, [part[1:-1] for part in full], f)
+    points = [part[1:-1] for part in full]
+    _add_payload(problem, layout.schedule.phases[phase].name, points, f)
+    tau = _torques(layout, points, f)
     return _Interval(full[0], full[1], full[2], f, tau)
+
+
+def _add_payload(problem: Problem, phase: str, motion: list[np.ndarray], f: np.ndarray) -> None:
+    """Add the wrench of what is carried in a phase to the wrenches (s, nc, 6) at its points."""
+    payload = problem.payloads.get(phase)
+    if payload is None:
+        return
+    model, data = problem.robot.model, problem.robot.model.createData()
+    contact = problem.robot.contact(payload.contact)
+    index = problem.robot.contacts.index(contact)
+    for row, state in enumerate(zip(*motion, strict=True)):
+        f[row, index] += payload_wrench(model, data, contact.frame, payload.spatial, state)
 
 
 def _in_pinocchio(
@@ -214,9 +235,14 @@ def robot_meta(problem: Problem) -> dict[str, Any]:
         ],
         "friction": [problem.terrain.friction for _ in robot.contacts],
         "surfaces": _surfaces(problem),
+        "patches": _patches(problem),
         "gravity": robot.model.gravity.linear.tolist(),
         **{name: _as_numbers(limit) for name, limit in limits.items()},
     }
+    if problem.payloads:
+        meta["payloads"] = _payloads(problem)
+    if problem.periodicity is not None:
+        meta["periodicity"] = problem.periodicity.describe(problem.robot, problem.initial_q[:3])
     if robot.drives is not None:
         meta["drives"] = [None if drive is None else drive.to_meta() for drive in robot.drives]
     if robot.visual is not None:
@@ -224,13 +250,41 @@ def robot_meta(problem: Problem) -> dict[str, Any]:
     return meta
 
 
+def _payloads(problem: Problem) -> list[dict[str, Any]]:
+    """What is carried, and the indices of the phases in which it is."""
+    names = [phase.name for phase in problem.schedule.phases]
+    return [
+        {**payload.describe(problem.robot), "phases": [names.index(name)]}
+        for name, payload in problem.payloads.items()
+    ]
+
+
 def _surfaces(problem: Problem) -> list[dict[str, Any]] | None:
-    """For each phase what contacts touch instead of the terrain, by their frames; None if nothing else."""
+    """For each phase what contacts touch instead of flat terrain, by their frames; None if nothing else.
+
+    Of piecewise terrain the planes of the faces they stand on; curved ground follows from the terrain.
+    """
+    flat, robot, schedule = isinstance(problem.terrain, FlatGround), problem.robot, problem.schedule
     phases = [
-        {problem.robot.contact(name).frame: surface.describe() for name, surface in phase.surfaces.items()}
-        for phase in problem.schedule.phases
+        {
+            robot.contact(name).frame: ground.describe()
+            for name, ground in problem.surfaces_of(i).items()
+            if isinstance(ground, Surface)
+            and not (flat and phase.own_surface(name) is None and schedule.patch(i, name) is None)
+        }
+        for i, phase in enumerate(schedule.phases)
     ]
     return phases if any(phases) else None
+
+
+def _patches(problem: Problem) -> list[dict[str, Any]] | None:
+    """For each phase the patches on which active contacts stand, by their frames; None where there are none."""
+    found = []
+    for i, phase in enumerate(problem.schedule.phases):
+        patches = {name: problem.schedule.patch(i, name) for name in phase.contacts}
+        named = {name: patch for name, patch in patches.items() if patch is not None}
+        found.append({problem.robot.contact(n).frame: patch.describe() for n, patch in named.items()})
+    return found if any(found) else None
 
 
 def _as_numbers(limit: np.ndarray | None) -> list[float] | None:

@@ -74,14 +74,26 @@ class Periodicity:
             return np.array(self.velocity) * duration
         return np.zeros(3) if self.translation is None else np.array(self.translation)
 
-    def describe(self, start: np.ndarray, duration: float) -> dict[str, Any]:
-        """JSON-able description for a solution file; ``start`` (3,) m is a point of the axis or plane."""
+    def images(self, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+        """For each rate of the image the index and the sign of the rate (nv,) that it comes from."""
+        return mirrored_rows(robot, find_mirror(robot)) if self.mirror else _same(robot.nv)
+
+    def describe(self, robot: Robot, origin: np.ndarray) -> dict[str, Any]:
+        """JSON-able description for a solution file; ``origin`` (3,) m is a point of the axis or plane."""
+        index, sign = self.images(robot)
         return {
-            "translation": self.moved(duration).tolist(),
+            "index": index.tolist(),
+            "sign": sign.tolist(),
+            "translation": self.translation,
+            "velocity": self.velocity,
             "turn": self.turn,
             "mirror": self.mirror,
-            "origin": np.asarray(start, dtype=float).tolist(),
+            "origin": np.asarray(origin, dtype=float).tolist(),
         }
+
+
+def _same(n: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.arange(n), np.ones(n)
 
 
 def _three(value: Any, name: str) -> tuple[float, float, float]:
@@ -130,9 +142,7 @@ def closing_map(robot: Robot, periodicity: Periodicity, initial_q: np.ndarray) -
     """
     coordinates = Coordinates(robot.model)
     _require_base(robot, coordinates.n_rotations, periodicity)
-    index, sign = np.arange(robot.nv), np.ones(robot.nv)
-    if periodicity.mirror:
-        index, sign = mirrored_rows(robot, find_mirror(robot))
+    index, sign = periodicity.images(robot)
     rates = sign[:, None] * np.eye(robot.nv)[index]
     turned = pin.utils.rotate("z", periodicity.turn)
     if robot.base == "freeflyer":

@@ -15,12 +15,14 @@ from trajopt.mode import Mode
 from trajopt.motion_terms import ContactVelocity
 from trajopt.node_costs import NodeCost
 from trajopt.node_terms import ContactLanding, NodeConstraint
+from trajopt.payload import Payload, loaded
 from trajopt.periodicity import Periodicity, UnitRotation, closing_map, landing_at_start
 from trajopt.point_terms import BaseDynamics, ContactAcceleration
 from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Schedule
-from trajopt.surface import Surface
+from trajopt.schedule import Schedule
 from trajopt.term_interfaces import Cost, PointConstraint, Term
+from trajopt.terrain import FlatGround, Ground, Terrain
+from trajopt.terrain.standing import require_standing
 
 # Places that a problem and a mode of it name twice agree to rounding, m.
 SAME_PLACE = 1e-9
@@ -45,13 +47,14 @@ class Problem:
 
     ``periodicity`` frees the start and asks the final state to be its image: ``initial_q`` is then only the
     reference of rotations, and says where the motion is in the world. ``duration_bounds`` (lower, upper) in s
-    are of the sum of all phases, some of which are free. Raises InputError where parts do not fit each other.
+    are of the sum of all phases, some of which are free. ``payloads`` are carried in phases, by their names.
+    Raises InputError where parts do not fit each other.
     """
 
     name: str
     robot: Robot
     schedule: Schedule
-    terrain: FlatGround
+    terrain: Terrain
     initial_q: np.ndarray
     initial_v: np.ndarray
     terms: tuple[Term, ...]
@@ -64,6 +67,7 @@ class Problem:
     modes: Mapping[str, Mode] = field(default_factory=dict)
     periodicity: Periodicity | None = None
     duration_bounds: tuple[float, float] | None = None
+    payloads: Mapping[str, Payload] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for label, size in (("initial_q", self.robot.nq), ("initial_v", self.robot.nv)):
@@ -91,8 +95,10 @@ class Problem:
                 self.robot.contact(contact)
         self._require_modes(names)
         self._require_impacts()
-        self.schedule.require_steady_surfaces(self.terrain)
+        self.schedule.require_steady_surfaces(self.terrain, self._starts)
+        require_standing(self.robot, self.schedule, self.terrain)
         self._require_periodicity()
+        self._require_payloads(names)
         self._require_duration()
         for term in self.terms:
             for name in term.phases or ():
@@ -159,6 +165,28 @@ class Problem:
         closing_map(self.robot, self.periodicity, self.initial_q)
         landing_at_start(self.robot, self.schedule, self.periodicity)
 
+    def _require_payloads(self, names: list[str]) -> None:
+        object.__setattr__(self, "payloads", MappingProxyType(dict(self.payloads)))
+        for name, payload in self.payloads.items():
+            if name not in names:
+                raise InputError(f"a payload is given for phase '{name}'", f"allowed: {', '.join(names)}")
+            contact = self.robot.contact(payload.contact).name
+            if contact in self.schedule.phases[names.index(name)].contacts:
+                raise InputError(
+                    f"'{contact}' carries a payload in phase '{name}' and touches the surroundings",
+                    "allowed: one of them",
+                )
+            if name in self.modes or self.dynamics is not None:
+                raise InputError(
+                    f"a payload is carried in phase '{name}' in minimal coordinates or by a reduced model",
+                    "allowed: the whole robot's dynamics",
+                )
+
+    def robot_in(self, phase: str) -> Robot:
+        """The robot in a phase: with what it carries there."""
+        payload = self.payloads.get(phase)
+        return self.robot if payload is None else loaded(self.robot, payload)
+
     def _require_duration(self) -> None:
         if self.duration_bounds is None:
             return
@@ -216,10 +244,21 @@ class Problem:
         slide = ContactVelocity() if self.actuation == "velocity" else ContactAcceleration()
         return (BaseDynamics(), slide)
 
-    def surfaces_of(self, phase: int) -> dict[str, Surface]:
-        """Surface of every contact of a phase, by the contact's name."""
-        where = self.schedule.phases[phase]
-        return {name: where.surface(name, self.terrain) for name in where.contacts}
+    def surfaces_of(self, phase: int) -> dict[str, Ground]:
+        """What every contact of a phase touches, by the contact's name.
+
+        A contact that stands since the start and for which nothing is named touches the terrain there.
+        """
+        starts, schedule = self._starts, self.schedule
+        names = schedule.phases[phase].contacts
+        return {name: schedule.surface(phase, name, self.terrain, starts) for name in names}
+
+    @property
+    def _starts(self) -> dict[str, np.ndarray]:
+        """Where contacts stand at the start, m; on flat ground and of a free start nobody asks."""
+        if isinstance(self.terrain, FlatGround) or self.periodicity is not None:
+            return {}
+        return contact_positions(self.robot, self.initial_q)
 
     @property
     def point_constraints(self) -> tuple[PointConstraint, ...]:
@@ -250,7 +289,7 @@ class Problem:
 
         None where something says where in the world the motion is: footholds, or a terrain that is no plane.
         """
-        placed = any(phase.footholds for phase in self.schedule.phases)
+        placed = any(phase.footholds or phase.patches for phase in self.schedule.phases)
         if self.periodicity is None or placed or not isinstance(self.terrain, FlatGround):
             return ()
         if self.robot.base == "fixed":

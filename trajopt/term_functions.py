@@ -158,8 +158,9 @@ class TermFunctions:
 
     def _context(self, phase: int, form: NodeForm, place: Place) -> Context:
         contacts = {Place.POINT: self.layout.contacts, Place.IMPACT: self.layout.touching}
+        name = self.problem.schedule.phases[phase].name
         return Context(
-            form.robot,
+            self.problem.robot_in(name) if name in self.problem.payloads else form.robot,
             form.coordinates,
             contacts[place][phase] if place in contacts else (),
             place=place,
@@ -167,7 +168,7 @@ class TermFunctions:
             actuation=self.problem.actuation,
             surfaces=self.problem.surfaces_of(phase),
             kept_rows=self.kept_rows(phase),
-            mode=self.problem.modes.get(self.problem.schedule.phases[phase].name),
+            mode=self.problem.modes.get(name),
         )
 
 

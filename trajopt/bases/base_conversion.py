@@ -43,11 +43,13 @@ def with_virtual_base(problem: Problem, order: str = DEFAULT_ORDER) -> Problem:
 
     Start, guess and every configuration ``q`` (nq,) of a term are mapped; `VelocityCost` and
     `AccelerationCost` become `BaseVelocityCost` and `BaseAccelerationCost`. Raises `InputError` for a robot
-    of another base, phases in minimal coordinates, or a start in gimbal lock.
+    of another base, phases in minimal coordinates, a periodic motion, or a start in gimbal lock.
     """
     robot = problem.robot.with_virtual_base(order)
     if problem.modes:
         raise InputError(f"problem '{problem.name}' has phases in minimal coordinates", "none of them")
+    if problem.periodicity is not None:
+        raise InputError(f"problem '{problem.name}' is periodic", "allowed: a fixed start")
     still = np.zeros(robot.nv)
     initial_q, initial_v, _ = from_free_flyer(order, problem.initial_q, problem.initial_v, still)
     margin = float(margin_of(initial_q[4]))

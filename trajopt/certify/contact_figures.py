@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from trajopt.certify.payloads import payload_wrenches
 from trajopt.certify.samples import Samples
-from trajopt.certify.touched import Touched
+from trajopt.certify.touched import Touched, patches_of
 from trajopt.model_quantities import gravity_of, mass_of
 from trajopt.sole import pressure_rows, yaw_rows
 from trajopt.solution import Solution
@@ -27,8 +28,16 @@ def force_figures(plan: Solution, samples: Samples, surfaces: Touched) -> Figure
         "friction_margin_between": _least(margin[pressed & ~points]),
         "unilateral_margin": _least(normal[pressed & points]),
         "sole_margin": _sole_margin(plan, samples, surfaces, weight),
-        "inactive_force": _largest(np.abs(plan.f[~plan.active]) / weight),
+        "inactive_force": _largest(np.abs(_uncarried(plan)[~plan.active]) / weight),
     }
+
+
+def _uncarried(plan: Solution) -> np.ndarray:
+    """Wrenches (K, nc, 6) without those of carried bodies; between points, where none is planned, zero."""
+    carried = payload_wrenches(plan)
+    loose = plan.f - carried
+    loose[carried.any(axis=-1) & ~plan.collocation[:, None]] = 0.0
+    return loose
 
 
 def _sole_margin(plan: Solution, samples: Samples, surfaces: Touched, weight: float) -> float | None:
@@ -79,7 +88,23 @@ def place_figures(plan: Solution, samples: Samples, surfaces: Touched) -> Figure
         "foot_drift": _largest(np.array(drift)),
         "foot_turn": _largest(np.array(turn)),
         "sole_tilt": _sole_tilt(plan, samples, surfaces),
+        "patch_margin": _patch_margin(plan, samples),
     }
+
+
+def _patch_margin(plan: Solution, samples: Samples) -> float | None:
+    """Least distance (m) inside the edges of their patches of active contacts, of a sole its corners'."""
+    frames, sizes, found = list(plan.contact_frames), plan.meta.get("contact_sizes") or [], []
+    for phase, patches in enumerate(patches_of(plan.meta.get("patches"))):
+        for frame, patch in patches.items():
+            index = frames.index(frame)
+            rows = plan.active[:, index] & (plan.phase == phase)
+            places = samples.position[rows, index][:, None]
+            if is_sole(plan)[index] and index < len(sizes) and sizes[index]:
+                corners = np.array([[x, y, 0] for x in (-1, 1) for y in (-1, 1)]) * [*sizes[index], 0.0]
+                places = places + np.einsum("kij,cj->kci", samples.rotation[rows, index], corners)
+            found.append(patch.inside(places).ravel())
+    return _least(np.concatenate([np.zeros(0), *found]))
 
 
 def is_sole(plan: Solution) -> np.ndarray:

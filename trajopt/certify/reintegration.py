@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from trajopt.certify.payloads import carrying_model
 from trajopt.dynamics.contact_dynamics import ContactDynamics
 from trajopt.dynamics.contact_set import ContactSet
 from trajopt.robot_building import BASE_JOINT, BASE_POSITION, BASE_ROWS, base_of
@@ -56,7 +57,8 @@ def open_loop(solution: Solution) -> tuple[OpenLoopError, ...]:
 def _phase_error(solution: Solution, phase: range) -> OpenLoopError:
     q, v = solution.q[phase.start].copy(), solution.v[phase.start].copy()
     worst: np.ndarray = np.zeros(3)
-    dynamics = _dynamics(solution, solution.active[phase.start])
+    model = carrying_model(solution, int(solution.phase[phase.start]))
+    dynamics = _dynamics(solution, model, solution.active[phase.start])
     for rows in solution.intervals[solution.interval[phase.start] : solution.interval[phase.stop - 1] + 1]:
         if solution.meta.get("actuation") == "velocity":
             end = follow_rates(solution, rows, q)
@@ -151,7 +153,7 @@ def _run(rate: Callable[[float, np.ndarray], np.ndarray], state: np.ndarray) -> 
     return method.y if method.status == "finished" and np.isfinite(method.y).all() else None
 
 
-def _dynamics(solution: Solution, active: np.ndarray) -> ContactDynamics:
+def _dynamics(solution: Solution, model: pin.Model, active: np.ndarray) -> ContactDynamics:
     kinds = zip(solution.contact_frames, solution.meta["contact_kinds"], active, strict=True)
     contacts = [(frame, 3 if kind == "point" else 6) for frame, kind, on in kinds if on]
-    return ContactDynamics(solution.model, ContactSet.of(solution.model, contacts))
+    return ContactDynamics(model, ContactSet.of(model, contacts))

@@ -95,6 +95,7 @@ FIGURES: dict[str, Figure] = {
     "position_excess": Figure(text="position beyond its limit", unit="range", tolerance="limit"),
     "penetration": Figure(text="depth below the terrain", unit="m", tolerance="penetration"),
     "landing_height": Figure(text="height of contacts where they begin", unit="m", tolerance="foot_drift"),
+    "patch_margin": Figure(text="distance inside the patch", unit="m", tolerance="foot_drift", margin=True),
     "foot_drift": Figure(text="drift of active contacts", unit="m", tolerance="foot_drift"),
     "foot_turn": Figure(text="turn of active soles", unit="rad"),
     "sole_tilt": Figure(text="tilt of active soles on their surface", unit="rad", tolerance="sole_tilt"),
@@ -108,6 +109,9 @@ FIGURES: dict[str, Figure] = {
     ),
     "impact_energy_gain": Figure(text="energy gained in impacts", unit="weight m", tolerance="residual"),
     "state_jump": Figure(text="jump of state without impact", unit="m, rad, speed", tolerance="residual"),
+    "periodicity_error": Figure(
+        text="last state against the first", unit="m, rad, speed", tolerance="residual"
+    ),
     "quaternion_error": Figure(text="norm error of rotations", unit="1", tolerance="quaternion"),
     "gimbal_margin": Figure(text="margin to gimbal lock", unit="1", tolerance="gimbal", least=True),
     "position_gap": Figure(text="q against the integral of v", unit="m, rad"),
@@ -148,7 +152,9 @@ class Report:
         `impact_figures`. state_jump: largest jump of q or v where intervals meet without an impact.
     penetration, quaternion_error, contact_velocity, foot_drift, foot_turn, sole_tilt: at all samples.
         penetration is below the surface of an active contact, below the terrain otherwise.
+        On ground that is no plane it is below the tangent plane of the highest ground under the contact.
     landing_height: distance of active contacts from their surface at their phase's start, unsigned.
+    patch_margin: least distance of active contacts (of soles: their corners) inside their patches' edges.
     position_gap, velocity_gap: see `consistency.interval_gaps`. ballistic_error, momentum_error: at
         nodes, ``..._between`` at collocation points, see
         `flight.flight_errors`. open_loop_...: see `reintegration.open_loop`; inf where it diverged.
@@ -172,6 +178,7 @@ class Report:
     position_excess: float | None
     penetration: float | None
     landing_height: float | None
+    patch_margin: float | None
     foot_drift: float | None
     foot_turn: float | None
     sole_tilt: float | None
@@ -181,6 +188,7 @@ class Report:
     impact_momentum_error: float | None
     impact_energy_gain: float | None
     state_jump: float | None
+    periodicity_error: float | None
     quaternion_error: float | None
     gimbal_margin: float | None
     position_gap: float

@@ -10,14 +10,17 @@ import numpy as np
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.solution import Solution
 from trajopt.surface import UP, Surface
+from trajopt.terrain import Patch, PiecewiseTerrain, SmoothTerrain
+
+Read = Surface | PiecewiseTerrain | SmoothTerrain
 
 
 @dataclass(frozen=True, kw_only=True)
 class Touched:
-    """Surfaces at K samples of nc contacts: the terrain, or that of the phase where a contact has its own.
+    """Planes at K samples of nc contacts: the terrain's under it, or that of the phase where it has its own.
 
     point, normal (K, nc, 3) m; friction (K, nc); bilateral (K, nc): transmits any wrench; known (K, nc):
-    there is a plane at all (a file may have no terrain: then normals are up, and heights unknown).
+    there is one at all (in a hole, or without terrain, normals are up, and heights unknown).
     """
 
     point: np.ndarray
@@ -35,28 +38,43 @@ class Touched:
         return np.where(self.known, self.along_normal(position - self.point), np.nan)
 
 
-def touched(plan: Solution) -> Touched:
-    """Read terrain, friction and surfaces of a consistent solution. Raises `SolutionFileError`."""
-    terrain, frames = terrain_surface(plan.meta["terrain"]), list(plan.contact_frames)
-    own = surfaces_of(plan.meta.get("surfaces")) or [{}] * (int(plan.phase[-1]) + 1)
-    ground = terrain or Surface(point=np.zeros(3), normal=np.array(UP))
-    size = (len(own), len(frames))
-    point, normal = np.tile(ground.point, (*size, 1)), np.tile(ground.normal, (*size, 1))
-    friction = np.tile(np.array(plan.meta["friction"], dtype=float), (size[0], 1))
-    bilateral, known = np.zeros(size, dtype=bool), np.full(size, terrain is not None)
-    for phase, surfaces in enumerate(own):
+def touched(plan: Solution, position: np.ndarray) -> Touched:
+    """Read terrain, friction and surfaces of a consistent solution. Raises `SolutionFileError`.
+
+    ``position`` (K, nc, 3) m: of the contacts; ground that is no plane is what lies under them.
+    """
+    frames, rows = list(plan.contact_frames), plan.phase
+    point, normal, known = _ground(terrain_of(plan.meta["terrain"]), position)
+    friction = np.tile(np.array(plan.meta["friction"], dtype=float), (len(rows), 1))
+    bilateral = np.zeros(friction.shape, dtype=bool)
+    for phase, surfaces in enumerate(surfaces_of(plan.meta.get("surfaces"))):
         for frame, surface in surfaces.items():
-            at = (phase, frames.index(frame))
+            at = (rows == phase, frames.index(frame))
             point[at], normal[at], friction[at] = surface.point, surface.normal, surface.friction
             bilateral[at], known[at] = surface.bilateral, True
-    rows = plan.phase
-    return Touched(
-        point=point[rows],
-        normal=normal[rows],
-        friction=friction[rows],
-        bilateral=bilateral[rows],
-        known=known[rows],
-    )
+    return Touched(point=point, normal=normal, friction=friction, bilateral=bilateral, known=known)
+
+
+def _ground(terrain: Read | None, position: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Point, normal (K, nc, 3) of the ground under contacts, and where there is any; a hole is none."""
+    size = position.shape
+    if terrain is None or isinstance(terrain, Surface):
+        plane = terrain or Surface(point=np.zeros(3), normal=np.array(UP))
+        flat = np.tile(plane.point, (*size[:2], 1)), np.tile(plane.normal, (*size[:2], 1))
+        return *flat, np.full(size[:2], terrain is not None)
+    x, y = position[..., 0], position[..., 1]
+    height = terrain.height(x, y)
+    known = np.isfinite(height)
+    return np.stack([x, y, np.where(known, height, 0.0)], axis=-1), terrain.normal(x, y).copy(), known
+
+
+def held_samples(plan: Solution) -> np.ndarray:
+    """Where contacts are on bilateral surfaces (K, nc). Raises `SolutionFileError`."""
+    held, frames = np.zeros(plan.active.shape, dtype=bool), list(plan.contact_frames)
+    for phase, surfaces in enumerate(surfaces_of(plan.meta.get("surfaces"))):
+        for frame, surface in surfaces.items():
+            held[plan.phase == phase, frames.index(frame)] = surface.bilateral
+    return held
 
 
 def surfaces_of(described: Any) -> list[dict[str, Surface]]:
@@ -77,14 +95,44 @@ def surfaces_of(described: Any) -> list[dict[str, Surface]]:
         raise SolutionFileError(f"surfaces of meta: {error.what}", error.allowed) from None
 
 
-def terrain_surface(terrain: Any) -> Surface | None:
+def patches_of(described: Any) -> list[dict[str, Patch]]:
+    """Read ``meta["patches"]``: for each phase the patches on which active contacts stand, by their frames.
+
+    Empty where there are none. Raises `SolutionFileError`.
+    """
+    if described is None:
+        return []
+    if not isinstance(described, list) or not all(isinstance(phase, dict) for phase in described):
+        raise SolutionFileError("patches of meta is not null or a list of {contact frame: patch}")
+    try:
+        return [
+            {str(frame): Patch.from_description(entry) for frame, entry in phase.items()}
+            for phase in described
+        ]
+    except InputError as error:
+        raise SolutionFileError(f"patches of meta: {error.what}", error.allowed) from None
+
+
+def terrain_of(described: Any) -> Read | None:
     """Read ``meta["terrain"]``; None where there is none. Raises `SolutionFileError` for another kind."""
+    kind = described.get("kind") if isinstance(described, dict) else described
+    if kind not in ("piecewise", "smooth"):
+        return terrain_surface(described)
+    try:
+        return (PiecewiseTerrain if kind == "piecewise" else SmoothTerrain).from_description(described)
+    except InputError as error:
+        raise SolutionFileError(f"terrain in meta: {error.what}", error.allowed) from None
+
+
+def terrain_surface(terrain: Any) -> Surface | None:
+    """Read flat ground of ``meta["terrain"]``, None where there is none. Raises `SolutionFileError`."""
     if terrain is None:
         return None
     if not isinstance(terrain, dict) or terrain.get("kind") != "flat":
         kind = terrain.get("kind") if isinstance(terrain, dict) else terrain
         raise SolutionFileError(
-            f"terrain of kind {kind!r} in meta is not known to this version", "'flat' or null"
+            f"terrain of kind {kind!r} in meta is not known to this version",
+            "'flat', 'piecewise', 'smooth' or null",
         )
     try:
         height = float(terrain.get("height", 0.0))

@@ -210,6 +210,10 @@ def body_problem(
     """
     if problem.modes:
         raise InputError(f"phases {', '.join(problem.modes)} have coordinates of their own", "allowed: none")
+    if problem.periodicity is not None or problem.payloads:
+        raise InputError(
+            f"problem '{problem.name}' is periodic or carries a payload", "allowed: a fixed start, no payload"
+        )
     body, robot, plan = rigid_body(problem.robot), body_robot(problem.robot), footholds_of(problem)
     dynamics: list[PointConstraint] = []
     limits: list[Term] = []

@@ -46,6 +46,9 @@ def lifted(solution: Solution, problem: Problem, reduction: Reduction) -> Soluti
         tau=_torques(solution, whole, motion, f),
         active=every,
         impulse=None if solution.impulse is None else reduction.lift_forces(solution.impulse),
+        row_multiplier=None,  # of the small problem's rows
+        row_place=None,
+        bound_multiplier=None,
     )
 
 

@@ -143,6 +143,8 @@ class _Smallest:
         """Why no robot but the whole one fits the problem, or an empty text."""
         if self.whole.dynamics is not None:
             return "the problem brings its own dynamics"
+        if self.whole.periodicity is not None or self.whole.payloads:
+            return "a periodic motion or a payload is written for all joints"
         return "phases in minimal coordinates are written for all joints" if self.whole.modes else ""
 
     def drop_idle_costs(self) -> None:

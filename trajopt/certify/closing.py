@@ -1,0 +1,66 @@
+"""Whether a periodic plan closes: its last state against the image of its first, by numeric Pinocchio."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.robot_building import base_of
+from trajopt.solution import Solution
+
+
+def periodicity_error(plan: Solution) -> float | None:
+    """Largest difference (m, rad, m/s, rad/s) of the last state from the first's image; None if not periodic.
+
+    The key ``periodicity`` of meta says what the image is: ``translation`` m or ``velocity`` m/s times the
+    duration, ``turn`` rad about the vertical through ``origin``, ``mirror`` in the plane y = origin, and for
+    each row of v the ``index`` and ``sign`` of the row that it comes from.
+    """
+    described = plan.meta.get("periodicity")
+    if not described:
+        return None
+    q, v = image(plan.model, described, plan.q[0], plan.v[0], float(plan.t[-1] - plan.t[0]))
+    apart = pin.difference(plan.model, q, plan.q[-1])
+    return float(max(np.abs(apart).max(), np.abs(v - plan.v[-1]).max()))
+
+
+def image(
+    model: pin.Model, described: dict[str, Any], q: np.ndarray, v: np.ndarray, duration: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Image of a state (nq,), (nv,) under a described periodicity; Pinocchio's convention."""
+    index, sign = np.array(described["index"], dtype=int), np.array(described["sign"], dtype=float)
+    moved = _translation(described, duration)
+    turn, origin = float(described["turn"]), np.array(described["origin"], dtype=float)
+    found = q.copy()
+    for joint in list(model.joints)[1:]:
+        if joint.nv == 1:
+            other = next(own for own in list(model.joints)[1:] if own.idx_v == index[joint.idx_v])
+            found[joint.idx_q : joint.idx_q + joint.nq] = _signed(
+                q[other.idx_q : other.idx_q + other.nq], sign[joint.idx_v]
+            )
+    base = base_of(model)
+    if base == "freeflyer":
+        rotation = pin.utils.rotate("z", turn)
+        position = q[:3] * sign[:3] + (1 - sign[:3]) * origin
+        found[:3] = origin + rotation @ (position - origin) + moved
+        mirrored = np.array([-q[3], q[4], -q[5], q[6]]) if described["mirror"] else q[3:7]
+        found[3:7] = (pin.Quaternion(rotation) * pin.Quaternion(*mirrored[[3, 0, 1, 2]])).coeffs()
+    elif base == "planar":
+        found[:2] += moved[[0, 2]]
+    elif base == "virtual":
+        found[:3] += moved
+    return found, sign * v[index]
+
+
+def _translation(described: dict[str, Any], duration: float) -> np.ndarray:
+    if described["velocity"] is not None:
+        return np.array(described["velocity"], dtype=float) * duration
+    given = described["translation"]
+    return np.zeros(3) if given is None else np.array(given, dtype=float)
+
+
+def _signed(value: np.ndarray, sign: float) -> np.ndarray:
+    """A joint's coordinate times 1 or -1; of (cos, sin) the angle's."""
+    return sign * value if len(value) == 1 else np.array([value[0], sign * value[1]])
