@@ -16,12 +16,13 @@ from trajopt.contact import Contact
 from trajopt.errors import InputError
 from trajopt.payload import Payload, loaded, payload_wrench
 from trajopt.problem import Problem
+from trajopt.schedule import FlatGround
 
 MASS, CENTRE = 3.0, np.array([0.0, 0.02, 0.1])
 INERTIA = np.diag([0.01, 0.02, 0.015])
 # Torques of two ways of writing the same dynamics, N m: rounding.
 ROUNDING = 1e-10
-# Discretisation error of the open loop at 60 intervals, rad (3.5e-4; it falls with the fourth power of the step).
+# Error of the open loop at 60 intervals, rad: 3.5e-4, which falls with the fourth power of the step.
 OPEN_LOOP = 1e-3
 
 
@@ -31,7 +32,7 @@ def _payload() -> Payload:
 
 @lru_cache(maxsize=1)
 def _empty() -> Problem:
-    problem = ur5_reach.FAMILY.load({})
+    problem = replace(ur5_reach.FAMILY.load({}), terrain=FlatGround(height=-2.0))
     return replace(problem, robot=replace(problem.robot, contacts=(Contact(frame="tool0", name="tool"),)))
 
 
