@@ -15,6 +15,7 @@ from trajopt.errors import InputError
 from trajopt.robot import Contact
 from trajopt.sole import friction_rows, pressure_rows, yaw_rows
 from trajopt.term_interfaces import PointConstraint, Rows
+from trajopt.terrain import CurvedSurface
 from trajopt.units import Units
 
 
@@ -60,10 +61,13 @@ def contact_force(context: Context, contact: Contact) -> ca.SX:
 def surface_force(context: Context, contact: Contact) -> ca.SX:
     """Force (3,) of an active contact along the two tangents and the normal of its surface, N.
 
-    World axes on level ground; elsewhere the axes are parameters, so that one compiled function serves any
-    normal.
+    World axes on level ground; on other planes the axes are parameters, so that one compiled function serves
+    any normal; on curved ground they follow from where the contact is.
     """
     surface, force = context.surface(contact), contact_force(context, contact)
+    if isinstance(surface, CurvedSurface):
+        axes = surface.symbolic_frame(context.frame(contact.frame).position, context.parameter)
+        return ca.mtimes(axes.T, force)
     return force if surface.is_level else ca.mtimes(context.parameter(surface.frame).T, force)
 
 

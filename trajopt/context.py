@@ -20,7 +20,7 @@ from trajopt.errors import InputError
 from trajopt.manifold import Coordinates
 from trajopt.mode import Mode
 from trajopt.robot import Contact, Robot
-from trajopt.surface import Surface
+from trajopt.terrain import Ground
 
 
 class Context:
@@ -46,7 +46,7 @@ class Context:
         place: Place | None = None,
         clocks: tuple[int, int | None] = (0, None),
         actuation: Actuation = "torque",
-        surfaces: Mapping[str, Surface] = MappingProxyType({}),
+        surfaces: Mapping[str, Ground] = MappingProxyType({}),
         mode: Mode | None = None,
         kept_rows: Mapping[str, tuple[int, ...]] = MappingProxyType({}),
     ) -> None:
@@ -169,8 +169,8 @@ class Context:
         """Rows of an active contact's motion that no other's rows say already (see ``redundancy``)."""
         return self._kept_rows.get(contact.name, contact.rows)
 
-    def surface(self, contact: Contact) -> Surface:
-        """The surface that an active contact touches."""
+    def surface(self, contact: Contact) -> Ground:
+        """The surface, or curved ground, that an active contact touches."""
         return self._surfaces[contact.name]
 
     @cached_property

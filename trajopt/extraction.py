@@ -278,7 +278,7 @@ def _surfaces(problem: Problem) -> list[dict[str, Any]] | None:
 
 
 def _patches(problem: Problem) -> list[dict[str, Any]] | None:
-    """For each phase the patches on which active contacts stand, by their frames; None where there are none."""
+    """For each phase the patches on which active contacts stand, by their frames; None if there are none."""
     found = []
     for i, phase in enumerate(problem.schedule.phases):
         patches = {name: problem.schedule.patch(i, name) for name in phase.contacts}

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.contact_figures import is_sole
-from trajopt.certify.touched import touched
+from trajopt.certify.touched import held_samples
 from trajopt.errors import InputError
 from trajopt.model_quantities import gravity_of, mass_of
 from trajopt.sole import centre_of_pressure
@@ -124,7 +124,7 @@ def _impacts(solution: Solution, t: np.ndarray) -> np.ndarray:
 
 def _pressing_soles(solution: Solution, sample: np.ndarray) -> np.ndarray:
     """Where (n, nc) a contact has a centre of pressure: soles that nothing but pressure holds."""
-    return ~touched(solution).bilateral[sample] & is_sole(solution)
+    return ~held_samples(solution)[sample] & is_sole(solution)
 
 
 def _pressure_offsets(

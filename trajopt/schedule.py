@@ -11,7 +11,10 @@ from types import MappingProxyType
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.surface import SAME_PLANE, UP, Surface
+from trajopt.surface import SAME_PLANE, Surface
+from trajopt.terrain import FlatGround, Ground, Patch, Terrain
+
+__all__ = ["FlatGround", "Phase", "Schedule"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +26,8 @@ class Phase:
     it the contact only has to touch the terrain). ``duration_bounds`` (lower, upper) in s makes the
     duration free; ``duration`` is then its guess. ``impact``: contacts that begin with the phase land
     by a rigid impact, in which velocities jump, instead of at zero velocity. ``surfaces`` are what active
-    contacts touch instead of the problem's terrain: a wall, a step, a handrail.
+    contacts touch instead of the problem's terrain: a wall, a step, a handrail. ``patches`` are bounded
+    faces: a contact that begins with the phase lands anywhere on its patch, and stays there while it holds.
     """
 
     name: str
@@ -33,6 +37,7 @@ class Phase:
     duration_bounds: tuple[float, float] | None = None
     impact: bool = False
     surfaces: Mapping[str, Surface] = field(default_factory=dict)
+    patches: Mapping[str, Patch] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.duration) and self.duration > 0):
@@ -47,11 +52,8 @@ class Phase:
             raise InputError(f"phase '{self.name}' names a contact twice: {', '.join(self.contacts)}")
         self._require_active("foothold", self.footholds)
         self._require_active("surface", self.surfaces)
-        for name, surface in self.surfaces.items():
-            if not isinstance(surface, Surface):
-                raise InputError(
-                    f"surface of '{name}' in phase '{self.name}' is {surface!r}", "allowed: a Surface"
-                )
+        self._require_active("patch", self.patches)
+        self._require_kinds()
         points = {name: np.array(point, dtype=float) for name, point in self.footholds.items()}
         for name, point in points.items():
             if point.shape != (3,) or not np.all(np.isfinite(point)):
@@ -60,9 +62,11 @@ class Phase:
                 )
             point.setflags(write=False)
             self._require_on_surface(name, point)
+            self._require_on_patch(name, point)
         object.__setattr__(self, "contacts", tuple(self.contacts))
         object.__setattr__(self, "footholds", MappingProxyType(points))
         object.__setattr__(self, "surfaces", MappingProxyType(dict(self.surfaces)))
+        object.__setattr__(self, "patches", MappingProxyType(dict(self.patches)))
 
     def _require_active(self, what: str, given: Mapping[str, object]) -> None:
         unknown = set(given) - set(self.contacts)
@@ -81,9 +85,48 @@ class Phase:
                 f"allowed: within {SAME_PLANE:g} m",
             )
 
-    def surface(self, contact: str, terrain: FlatGround) -> Surface:
-        """What an active contact touches in this phase: its own surface, or the terrain."""
-        return self.surfaces.get(contact, terrain.surface)
+    def _require_kinds(self) -> None:
+        for name, surface in self.surfaces.items():
+            if not isinstance(surface, Surface):
+                raise InputError(
+                    f"surface of '{name}' in phase '{self.name}' is {surface!r}", "allowed: a Surface"
+                )
+        for name, patch in self.patches.items():
+            if not isinstance(patch, Patch):
+                raise InputError(f"patch of '{name}' in phase '{self.name}' is {patch!r}", "allowed: a Patch")
+            if name in self.surfaces:
+                raise InputError(
+                    f"'{name}' has a surface and a patch in phase '{self.name}'", "allowed: one of them"
+                )
+
+    def _require_on_patch(self, name: str, foothold: np.ndarray) -> None:
+        patch = self.patches.get(name)
+        if patch is None:
+            return
+        off, inside = abs(float(patch.surface.distance(foothold))), float(patch.inside(foothold))
+        if off > SAME_PLANE or inside < patch.margin - SAME_PLANE:
+            raise InputError(
+                f"foothold of '{name}' in phase '{self.name}' is {off:g} m off the plane of patch"
+                f" '{patch.name}' and {inside:g} m inside its edges",
+                f"allowed: on the plane, at least the margin {patch.margin:g} m inside",
+            )
+
+    def own_surface(self, contact: str) -> Surface | None:
+        """The surface or the patch's surface that this phase names for a contact; None if it names none."""
+        if contact in self.patches:
+            return self.patches[contact].surface
+        return self.surfaces.get(contact)
+
+    def surface(self, contact: str, terrain: Terrain) -> Ground:
+        """What an active contact touches by what this phase alone says of it, else the terrain.
+
+        In order: its surface or its patch's, the terrain at its foothold, the terrain. See `Schedule.surface`
+        for contacts that hold since an earlier phase.
+        """
+        own = self.own_surface(contact)
+        if own is not None:
+            return own
+        return terrain.surface_at(self.footholds[contact]) if contact in self.footholds else terrain.surface
 
     def _require_bounds(self, bounds: tuple[float, float]) -> None:
         try:
@@ -137,14 +180,51 @@ class Schedule:
         free = [phase.duration_bounds is not None for phase in self.phases]
         return tuple(sum(free[:i]) if own else None for i, own in enumerate(free))
 
-    def require_steady_surfaces(self, terrain: FlatGround) -> None:
+    def surface(
+        self,
+        index: int,
+        contact: str,
+        terrain: Terrain,
+        starts: Mapping[str, np.ndarray] = MappingProxyType({}),
+    ) -> Ground:
+        """What an active contact of phase ``index`` touches: what the phase names, or what it landed on.
+
+        A patch, or the terrain under a foothold, holds as long as the contact does. ``starts`` (3,) m are
+        where contacts stand at the start, by name: ground for those that have neither.
+        """
+        own = self.phases[index].own_surface(contact)
+        if own is not None:
+            return own
+        patch = self.patch(index, contact)
+        if patch is not None:
+            return patch.surface
+        begins = self.beginning(contact, index)
+        foothold = self.phases[begins].footholds.get(contact, None if begins else starts.get(contact))
+        return terrain.surface if foothold is None else terrain.surface_at(foothold)
+
+    def patch(self, index: int, contact: str) -> Patch | None:
+        """The patch on which an active contact of phase ``index`` stands, None where none was named."""
+        for phase in reversed(self.phases[self.beginning(contact, index) : index + 1]):
+            if phase.own_surface(contact) is not None:
+                return phase.patches.get(contact)
+        return None
+
+    def require_steady_surfaces(
+        self, terrain: Terrain, starts: Mapping[str, np.ndarray] = MappingProxyType({})
+    ) -> None:
         """Raise InputError if a contact stays active from one phase to the next but on another plane."""
-        for before, after in pairwise(self.phases):
+        for index, (before, after) in enumerate(pairwise(self.phases)):
             for name in set(before.contacts) & set(after.contacts):
-                if not before.surface(name, terrain).same_plane(after.surface(name, terrain)):
+                surfaces = [self.surface(i, name, terrain, starts) for i in (index, index + 1)]
+                if not surfaces[0].same_plane(surfaces[1]):
                     raise InputError(
                         f"'{name}' is in contact in phases '{before.name}' and '{after.name}' on two planes",
                         "allowed: the same plane, or a phase between them without the contact",
+                    )
+                if not _same_patch(self.patch(index, name), after.patches.get(name)):
+                    raise InputError(
+                        f"'{name}' is in contact in phases '{before.name}' and '{after.name}' on two patches",
+                        "allowed: the patch on which it landed, or none named again",
                     )
 
     def new_contacts(self, index: int) -> tuple[str, ...]:
@@ -183,39 +263,8 @@ class Schedule:
         return tuple(int(count) for count in counts)
 
 
-@dataclass(frozen=True, kw_only=True)
-class FlatGround:
-    """A plane to stand on with Coulomb friction: level, or a slope.
-
-    ``height`` in m over the world's origin; ``friction`` coefficient; ``normal`` (3,) upwards, made a unit
-    vector, (0, 0, 1) for level ground. Raises `InputError`.
-    """
-
-    height: float = 0.0
-    friction: float = 0.7
-    normal: tuple[float, float, float] = UP
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.friction) and self.friction >= 0):
-            raise InputError(f"friction coefficient is {self.friction:g}", "allowed: finite and >= 0")
-        if not math.isfinite(self.height):
-            raise InputError(f"ground height is {self.height:g} m", "allowed: finite")
-        normal = self.surface.normal
-        if not normal[2] > 0:
-            raise InputError(f"normal of the ground is {self.normal}", "allowed: upwards, z > 0")
-        object.__setattr__(self, "normal", tuple(normal.tolist()))
-
-    @property
-    def surface(self) -> Surface:
-        """The ground as a surface that contacts touch."""
-        point = np.array([0.0, 0.0, self.height])
-        return Surface(point=point, normal=np.array(self.normal), friction=self.friction)
-
-    def describe(self) -> dict[str, object]:
-        """JSON-able description for a solution file."""
-        return {
-            "kind": "flat",
-            "height": self.height,
-            "normal": list(self.normal),
-            "friction": self.friction,
-        }
+def _same_patch(before: Patch | None, named: Patch | None) -> bool:
+    """Whether a patch named again is the one before; naming none is always right."""
+    if named is None or named is before:
+        return True
+    return before is not None and before.describe() == named.describe()

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from trajopt.actuators.drive import Drive
-from trajopt.certify.touched import surfaces_of
+from trajopt.certify.touched import patches_of, surfaces_of
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.solution import OTHERS, SAMPLED, Solution
 
@@ -105,18 +106,22 @@ def _wrong_drives(drives: Any) -> str:
 
 
 def _wrong_surfaces(solution: Solution, meta: dict[str, Any]) -> str:
-    """Optional key of meta: for each phase, what active contacts touch instead of the terrain, by frame."""
+    """Optional keys of meta: for each phase, by frame, what active contacts touch, and their patches."""
     try:
-        surfaces = surfaces_of(meta.get("surfaces"))
+        read: dict[str, Sequence[Mapping[str, object]]] = {
+            "surfaces": surfaces_of(meta.get("surfaces")),
+            "patches": patches_of(meta.get("patches")),
+        }
     except SolutionFileError as error:
         return str(error)
-    if surfaces and len(surfaces) != solution.phase[-1] + 1:
-        return f"surfaces of meta has {len(surfaces)} entries for {solution.phase[-1] + 1} phases"
-    for rows in solution.phases if surfaces else ():
-        active = {meta["contact_frames"][i] for i in np.flatnonzero(solution.active[rows.start])}
-        unknown = set(surfaces[int(solution.phase[rows.start])]) - active
-        if unknown:
-            return f"surfaces of meta names {', '.join(sorted(unknown))}, not in contact in that phase"
+    for key, phases in read.items():
+        if phases and len(phases) != solution.phase[-1] + 1:
+            return f"{key} of meta has {len(phases)} entries for {solution.phase[-1] + 1} phases"
+        for rows in solution.phases if phases else ():
+            active = {meta["contact_frames"][i] for i in np.flatnonzero(solution.active[rows.start])}
+            unknown = set(phases[int(solution.phase[rows.start])]) - active
+            if unknown:
+                return f"{key} of meta names {', '.join(sorted(unknown))}, not in contact in that phase"
     return ""
 
 
@@ -149,7 +154,24 @@ def _wrong_shape(solution: Solution, meta: dict[str, Any]) -> str:
     for frame in meta["contact_frames"]:
         if not isinstance(frame, str) or not model.existFrame(frame):
             return f"contact frame {frame!r} is not in the model"
-    return _wrong_impacts(solution, contacts)
+    return _wrong_impacts(solution, contacts) or _wrong_multipliers(solution, meta)
+
+
+def _wrong_multipliers(solution: Solution, meta: dict[str, Any]) -> str:
+    rows, place, bounds = solution.row_multiplier, solution.row_place, solution.bound_multiplier
+    given = [array is not None for array in (rows, place, bounds)]
+    if not any(given):
+        return ""
+    if rows is None or place is None or bounds is None:
+        return "'row_multiplier', 'row_place' and 'bound_multiplier' must come together"
+    if rows.ndim != 1 or bounds.ndim != 1 or place.shape != (len(rows), 3):
+        return f"'row_place' has shape {place.shape}, expected (R, 3) with R as 'row_multiplier'"
+    names = meta.get("row_names")
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        return "row_names of meta must be a list of texts where there are multipliers"
+    if not np.isin(place[:, 0], np.arange(len(names))).all():
+        return f"'row_place' names blocks that are not within 0 to {len(names) - 1}"
+    return ""
 
 
 def _wrong_impacts(solution: Solution, contacts: int) -> str:

@@ -87,8 +87,14 @@ class Surface:
         """Signed distance (...) in m of world positions (..., 3), positive on the normal's side."""
         return np.asarray((np.asarray(position, dtype=float) - self.point) @ self.normal)
 
-    def same_plane(self, other: Surface) -> bool:
+    def plane_at(self, position: np.ndarray) -> Surface:
+        """The plane under a position (3,) m: itself everywhere."""
+        return self
+
+    def same_plane(self, other: object) -> bool:
         """Whether the other surface is the same plane with the same side."""
+        if not isinstance(other, Surface):
+            return False
         turned = float(np.abs(self.normal - other.normal).max())
         return turned < SAME_PLANE and abs(float(self.distance(other.point))) < SAME_PLANE
 

@@ -131,7 +131,7 @@ def terrain_surface(terrain: Any) -> Surface | None:
     if not isinstance(terrain, dict) or terrain.get("kind") != "flat":
         kind = terrain.get("kind") if isinstance(terrain, dict) else terrain
         raise SolutionFileError(
-            f"terrain of kind {kind!r} in meta is not known to this version",
+            f"terrain of kind {kind!r} in meta is not known",
             "'flat', 'piecewise', 'smooth' or null",
         )
     try:

@@ -17,8 +17,9 @@ from trajopt.problem import Motion
 from trajopt.reduced.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights
 from trajopt.reduced.foot_motion import CACHED_POSTURES, require_free_flyer, smooth_step
 from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.schedule import Phase, Schedule
 from trajopt.surface import Surface, frame_of_normal
+from trajopt.terrain import FlatGround, Terrain
 
 # Height of a swing over the straight line between its footholds, as a part of the robot's length.
 CLEARANCE_PART = 0.1
@@ -44,7 +45,7 @@ class LeggedPosture:
     schedule: Schedule
     base: WaypointPath
     start: np.ndarray
-    terrain: FlatGround
+    terrain: Terrain
     clearance: float
     tuck: float
     swing: SwingPath | None
@@ -141,10 +142,11 @@ class LeggedPosture:
 
     def _landing(self, name: str, phase: Phase, middle: float) -> pin.SE3:
         """Where a contact lands: its foothold, or its nominal place at the base's pose in mid stance."""
-        surface = phase.surface(name, self.terrain)
         nominal = self._nominal(name, self.base(middle))
-        foothold = phase.footholds.get(name)
+        surface = phase.surface(name, self.terrain).plane_at(nominal.translation)
+        foothold, patch = phase.footholds.get(name), phase.patches.get(name)
         position = _dropped(nominal.translation, surface) if foothold is None else foothold
+        position = position if patch is None else patch.nearest(position)
         return pin.SE3(_leaning(surface) @ nominal.rotation, np.array(position))
 
     def _nominal(self, name: str, placement: pin.SE3) -> pin.SE3:
@@ -166,7 +168,7 @@ def legged_guess(
     path: Sequence[BaseWaypoint] | WaypointPath,
     *,
     start: np.ndarray | None = None,
-    terrain: FlatGround | None = None,
+    terrain: Terrain | None = None,
     clearance: float | None = None,
     tuck: float = 0.0,
     swing: SwingPath | None = None,
@@ -175,7 +177,7 @@ def legged_guess(
 
     path: waypoints of the base (see `WaypointPath`). start: configuration (nq,) whose contacts are where
     the first stances are, default the reference. A contact that lands stands on its foothold, or where
-    none is given on its surface (default the ``terrain``'s) at its nominal place under the base in the
+    none is given on its surface or patch (default the ``terrain``) at its nominal place under the base in the
     middle of its stance. While other contacts stand it swings in a smooth arc ``clearance`` m high
     (default: a tenth of the robot's length), or along ``swing``; where the robot flies the base carries
     it, drawn up by ``tuck`` m along the base's z axis in the middle, and at least as high as that arc.

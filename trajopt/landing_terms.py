@@ -1,0 +1,151 @@
+"""Constraints of feet and ground at nodes: where a contact lands, how high a foot swings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from trajopt.context import Context
+from trajopt.errors import InputError
+from trajopt.node_interfaces import NodeConstraint, NodePlace
+from trajopt.robot import Contact
+from trajopt.surface import Surface
+from trajopt.term_interfaces import Rows
+from trajopt.terrain import CurvedSurface, FlatGround, Ground, Patch, SmoothTerrain, Terrain
+from trajopt.units import Units
+
+# An edge asks nothing of a robot in a plane when its normal's part in that plane is below this.
+ACROSS = 1e-6
+
+
+def along_normal(context: Context, surface: Surface, columns: ca.SX) -> ca.SX:
+    """Components (1, n) along a surface's normal of columns (3, n) in world axes.
+
+    On level ground the third row; elsewhere the normal is a parameter.
+    """
+    return columns[2, :] if surface.is_level else ca.mtimes(context.parameter(surface.normal).T, columns)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactLanding(NodeConstraint):
+    """New contacts of a phase lie on their surface, patch or foothold and do not move.
+
+    The surface is the phase's for that contact, else the terrain; a sole lies flat on it. On a patch a point
+    keeps the margin from every edge, and so do the four corners of a sole. Contacts that are ``held`` through
+    an impact do not move after it either.
+    """
+
+    phase: str
+    contacts: tuple[str, ...]
+    terrain: Terrain
+    held: tuple[str, ...] = ()
+
+    def acts_at(self, place: NodePlace) -> bool:
+        return place.phase.name == self.phase and place.index == 0
+
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        parts: list[Rows] = []
+        for name in self.contacts:
+            parts += _places(context, units, place, context.robot.contact(name), self.terrain)
+        if context.actuation != "velocity":
+            for name in (*self.contacts, *self.held):
+                contact = context.robot.contact(name)
+                rows = list(context.held_rows(contact))
+                velocity = context.frame(contact.frame).velocity[rows]
+                parts.append(Rows.create(velocity, 0.0, 0.0, units.twist[rows]))
+        return _joined(parts)
+
+
+def _joined(parts: list[Rows]) -> Rows:
+    lower, upper, unit = (
+        np.concatenate([np.zeros(0), *[getattr(part, name) for part in parts]])
+        for name in ("lower", "upper", "unit")
+    )
+    return Rows.create(ca.vertcat(*[part.expression for part in parts]), lower, upper, unit)
+
+
+def _places(
+    context: Context, units: Units, place: NodePlace, contact: Contact, terrain: Terrain
+) -> list[Rows]:
+    """Where one contact lands: at its foothold, or on its ground and inside its patch; a sole lies flat."""
+    frame, held = context.frame(contact.frame), context.held_rows(contact)
+    foothold, ground = place.phase.footholds.get(contact.name), place.phase.surface(contact.name, terrain)
+    movable, edges = [row for row in held if row < 3], []
+    if foothold is None and contact.name in place.phase.patches:
+        edges = _inside(context, units, contact, place.phase.patches[contact.name])
+    if foothold is not None:
+        found = [Rows.create(frame.position[movable], foothold[movable], foothold[movable], units.length)]
+    elif 2 in held or (movable and not ground.is_level):
+        found = [_on_ground(context, ground, frame.position, units.length)]
+    else:
+        return edges
+    tilting = _tilting_axes(contact, held)
+    if tilting and isinstance(ground, Surface):
+        found.append(Rows.create(along_normal(context, ground, frame.rotation[:, tilting]).T, 0.0, 0.0, 1.0))
+    return found + edges
+
+
+def _on_ground(context: Context, ground: Ground, position: ca.SX, length: float) -> Rows:
+    if isinstance(ground, CurvedSurface):
+        return Rows.create(ground.symbolic_gap(position, context.parameter), 0.0, 0.0, length)
+    return Rows.create(along_normal(context, ground, position), ground.height, ground.height, length)
+
+
+def _inside(context: Context, units: Units, contact: Contact, patch: Patch) -> list[Rows]:
+    """Rows of every edge for the contact's point, or for the corners of its sole.
+
+    The distance from the plane has its own row, so these speak of directions in the plane alone: independent
+    of it. A robot that moves in a plane of the world gets no rows for edges along that plane.
+    """
+    frame, moves = context.frame(contact.frame), [row for row in contact.rows if row < 3]
+    edges = np.linalg.norm(patch.inward[:, moves], axis=1) > ACROSS
+    inward, least = context.parameter(patch.inward[edges]), (patch.offsets + patch.margin)[edges]
+    points = [frame.position]
+    if contact.kind == "surface":
+        half = np.array([contact.half_length, contact.half_width])
+        corners = [half * signs for signs in ([1, 1], [-1, 1], [-1, -1], [1, -1])]
+        points = [frame.position + ca.mtimes(frame.rotation[:, :2], corner) for corner in corners]
+    return [Rows.create(ca.mtimes(inward, point), least, np.inf, units.length) for point in points]
+
+
+def _tilting_axes(contact: Contact, held: tuple[int, ...]) -> list[int]:
+    """Axes of a sole (0: x, 1: y) that must lie in its surface: of a planar robot the one in its plane."""
+    if contact.dimension == 6:
+        return [0, 1][: sum(row > 2 for row in held)]
+    return [0 if row == 4 else 1 for row in held if row in (3, 4)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SwingClearance(NodeConstraint):
+    """Contact frames that are not in contact stay above the terrain at the nodes inside a phase.
+
+    The least distance from flat ground, or height over smooth ground, is ``height`` times 4 s (1 - s), s the
+    fraction of the phase, m. Piecewise ground has edges: see `trajopt.terrain.swing_terms`.
+    """
+
+    height: float
+    terrain: FlatGround | SmoothTerrain
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.height) and self.height >= 0):
+            raise InputError(f"swing clearance is {self.height:g} m", "allowed: finite and >= 0")
+        if not isinstance(self.terrain, FlatGround | SmoothTerrain):
+            raise InputError(
+                "SwingClearance over piecewise ground, where feet would cut edges between nodes",
+                "allowed: flat or smooth ground; swing_clearance() of trajopt.terrain.swing_terms for both",
+            )
+
+    def acts_at(self, place: NodePlace) -> bool:
+        return 0 < place.index < place.count and self.acts_in(place.phase.name)
+
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        swing = [c for c in context.robot.contacts if c.name not in place.phase.contacts]
+        least = self.height * 4 * place.fraction * (1 - place.fraction)
+        positions, ground = [context.frame(c.frame).position for c in swing], self.terrain.surface
+        if isinstance(ground, CurvedSurface):
+            heights = [ground.symbolic_gap(position, context.parameter) for position in positions]
+        else:
+            heights, least = [along_normal(context, ground, p) for p in positions], least + ground.height
+        return Rows.create(ca.vertcat(*heights), least, np.inf, units.length)

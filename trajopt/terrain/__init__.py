@@ -1,0 +1,47 @@
+"""The ground: one plane, plane faces with edges, or a smooth height."""
+
+from typing import Any
+
+from trajopt.errors import InputError
+from trajopt.surface import Surface
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.patch import Patch
+from trajopt.terrain.piecewise import PiecewiseTerrain
+from trajopt.terrain.shapes import Bump, Incline, Ramp, Shape, Wave
+from trajopt.terrain.smooth import CurvedSurface, SmoothTerrain
+
+__all__ = [
+    "Bump",
+    "CurvedSurface",
+    "FlatGround",
+    "Ground",
+    "Incline",
+    "Patch",
+    "PiecewiseTerrain",
+    "Ramp",
+    "Shape",
+    "SmoothTerrain",
+    "Terrain",
+    "Wave",
+    "terrain_from_description",
+]
+
+Terrain = FlatGround | PiecewiseTerrain | SmoothTerrain
+# What a contact touches: a plane, or smooth ground.
+Ground = Surface | CurvedSurface
+
+
+def terrain_from_description(described: Any) -> Terrain:
+    """The terrain that ``describe`` wrote. Raises `InputError`."""
+    kind = described.get("kind") if isinstance(described, dict) else described
+    if kind == "piecewise":
+        return PiecewiseTerrain.from_description(described)
+    if kind == "smooth":
+        return SmoothTerrain.from_description(described)
+    if kind != "flat":
+        raise InputError(f"terrain of kind {kind!r} is not known", "allowed: flat, piecewise, smooth")
+    numbers = {key: described[key] for key in ("height", "normal", "friction") if key in described}
+    try:
+        return FlatGround(**numbers)
+    except (TypeError, ValueError):
+        raise InputError("flat terrain has no numeric height, normal and friction") from None

@@ -1,0 +1,53 @@
+"""One plane to stand on: level ground or a slope."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.surface import UP, Surface
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlatGround:
+    """A plane to stand on with Coulomb friction: level, or a slope.
+
+    ``height`` in m over the world's origin; ``friction`` coefficient; ``normal`` (3,) upwards, made a unit
+    vector, (0, 0, 1) for level ground. Raises `InputError`.
+    """
+
+    height: float = 0.0
+    friction: float = 0.7
+    normal: tuple[float, float, float] = UP
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.friction) and self.friction >= 0):
+            raise InputError(f"friction coefficient is {self.friction:g}", "allowed: finite and >= 0")
+        if not math.isfinite(self.height):
+            raise InputError(f"ground height is {self.height:g} m", "allowed: finite")
+        normal = self.surface.normal
+        if not normal[2] > 0:
+            raise InputError(f"normal of the ground is {self.normal}", "allowed: upwards, z > 0")
+        object.__setattr__(self, "normal", tuple(normal.tolist()))
+
+    @property
+    def surface(self) -> Surface:
+        """The ground as a surface that contacts touch."""
+        point = np.array([0.0, 0.0, self.height])
+        return Surface(point=point, normal=np.array(self.normal), friction=self.friction)
+
+    def surface_at(self, point: np.ndarray) -> Surface:
+        """The surface under a position (3,) m: the same everywhere."""
+        return self.surface
+
+    def describe(self) -> dict[str, object]:
+        """JSON-able description for a solution file."""
+        return {
+            "kind": "flat",
+            "height": self.height,
+            "normal": list(self.normal),
+            "friction": self.friction,
+        }

@@ -1,0 +1,199 @@
+"""A face of the ground: a plane bounded by a convex polygon, on which a contact may land anywhere."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.surface import SAME_PLANE, UP, Surface
+
+# Sine of the turn at a corner below which three corners are on one line (or turn the wrong way): rounding of
+# corners that were computed, far below any polygon that is meant to turn there.
+STRAIGHT = 1e-9
+DESCRIBED = ("name", "surface", "vertices", "margin")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Patch:
+    """A ``surface`` inside a convex polygon.
+
+    ``vertices`` (n, 3) in m, n >= 3, are its corners in the surface's plane, in order around it, either way;
+    they are kept counter-clockwise about the normal. A contact that lands on it keeps ``margin`` m from every
+    edge. ``name`` is for reports and `PiecewiseTerrain.face`. Raises `InputError`.
+    """
+
+    surface: Surface
+    vertices: np.ndarray
+    margin: float = 0.0
+    name: str = "patch"
+    inward: np.ndarray = field(init=False, repr=False)
+    """Unit normals (n, 3) of the edges, in the plane, pointing inward; edge i starts at corner i."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.surface, Surface):
+            raise InputError(f"surface of patch '{self.name}' is {self.surface!r}", "allowed: a Surface")
+        if not (_is_number(self.margin) and self.margin >= 0):
+            raise InputError(
+                f"margin of patch '{self.name}' is {self.margin!r} m", "allowed: finite and >= 0"
+            )
+        vertices = _corners(self.vertices, self.name)
+        off = float(np.abs(self.surface.distance(vertices)).max())
+        if not off <= SAME_PLANE:
+            raise InputError(
+                f"a corner of patch '{self.name}' is {off:g} m off its plane",
+                f"allowed: within {SAME_PLANE:g} m",
+            )
+        vertices = _counter_clockwise(vertices, self.surface.normal)
+        edges = np.roll(vertices, -1, axis=0) - vertices
+        inward = np.cross(self.surface.normal, edges)
+        lengths = np.linalg.norm(inward, axis=1)
+        if not lengths.min() > SAME_PLANE:
+            raise InputError(
+                f"patch '{self.name}' has an edge without length", "allowed: corners that differ"
+            )
+        inward = inward / lengths[:, None]
+        _require_convex(edges / lengths[:, None], self.surface.normal, self.name)
+        for label, array in (("vertices", vertices), ("inward", inward)):
+            array.setflags(write=False)
+            object.__setattr__(self, label, array)
+        object.__setattr__(self, "margin", float(self.margin))
+        if not len(self.allowed):
+            raise InputError(
+                f"margin of patch '{self.name}' is {self.margin:g} m, which leaves nothing of it",
+                "allowed: less than half of its width",
+            )
+
+    @classmethod
+    def rectangle(
+        cls,
+        centre: Sequence[float] | np.ndarray,
+        size: tuple[float, float],
+        *,
+        yaw: float = 0.0,
+        friction: float = 0.7,
+        margin: float = 0.0,
+        name: str = "patch",
+    ) -> Patch:
+        """A level rectangle: ``centre`` (3,) m, ``size`` along its own axes in m, turned by ``yaw`` rad."""
+        middle = np.array(centre, dtype=float)
+        if middle.shape != (3,) or not np.isfinite(middle).all():
+            raise InputError(f"centre of patch '{name}' is {centre!r}", "allowed: 3 finite numbers, m")
+        if len(size) != 2 or not all(_is_number(length) and length > 0 for length in size):
+            raise InputError(f"size of patch '{name}' is {size!r} m", "allowed: two lengths > 0")
+        turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(size) / 2
+        vertices = middle + np.column_stack([corners @ turn.T, np.zeros(4)])
+        surface = Surface(point=middle, normal=np.array(UP), friction=friction)
+        return cls(surface=surface, vertices=vertices, margin=margin, name=name)
+
+    @property
+    def offsets(self) -> np.ndarray:
+        """Offsets (n,) in m of the edges: a position p is inside where ``inward @ p >= offsets``."""
+        return np.asarray(np.sum(self.inward * self.vertices, axis=1))
+
+    @property
+    def centre(self) -> np.ndarray:
+        """Mean of the corners (3,), m."""
+        return np.asarray(self.vertices.mean(axis=0))
+
+    @property
+    def allowed(self) -> np.ndarray:
+        """Corners (k, 3) of the part at least ``margin`` m from every edge; none where nothing is left."""
+        points = self.vertices
+        for inward, offset in zip(self.inward, self.offsets + self.margin, strict=True):
+            points = _cut(points, inward, offset)
+        return points
+
+    def inside(self, position: np.ndarray) -> np.ndarray:
+        """Signed distance (...) in m of positions (..., 3), along the plane, from the nearest edge's line.
+
+        Positive inside; outside it is no more than the distance to the polygon.
+        """
+        return np.asarray((np.asarray(position, dtype=float) @ self.inward.T - self.offsets).min(axis=-1))
+
+    def nearest(self, position: Sequence[float] | np.ndarray) -> np.ndarray:
+        """Point (3,) nearest to ``position`` (3,) of the part that keeps the margin."""
+        point = np.asarray(position, dtype=float)
+        onto = np.asarray(point - float(self.surface.distance(point)) * self.surface.normal)
+        if float(self.inside(onto)) >= self.margin:
+            return onto
+        corners = self.allowed
+        best = [_on_segment(onto, a, b) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+        return min(best, key=lambda found: float(np.linalg.norm(found - onto)))
+
+    def with_margin(self, margin: float) -> Patch:
+        """The same patch with another margin, m."""
+        return Patch(surface=self.surface, vertices=self.vertices, margin=margin, name=self.name)
+
+    def describe(self) -> dict[str, Any]:
+        """JSON-able description for a solution file."""
+        return {
+            "name": self.name,
+            "surface": self.surface.describe(),
+            "vertices": self.vertices.tolist(),
+            "margin": self.margin,
+        }
+
+    @classmethod
+    def from_description(cls, described: Any) -> Patch:
+        """The patch that ``describe`` wrote. Raises `InputError`."""
+        if not isinstance(described, dict) or set(described) != set(DESCRIBED):
+            raise InputError(f"a patch is described by {described!r}", f"allowed: {', '.join(DESCRIBED)}")
+        return cls(**(described | {"surface": Surface.from_description(described["surface"])}))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _corners(value: Any, name: str) -> np.ndarray:
+    try:
+        vertices = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        vertices = np.zeros(0)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) < 3 or not np.isfinite(vertices).all():
+        raise InputError(
+            f"vertices of patch '{name}' have shape {vertices.shape}", "allowed: (n, 3), n >= 3, finite"
+        )
+    return vertices
+
+
+def _counter_clockwise(vertices: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    twice_area = np.cross(vertices, np.roll(vertices, -1, axis=0)).sum(axis=0) @ normal
+    return vertices if twice_area > 0 else vertices[::-1].copy()
+
+
+def _require_convex(directions: np.ndarray, normal: np.ndarray, name: str) -> None:
+    """Every corner turns to the left, and all together once around."""
+    following = np.roll(directions, -1, axis=0)
+    sines = np.cross(directions, following) @ normal
+    turns = np.arctan2(sines, np.sum(directions * following, axis=1))
+    if sines.min() <= STRAIGHT or turns.sum() > 3 * math.pi:
+        raise InputError(
+            f"patch '{name}' is not a convex polygon with corners in order",
+            "allowed: every corner turns the same way, no three on a line",
+        )
+
+
+def _cut(points: np.ndarray, inward: np.ndarray, offset: float) -> np.ndarray:
+    """Part (k, 3) of a convex polygon with inward @ p >= offset: Sutherland and Hodgman's clipping."""
+    kept: list[np.ndarray] = []
+    for a, b in zip(points, np.roll(points, -1, axis=0), strict=True):
+        over = (float(inward @ a - offset), float(inward @ b - offset))
+        if over[0] >= 0:
+            kept.append(a)
+        if over[0] * over[1] < 0:
+            kept.append(a + over[0] / (over[0] - over[1]) * (b - a))
+    return np.array(kept).reshape(-1, 3)
+
+
+def _on_segment(point: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    along = b - a
+    length = float(along @ along)
+    s = min(max(float((point - a) @ along) / length, 0.0), 1.0) if length > 0 else 0.0
+    return np.asarray(a + s * along)

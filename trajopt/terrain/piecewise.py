@@ -1,0 +1,323 @@
+"""Ground made of plane faces, each bounded by a convex polygon: stairs, boxes, gaps, stones, slopes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.surface import UP, Surface
+from trajopt.terrain.patch import Patch
+
+# How far flats before and beyond an obstacle reach, m: farther than any motion of one plan.
+REACH = 20.0
+# Positions this far outside a polygon still stand on it, m: two faces that share an edge leave no crack.
+CRACK = 1e-9
+
+Point = Sequence[float] | np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PiecewiseTerrain:
+    """Ground of one or more faces with different names; the first is the one to stand on by default.
+
+    The ground at (x, y) is the highest face there. Where there is no face is a hole without a bottom: its
+    height is -inf, nothing penetrates there, and no contact can stand. Risers between faces are no faces: who
+    is lower than the face above or below him penetrates by the whole difference. Raises `InputError`.
+    """
+
+    faces: tuple[Patch, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "faces", tuple(self.faces))
+        if not self.faces or not all(isinstance(face, Patch) for face in self.faces):
+            raise InputError(
+                "a piecewise terrain has no faces, or some are none", "allowed: patches, at least one"
+            )
+        names = self.names
+        if len(set(names)) != len(names):
+            raise InputError(f"two faces of a terrain have one name: {', '.join(names)}")
+        for face in self.faces:
+            if not face.surface.normal[2] > 0 or face.surface.bilateral:
+                raise InputError(
+                    f"face '{face.name}' of the terrain looks down, is vertical or holds contacts",
+                    "allowed: ground to stand on, normal with z > 0; Phase.patches and surfaces for others",
+                )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the faces."""
+        return tuple(face.name for face in self.faces)
+
+    def face(self, name: str) -> Patch:
+        """The face of that name. Raises `InputError`."""
+        for face in self.faces:
+            if face.name == name:
+                return face
+        raise InputError(f"the terrain has no face '{name}'", f"allowed: {', '.join(self.names)}")
+
+    @property
+    def friction(self) -> float:
+        """Coefficient of the first face."""
+        return self.faces[0].surface.friction
+
+    @property
+    def surface(self) -> Surface:
+        """Plane of the first face."""
+        return self.faces[0].surface
+
+    def height(self, x: Any, y: Any) -> np.ndarray:
+        """Height (...) in m of the ground at x, y (...) m; -inf in a hole."""
+        return np.asarray(self._heights(x, y).max(axis=0))
+
+    def normal(self, x: Any, y: Any) -> np.ndarray:
+        """Unit normal (..., 3) of the highest face at x, y (...) m; up in a hole."""
+        heights = self._heights(x, y)
+        normals = np.array([face.surface.normal for face in self.faces])[heights.argmax(axis=0)]
+        return np.where(np.isfinite(heights.max(axis=0))[..., None], normals, np.array(UP))
+
+    def face_at(self, x: float, y: float) -> Patch | None:
+        """The highest face at (x, y) m; None in a hole."""
+        heights = self._heights(x, y)
+        return self.faces[int(heights.argmax())] if np.isfinite(heights.max()) else None
+
+    def surface_at(self, point: np.ndarray) -> Surface:
+        """The surface under a position (3,) m. Raises `InputError` in a hole."""
+        face = self.face_at(float(point[0]), float(point[1]))
+        if face is None:
+            raise InputError(
+                f"a contact stands at {np.round(point, 6).tolist()} m, where the terrain has no face",
+                f"allowed: on one of its faces {', '.join(self.names)}",
+            )
+        return face.surface
+
+    def _heights(self, x: Any, y: Any) -> np.ndarray:
+        """Heights (faces, ...) in m of all faces at x, y (...), -inf outside of them."""
+        across, along = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
+        found = []
+        for face in self.faces:
+            normal, height = face.surface.normal, face.surface.height
+            z = (height - normal[0] * across - normal[1] * along) / normal[2]
+            inside = face.inside(np.stack([across, along, z], axis=-1)) >= -CRACK
+            found.append(np.where(inside, z, -np.inf))
+        return np.array(found)
+
+    def describe(self) -> dict[str, Any]:
+        """JSON-able description for a solution file."""
+        return {"kind": "piecewise", "faces": [face.describe() for face in self.faces]}
+
+    @classmethod
+    def from_description(cls, described: Any) -> PiecewiseTerrain:
+        """The terrain that ``describe`` wrote. Raises `InputError`."""
+        faces = described.get("faces") if isinstance(described, dict) else None
+        if not isinstance(faces, list):
+            raise InputError(
+                "a piecewise terrain is described without a list of faces", "allowed: kind, faces"
+            )
+        return cls(faces=tuple(Patch.from_description(face) for face in faces))
+
+    @classmethod
+    def steps(
+        cls,
+        heights: Sequence[float],
+        run: float,
+        *,
+        width: float = 2 * REACH,
+        at: Point = (0.0, 0.0),
+        yaw: float = 0.0,
+        friction: float = 0.7,
+        margin: float = 0.0,
+    ) -> PiecewiseTerrain:
+        """Level treads of ``heights`` m over the ground before them, each ``run`` m deep, ``width`` m wide.
+
+        Faces ``before``, ``step1``, ...; the last height is that of the flat ``beyond``. The first riser
+        stands at ``at`` (x, y) m, across the direction ``yaw`` rad.
+        """
+        _require_lengths(run=run, width=width)
+        levels = np.array(heights, dtype=float).ravel()
+        if not len(levels) or not np.isfinite(levels).all():
+            raise InputError(f"heights of steps are {heights!r} m", "allowed: one or more finite numbers")
+        place = _Place(at, yaw, friction, margin)
+        edges = [-REACH, *(run * np.arange(len(levels))), run * (len(levels) - 1) + REACH]
+        names = ["before", *(f"step{i}" for i in range(1, len(levels))), "beyond"]
+        strips = zip(names, edges[:-1], edges[1:], [0.0, *levels], strict=True)
+        half = width / 2
+        return cls(
+            faces=tuple(
+                place.face(name, [(a, -half, z), (b, -half, z), (b, half, z), (a, half, z)])
+                for name, a, b, z in strips
+            )
+        )
+
+    @classmethod
+    def stairs(
+        cls,
+        rise: float,
+        run: float,
+        steps: int,
+        width: float = 2 * REACH,
+        *,
+        at: Point = (0.0, 0.0),
+        yaw: float = 0.0,
+        friction: float = 0.7,
+        margin: float = 0.0,
+    ) -> PiecewiseTerrain:
+        """``steps`` risers of ``rise`` m (negative: down), treads of ``run`` m: faces as of `steps`."""
+        if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
+            raise InputError(f"stairs have {steps!r} steps", "allowed: a whole number, at least 1")
+        if not math.isfinite(rise):
+            raise InputError(f"rise of stairs is {rise!r} m", "allowed: finite")
+        heights = [rise * (i + 1) for i in range(steps)]
+        return cls.steps(heights, run, width=width, at=at, yaw=yaw, friction=friction, margin=margin)
+
+    @classmethod
+    def box(
+        cls,
+        height: float,
+        length: float,
+        width: float,
+        at: Point = (0.0, 0.0),
+        *,
+        yaw: float = 0.0,
+        friction: float = 0.7,
+        margin: float = 0.0,
+    ) -> PiecewiseTerrain:
+        """A ``box`` on level ground, ``length`` along x by ``width`` along y, its centre at ``at`` (x, y) m.
+
+        The ground around it is ``before`` (smaller x), ``beyond``, ``left`` (greater y) and ``right``, which
+        overlap at the corners. A negative ``height`` is a pit.
+        """
+        _require_lengths(length=length, width=width)
+        if not math.isfinite(height):
+            raise InputError(f"height of a box is {height!r} m", "allowed: finite")
+        place, a, b = _Place(at, yaw, friction, margin), length / 2, width / 2
+        ends = {
+            "before": (-REACH, -a, -REACH, REACH, 0.0),
+            "box": (-a, a, -b, b, height),
+            "beyond": (a, REACH, -REACH, REACH, 0.0),
+            "left": (-REACH, REACH, b, REACH, 0.0),
+            "right": (-REACH, REACH, -REACH, -b, 0.0),
+        }
+        return cls(
+            faces=tuple(
+                place.face(name, [(x0, y0, z), (x1, y0, z), (x1, y1, z), (x0, y1, z)])
+                for name, (x0, x1, y0, y1, z) in ends.items()
+            )
+        )
+
+    @classmethod
+    def gap(
+        cls,
+        width: float,
+        *,
+        height: float = 0.0,
+        at: Point = (0.0, 0.0),
+        yaw: float = 0.0,
+        friction: float = 0.7,
+        margin: float = 0.0,
+    ) -> PiecewiseTerrain:
+        """A hole of ``width`` m in the direction of travel, from ``at`` (x, y) m on: ``before``, ``beyond``.
+
+        ``height``: of the ground beyond it over that before it, m.
+        """
+        _require_lengths(width=width)
+        place = _Place(at, yaw, friction, margin)
+        strips = {"before": (-REACH, 0.0, 0.0), "beyond": (width, width + REACH, height)}
+        return cls(
+            faces=tuple(
+                place.face(name, [(a, -REACH, z), (b, -REACH, z), (b, REACH, z), (a, REACH, z)])
+                for name, (a, b, z) in strips.items()
+            )
+        )
+
+    @classmethod
+    def slope(
+        cls,
+        rise: float,
+        length: float,
+        *,
+        width: float = 2 * REACH,
+        at: Point = (0.0, 0.0),
+        yaw: float = 0.0,
+        friction: float = 0.7,
+        margin: float = 0.0,
+    ) -> PiecewiseTerrain:
+        """A ``slope`` that rises by ``rise`` m over ``length`` m, from ``at`` (x, y) m, between two flats."""
+        _require_lengths(length=length, width=width)
+        place, half = _Place(at, yaw, friction, margin), width / 2
+        edges = [(-REACH, 0.0), (0.0, 0.0), (length, rise), (length + REACH, rise)]
+        faces = []
+        for name, (a, low), (b, high) in zip(("before", "slope", "beyond"), edges, edges[1:], strict=False):
+            faces.append(
+                place.face(name, [(a, -half, low), (b, -half, high), (b, half, high), (a, half, low)])
+            )
+        return cls(faces=tuple(faces))
+
+    @classmethod
+    def stepping_stones(
+        cls,
+        centres: Sequence[Point] | np.ndarray,
+        size: float | tuple[float, float],
+        heights: float | Sequence[float] = 0.0,
+        *,
+        yaw: float = 0.0,
+        friction: float = 0.7,
+        margin: float = 0.0,
+    ) -> PiecewiseTerrain:
+        """Level stones ``stone1``, ... and holes: ``centres`` (n, 2) m, ``size`` m, ``heights`` m."""
+        places = np.array(centres, dtype=float)
+        if places.ndim != 2 or places.shape[1:] != (2,) or not len(places) or not np.isfinite(places).all():
+            raise InputError(f"centres of stones have shape {places.shape}", "allowed: (n, 2), finite, m")
+        levels = np.asarray(heights, dtype=float)
+        if levels.shape not in ((), (len(places),)):
+            raise InputError(
+                f"{levels.size} heights for {len(places)} stones", "allowed: one, or one for each stone"
+            )
+        sides = (size, size) if isinstance(size, int | float) else size
+        return cls(
+            faces=tuple(
+                Patch.rectangle(
+                    (*place, z), sides, yaw=yaw, friction=friction, margin=margin, name=f"stone{i}"
+                )
+                for i, (place, z) in enumerate(
+                    zip(places, np.broadcast_to(levels, len(places)), strict=True), start=1
+                )
+            )
+        )
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where an obstacle stands: its origin (x, y) m and direction rad, and what its faces share."""
+
+    at: Point
+    yaw: float
+    friction: float
+    margin: float
+
+    def face(self, name: str, corners: Sequence[tuple[float, float, float]]) -> Patch:
+        """A face with corners (x, y, z) in the obstacle's own axes."""
+        origin = np.array(self.at, dtype=float)
+        if origin.shape != (2,) or not np.isfinite([*origin, self.yaw]).all():
+            raise InputError(
+                f"an obstacle stands at {self.at!r} m, yaw {self.yaw!r}",
+                "allowed: two finite numbers and a yaw",
+            )
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        points = np.array(corners, dtype=float) @ turn.T + np.array([*origin, 0.0])
+        normal = np.cross(points[1] - points[0], points[3] - points[0])
+        if np.ptp(points[:, 2]) == 0.0:
+            normal = np.array(UP)
+        surface = Surface(point=points[0], normal=normal, friction=self.friction)
+        return Patch(surface=surface, vertices=points, margin=self.margin, name=name)
+
+
+def _require_lengths(**lengths: float) -> None:
+    for name, length in lengths.items():
+        if not (math.isfinite(length) and length > 0):
+            raise InputError(f"{name} of an obstacle is {length!r} m", "allowed: finite and > 0")

@@ -1,0 +1,42 @@
+"""Whether every contact of a schedule has ground to stand on."""
+
+from __future__ import annotations
+
+from trajopt.errors import InputError
+from trajopt.robot import Robot
+from trajopt.schedule import Schedule
+from trajopt.surface import SAME_PLANE
+from trajopt.terrain import FlatGround, PiecewiseTerrain, SmoothTerrain, Terrain
+
+
+def require_standing(robot: Robot, schedule: Schedule, terrain: Terrain) -> None:
+    """Raise `InputError` for a landing on piecewise or smooth ground that is nowhere, or not possible.
+
+    On piecewise ground a contact that lands needs a patch, a surface or a foothold; soles do not lie on
+    curved ground; footholds on the terrain lie on it.
+    """
+    if isinstance(terrain, FlatGround):
+        return
+    for index, phase in enumerate(schedule.phases):
+        for name in phase.contacts:
+            if phase.own_surface(name) is not None:
+                continue
+            if isinstance(terrain, SmoothTerrain) and robot.contact(name).kind == "surface":
+                raise InputError(
+                    f"sole '{name}' stands on curved ground in phase '{phase.name}'",
+                    "allowed: point contacts there, or a plane surface or patch for the sole",
+                )
+            foothold = phase.footholds.get(name)
+            lands = name in schedule.new_contacts(index)
+            if foothold is None and lands and isinstance(terrain, PiecewiseTerrain):
+                raise InputError(
+                    f"'{name}' lands in phase '{phase.name}', but the terrain has {len(terrain.faces)} faces",
+                    "allowed: a patch, a surface or a foothold for it in that phase",
+                )
+            if foothold is not None:
+                off = float(terrain.surface_at(foothold).distance(foothold))
+                if not abs(off) <= SAME_PLANE:
+                    raise InputError(
+                        f"foothold of '{name}' in phase '{phase.name}' lies {off:g} m off the terrain",
+                        f"allowed: within {SAME_PLANE:g} m",
+                    )
