@@ -140,17 +140,19 @@ def read(path: Path) -> tuple[dict[str, Entry], dict[str, str]]:
         raise InputError(f"cannot read {path}: {reason}", "allowed: a file that --update wrote") from None
     heads = (line[1:].partition(":") for line in lines if line.startswith("#"))
     versions = {name.strip(): value.strip() for name, colon, value in heads if colon}
-    rows = csv.DictReader((line for line in lines if not line.startswith("#")), skipinitialspace=True)
-    entries = [_entry(path, number, row) for number, row in enumerate(rows, 1)]
+    rows = csv.reader(line for line in lines if not line.startswith("#"))
+    cells = [[cell.strip() for cell in row] for row in rows]
+    titles = cells[0] if cells else []
+    entries = [
+        _entry(path, number, dict(zip(titles, row, strict=False))) for number, row in enumerate(cells[1:], 1)
+    ]
     return {entry.name: entry for entry in entries}, versions
 
 
-def _entry(path: Path, number: int, row: Mapping[str | None, str | None]) -> Entry:
+def _entry(path: Path, number: int, row: Mapping[str, str]) -> Entry:
     kinds = {"int": int, "float": float, "str": str}
     try:
-        values = {
-            field.name: kinds[str(field.type)]((row[field.name] or "").strip()) for field in fields(Entry)
-        }
+        values = {field.name: kinds[str(field.type)](row[field.name]) for field in fields(Entry)}
     except (KeyError, ValueError):
         names = ", ".join(field.name for field in fields(Entry))
         raise InputError(f"line {number} of the table in {path} is not one", f"columns: {names}") from None

@@ -89,7 +89,7 @@ class Worker:
             if not select.select([self._out], [], [], LOOK)[0]:
                 limit = limits.of(stage, settings)
                 if time.monotonic() - begin > limit:
-                    raise LostError(TIME, f"time: {stage} killed after {limit:g} s")
+                    raise LostError(TIME, f"{stage} killed after {limit:g} s")
                 yield None
                 continue
             data = os.read(self._out, BLOCK)

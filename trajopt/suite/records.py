@@ -35,16 +35,19 @@ class Records:
             return ()
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            known = self._read() if resume and self._file.exists() else {}
-            self._file.write_text(
-                "".join(self._line(outcome) for outcome in known.values()), encoding="utf-8"
-            )
+            if not resume:
+                self._file.write_text("", encoding="utf-8")
+            with self._file.open("a+", encoding="utf-8") as stream:
+                stream.seek(0)
+                text = stream.read()
+                if not text.endswith("\n"):  # a line cut off by a crash
+                    stream.write("\n")
         except OSError as error:
             raise InputError(
                 f"cannot write {self._file}: {error.strerror or error}",
                 "allowed: a folder that can be written",
             ) from None
-        return tuple(known.values())
+        return tuple(self._matching(text).values())
 
     def add(self, outcome: Outcome) -> None:
         """Append one result."""
@@ -55,13 +58,12 @@ class Records:
     def _line(self, outcome: Outcome) -> str:
         return json.dumps({**self._head, "outcome": outcome.to_dict()}) + "\n"
 
-    def _read(self) -> dict[str, Outcome]:
-        """Results of this suite's settings and versions by pair; a line cut off by a crash is passed over."""
-        assert self._file is not None
+    def _matching(self, text: str) -> dict[str, Outcome]:
+        """Results of this suite's settings and versions by pair; what is no result is passed over."""
         found = {}
-        for text in self._file.read_text(encoding="utf-8").splitlines():
+        for line in text.splitlines():
             try:
-                entry = json.loads(text)
+                entry = json.loads(line)
                 outcome = Outcome.from_dict(entry["outcome"])
             except (ValueError, KeyError, TypeError):
                 continue
