@@ -21,6 +21,7 @@ from trajopt.gaits import Gait
 from trajopt.legs import quadruped_legs
 from trajopt.model_quantities import gravity_of
 from trajopt.named_gaits import QUADRUPED, gait_of
+from trajopt.objectives import REST, goal_terms
 from trajopt.periodicity import Periodicity
 from trajopt.problem import Problem
 from trajopt.reduced.gait_guess import Pace, commanded_motion, periodic_footholds, periodic_guess
@@ -96,11 +97,15 @@ def _periodicity(robot: Robot, pace: Pace, duration: float, *, mirrored: bool) -
     )
 
 
-def gait_terms(robot: Robot, pace: Pace, ground: FlatGround, effort_share: float) -> tuple[Term, ...]:
-    """Costs and limits of a gait: torques, and a base and legs near those of the commanded motion."""
+def gait_terms(
+    goal: str, robot: Robot, schedule: Schedule, pace: Pace, ground: FlatGround, effort_share: float
+) -> tuple[Term, ...]:
+    """Costs and limits of a gait: its goal, and a base near the commanded motion."""
+    way = math.hypot(*pace.velocity) * abs(pace.progress(schedule.duration))
+    share = 1.0 if goal == "effort" else REST
     return (
-        *common.legged_costs(acceleration=1e-2),
-        TrackingCost(reference=commanded_motion(robot, pace), part="base", weight=TRACKING),
+        *goal_terms(goal, robot, schedule, travel=way if goal == "transport" else None),
+        TrackingCost(reference=commanded_motion(robot, pace), part="base", weight=share * TRACKING),
         common.share_of_effort(robot, effort_share),
         PositionLimits(),
         VelocityLimits(),
@@ -120,6 +125,7 @@ def build(
     cycle: str,
     durations: str,
     footholds: str,
+    goal: str,
     clearance: float | None,
     friction: float,
     effort_share: float,
@@ -153,7 +159,7 @@ def build(
         initial_q=body.reference,
         initial_v=np.zeros(body.nv),
         terms=(
-            *gait_terms(body, pace, ground, effort_share),
+            *gait_terms(goal, body, schedule, pace, ground, effort_share),
             *swing_arcs(schedule, gait.feet, height=lift, terrain=ground, next_name=images),
         ),
         guess=guess,
@@ -200,6 +206,7 @@ def _family(style: str) -> Family:
             *((_CYCLE,) if style in SYMMETRIC else (_FULL,)),
             _DURATIONS,
             _FOOTHOLDS,
+            _GOAL,
             Parameter(
                 name="clearance",
                 default=None,
@@ -233,5 +240,11 @@ _FOOTHOLDS = Choice(
     default="free",
     choices=("free", "planned"),
     meaning="feet land anywhere on the ground, or under the hips in mid stance",
+)
+_GOAL = Choice(
+    name="goal",
+    default="effort",
+    choices=("effort", "transport", "smooth"),
+    meaning="least torques, cost of transport or accelerations",
 )
 FAMILIES = tuple(_family(style) for style in STYLES)
