@@ -26,8 +26,8 @@ def initial_guess(transcription: Transcription) -> np.ndarray:
         if k == 0 and problem.periodicity is None:
             q, v = start_of(problem, layout)
         else:
-            q, v, _ = _in_form(
-                layout, form, _state(transcription, layout.node_times[k], _node_phase(layout, k))
+            q, v, _ = in_form(
+                layout, form, _state(transcription, layout.node_times[k], node_phase(layout, k))
             )
         state = form.coordinates.node_from_pinocchio(q, v)
         state = form.coordinates.continued(state, previous.get(id(form.coordinates), state))
@@ -38,7 +38,7 @@ def initial_guess(transcription: Transcription) -> np.ndarray:
         if stage.kind is StageKind.INTERVAL:
             _fill_interval(transcription, k, window)
         elif stage.kind is StageKind.IMPACT:
-            _fill_impact(layout, k, window, x[layout.node(k + 1)])
+            fill_impact(layout, k, window, x[layout.node(k + 1)])
     return x / transcription.scale
 
 
@@ -50,7 +50,7 @@ def _fill_interval(transcription: Transcription, k: int, window: np.ndarray) -> 
     )
     for i, c in enumerate(layout.scheme.c):
         whole = _state(transcription, layout.node_times[k] + c * layout.steps[k], phase)
-        q, v, a = _in_form(layout, form, whole)
+        q, v, a = in_form(layout, form, whole)
         if layout.order == 2:
             highest = form.coordinates.acceleration_from_pinocchio(q, v, a)
         else:
@@ -60,7 +60,7 @@ def _fill_interval(transcription: Transcription, k: int, window: np.ndarray) -> 
         window[layout.local_wrench(phase, i)] = _carrying_wrenches(layout, phase, q, v, a)
 
 
-def _fill_impact(layout: Layout, k: int, window: np.ndarray, after: np.ndarray) -> None:
+def fill_impact(layout: Layout, k: int, window: np.ndarray, after: np.ndarray) -> None:
     """The jump between the rates of both nodes, and least impulses for it: M (v+ - v-) = J^T impulses."""
     form, contacts = layout.forms[k], layout.touching[layout.stages[k].phase]
     window[layout.local_jump(k)] = after[form.rates] - window[form.rates]
@@ -71,7 +71,7 @@ def _fill_impact(layout: Layout, k: int, window: np.ndarray, after: np.ndarray) 
     window[layout.local_impulse(k)] = np.linalg.lstsq(jacobian.T, mass @ (behind - before), rcond=None)[0]
 
 
-def _in_form(layout: Layout, form: NodeForm, state: State) -> State:
+def in_form(layout: Layout, form: NodeForm, state: State) -> State:
     """A state of the whole robot in the coordinates of a form."""
     for mode in layout.modes.values():
         if mode.robot is form.robot:
@@ -79,7 +79,7 @@ def _in_form(layout: Layout, form: NodeForm, state: State) -> State:
     return state
 
 
-def _node_phase(layout: Layout, k: int) -> int:
+def node_phase(layout: Layout, k: int) -> int:
     """Phase whose motion node k follows.
 
     Of two phases that meet there, the one with more contacts: its feet do not move. Across an impact

@@ -53,7 +53,8 @@ def rotation_matrix(quaternion: ca.SX) -> ca.SX:
 
 
 @lru_cache(maxsize=1)
-def _body_rates() -> ca.Function:
+def body_rate_function() -> ca.Function:
+    """theta, theta', theta'' (3,) each -> angular velocity and acceleration in the body frame."""
     theta, dtheta, ddtheta = (ca.SX.sym(name, 3) for name in ("theta", "dtheta", "ddtheta"))
     jacobian = right_jacobian(theta)
     omega = ca.mtimes(jacobian, dtheta)
@@ -63,5 +64,5 @@ def _body_rates() -> ca.Function:
 
 def body_rates(theta: ca.SX, dtheta: ca.SX, ddtheta: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Angular velocity and acceleration in the body frame from exponential coordinates."""
-    omega, domega = _body_rates()(theta, dtheta, ddtheta)
+    omega, domega = body_rate_function()(theta, dtheta, ddtheta)
     return omega, domega

@@ -27,7 +27,16 @@ SAMPLED: dict[str, type] = {
     "f": float,
     "active": bool,
 }
-OTHERS: dict[str, type] = {"interval_t": float, "impulse": float, "impact_index": int}
+OTHERS: dict[str, type] = {
+    "interval_t": float,
+    "impulse": float,
+    "impact_index": int,
+    "row_multiplier": float,
+    "row_place": int,
+    "bound_multiplier": float,
+}
+# What a solution may lack.
+OPTIONAL = ("impulse", "impact_index", "row_multiplier", "row_place", "bound_multiplier")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,6 +58,9 @@ class Solution:
         the contact frame's origin; zero when inactive.
     active: (K, nc) the contact is active.
     impulse, impact_index: (J, nc, 6) N s and N m s, (J,) sample just after; None without impacts.
+    row_multiplier, row_place, bound_multiplier: multipliers of the NLP's rows (R,), for each row its block
+        (a name in ``row_names`` of meta), stage and point (R, 3), and multipliers of the bounds of unknowns
+        (X,), in the solver's scaled units; a warm start uses them. None where there are none.
 
     Raises `InputError` for an array that is not of these numbers or dimensions. The full test
     of consistency is `solution_consistency.inconsistency`, made when a file is written and read.
@@ -69,11 +81,14 @@ class Solution:
     active: np.ndarray
     impulse: np.ndarray | None = None
     impact_index: np.ndarray | None = None
+    row_multiplier: np.ndarray | None = None
+    row_place: np.ndarray | None = None
+    bound_multiplier: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         for name, dtype in {**SAMPLED, **OTHERS}.items():
             value = getattr(self, name)
-            if value is None and name in ("impulse", "impact_index"):
+            if value is None and name in OPTIONAL:
                 continue
             try:
                 array: np.ndarray = np.array(value, dtype=dtype)

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,13 +16,15 @@ from trajopt.compilation import DEFAULT_LEVEL, CompilationReport, compile_points
 from trajopt.errors import InputError
 from trajopt.extraction import extract
 from trajopt.guess import initial_guess, perturbed
+from trajopt.multipliers import with_multipliers
 from trajopt.nlp import Nlp, assemble
 from trajopt.problem import Problem
 from trajopt.solution import Solution
 from trajopt.solvers import Result, Status, run
-from trajopt.solvers.drivers import SOLVERS, Option, Stop
+from trajopt.solvers.drivers import SOLVERS, Option, Stop, Warm
 from trajopt.transcription import Transcription, transcribe
 from trajopt.violations import nonfinite_place, row_violations, worst_blocks
+from trajopt.warm_start import solution_of, warm_start
 
 Progress = Callable[[dict[str, float]], bool]
 
@@ -42,6 +45,7 @@ class Prepared:
     guess: np.ndarray
     compilation: CompilationReport
     build_time: float
+    warm: Warm | None = None
 
 
 def prepare(
@@ -51,19 +55,36 @@ def prepare(
     intervals: int | None = None,
     compile: str = DEFAULT_LEVEL,
     threads: int = 1,
+    start: Solution | str | Path | None = None,
 ) -> Prepared:
-    """Transcribe, compile (or fetch from the cache) and assemble. Raises InputError."""
-    start = time.perf_counter()
+    """Transcribe, compile (or fetch from the cache) and assemble.
+
+    The guess is the solution ``start``, resampled, or the problem's own. Raises InputError.
+    """
+    begun = time.perf_counter()
     transcribed = transcribe(problem, transcription, intervals)
     points = {id(group.point): group.point for group in transcribed.groups}
     compiled, report = compile_points(points.values(), compile)
     by_point = {key: compiled[entry_key(point, report.level)] for key, point in points.items()}
     nlp = assemble(transcribed, by_point, threads)
-    guess = initial_guess(transcribed)
-    build_time = time.perf_counter() - start - report.compile_time
+    guess, warm = _guess(transcribed, start)
+    build_time = time.perf_counter() - begun - report.compile_time
     return Prepared(
-        transcription=transcribed, nlp=nlp, guess=guess, compilation=report, build_time=build_time
+        transcription=transcribed,
+        nlp=nlp,
+        guess=guess,
+        compilation=report,
+        build_time=build_time,
+        warm=warm,
     )
+
+
+def _guess(transcribed: Transcription, start: Solution | str | Path | None) -> tuple[np.ndarray, Warm | None]:
+    if start is None:
+        return initial_guess(transcribed), None
+    found = warm_start(transcribed, solution_of(start))
+    known = found.multipliers
+    return found.x, Warm() if known is None else Warm(lam_g=known.rows, lam_x=known.bounds)
 
 
 def solve(
@@ -81,6 +102,7 @@ def solve(
     threads: int = 1,
     options: Mapping[str, Option] | None = None,
     progress: Progress | None = None,
+    start: Solution | str | Path | None = None,
 ) -> Solution:
     """Solve a problem; never raises because the solver did not converge.
 
@@ -91,19 +113,26 @@ def solve(
     seed, perturb: noise on the guess, standard deviation in scaled units.
     compile: ``none``, ``quick`` or ``fast``. threads: for evaluating functions.
     progress: called at each iteration with its figures; returns False to stop there.
+    start: a solution, or its file, to start from instead of the problem's guess: of the same joints and
+    phases, on any grid, scheme, durations or parameters (see ``warm_start``).
 
     Returns a Solution whose ``meta`` has status, success, advice, iterations, objective, times and the
     worst blocks of rows. Raises InputError for a value that is not allowed.
     """
     check_settings(solver, tolerance, max_iterations, max_time, perturb, seed)
     prepared = prepare(
-        problem, transcription=transcription, intervals=intervals, compile=compile, threads=threads
+        problem,
+        transcription=transcription,
+        intervals=intervals,
+        compile=compile,
+        threads=threads,
+        start=start,
     )
-    start = perturbed(prepared.transcription, prepared.guess, seed, perturb) if perturb else prepared.guess
+    guess = perturbed(prepared.transcription, prepared.guess, seed, perturb) if perturb else prepared.guess
     stop = Stop(tolerance=tolerance, max_iterations=max_iterations, max_time=max_time)
     origin = {"seed": seed, "perturb": perturb}
     return solve_prepared(
-        prepared, start, origin=origin, solver=solver, stop=stop, options=options, progress=progress
+        prepared, guess, origin=origin, solver=solver, stop=stop, options=options, progress=progress
     )
 
 
@@ -125,7 +154,7 @@ def solve_prepared(
     stop = stop or Stop()
     place = nonfinite_place(prepared.nlp, start)
     if place is None:
-        result = run(prepared.nlp, start, solver, stop, options or {}, progress or _continue)
+        result = run(prepared.nlp, start, solver, stop, options or {}, progress or _continue, prepared.warm)
     else:
         result = _not_finite(prepared, start)
     return _solution(prepared, result, solver, stop.tolerance, place, origin)
@@ -156,6 +185,7 @@ def _not_finite(prepared: Prepared, x: np.ndarray) -> Result:
     return Result(
         x=x,
         lam_g=np.zeros(prepared.transcription.n_rows),
+        lam_x=np.zeros_like(x),
         status=Status.NOT_FINITE,
         solver_status="not started",
         iterations=0,
@@ -203,9 +233,12 @@ def _solution(
         "build_time_s": prepared.build_time,
         "compile_time_s": report.compile_time,
         "compile": report.level,
+        "functions_compiled": report.built,
+        "warm_start": prepared.warm is not None,
         **origin,
     }
-    return _locks_reported(extract(t, result.x, meta))
+    found = extract(t, result.x, meta)
+    return _locks_reported(with_multipliers(found, t, result.lam_g, result.lam_x))
 
 
 def _locks_reported(solution: Solution) -> Solution:

@@ -43,6 +43,28 @@ FATROP_OPTIONS: dict[str, Option] = {
     "linsol_lu_fact_tol": 1e-4,
 }
 
+# A start from another solution (docs/warm-starts.md). IPOPT's own distance from bounds, 1e-2, and its own
+# start multipliers throw away what the solution knows. With the solution's multipliers iterates stay where
+# they are; without them a small first barrier keeps them there.
+IPOPT_WARM: dict[str, Option] = {
+    "warm_start_init_point": "yes",
+    "warm_start_bound_push": 1e-6,
+    "warm_start_bound_frac": 1e-6,
+    "warm_start_slack_bound_push": 1e-6,
+    "warm_start_slack_bound_frac": 1e-6,
+    "warm_start_mult_bound_push": 1e-6,
+}
+IPOPT_WARM_WITHOUT_MULTIPLIERS: dict[str, Option] = {
+    "mu_strategy": "monotone",
+    "mu_init": 1e-6,
+    "bound_push": 1e-6,
+    "bound_frac": 1e-6,
+    "slack_bound_push": 1e-6,
+    "slack_bound_frac": 1e-6,
+}
+# FATROP takes no multipliers of bounds, and those of rows alone gain nothing.
+FATROP_WARM: dict[str, Option] = {"mu_init": 1e-4, "bound_push": 1e-2, "bound_frac": 1e-2}
+
 _IPOPT_STATUS = {
     "Solve_Succeeded": Status.SOLVED,
     "Solved_To_Acceptable_Level": Status.STEP_FAILED,
@@ -66,12 +88,14 @@ _IPOPT_STATUS = {
 class Result:
     """Outcome of a solve in scaled units; ``wall_time`` and ``function_time`` in s.
 
+    lam_g, lam_x: multipliers of rows and bounds, of the Lagrangian f + lam_g . g + lam_x . x.
     primal, dual, complementarity: the solver's own infeasibilities (largest entries, unscaled by its
     multipliers) at ``x``; NaN where it was not started.
     """
 
     x: np.ndarray
     lam_g: np.ndarray
+    lam_x: np.ndarray
     status: Status
     solver_status: str
     iterations: int
@@ -84,6 +108,14 @@ class Result:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Warm:
+    """What a start from another solution knows: multipliers as `Result`'s, None where there are none."""
+
+    lam_g: np.ndarray | None = None
+    lam_x: np.ndarray | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Stop:
     """When to stop: optimality and feasibility ``tolerance`` in scaled units, iterations, s."""
 
@@ -92,22 +124,39 @@ class Stop:
     max_time: float = 600.0
 
 
-def _ipopt(nlp: Nlp, x0: np.ndarray, stop: Stop, options: Mapping[str, Option], callback: Callback) -> Result:
+def _ipopt(
+    nlp: Nlp,
+    x0: np.ndarray,
+    stop: Stop,
+    options: Mapping[str, Option],
+    callback: Callback,
+    warm: Warm | None,
+) -> Result:
     t = nlp.transcription
+    multipliers = (None, None) if warm is None else (warm.lam_g, warm.lam_x)
     chosen = {
         **IPOPT_OPTIONS,
+        **_ipopt_warm(warm),
         "tol": stop.tolerance,
         "constr_viol_tol": FEASIBILITY_SHARE * stop.tolerance,
         "max_iter": stop.max_iterations,
         "max_wall_time": stop.max_time,
         **options,
     }
-    raw = _engine.solve_ipopt(nlp.engine, x0, t.lower_x, t.upper_x, t.lower_g, t.upper_g, chosen, callback)
+    raw = _engine.solve_ipopt(
+        nlp.engine, x0, t.lower_x, t.upper_x, t.lower_g, t.upper_g, chosen, callback, *multipliers
+    )
     if raw["status"] == "Invalid_Option":
         raise ValueError(
             "an option's value cannot be had here, such as a linear_solver that is not installed"
         )
     return _result(raw, _IPOPT_STATUS.get(raw["status"], Status.FAILED))
+
+
+def _ipopt_warm(warm: Warm | None) -> Mapping[str, Option]:
+    if warm is None:
+        return {}
+    return IPOPT_WARM_WITHOUT_MULTIPLIERS if warm.lam_g is None else IPOPT_WARM
 
 
 _FATROP_STATUS = {
@@ -124,13 +173,19 @@ _FATROP_STATUS = {
 
 
 def _fatrop(
-    nlp: Nlp, x0: np.ndarray, stop: Stop, options: Mapping[str, Option], callback: Callback
+    nlp: Nlp,
+    x0: np.ndarray,
+    stop: Stop,
+    options: Mapping[str, Option],
+    callback: Callback,
+    warm: Warm | None,
 ) -> Result:
     t = nlp.transcription
     if t.problem.periodicity is not None:
         raise ValueError("rows that join the first and the last stage have no place in it; allowed: ipopt")
     chosen = {
         **FATROP_OPTIONS,
+        **({} if warm is None else FATROP_WARM),
         "tolerance": stop.tolerance,
         "max_iter": stop.max_iterations,
         "max_wall_time": stop.max_time,
@@ -150,6 +205,7 @@ def _result(raw: dict[str, Any], status: Status) -> Result:
     return Result(
         x=raw["x"],
         lam_g=raw["lam_g"],
+        lam_x=raw["lam_x"],
         status=status,
         solver_status=raw["status"],
         iterations=raw["iterations"],
@@ -163,12 +219,21 @@ def _result(raw: dict[str, Any], status: Status) -> Result:
 
 
 def run(
-    nlp: Nlp, x0: np.ndarray, solver: str, stop: Stop, options: Mapping[str, Option], callback: Callback
+    nlp: Nlp,
+    x0: np.ndarray,
+    solver: str,
+    stop: Stop,
+    options: Mapping[str, Option],
+    callback: Callback,
+    warm: Warm | None = None,
 ) -> Result:
-    """Solve from ``x0`` with the solver of that name. Raises InputError for an unknown solver or option."""
+    """Solve from ``x0`` with the solver of that name; ``warm`` where ``x0`` comes from another solution.
+
+    Raises InputError for an unknown solver or option.
+    """
     if solver not in SOLVERS:
         raise InputError(f"unknown solver '{solver}'", f"allowed: {', '.join(SOLVERS)}")
     try:
-        return SOLVERS[solver](nlp, x0, stop, options, callback)
+        return SOLVERS[solver](nlp, x0, stop, options, callback, warm)
     except ValueError as error:
         raise InputError(f"{solver}: {error}") from None
