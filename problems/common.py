@@ -27,7 +27,7 @@ def duration(name: str, default: float | None, meaning: str, within: Range) -> P
     return Parameter(name=name, default=default, unit="s", lower=within[0], upper=within[1], meaning=meaning)
 
 
-def length(name: str, default: float, meaning: str, within: Range) -> Parameter:
+def length(name: str, default: float | None, meaning: str, within: Range) -> Parameter:
     """A distance or a coordinate, m, within bounds."""
     return Parameter(name=name, default=default, unit="m", lower=within[0], upper=within[1], meaning=meaning)
 

@@ -9,8 +9,9 @@ KIND = "arm"
 # Where the gripper is mounted, x out of it.
 TOOL = "link06"
 
-# Elbow up, the gripper pointing down in front of the base; the SRDF's "home" lies on its limits, folded.
-ELBOW_UP = {"joint2": 1.9, "joint3": -1.4, "joint4": 1.07}
+# Elbow up, the gripper pointing forward and down by 46 degrees (straight down the wrist nears its limit);
+# the SRDF's "home" lies on its limits, folded.
+ELBOW_UP = {"joint2": 1.9, "joint3": -1.4, "joint4": 0.3}
 
 
 def build() -> Robot:
