@@ -15,6 +15,8 @@ minimum time has many controls, and a robot without torque limits could jump to 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal, get_args
 
 from trajopt.costs import (
@@ -31,7 +33,7 @@ from trajopt.power import PowerCost
 from trajopt.problem import Motion
 from trajopt.robot import Robot
 from trajopt.schedule import Schedule
-from trajopt.term_interfaces import Term
+from trajopt.term_interfaces import Cost, Term
 from trajopt.tracking import TrackingCost
 from trajopt.units import Units
 
@@ -43,18 +45,19 @@ REST = 1e-2
 
 
 def effort_costs(
-    *, acceleration: float = 1e-2, joints_only: bool = False, share: float = 1.0
-) -> tuple[Term, ...]:
+    *, acceleration: float = 1e-2, velocity: float = 1e-2, posture: float = 1e-1, joints_only: bool = False
+) -> tuple[Cost, ...]:
     """Torques, and little for all else, so that no direction of a motion is left without a price.
 
-    acceleration: weight of accelerations. joints_only: leave those and rates of the base out. share: of all.
+    acceleration, velocity, posture: weights beside torques' one. joints_only: leave accelerations and rates
+    of the base out.
     """
     return (
-        TorqueCost(weight=share),
-        AccelerationCost(weight=share * acceleration, joints_only=joints_only),
-        VelocityCost(weight=share * 1e-2, joints_only=joints_only),
-        PostureCost(weight=share * 1e-1),
-        WrenchCost(weight=share * 1e-2),
+        TorqueCost(weight=1.0),
+        AccelerationCost(weight=acceleration, joints_only=joints_only),
+        VelocityCost(weight=velocity, joints_only=joints_only),
+        PostureCost(weight=posture),
+        WrenchCost(weight=1e-2),
     )
 
 
@@ -68,20 +71,21 @@ def goal_terms(
     direction: tuple[float, float, float] = (1.0, 0.0, 0.0),
     travel: float | None = None,
     reference: Motion | None = None,
-    joints_only: bool = False,
+    effort: Sequence[Cost] | None = None,
 ) -> tuple[Term, ...]:
     """Cost terms of a goal out of ``GOALS``, with the rest that makes its motion unique.
 
     frame: for "height" and "distance". phase: for "height", by default the longest without contacts.
     direction: (3,) world, for "distance". travel: m, for "transport", the way that the motion has to go.
-    reference: q(t) (nq,), for "track". joints_only: leave accelerations and rates of the base out.
+    reference: q(t) (nq,), for "track". effort: costs of effort, by default `effort_costs()`.
     Raises InputError for an unknown goal, and for one whose argument is missing or without effect.
     """
-    rest = effort_costs(joints_only=joints_only, share=REST)
+    effort = tuple(effort_costs() if effort is None else effort)
+    rest = [replace(term, weight=REST * term.weight) for term in effort]
     if goal == "effort":
-        return effort_costs(joints_only=joints_only)
+        return effort
     if goal == "smooth":
-        return (AccelerationCost(weight=1.0, joints_only=joints_only), *rest)
+        return (AccelerationCost(weight=1.0), *rest)
     if goal == "time":
         free = any(clock is not None for clock in schedule.clocks)
         _require(free, goal, "a schedule with duration_bounds in some phase")
