@@ -12,6 +12,7 @@ import pinocchio as pin
 from trajopt.actuators.drive import Drive
 from trajopt.actuators.on_robot import drive_torque_values
 from trajopt.bases.virtual_base import gimbal_margin_along
+from trajopt.certify.clearance import clearance_figures
 from trajopt.certify.closing import periodicity_error
 from trajopt.certify.consistency import interval_gaps
 from trajopt.certify.contact_figures import force_figures, is_sole, place_figures
@@ -47,6 +48,7 @@ def check(solution: Solution | str | Path) -> Report:
         **_drives(plan),
         **place_figures(plan, samples, surfaces),
         **impact_figures(plan, surfaces),
+        **clearance_figures(plan),
         periodicity_error=periodicity_error(plan),
         quaternion_error=_quaternion_error(given),
         gimbal_margin=gimbal_margin_along(plan.model, plan.t, plan.q, plan.v),

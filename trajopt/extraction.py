@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.actuators.on_robot import actuated_row_limit
+from trajopt.collision.avoidance import collision_meta
 from trajopt.layout import Layout
 from trajopt.model_quantities import generalized_force
 from trajopt.payload import payload_wrench
@@ -247,7 +248,7 @@ def robot_meta(problem: Problem) -> dict[str, Any]:
         meta["drives"] = [None if drive is None else drive.to_meta() for drive in robot.drives]
     if robot.visual is not None:
         meta["visual"] = robot.visual.to_meta()
-    return meta
+    return meta | collision_meta(problem)
 
 
 def _payloads(problem: Problem) -> list[dict[str, Any]]:

@@ -14,6 +14,7 @@ from trajopt.replay_arrows import WEIGHT_ARROW, draw_arrows
 from trajopt.replay_commands import Command, Recorder, Tracks, without_shadow
 from trajopt.replay_ground import light_and_ground
 from trajopt.replay_motion import Motion
+from trajopt.replay_obstacles import draw_obstacles
 from trajopt.replay_robot import DrawnRobot, draw_robot, joint_path, tip_frames
 from trajopt.replay_surfaces import draw_surfaces, seen_plane, terrain_of, touches_of
 from trajopt.robot_building import BASE_JOINT, base_of
@@ -53,7 +54,8 @@ def build_scene(solution: Solution, motion: Motion) -> Scene:
     standing, elsewhere = touches_of(solution, motion)
     ground = seen_plane(standing, solution, motion, robot, size) if standing else terrain_of(solution)
     places = draw_surfaces(vis["surfaces"], elsewhere, solution, motion, robot, size)
-    cloud = np.concatenate([cloud.reshape(-1, 3), places])
+    obstacles = draw_obstacles(vis["obstacles"], solution)
+    cloud = np.concatenate([cloud.reshape(-1, 3), places, obstacles])
     box = np.array([cloud.min(axis=0), cloud.max(axis=0)])
     light_and_ground(vis, box, ground, size)
     draw_arrows(vis, tracks, solution, motion, size)

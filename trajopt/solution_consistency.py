@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.actuators.drive import Drive
+from trajopt.certify.clearance import scene_of_meta
 from trajopt.certify.touched import patches_of, surfaces_of
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.solution import OTHERS, SAMPLED, Solution
@@ -49,6 +50,7 @@ def inconsistency(solution: Solution, meta: dict[str, Any]) -> str:
         or _wrong_number(solution)
         or _wrong_time(solution)
         or _wrong_surfaces(solution, meta)
+        or _wrong_collision(solution, meta)
     )
 
 
@@ -102,6 +104,15 @@ def _wrong_drives(drives: Any) -> str:
                 Drive.from_meta(entry)
     except InputError as error:
         return f"drives of meta: {error}"
+    return ""
+
+
+def _wrong_collision(solution: Solution, meta: dict[str, Any]) -> str:
+    """Optional key of meta: capsules on the robot, obstacles, and pairs of capsules that may not touch."""
+    try:
+        scene_of_meta(solution.model, meta.get("collision"))
+    except SolutionFileError as error:
+        return str(error)
     return ""
 
 

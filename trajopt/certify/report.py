@@ -94,6 +94,12 @@ FIGURES: dict[str, Figure] = {
     "velocity_excess": Figure(text="velocity beyond its limit", unit="limit", tolerance="limit"),
     "position_excess": Figure(text="position beyond its limit", unit="range", tolerance="limit"),
     "penetration": Figure(text="depth below the terrain", unit="m", tolerance="penetration"),
+    "obstacle_distance": Figure(
+        text="least distance from obstacles", unit="m", tolerance="penetration", margin=True
+    ),
+    "self_distance": Figure(
+        text="least distance between links", unit="m", tolerance="penetration", margin=True
+    ),
     "landing_height": Figure(text="height of contacts where they begin", unit="m", tolerance="foot_drift"),
     "patch_margin": Figure(text="distance inside the patch", unit="m", tolerance="foot_drift", margin=True),
     "foot_drift": Figure(text="drift of active contacts", unit="m", tolerance="foot_drift"),
@@ -152,6 +158,7 @@ class Report:
         `impact_figures`. state_jump: largest jump of q or v where intervals meet without an impact.
     penetration, quaternion_error, contact_velocity, foot_drift, foot_turn, sole_tilt: at all samples.
         penetration is below the surface of an active contact, below the terrain otherwise.
+    obstacle_distance, self_distance: of capsules around links, by Coal, at samples and between.
         On ground that is no plane it is below the tangent plane of the highest ground under the contact.
     landing_height: distance of active contacts from their surface at their phase's start, unsigned.
     patch_margin: least distance of active contacts (of soles: their corners) inside their patches' edges.
@@ -177,6 +184,8 @@ class Report:
     velocity_excess: float | None
     position_excess: float | None
     penetration: float | None
+    obstacle_distance: float | None
+    self_distance: float | None
     landing_height: float | None
     patch_margin: float | None
     foot_drift: float | None

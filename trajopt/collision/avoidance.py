@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from trajopt.certify.clearance import finer
 from trajopt.collision.link_capsules import robot_capsules
 from trajopt.collision.near import CollisionScene, Pair, separable_pairs
 from trajopt.collision.shapes import LinkCapsule, Obstacle
@@ -24,8 +25,6 @@ from trajopt.solution import Solution
 BAND = 0.2
 # The guess is looked at this often: a tool that crosses the robot's length moves a twentieth of it between.
 LOOKS = 40
-# Between two samples of a solution a motion is looked at this often.
-FINER = 4
 # `solve_clear` gives up after this many solves: each adds at least one pair.
 MOST_SOLVES = 5
 
@@ -97,34 +96,6 @@ def collision_meta(problem: Problem) -> dict[str, Any]:
     """What a solution's meta says of obstacles; nothing where there are none."""
     scene = scene_of(problem)
     return {} if scene is None else {"collision": scene.describe()}
-
-
-def finer(solution: Solution, phase: range | None = None, between: int = FINER) -> list[np.ndarray]:
-    """Configurations (nq,) at the samples and ``between`` times in each gap: cubics through q and v.
-
-    Exact where the motion is a cubic in time between samples, as collocation with two points makes it.
-    """
-    rows = phase or range(solution.n_samples)
-    found = [solution.q[rows.start]]
-    for row in rows[:-1]:
-        found += _bridge(solution, row, between)
-    return found
-
-
-def _bridge(solution: Solution, row: int, between: int) -> list[np.ndarray]:
-    """Configurations after sample ``row`` up to the next one."""
-    span, model = solution.t[row + 1] - solution.t[row], solution.model
-    q, following = solution.q[row], solution.q[row + 1]
-    if not span > 0:
-        return [following]
-    way = pin.difference(model, q, following)
-    to_way = np.linalg.inv(pin.dIntegrate(model, q, way, pin.ArgumentPosition.ARG1))
-    first, last = span * solution.v[row], span * to_way @ solution.v[row + 1]
-    found = []
-    for s in np.arange(1, between + 1) / (between + 1):
-        step = s * (1 - s) ** 2 * first + s * s * (3 - 2 * s) * way + s * s * (s - 1) * last
-        found.append(pin.integrate(model, q, step))
-    return [*found, following]
 
 
 def missed_pairs(problem: Problem, solution: Solution) -> dict[str, tuple[Pair, ...]]:

@@ -20,12 +20,14 @@ strictly convex function, where the same clamping is exact.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import casadi as ca
 
-# Bisection leaves this part of an axis' half length, 2^-12, which one step of Newton squares.
-BISECTIONS = 12
+# Bisection leaves this part of an axis' half length, 2^-10, which each of Newton's steps squares.
+BISECTIONS = 10
+NEWTON_STEPS = 2
+# A place along an axis is held to this part of its length: rounding, 2^-40.
+GRAIN = 2.0**-40
 # Two axes that cross: keeps the root differentiable, a millionth of the sum of the radii.
 CROSSING = 1e-6
 
@@ -59,19 +61,33 @@ def segment_distance(first: Axis, second: Axis, reach: ca.SX, smoothing: float) 
 def box_distance(axis: Axis, box: Box, reach: ca.SX, smoothing: float) -> ca.SX:
     """Distance of an axis from a box minus ``reach`` (radius and margin, m, > 0), at most that; smooth.
 
-    The minimum over s of rounded(P(s)) + 4 k (s - 1/2)^2, minus k, with k the smoothing: see `_rounded`.
+    The minimum over s of f = rounded(P(s)) + 4 k (s - 1/2)^2, minus k, with k the smoothing (see `_rounded`).
+    Its place s is found first and held as a number; what is differentiated is the least value of the parabola
+    of f there, f - f_s^2 / (2 f_ss). As f_s vanishes that is f itself, its gradient f_x, and its second
+    derivative f_xx - f_xs f_sx / f_ss: that of the minimum, without a derivative of the search.
     """
     start = ca.mtimes(box.rotation.T, axis.start - box.position)
     along = ca.mtimes(box.rotation.T, axis.end - axis.start)
-    data = ca.vertcat(start, along, box.half_sides, reach)
+
+    def profile(s: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        value, slope, curvature = _rounded(start + s * along, along, box.half_sides, reach)
+        bend = 4 * smoothing
+        return value + bend * (s - 0.5) ** 2, slope + 2 * bend * (s - 0.5), curvature + 2 * bend
+
     s, half = ca.SX(0.5), 0.5
     for _ in range(BISECTIONS):
         half /= 2
-        s = s - half * ca.sign(_profile()(s, data, smoothing)[1])
+        s = s - half * ca.sign(profile(s)[1])
     # Where the middle of the box makes a kink, Newton's step would leave what bisection found.
-    _, slope, curvature = _profile()(s, data, smoothing)
-    s = _clamped(s - ca.fmin(ca.fmax(slope / curvature, -2 * half), 2 * half))
-    return _profile()(s, data, smoothing)[0] - smoothing - reach
+    for _ in range(NEWTON_STEPS):
+        _, slope, curvature = profile(s)
+        step = slope / curvature
+        s = _clamped(s - ca.fmin(ca.fmax(step, -2 * half), 2 * half))
+    s = _held(s)
+    value, slope, curvature = profile(s)
+    settled = ca.logic_and(ca.logic_and(s > 0, s < 1), ca.fabs(step) < 2 * half)
+    least = value - ca.if_else(settled, slope**2 / (2 * _held(curvature)), 0)
+    return least - smoothing - reach
 
 
 @dataclass(frozen=True)
@@ -83,35 +99,42 @@ class Box:
     half_sides: ca.SX
 
 
-@lru_cache(maxsize=1)
-def _profile() -> ca.Function:
-    """(s, start, along, half sides, reach; smoothing) -> value, slope and curvature in s along an axis."""
-    s, data, smoothing = ca.SX.sym("s"), ca.SX.sym("data", 10), ca.SX.sym("smoothing")
-    start, along, half, reach = ca.vertsplit(data, [0, 3, 6, 9, 10])
-    value = _rounded(start + s * along, half, reach) + 4 * smoothing * (s - 0.5) ** 2
-    slope = ca.gradient(value, s)
-    return ca.Function("profile", [s, data, smoothing], [value, slope, ca.gradient(slope, s)])
+def _rounded(point: ca.SX, along: ca.SX, half_sides: ca.SX, radius: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """The d for which ``point`` lies on the box with half sides h + d, its edges rounded by ``radius``.
 
+    And its first and second derivative when the point moves at the constant rate ``along``.
 
-def _rounded(point: ca.SX, half_sides: ca.SX, radius: ca.SX) -> ca.SX:
-    """The d for which ``point`` lies on the box with half sides h + d, edges rounded by ``radius``.
-
-    With y = |x| - h: sum_j max(0, y_j + r - d)^2 = r^2. Convex, equal to the distance from the box where
-    that is r, and nowhere without slope: of the three components of its gradient the largest is at least
-    1/sqrt(3). Beyond r it is at least r + (distance - r) / sqrt(3), and at most the distance.
+    With y = |x| - h, r the radius and w_j = max(0, y_j + r - d): sum_j w_j^2 = r^2, hence d' = sum w y' /
+    sum w and d'' = sum (y' - d')^2 / sum w over the faces with w > 0. Convex, equal to the distance from
+    the box where that is r, and nowhere without slope: its gradient's components w / sum w add up to 1.
+    Beyond r it is at least r + (distance - r) / sqrt(3), and at most the distance.
     """
-    x, r = point, radius
-    y = ca.vertcat(*[ca.if_else(x[i] >= 0, x[i], -x[i]) - half_sides[i] for i in range(3)])
-    top = ca.fmax(ca.fmax(y[0], y[1]), y[2])
-    low = ca.fmin(ca.fmin(y[0], y[1]), y[2])
+    sides = [ca.if_else(point[i] >= 0, 1, -1) for i in range(3)]
+    y = [sides[i] * point[i] - half_sides[i] for i in range(3)]
+    rates = [sides[i] * along[i] for i in range(3)]
+    d = _level(y, radius)
+    w = [ca.fmax(0, entry + radius - d) for entry in y]
+    total = w[0] + w[1] + w[2]
+    slope = (w[0] * rates[0] + w[1] * rates[1] + w[2] * rates[2]) / total
+    bends = [ca.if_else(w[i] > 0, (rates[i] - slope) ** 2, 0) for i in range(3)]
+    return d, slope, (bends[0] + bends[1] + bends[2]) / total
+
+
+def _level(y: list[ca.SX], r: ca.SX) -> ca.SX:
+    """The d with sum_j max(0, y_j + r - d)^2 = r^2: a root for one, two or three faces."""
+    top, low = ca.fmax(ca.fmax(y[0], y[1]), y[2]), ca.fmin(ca.fmin(y[0], y[1]), y[2])
     mid = y[0] + y[1] + y[2] - top - low
-    # Roots below belong to one, two or three faces; where they apply, their squares are at least r^2.
+    # Where a root applies, what stands under it is at least r^2.
     two = r + (top + mid - ca.sqrt(ca.fmax(2 * r**2 - (top - mid) ** 2, r**2))) / 2
     spread = (top - mid) ** 2 + (mid - low) ** 2 + (top - low) ** 2
     three = r + (top + mid + low - ca.sqrt(ca.fmax(3 * r**2 - spread, r**2))) / 3
-    near_edge = ca.if_else(low + r > two, three, two)
-    return ca.if_else(mid + r > top, near_edge, top)
+    return ca.if_else(mid + r > top, ca.if_else(low + r > two, three, two), top)
 
 
 def _clamped(s: ca.SX) -> ca.SX:
     return ca.fmin(ca.fmax(s, 0), 1)
+
+
+def _held(value: ca.SX) -> ca.SX:
+    """The value as a number without derivative: rounded down to a multiple of `GRAIN`."""
+    return GRAIN * ca.floor(value / GRAIN)

@@ -104,8 +104,8 @@ def along(points: np.ndarray, direction: np.ndarray) -> Segment:
     low, high = float((local[:, 2] + cap).min()), float((local[:, 2] - cap).max())
     if low > high:
         low = high = (low + high) / 2
-    ends = (turn @ np.array([*centre, height]) for height in (low, high))
-    return Segment(*ends, radius=radius)
+    start, end = (turn @ np.array([*centre, height]) for height in (low, high))
+    return Segment(start, end, radius)
 
 
 def least_circle(points: np.ndarray) -> tuple[np.ndarray, float]:

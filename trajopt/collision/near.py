@@ -128,5 +128,5 @@ def separable_pairs(
         if not joined(first, second)
     )
     scene = CollisionScene(model=model, capsules=tuple(capsules), self_pairs=pairs)
-    apart = scene.distances(q) > margin if pairs else []
-    return tuple(pair for pair, keep in zip(pairs, apart, strict=True) if keep)
+    distances = scene.distances(q) if pairs else np.zeros(0)
+    return tuple(pair for pair, distance in zip(pairs, distances, strict=True) if distance > margin)

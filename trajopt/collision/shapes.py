@@ -163,7 +163,7 @@ _KINDS: Mapping[str, type[Obstacle]] = {
 
 def obstacle_from_description(described: Any) -> Obstacle:
     """The obstacle that ``describe`` wrote. Raises InputError."""
-    kind = described.get("kind") if isinstance(described, dict) else None
+    kind = str(described.get("kind")) if isinstance(described, dict) else ""
     if kind not in _KINDS:
         raise InputError(f"an obstacle is described by {described!r}", f"kinds: {', '.join(_KINDS)}")
     fields = {name: value for name, value in described.items() if name != "kind"}
