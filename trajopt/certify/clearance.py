@@ -18,7 +18,7 @@ FINER = 4
 
 
 def clearance_figures(plan: Solution) -> dict[str, float | None]:
-    """Least signed distances, m, of the capsules in ``meta["collision"]`` from obstacles, and between them."""
+    """Least signed distances, m, of the capsules in ``meta["collision"]`` from obstacles and between them."""
     scene = scene_of_meta(plan.model, plan.meta.get("collision"))
     if scene is None:
         return {"obstacle_distance": None, "self_distance": None}
