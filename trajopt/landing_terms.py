@@ -94,20 +94,26 @@ def _on_ground(context: Context, ground: Ground, position: ca.SX, length: float)
 
 
 def _inside(context: Context, units: Units, contact: Contact, patch: Patch) -> list[Rows]:
-    """Rows of every edge for the contact's point, or for the corners of its sole.
+    """Rows of every edge for the contact's point or corners.
 
     The distance from the plane has its own row, so these speak of directions in the plane alone: independent
     of it. A robot that moves in a plane of the world gets no rows for edges along that plane.
     """
-    frame, moves = context.frame(contact.frame), [row for row in contact.rows if row < 3]
+    moves = [row for row in contact.rows if row < 3]
     edges = np.linalg.norm(patch.inward[:, moves], axis=1) > ACROSS
     inward, least = context.parameter(patch.inward[edges]), (patch.offsets + patch.margin)[edges]
-    points = [frame.position]
-    if contact.kind == "surface":
-        half = np.array([contact.half_length, contact.half_width])
-        corners = [half * signs for signs in ([1, 1], [-1, 1], [-1, -1], [1, -1])]
-        points = [frame.position + ca.mtimes(frame.rotation[:, :2], corner) for corner in corners]
+    points = contact_points(context, contact)
     return [Rows.create(ca.mtimes(inward, point), least, np.inf, units.length) for point in points]
+
+
+def contact_points(context: Context, contact: Contact) -> list[ca.SX]:
+    """The point (3,) of a contact, or the four corners of its sole, world, m."""
+    frame = context.frame(contact.frame)
+    if contact.kind == "point":
+        return [frame.position]
+    half = np.array([contact.half_length, contact.half_width])
+    corners = [half * signs for signs in ([1, 1], [-1, 1], [-1, -1], [1, -1])]
+    return [frame.position + ca.mtimes(frame.rotation[:, :2], corner) for corner in corners]
 
 
 def _tilting_axes(contact: Contact, held: tuple[int, ...]) -> list[int]:

@@ -127,9 +127,10 @@ def footholds_of(problem: Problem) -> FootstepPlan:
         landing = problem.schedule.new_contacts(i)
         guessed = feet_of(robot, problem.guess(t)) if landing else {}
         for name in landing:
-            surface = phase.surface(name, problem.terrain)
             point = guessed[name].position
+            surface = phase.surface(name, problem.terrain).plane_at(point)
             onto = point - float(surface.distance(point)) * surface.normal
+            onto = phase.patches[name].nearest(point) if name in phase.patches else onto
             current[name] = replace(guessed[name], position=phase.footholds.get(name, onto))
         feet = {name: current[name] for name in phase.contacts}
         supports.append(Support(name=phase.name, duration=phase.duration, feet=feet))

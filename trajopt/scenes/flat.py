@@ -58,7 +58,8 @@ def _across(problem: Problem) -> set[str]:
             frame = robot.contact(name).frame
             place = data.oMf[model.getFrameId(frame)].translation
             moved = abs(phase.footholds.get(name, place)[1] - place[1]) > TASK * robot.length
-            if moved or abs(phase.surface(name, problem.terrain).normal[1]) > TASK:
+            plane = phase.surface(name, problem.terrain).plane_at(place)
+            if moved or abs(plane.normal[1]) > TASK:
                 frames.add(frame)
     for asked in Reader(problem).every(dynamics=False):
         if asked.node is not None and not isinstance(asked.term, ALONG_PLANE):

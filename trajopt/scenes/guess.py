@@ -75,7 +75,7 @@ def _places(
         for name in schedule.new_contacts(index):
             share = smooth_step((times[index] - phase.duration) / times[-1])
             way = (1 - share) * first[name] + share * last[name]
-            surface = phase.surface(name, ground)
+            surface = phase.surface(name, ground).plane_at(way)
             now[name] = phase.footholds.get(name, way - surface.distance(way) * surface.normal)
         found.append(now)
     return found

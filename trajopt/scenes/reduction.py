@@ -173,7 +173,7 @@ def whole_place(place: NodePlace, reduction: Reduction) -> NodePlace:
 def whole_phase(phase: Phase, reduction: Reduction) -> Phase:
     """The phase of the whole robot that a reduced phase stands for."""
     active = {name: f for name, f in reduction.contacts.items() if f.name in phase.contacts}
-    footholds, surfaces = {}, {}
+    footholds, surfaces, patches = {}, {}, {}
     for name, follower in active.items():
         if follower.name in phase.footholds:
             place = phase.footholds[follower.name]
@@ -181,7 +181,9 @@ def whole_phase(phase: Phase, reduction: Reduction) -> Phase:
         if follower.name in phase.surfaces:
             surface = phase.surfaces[follower.name]
             surfaces[name] = _reflected(surface, reduction) if follower.mirrored else surface
-    return replace(phase, contacts=tuple(active), footholds=footholds, surfaces=surfaces)
+        if follower.name in phase.patches and not follower.mirrored:  # a task with patches is not halved
+            patches[name] = phase.patches[follower.name]
+    return replace(phase, contacts=tuple(active), footholds=footholds, surfaces=surfaces, patches=patches)
 
 
 def _reflected(surface: Surface, reduction: Reduction) -> Surface:

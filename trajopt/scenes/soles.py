@@ -178,7 +178,7 @@ def _soles(problem: Problem) -> list[Sole]:
 
 def _named(problem: Problem, name: str) -> bool:
     """Whether a term names the contact, or a phase has a surface of its own for it."""
-    own = any(name in phase.surfaces for phase in problem.schedule.phases)
+    own = any(phase.own_surface(name) is not None for phase in problem.schedule.phases)
     for term in problem.terms:
         only = term.contacts if isinstance(term, ContactConstraint) else None
         own = own or getattr(term, "contact", None) == name or (only is not None and name in only)
@@ -207,7 +207,7 @@ def _sole(problem: Problem, body: pin.SE3, joint: int, corners: list[Contact]) -
         size = np.linalg.norm(along) / 2, np.linalg.norm(across) / 2
         x, normal = along / (2 * size[0]), np.cross(along, across)
         normal /= np.linalg.norm(normal)
-        if (body.rotation @ normal) @ problem.terrain.surface.normal < 0:
+        if (body.rotation @ normal) @ problem.terrain.surface.plane_at(body.translation).normal < 0:
             normal = -normal
         frame = pin.SE3(np.column_stack([x, np.cross(normal, x), normal]), points.mean(axis=0))
         names = tuple(c.name for c in corners)

@@ -14,7 +14,7 @@ from trajopt.mirror import REFLECTION, TWIST, Mirror, mirrored_configuration, mi
 from trajopt.problem import Problem
 from trajopt.robot import Contact
 from trajopt.scenes.asked import Asked, Reader
-from trajopt.schedule import Phase
+from trajopt.schedule import FlatGround, Phase
 
 # Start, goals and terms may differ from their mirror images by this, in natural units (rad, lengths of the
 # robot): below what joints are calibrated to. Above it a task is asymmetric.
@@ -72,6 +72,11 @@ def _start(problem: Problem, mirror: Mirror) -> Found:
 
 def _contacts(problem: Problem, phase: Phase, images: Sequence[int]) -> Found:
     """Contacts of a phase in pairs, each on the mirror image of the other's surface."""
+    if phase.patches or not isinstance(problem.terrain, FlatGround):
+        raise InputError(
+            f"phase '{phase.name}' has patches, or its ground is not one plane",
+            "footholds and planes, whose mirror images are compared",
+        )
     robot, y0, worst = problem.robot, float(problem.initial_q[1]), 0.0
     names = [contact.name for contact in robot.contacts]
     for name in phase.contacts:
@@ -81,7 +86,9 @@ def _contacts(problem: Problem, phase: Phase, images: Sequence[int]) -> Found:
                 f"contact '{name}' of phase '{phase.name}' has no mirror image '{image}' there",
                 "contacts in pairs",
             )
-        own, other = (phase.surface(entry, problem.terrain) for entry in (name, image))
+        own, other = (
+            phase.surface(entry, problem.terrain).plane_at(problem.initial_q[:3]) for entry in (name, image)
+        )
         point = REFLECTION * own.point + np.array([0.0, 2 * y0, 0.0])
         apart = [
             float(np.abs(REFLECTION * own.normal - other.normal).max()),

@@ -77,6 +77,7 @@ def _phase(phase: Phase, reduction: Reduction) -> Phase:
         contacts=tuple(kept.values()),
         footholds=_renamed(phase.footholds, kept),
         surfaces=_renamed(phase.surfaces, kept),
+        patches=_renamed(phase.patches, kept),
     )
 
 

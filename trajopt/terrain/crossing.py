@@ -1,0 +1,174 @@
+"""What lies under a swing over piecewise ground: how high it is, and which edges must not be cut.
+
+Seen along the straight line from lift-off to touchdown the ground is a polyline with jumps. Where it is
+nowhere above the planes of both ends (one plane, or a valley) a foot above these planes is above the ground.
+Otherwise something stands between: the foot rises to its top before it passes the edge at which that begins,
+and sinks below the top after it has passed the edge at which it ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from trajopt.surface import SAME_PLANE, Surface
+from trajopt.terrain.patch import Patch
+from trajopt.terrain.piecewise import CRACK, PiecewiseTerrain
+
+# Horizontal parts of an edge's normal shorter than this have no direction.
+NO_DIRECTION = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Edge:
+    """A vertical plane through an edge: positions p (3,) with ``normal @ p >= offset`` are on the free side.
+
+    ``normal`` (3,) is horizontal and of unit length; ``part`` of the way, counted from
+    the free end, at which the line meets the edge.
+    """
+
+    normal: np.ndarray
+    offset: float
+    part: float
+
+    def distance(self, position: np.ndarray) -> np.ndarray:
+        """Distance (...) in m of positions (..., 3) from the edge, positive on the free side."""
+        return np.asarray(np.asarray(position) @ self.normal - self.offset)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Crossing:
+    """Ground between two places of a foot: planes at both ends, and the top of what stands between.
+
+    ``top`` in m is None where nothing does. ``rise``: the edge before which the foot rises to the top, None
+    where it starts there; ``fall``: the edge behind which it sinks, None where it ends there.
+    """
+
+    first: Surface
+    last: Surface
+    top: float | None = None
+    rise: Edge | None = None
+    fall: Edge | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Piece:
+    """The ground from a ``begin`` to an ``end`` part of the way; ``face`` is None in a hole."""
+
+    begin: float
+    end: float
+    face: Patch | None
+
+
+def crossing(
+    terrain: PiecewiseTerrain, start: np.ndarray, end: np.ndarray, first: Surface, last: Surface
+) -> Crossing:
+    """What lies between ``start`` and ``end`` (3,) m, which are on the planes ``first`` and ``last``."""
+    pieces = [piece for piece in _pieces(terrain, start, end) if piece.face is not None]
+    ends = [(_level(first, start), _level(first, end)), (_level(last, start), _level(last, end))]
+    heights = [
+        (_height(piece, piece.begin, start, end), _height(piece, piece.end, start, end)) for piece in pieces
+    ]
+
+    def over(which: int, part: float, height: float) -> float:
+        low, high = ends[which]
+        return height - (1 - part) * low - part * high
+
+    above = [
+        [max(over(i, p.begin, h[0]), over(i, p.end, h[1])) for i in (0, 1)]
+        for p, h in zip(pieces, heights, strict=True)
+    ]
+    own = ends[0][0], ends[1][1]
+    valley = ends[1][0] <= own[0] + SAME_PLANE and ends[0][1] <= own[1] + SAME_PLANE
+    if valley and all(min(both) <= SAME_PLANE for both in above):
+        return Crossing(first=first, last=last)
+    top = max([*own, *(max(pair) for pair in heights)])
+    rise = fall = None
+    if own[0] < top - SAME_PLANE:
+        rise = _edge(_place(pieces, heights, [both[0] for both in above], top), pieces, start, end)
+    if own[1] < top - SAME_PLANE:
+        back = [_reversed(piece) for piece in reversed(pieces)]
+        turned = [(pair[1], pair[0]) for pair in reversed(heights)]
+        fall = _edge(_place(back, turned, [both[1] for both in reversed(above)], top), back, end, start)
+    return Crossing(first=first, last=last, top=top, rise=rise, fall=fall)
+
+
+def _level(plane: Surface, point: np.ndarray) -> float:
+    """Height of a plane under a position."""
+    normal = plane.normal
+    return float((plane.height - normal[0] * point[0] - normal[1] * point[1]) / normal[2])
+
+
+def _height(piece: _Piece, part: float, start: np.ndarray, end: np.ndarray) -> float:
+    assert piece.face is not None  # pieces without ground were left out
+    return _level(piece.face.surface, start + part * (end - start))
+
+
+def _pieces(terrain: PiecewiseTerrain, start: np.ndarray, end: np.ndarray) -> list[_Piece]:
+    """The highest face along the way, in order."""
+    stops = sorted({0.0, 1.0, *(stop for face in terrain.faces for stop in _stops(face, start, end))})
+    found: list[_Piece] = []
+    for a, b in pairwise(stops):
+        if b - a > CRACK:
+            middle = start + (a + b) / 2 * (end - start)
+            face = terrain.face_at(float(middle[0]), float(middle[1]))
+            if found and found[-1].face is face:
+                a = found.pop().begin
+            found.append(_Piece(begin=a, end=b, face=face))
+    return found
+
+
+def _stops(face: Patch, start: np.ndarray, end: np.ndarray) -> list[float]:
+    """Parts of the way, inside it, at which the line meets lines of a face's edges, seen from above."""
+    outside = [[_to_edge(face, i, point) for point in (start, end)] for i in range(len(face.vertices))]
+    parts = [a / (a - b) for a, b in outside if abs(a - b) > NO_DIRECTION]
+    return [part for part in parts if 0 < part < 1]
+
+
+def _edge_plane(face: Patch, index: int) -> tuple[np.ndarray, float]:
+    """Horizontal unit normal (3,) out of a face at an edge, and its offset."""
+    a, b = face.vertices[index], face.vertices[(index + 1) % len(face.vertices)]
+    out = np.array([b[1] - a[1], a[0] - b[0], 0.0])
+    out /= np.linalg.norm(out)
+    return out, float(out @ a)
+
+
+def _to_edge(face: Patch, index: int, point: np.ndarray) -> float:
+    normal, offset = _edge_plane(face, index)
+    return float(normal @ point - offset)
+
+
+def _reversed(piece: _Piece) -> _Piece:
+    return _Piece(begin=1 - piece.end, end=1 - piece.begin, face=piece.face)
+
+
+def _place(pieces: list[_Piece], heights: list[tuple[float, float]], above: list[float], top: float) -> float:
+    """Part of the way at which the ground first rises over the start's plane; else where it is at the top."""
+    for piece, over in zip(pieces, above, strict=True):
+        if over > SAME_PLANE:
+            return piece.begin
+    for piece, pair in zip(pieces, heights, strict=True):
+        for part, height in zip((piece.begin, piece.end), pair, strict=True):
+            if height >= top - SAME_PLANE:
+                return part
+    return 1.0
+
+
+def _edge(part: float, pieces: list[_Piece], start: np.ndarray, end: np.ndarray) -> Edge | None:
+    """The edge that the way meets at ``part``, free on the start's side; None if the start is beyond it."""
+    if part <= CRACK:
+        return None
+    point, way = start + part * (end - start), (end - start) * [1, 1, 0]
+    length = float(np.linalg.norm(way))
+    if length <= NO_DIRECTION:
+        return None
+    normal = -way / length
+    entered = [piece.face for piece in pieces if abs(piece.begin - part) <= CRACK and piece.face is not None]
+    for face in entered:
+        for index in range(len(face.vertices)):
+            out, offset = _edge_plane(face, index)
+            if abs(out @ point - offset) <= SAME_PLANE and out @ way < 0:
+                normal = out
+    return Edge(normal=normal, offset=float(normal @ point), part=part)

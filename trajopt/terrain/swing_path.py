@@ -1,0 +1,97 @@
+"""Guess of a swing over ground with edges: up before the first edge, over the top, down behind the last."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.reduced.foot_motion import smooth_step
+from trajopt.surface import Surface
+from trajopt.terrain import FlatGround, PiecewiseTerrain, Terrain
+from trajopt.terrain.crossing import Crossing, Edge, crossing
+
+# Parts of the swing's time at which the foot is as high as the top, and from which it sinks.
+RISEN, SINKING = 0.35, 0.65
+# The guess passes an edge at this part of the way to it: with room before the edge.
+BEFORE_EDGE = 0.8
+# Height of the guess's arc over the least clearance: above it at every time between RISEN and SINKING.
+OVER_CLEARANCE = 1.5
+# Swings whose ground is kept.
+KEPT = 1024
+
+# A smooth step's inverse, by table.
+TIMES = np.linspace(0.0, 1.0, 201)
+DONE = np.array([smooth_step(float(time)) for time in TIMES])
+
+SwingPath = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
+
+
+def swing_path(terrain: Terrain, clearance: float) -> SwingPath:
+    """Path of a swinging foot: (name, start (3,), end (3,), s) -> position (3,), m, world; s from 0 to 1.
+
+    It rises to the highest ground between its ends before it meets it, and sinks behind it; on top of that
+    an arc that is ``clearance`` m over smooth or flat ground and over edges. For `legged_guess`.
+    """
+    if not (np.isfinite(clearance) and clearance >= 0):
+        raise InputError(f"swing clearance is {clearance:g} m", "allowed: finite and >= 0")
+
+    @lru_cache(maxsize=KEPT)
+    def between(start: tuple[float, ...], end: tuple[float, ...]) -> Crossing:
+        return crossing_of(terrain, np.array(start), np.array(end))
+
+    def path(name: str, start: np.ndarray, end: np.ndarray, s: float) -> np.ndarray:
+        ground = between(tuple(map(float, start)), tuple(map(float, end)))
+        return _over(terrain, ground, (np.asarray(start), np.asarray(end)), min(max(s, 0.0), 1.0), clearance)
+
+    return path
+
+
+def crossing_of(terrain: Terrain, start: np.ndarray, end: np.ndarray) -> Crossing:
+    """What lies between two positions (3,) m; on ground without edges only the planes under them."""
+    planes = [_plane(terrain, point) for point in (start, end)]
+    if isinstance(terrain, PiecewiseTerrain):
+        return crossing(terrain, start, end, *planes)
+    return Crossing(first=planes[0], last=planes[1])
+
+
+def _plane(terrain: Terrain, point: np.ndarray) -> Surface:
+    """Plane under a position; over a hole a level one at its height."""
+    if isinstance(terrain, PiecewiseTerrain) and terrain.face_at(float(point[0]), float(point[1])) is None:
+        return Surface(point=point, normal=np.array([0.0, 0.0, 1.0]))
+    return terrain.surface_at(point).plane_at(point)
+
+
+def _over(
+    terrain: Terrain, ground: Crossing, ends: tuple[np.ndarray, np.ndarray], s: float, clearance: float
+) -> np.ndarray:
+    start, end = ends
+    part = smooth_step(_warped(ground, s))
+    position = (1 - part) * start + part * end
+    if ground.top is not None:
+        up, down = smooth_step(s / RISEN), smooth_step((s - SINKING) / (1 - SINKING))
+        low, high = min(start[2], ground.top), min(end[2], ground.top)
+        position[2] = low + up * (ground.top - low) + down * (high - ground.top)
+    elif not isinstance(terrain, FlatGround):
+        # A valley, or smooth ground: never below what is under the foot.
+        position[2] = max(position[2], float(terrain.height(position[0], position[1])))
+    position[2] += OVER_CLEARANCE * clearance * 16 * s * s * (1 - s) ** 2
+    return np.asarray(position)
+
+
+def _warped(ground: Crossing, s: float) -> float:
+    """Time of the horizontal way: delayed so that edges are passed between RISEN and SINKING."""
+    begin, end = 0.0, 1.0
+    rise, fall = _time_before(ground.rise), _time_before(ground.fall)
+    if rise is not None and rise < RISEN:
+        begin = (RISEN - rise) / (1 - rise)
+    if fall is not None and fall < 1 - SINKING:
+        end = 1 - (1 - SINKING - fall) / (1 - fall)
+    return (s - begin) / (end - begin)
+
+
+def _time_before(edge: Edge | None) -> float | None:
+    """Time at which a smooth step has gone BEFORE_EDGE of the part of the way to an edge."""
+    return None if edge is None else float(np.interp(BEFORE_EDGE * edge.part, DONE, TIMES))
