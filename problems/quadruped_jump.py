@@ -1,0 +1,133 @@
+"""Jumps of quadrupeds from level ground to level ground: up, forward, sideways and turning."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+
+from problems import common, leaping
+from trajopt.family import Family
+from trajopt.kinematics import contact_positions
+from trajopt.node_terms import FrameHeight, TerminalRest, TerminalState
+from trajopt.problem import Problem
+from trajopt.reduced.legged_guess import legged_guess
+from trajopt.schedule import FlatGround
+
+ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
+# Default durations in units of sqrt(l / g): solo12 pushes for 0.4 s and comes to rest in 0.5 s.
+STANCE, LANDING = 2.7, 3.4
+# Rises of the base and ways forward and to the left are at most these parts of the robot's length, turns at
+# most this, rad; where joints are too slow, less.
+HEIGHT, LEAST_HEIGHT, FORWARD, SIDEWAYS, TURN = 0.75, 0.4, 1.0, 0.5, math.pi / 2
+# Shares of the largest speeds at take-off: upwards in a jump up, upwards in others, across and turning.
+SHARE_UP, SHARE_LOW, SHARE_ACROSS = 0.75, 0.6, 0.4
+
+# Which way a jump goes by default.
+Direction = Literal["up", "forward", "sideways", "turn"]
+
+
+def _defaults(takeoff: leaping.Takeoff, direction: Direction, height: float | None) -> dict[str, float]:
+    """Defaults of a jump: as large as its robot's length suggests and its speeds at take-off allow."""
+    length = takeoff.robot.length
+    high = direction in ("up", "turn")
+    share, most = (SHARE_UP, HEIGHT) if direction == "up" else (SHARE_LOW, HEIGHT if high else LEAST_HEIGHT)
+    rise = leaping.apex(takeoff, share, most * length) if height is None else height
+    flight = leaping.flight_time(takeoff, rise)
+    forward, left = (SHARE_ACROSS * speed * flight + leaping.GROUND_PART * length for speed in takeoff.across)
+    turn = SHARE_ACROSS * takeoff.turn * flight + leaping.GROUND_TURN
+    unit = leaping.natural_time(takeoff.robot)
+    return {
+        "distance": min(FORWARD * length, forward) if direction == "forward" else 0.0,
+        "sideways": min(SIDEWAYS * length, left) if direction == "sideways" else 0.0,
+        "yaw": min(TURN, turn) if direction == "turn" else 0.0,
+        "height": rise,
+        "flight": flight,
+        "stance": STANCE * unit,
+        "landing": LANDING * unit,
+    }
+
+
+def build(
+    *,
+    robot: str,
+    distance: float | None,
+    sideways: float | None,
+    height: float | None,
+    yaw: float | None,
+    stance: float | None,
+    flight: float | None,
+    landing: float | None,
+    friction: float,
+    effort: float | None,
+    direction: Direction,
+) -> Problem:
+    """Build the jump; see ``FAMILIES`` for the parameters. Raises InputError."""
+    body = leaping.quadruped(robot)
+    takeoff = leaping.takeoff(body, effort)
+    given = {"distance": distance, "sideways": sideways, "height": height, "yaw": yaw}
+    given |= {"stance": stance, "flight": flight, "landing": landing}
+    chosen = _defaults(takeoff, direction, height)
+    chosen |= {key: value for key, value in given.items() if value is not None}
+    end = leaping.displaced(body, (chosen["distance"], chosen["sideways"], 0.0), chosen["yaw"])
+    durations = (chosen["stance"], chosen["flight"], chosen["landing"])
+    schedule = common.hop_schedule(contact_positions(body, end), durations)
+    ground = FlatGround(friction=friction)
+    leap = leaping.Leap(
+        robot=body,
+        start=body.reference[:3],
+        end=end[:3],
+        durations=durations,
+        rise=takeoff.rise,
+        turn=np.array([0.0, 0.0, chosen["yaw"]]),
+    )
+    base = body.model.names[1]
+    return Problem(
+        name=f"quadruped-jump-{direction}",
+        robot=body,
+        schedule=schedule,
+        terrain=ground,
+        initial_q=body.reference,
+        initial_v=np.zeros(body.nv),
+        terms=(
+            *leaping.leap_terms(body, ground, effort),
+            FrameHeight(frame=base, height=body.reference[2] + chosen["height"], phase="flight"),
+            TerminalState(q=end),
+            TerminalRest(q=end),
+        ),
+        guess=legged_guess(body, schedule, leap.waypoints(), terrain=ground),
+        parameters=chosen,
+    )
+
+
+def _family(direction: Direction, summary: str) -> Family:
+    def built(**parameters: object) -> Problem:
+        return build(direction=direction, **parameters)  # type: ignore[arg-type]
+
+    return Family(
+        name=f"quadruped-jump-{direction}",
+        robots=ROBOTS,
+        phases=("stance", "flight", "landing"),
+        summary=summary,
+        parameters=(
+            leaping.scaled("distance", "m", (-5.0, 5.0), "forward displacement"),
+            leaping.scaled("sideways", "m", (-5.0, 5.0), "displacement to the left"),
+            leaping.scaled("height", "m", (0.0, 5.0), "least rise of the base over standing in mid flight"),
+            leaping.scaled("yaw", "rad", (-math.pi, math.pi), "turn to the left"),
+            leaping.scaled("stance", "s", (1e-3, 10.0), "duration of the push"),
+            leaping.scaled("flight", "s", (1e-3, 3.0), "duration of the flight (default: from the height)"),
+            leaping.scaled("landing", "s", (1e-3, 10.0), "duration from touchdown to rest"),
+            common.friction(0.7),
+            common.effort(),
+        ),
+        build=built,
+    )
+
+
+FAMILIES = (
+    _family("up", "jump straight up, land on the same places and come to rest"),
+    _family("forward", "jump forward from stance to stance"),
+    _family("sideways", "jump to the left from stance to stance"),
+    _family("turn", "jump up and turn to the left in flight"),
+)
