@@ -112,7 +112,7 @@ class Gait:
         start: foot whose touchdown begins the period; default the one with the least offset of those that
         are ever lifted. Raises `InputError` for supports that are too short, or a foot that is never lifted.
         """
-        begin = self.offsets[self._first(start)]
+        begin = self.offsets[self.first(start)]
         events = self._events(begin)
         found = []
         for now, then in zip(events, [*events[1:], 1.0], strict=True):
@@ -126,7 +126,8 @@ class Gait:
             found.append(Support(now, then - now, feet))
         return tuple(found)
 
-    def _first(self, start: str | None) -> str:
+    def first(self, start: str | None = None) -> str:
+        """The foot whose touchdown begins the period: ``start``, or the default of `supports`."""
         lifted = [foot for foot in self.feet if self.duty_of(foot) < 1]
         if start is None:
             return min(lifted, key=lambda foot: self.offsets[foot])
@@ -169,7 +170,7 @@ class Gait:
         """
         if cycles != int(cycles) or cycles < 1:
             raise InputError(f"{cycles} cycles of gait '{self.name}'", "allowed: a whole number, 1 or more")
-        return _phases(self.supports(start) * int(cycles), period, duration_bounds)
+        return phases_of(self.supports(start) * int(cycles), period, duration_bounds)
 
     def half_cycle(
         self,
@@ -190,7 +191,7 @@ class Gait:
                 "allowed: a symmetric gait, or the full cycle",
             )
         supports = [support for support in self.supports(start) if support.begin < 0.5 - SIMULTANEOUS]
-        return _phases(supports, period, duration_bounds)
+        return phases_of(supports, period, duration_bounds)
 
     def diagram(self, columns: int = 40) -> str:
         """One row a foot over one period from time 0: # where it stands, . where it swings."""
@@ -209,7 +210,7 @@ def _number(value: float, what: str) -> float:
     return float(value)
 
 
-def _phases(
+def phases_of(
     supports: Iterable[Support], period: float, bounds: tuple[float, float] | None
 ) -> tuple[Phase, ...]:
     if not (math.isfinite(period) and period > 0):

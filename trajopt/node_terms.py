@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -28,6 +29,7 @@ __all__ = [
     "SwingClearance",
     "TerminalRest",
     "TerminalState",
+    "TerminalVelocity",
     "along_normal",
     "free_directions",
     "nearest_node",
@@ -53,19 +55,21 @@ def rotation_error(target: ca.SX, rotation: ca.SX) -> ca.SX:
 class FrameHeight(NodeConstraint):
     """A frame at least ``height`` m high at the node nearest to ``fraction`` of the phase ``phase``.
 
-    Of the phase's own nodes: the last one of all but the last phase belongs to the next.
+    ``below``: at most that high. Of the phase's own nodes: the last one of all but the last phase belongs to the next.
     """
 
     frame: str
     height: float
     phase: str
     fraction: float = 0.5
+    below: bool = False
 
     def acts_at(self, place: NodePlace) -> bool:
         return place.phase.name == self.phase and place.index == nearest_node(place, self.fraction)
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
-        return Rows.create(context.frame(self.frame).position[2], self.height, np.inf, units.length)
+        bounds = (-np.inf, self.height) if self.below else (self.height, np.inf)
+        return Rows.create(context.frame(self.frame).position[2], *bounds, units.length)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,12 +106,18 @@ class FrameVelocity(NodeConstraint):
         return Rows.create(context.frame(self.frame).velocity, self.velocity, self.velocity, units.twist)
 
 
-def free_directions(robot: Robot, q: np.ndarray, contacts: Sequence[str]) -> np.ndarray:
+def free_directions(
+    robot: Robot,
+    q: np.ndarray,
+    contacts: Sequence[str],
+    normals: Mapping[str, np.ndarray] = MappingProxyType({}),
+) -> np.ndarray:
     """Orthonormal basis (nv, n) of the local rates that active contacts leave free at q (nq,).
 
     The null space of the contact Jacobian over the rates of the local coordinates (world linear and
     body angular velocity of a free-flyer). To ask "at rest" or "there" of these directions only is
-    what keeps the rows independent of the contact rows.
+    what keeps the rows independent of the contact rows. ``normals`` (3,) are of contacts that slide, by
+    name: these are held along them alone.
     """
     if not contacts:
         return np.eye(robot.nv)
@@ -115,8 +125,11 @@ def free_directions(robot: Robot, q: np.ndarray, contacts: Sequence[str]) -> np.
     to_pinocchio = np.column_stack(
         [coordinates.node_to_pinocchio(_node_with_rate(coordinates, q, i))[1][0] for i in range(robot.nv)]
     )
-    places = [(contact.frame, contact.rows) for contact in map(robot.contact, contacts)]
-    jacobian = contact_jacobian(robot.model, q, places) @ to_pinocchio
+    held = []
+    for contact in map(robot.contact, contacts):
+        rows = contact_jacobian(robot.model, q, [(contact.frame, contact.rows)])
+        held.append(normals[contact.name][None] @ rows if contact.name in normals else rows)
+    jacobian = np.vstack(held) @ to_pinocchio
     _, singular, vt = np.linalg.svd(jacobian)
     rank = int(np.sum(singular > RANK_TOLERANCE * singular[0]))
     return vt[rank:].T
@@ -140,7 +153,9 @@ class TerminalState(NodeConstraint):
 
 def _free_rows(context: Context, place: NodePlace, q: np.ndarray, quantity: ca.SX) -> Rows:
     """A dimensionless quantity (nv,) vanishes in the directions that active contacts leave free at q."""
-    basis = free_directions(context.robot, q, place.phase.contacts)
+    surfaces = {name: context.slides_on(context.robot.contact(name)) for name in place.phase.contacts}
+    normals = {name: surface.normal for name, surface in surfaces.items() if surface is not None}
+    basis = free_directions(context.robot, q, place.phase.contacts, normals)
     return Rows.create(ca.mtimes(context.parameter(basis).T, quantity), 0, 0, 1.0)
 
 
@@ -172,3 +187,18 @@ class TerminalRest(NodeConstraint):
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         return _free_rows(context, place, self.q, context.dxi / units.velocity)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TerminalVelocity(NodeConstraint):
+    """The motion ends with velocity ``v`` (nv,) at ``q`` (nq,), in directions that contacts leave free.
+
+    Both are Pinocchio's: of a free-flyer linear and angular velocity in its own axes.
+    """
+
+    q: np.ndarray
+    v: np.ndarray
+
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        rates = context.coordinates.node_from_pinocchio(self.q, self.v)[-context.coordinates.nv :]
+        return _free_rows(context, place, self.q, (context.dxi - context.parameter(rates)) / units.velocity)

@@ -7,20 +7,23 @@ and behind (Raibert, "Legged robots that balance", 1986, ch. 2: the neutral poin
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
-from trajopt.model_quantities import gravity_of
+from trajopt.model_quantities import contact_jacobian, gravity_of
 from trajopt.problem import Motion
 from trajopt.reduced.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights
 from trajopt.reduced.foot_motion import smooth_step
 from trajopt.reduced.legged_guess import LeggedPosture, legged_guess
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround, Schedule
+
+# Step of the differences that give a state's rates, s; contacts are brought to rest exactly afterwards.
+DIFFERENCE_STEP = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,32 +158,59 @@ def _velocity(robot: Robot, pace: Pace, t: float) -> tuple[np.ndarray, np.ndarra
     return part * turned, np.array([0.0, 0.0, part * pace.turn_rate])
 
 
-def periodic_guess(
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """A schedule with the footholds of all contacts that land, and its guess ``t -> q`` (nq,).
+
+    Contacts that land at the beginning, after what goes before, have footholds in the first phase.
+    """
+
+    schedule: Schedule
+    guess: Motion
+
+    def state(self, robot: Robot, t: float, resting: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        """Configuration (nq,) and velocity (nv,) of the guess at ``t`` s, these contacts exactly at rest.
+
+        Rates by differences; the joints' are corrected by the least change that stops the contacts.
+        """
+        q, step = self.guess(t), DIFFERENCE_STEP
+        v = pin.difference(robot.model, self.guess(t - step), self.guess(t + step)) / (2 * step)
+        places = [(robot.contact(name).frame, robot.contact(name).rows) for name in resting]
+        jacobian = contact_jacobian(robot.model, q, places)
+        joints = slice(robot.n_unactuated, robot.nv)
+        v[joints] -= np.linalg.lstsq(jacobian[:, joints], jacobian @ v, rcond=None)[0]
+        return q, v
+
+
+def plan_of_cycle(
     robot: Robot, cycle: Schedule, pace: Pace, *, mirror: Mapping[str, str] | None = None, clearance: float
-) -> Motion:
-    """A guess ``t -> q`` (nq,) of a periodic motion: the middle one of three cycles of ``cycle``.
+) -> Plan:
+    """The plan of a periodic motion, the middle one of three cycles of ``cycle``.
 
     mirror: where the cycle is half of one, the contact on the other side, for every contact: halves before
     and after are its mirror images. clearance: height of swings, m. Raises `InputError`.
     """
     whole, first = _repeated(cycle, mirror)
-    begin = first * cycle.duration
-    motion = legged_guess(robot, whole, gait_path(robot, whole, pace, begin=-begin), clearance=clearance)
-    return lambda t: motion(t + begin)
+    return plan_of_part(robot, cycle, whole, first * len(cycle.phases), pace, clearance=clearance)
 
 
-def periodic_footholds(
-    robot: Robot, cycle: Schedule, pace: Pace, *, mirror: Mapping[str, str] | None = None
-) -> Schedule:
-    """The cycle with a foothold for every contact that lands, the first phase's too, as in `periodic_guess`."""
-    whole, first = _repeated(cycle, mirror)
-    path = gait_path(robot, whole, pace, begin=-first * cycle.duration)
-    planned = with_footholds(robot, whole, path).phases[first * len(cycle.phases) :]
-    return Schedule(
-        tuple(
-            replace(own, footholds=phase.footholds) for own, phase in zip(cycle.phases, planned, strict=False)
-        )
-    )
+def plan_of_part(
+    robot: Robot, part: Schedule, whole: Schedule, first: int, pace: Pace, *, clearance: float
+) -> Plan:
+    """The plan of a ``part`` of a longer schedule, whose phases ``first`` and on it repeats.
+
+    The whole says how feet move that are in the air at the part's ends, and where stances that go on behind
+    them have their middle. ``pace`` is over time from the part's beginning, where the base is over the
+    reference's place. clearance: height of swings, m. Raises `InputError`.
+    """
+    begin = sum(phase.duration for phase in whole.phases[:first])
+    path = gait_path(robot, whole, pace, begin=-begin)
+    motion = legged_guess(robot, whole, path, clearance=clearance)
+    landings = with_footholds(robot, whole, path).phases[first:]
+    phases = [
+        replace(own, footholds=landing.footholds) for own, landing in zip(part.phases, landings, strict=False)
+    ]
+    return Plan(schedule=Schedule(tuple(phases)), guess=lambda t: motion(t + begin))
 
 
 def _repeated(cycle: Schedule, mirror: Mapping[str, str] | None) -> tuple[Schedule, int]:

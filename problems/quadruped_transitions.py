@@ -1,0 +1,165 @@
+"""Quadrupeds start a gait from a stance, stop one, or do both.
+
+A gait begins and ends in its commanded state, at a touchdown: the base level at standing height over the
+commanded path at the commanded speed, feet where they are planned. The end of one start is the beginning of
+the same gait's stop.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+import robots
+from problems import common, gait_common
+from problems.gait_common import HIGHER, ROBOTS, STYLES, gait_terms
+from trajopt.errors import InputError
+from trajopt.family import Choice, Family, Parameter
+from trajopt.gait_transitions import transition
+from trajopt.legs import quadruped_legs
+from trajopt.named_gaits import QUADRUPED
+from trajopt.node_terms import TerminalRest, TerminalState, TerminalVelocity
+from trajopt.problem import Problem
+from trajopt.reduced.gait_guess import Pace, Plan, plan_of_part
+from trajopt.robot import Robot
+from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.swing_terms import swing_arcs
+
+# Of every period of the gait, standing included.
+INTERVALS_PER_PERIOD = 20
+
+STARTS = {"start": True, "stop": False, "go": True}
+STOPS = {"start": False, "stop": True, "go": True}
+
+
+def _pace(steady: Pace, kind: str, phases: tuple[Phase, ...], period: float) -> Pace:
+    """The pace grows until a period before the end of a start, falls from a stop's beginning on."""
+    duration = sum(phase.duration for phase in phases)
+    grown = duration - period if kind == "start" else duration / 2
+    return Pace(
+        velocity=steady.velocity,
+        turn_rate=steady.turn_rate,
+        starts=(0.0, grown) if STARTS[kind] else None,
+        stops=(duration - grown if kind == "go" else 0.0, duration) if STOPS[kind] else None,
+    )
+
+
+def build(
+    *,
+    kind: str,
+    robot: str,
+    gait: str,
+    cycles: float,
+    stand: float | None,
+    goal: str,
+    friction: float,
+    effort_share: float,
+    **commanded: float | None,
+) -> Problem:
+    """Build a start, a stop or both; see ``FAMILIES`` for the parameters. Raises InputError."""
+    if cycles != round(cycles):
+        raise InputError(f"parameter cycles is {cycles:g}", "allowed: a whole number")
+    body = robots.load(robot)
+    quadruped_legs(body)
+    asked = gait_common.command(body, gait, **commanded)
+    time = 0.5 * asked.period if stand is None else stand
+
+    def phases(count: int) -> tuple[Phase, ...]:
+        return transition(
+            asked.gait,
+            asked.period,
+            cycles=count,
+            stand=time if STARTS[kind] else None,
+            rest=time if STOPS[kind] else None,
+        )
+
+    own = phases(round(cycles))
+    whole = own if kind == "go" else phases(round(cycles) + 1)
+    pace = _pace(asked.pace, kind, own, asked.period)
+    first = len(whole) - len(own) if kind == "stop" else 0
+    plan = plan_of_part(body, Schedule(own), Schedule(whole), first, pace, clearance=HIGHER * asked.lift)
+    held = replace(plan.schedule.phases[0], footholds={})  # these contacts are where the start has them
+    schedule = Schedule((held, *plan.schedule.phases[1:]))
+    begin, end = _ends(body, kind, plan, whole)
+    ground = FlatGround(friction=friction)
+    ending = (TerminalRest(q=end[0]),) if STOPS[kind] else (TerminalVelocity(q=end[0], v=end[1]),)
+    return Problem(
+        name=f"quadruped-{kind}",
+        robot=body,
+        schedule=schedule,
+        terrain=ground,
+        initial_q=begin[0],
+        initial_v=begin[1],
+        terms=(
+            *gait_terms(goal, body, schedule, pace, ground, effort_share),
+            *swing_arcs(schedule, asked.gait.feet, height=asked.lift, terrain=ground),
+            TerminalState(q=end[0]),
+            *ending,
+        ),
+        guess=plan.guess,
+        parameters=asked.parameters | {"stand": time},
+        default_intervals=max(len(own), math.ceil(INTERVALS_PER_PERIOD * schedule.duration / asked.period)),
+    )
+
+
+def _ends(
+    robot: Robot, kind: str, plan: Plan, whole: tuple[Phase, ...]
+) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """States (nq,), (nv,) at the beginning and at the end: at rest, or those of the commanded gait."""
+    own = plan.schedule.phases
+    begin = robot.reference, np.zeros(robot.nv)
+    if not STARTS[kind]:
+        begin = plan.state(robot, 0.0, own[0].contacts)
+    end = plan.guess(plan.schedule.duration), np.zeros(robot.nv)
+    if not STOPS[kind]:
+        touching = set(own[-1].contacts) | set(whole[len(own)].contacts)
+        end = plan.state(robot, plan.schedule.duration, sorted(touching))
+    return begin, end
+
+
+_SUMMARIES = {
+    "start": "from a stance into a gait, ends in the gait's commanded state",
+    "stop": "from a gait's commanded state to a stance",
+    "go": "from a stance through some cycles of a gait to a stance",
+}
+# A start has one cycle to gain speed and one at full speed.
+_LEAST_CYCLES = {"start": 2, "stop": 1, "go": 2}
+
+
+def _family(kind: str) -> Family:
+    least = _LEAST_CYCLES[kind]
+    return Family(
+        name=f"quadruped-{kind}",
+        robots=ROBOTS,
+        phases=tuple(phase.name for phase in _example(kind)),
+        summary=f"{kind}: {_SUMMARIES[kind]}",
+        parameters=(
+            Choice(name="gait", default="trot", choices=tuple(STYLES), meaning="which gait"),
+            Parameter(
+                name="cycles", default=2.0, unit="", lower=least, upper=20.0, meaning="periods of the gait"
+            ),
+            common.duration("stand", None, "standing on all feet (default: half a period)", (0.01, 10.0)),
+            gait_common.speed("speed", None, "forward at full pace (default: the gait's)"),
+            gait_common.speed("lateral", 0.0, "to the left at full pace"),
+            gait_common.turn_rate(),
+            gait_common.period(),
+            gait_common.duty(),
+            gait_common.goal(),
+            gait_common.clearance(),
+            common.friction(0.7),
+            common.effort_share(),
+        ),
+        build=partial(build, kind=kind),
+    )
+
+
+def _example(kind: str) -> tuple[Phase, ...]:
+    """Phases of the default gait."""
+    stand, rest = (0.5 if has[kind] else None for has in (STARTS, STOPS))
+    return transition(QUADRUPED["trot"], 1.0, cycles=2, stand=stand, rest=rest)
+
+
+FAMILIES = tuple(_family(kind) for kind in _SUMMARIES)
