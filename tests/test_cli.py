@@ -25,7 +25,7 @@ KEYS = {
     "problem", "robot", "success", "status", "advice", "iterations", "objective", "variables", "constraints",
     "max_violation", "worst_blocks", "wall_time_s", "function_time_s", "build_time_s", "compile_time_s",
     "accuracy", "file", "solver", "transcription", "intervals", "tolerance", "seed", "perturb", "compile",
-    "parameters",
+    "parameters", "warm_start",
 }  # fmt: skip
 WAIT = 120.0
 

@@ -22,10 +22,12 @@ import click
 from rich.console import Console
 
 from trajopt import cli_report
+from trajopt.cli_continue import continue_
 from trajopt.cli_input import COUNT, GRID, THREADS, check_output, options_of, values_of
 from trajopt.cli_suite import suite
+from trajopt.cli_warm import ladder_lines, solve_warm, warm_options
 from trajopt.errors import TrajoptError
-from trajopt.progress import CANCELLED, stdout_to_stderr, watched
+from trajopt.progress import CANCELLED
 
 if TYPE_CHECKING:
     from trajopt.certify.report import Report
@@ -160,6 +162,7 @@ def list_problems(as_json: bool) -> None:
 @click.option("--smallest", is_flag=True, help="Solve only what the scene requires, for the whole robot.")
 @click.option("--explain", is_flag=True, help="The same; first say what is modelled, left out, and why.")
 @click.option("--keep", multiple=True, metavar="JOINT", help="A joint that --smallest must not lock.")
+@warm_options
 @click.option("--output", type=Path, metavar="FILE", help="Solution file.  [default: PROBLEM.npz]")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def solve(
@@ -183,7 +186,6 @@ def solve(
     """
     from trajopt.catalogue import families
     from trajopt.family import choose
-    from trajopt.solving import solve as run
 
     options = options_of(solver_options)
     loaded = choose(families(), problem).load(values_of(settings, "--set"))
@@ -193,16 +195,17 @@ def solve(
         click.echo(str(scene.report))
     # The check's integrator takes long to load: let it load while the solver holds no Python lock.
     threading.Thread(target=importlib.import_module, args=("scipy.integrate",), daemon=True).start()
-    with stdout_to_stderr(), watched(problem, arguments["max_time"]) as progress:
-        solution = run(scene.problem if scene else loaded, options=options, progress=progress, **arguments)
-    solution = scene.lift(solution) if scene else solution
+    ladder = solve_warm(scene.problem if scene else loaded, title=problem, options=options, **arguments)
+    solution = scene.lift(ladder.solution) if scene else ladder.solution
     file, notes = _saved(solution, target)
+    rungs = ladder_lines(ladder)
     report = _checked(solution, notes, "" if scene is None or scene.report.is_exact else " or no --smallest")
     if as_json:
-        explained = {"scene": scene.report.to_dict()} if scene else {}
+        explained: dict[str, Any] = {"scene": scene.report.to_dict()} if scene else {}
+        explained |= {"ladder": ladder.to_dict()} if rungs else {}
         click.echo(cli_report.to_json(cli_report.solve_dict(solution, report, file) | explained))
     else:
-        click.echo(cli_report.summary(solution, report, file, notes))
+        click.echo(cli_report.summary(solution, report, file, rungs + notes))
     return 0 if solution.success else NOT_REACHED
 
 
@@ -242,6 +245,9 @@ def _checked(solution: Solution, notes: list[str], advice: str) -> Report | None
     if beyond and solution.success:
         notes.append(f"beyond the tolerances of a check: {beyond}; try more intervals{advice}")
     return report
+
+
+main.add_command(continue_)
 
 
 @main.command()

@@ -39,6 +39,7 @@ FROM_META = (
     "tolerance",
     "seed",
     "perturb",
+    "warm_start",
     "compile",
     "parameters",
 )
