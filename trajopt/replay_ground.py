@@ -16,6 +16,8 @@ from trajopt.surface import Surface
 
 SKY_TOP, SKY_BOTTOM = [0.70, 0.79, 0.90], [0.96, 0.97, 0.98]
 GROUND_COLOUR, GRID_COLOUR, GRID_STRONG = 0xDCE1E8, 0xAEB7C3, 0x808C9B
+# Faces that follow each other differ a little.
+GROUND_TINTS = (GROUND_COLOUR, 0xC9D2DE)
 # Grid cells over the robot's extent, rounded down to 1, 2 or 5 times a power of ten; bold every fifth.
 CELL_PART, BOLD_EVERY = 0.3, 5
 # Ground on each side of the motion, in robot extents.
@@ -37,10 +39,7 @@ def light_and_ground(vis: Any, box: np.ndarray, ground: Surface, size: float) ->
 
     The grid's lines run along the plane's tangents, every line at a round distance from the world's origin.
     """
-    vis["/Background"].set_property("top_color", SKY_TOP)
-    vis["/Background"].set_property("bottom_color", SKY_BOTTOM)
-    vis["/Grid"].set_property("visible", False)
-    vis["/Axes"].set_property("visible", False)
+    sky_and_light(vis, size)
     cell = _round_cell(CELL_PART * size)
     step = BOLD_EVERY * cell
     corners = np.array(list(itertools.product(*box.T))) @ ground.tangents.T
@@ -53,6 +52,14 @@ def light_and_ground(vis: Any, box: np.ndarray, ground: Surface, size: float) ->
     vis["ground"]["plane"].set_transform(plane)
     vis["ground"]["grid"].set_object(_grid(low, high, cell, ground, bold=False))
     vis["ground"]["bold"].set_object(_grid(low, high, cell, ground, bold=True))
+
+
+def sky_and_light(vis: Any, size: float) -> None:
+    """A pale sky and a light with shadows, without Meshcat's own grid and axes."""
+    vis["/Background"].set_property("top_color", SKY_TOP)
+    vis["/Background"].set_property("bottom_color", SKY_BOTTOM)
+    vis["/Grid"].set_property("visible", False)
+    vis["/Axes"].set_property("visible", False)
     _lights(vis, size)
 
 

@@ -10,16 +10,19 @@ import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
 
+from trajopt.certify.touched import terrain_of
 from trajopt.replay_arrows import WEIGHT_ARROW, draw_arrows
 from trajopt.replay_commands import Command, Recorder, Tracks, without_shadow
 from trajopt.replay_ground import light_and_ground
 from trajopt.replay_motion import Motion
 from trajopt.replay_obstacles import draw_obstacles
 from trajopt.replay_robot import DrawnRobot, draw_robot, joint_path, tip_frames
-from trajopt.replay_surfaces import draw_surfaces, seen_plane, terrain_of, touches_of
+from trajopt.replay_surfaces import curved_drop, draw_surfaces, plane_of, seen_plane, touches_of
+from trajopt.replay_terrain import draw_terrain
 from trajopt.robot_building import BASE_JOINT, base_of
 from trajopt.solution import Solution
 from trajopt.surface import Surface
+from trajopt.terrain import PiecewiseTerrain, SmoothTerrain
 
 TRAIL_COLOURS = (0x1F77B4, 0x2CA02C, 0x9467BD, 0xC77700)
 # Vertical field of view in degrees: little perspective.
@@ -52,12 +55,18 @@ def build_scene(solution: Solution, motion: Motion) -> Scene:
     cloud = _cloud(robot, motion)
     size = max(float(np.ptp(cloud[0], axis=0).max()), 1e-3)
     standing, elsewhere = touches_of(solution, motion)
-    ground = seen_plane(standing, solution, motion, robot, size) if standing else terrain_of(solution)
+    terrain, ground = terrain_of(solution.meta.get("terrain")), plane_of(solution)
+    uneven = isinstance(terrain, PiecewiseTerrain | SmoothTerrain)
+    if standing and not uneven:
+        ground = seen_plane(standing, solution, motion, robot, size)
     places = draw_surfaces(vis["surfaces"], elsewhere, solution, motion, robot, size)
     obstacles = draw_obstacles(vis["obstacles"], solution)
     cloud = np.concatenate([cloud.reshape(-1, 3), places, obstacles])
     box = np.array([cloud.min(axis=0), cloud.max(axis=0)])
-    light_and_ground(vis, box, ground, size)
+    if isinstance(terrain, PiecewiseTerrain | SmoothTerrain):
+        draw_terrain(vis, terrain, box, curved_drop(standing, solution, motion, robot, size), size)
+    else:
+        light_and_ground(vis, box, ground, size)
     draw_arrows(vis, tracks, solution, motion, size)
     _trails(vis["trails"], solution, motion)
     carrier = BASE_JOINT[base_of(solution.model)] or min(1, solution.model.njoints - 1)

@@ -9,12 +9,13 @@ import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
 
-from trajopt.certify.touched import surfaces_of, terrain_surface
+from trajopt.certify.touched import surfaces_of, terrain_of
 from trajopt.replay_commands import without_shadow
 from trajopt.replay_motion import Motion
 from trajopt.replay_robot import DrawnRobot
 from trajopt.solution import Solution
 from trajopt.surface import UP, Surface, frame_of_normal
+from trajopt.terrain import PiecewiseTerrain
 
 WALL_COLOUR, HANDLE_COLOUR = 0xB98A4E, 0x1E8C7E
 WALL_OPACITY, HANDLE_OPACITY = 0.45, 0.8
@@ -37,10 +38,39 @@ class Touch:
     rows: np.ndarray
 
 
-def terrain_of(solution: Solution) -> Surface:
-    """Return the terrain of the solution; level ground at height 0 where it has none."""
-    terrain = terrain_surface(solution.meta.get("terrain"))
-    return terrain or Surface(point=np.zeros(3), normal=np.array(UP))
+def plane_of(solution: Solution) -> Surface:
+    """Return the ground's plane: of ground that is none a level one, which stands for it to the camera.
+
+    Level at height 0 where the solution has no terrain.
+    """
+    terrain = terrain_of(solution.meta.get("terrain"))
+    if isinstance(terrain, PiecewiseTerrain):
+        return terrain.surface
+    return terrain if isinstance(terrain, Surface) else Surface(point=np.zeros(3), normal=np.array(UP))
+
+
+def curved_drop(
+    standing: list[Touch], solution: Solution, motion: Motion, robot: DrawnRobot, size: float
+) -> float:
+    """How far below their contact frames drawn feet reach on ground that is no plane, m."""
+    drops = [0.0]
+    for touch in standing:
+        for rows in _stances(touch.rows):
+            place = motion.feet[rows, touch.contact]
+            plane = Surface(point=place[0], normal=np.array(UP))
+            one = np.zeros_like(touch.rows)
+            one[rows[0]] = True
+            seen = seen_plane(
+                [Touch(surface=plane, contact=touch.contact, rows=one)], solution, motion, robot, size
+            )
+            drops.append(plane.height - seen.height)
+    return float(np.median(drops[1:])) if len(drops) > 1 else 0.0
+
+
+def _stances(rows: np.ndarray) -> list[np.ndarray]:
+    """Indices of the stretches of consecutive frames."""
+    found = np.flatnonzero(rows)
+    return np.split(found, np.flatnonzero(np.diff(found) > 1) + 1) if len(found) else []
 
 
 def touches_of(solution: Solution, motion: Motion) -> tuple[list[Touch], list[Touch]]:
@@ -48,13 +78,16 @@ def touches_of(solution: Solution, motion: Motion) -> tuple[list[Touch], list[To
 
     A contact whose own surface is the terrain's plane touches the terrain, unless it is held there.
     """
-    terrain, own = terrain_of(solution), surfaces_of(solution.meta.get("surfaces"))
+    terrain, own = plane_of(solution), surfaces_of(solution.meta.get("surfaces"))
+    described = terrain_of(solution.meta.get("terrain"))
+    faces = described.faces if isinstance(described, PiecewiseTerrain) else ()
+    planes = [terrain, *(face.surface for face in faces)]
     on_terrain, elsewhere = motion.active.copy(), []
     for phase, surfaces in enumerate(own):
         for frame, surface in surfaces.items():
             contact = solution.contact_frames.index(frame)
             rows = motion.active[:, contact] & (motion.phase == phase)
-            if rows.any() and (surface.bilateral or not surface.same_plane(terrain)):
+            if rows.any() and (surface.bilateral or not any(surface.same_plane(plane) for plane in planes)):
                 elsewhere.append(Touch(surface=surface, contact=contact, rows=rows))
                 on_terrain[rows, contact] = False
     standing = [

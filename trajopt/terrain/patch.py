@@ -106,7 +106,7 @@ class Patch:
         """Corners (k, 3) of the part at least ``margin`` m from every edge; none where nothing is left."""
         points = self.vertices
         for inward, offset in zip(self.inward, self.offsets + self.margin, strict=True):
-            points = _cut(points, inward, offset)
+            points = cut_polygon(points, inward, offset)
         return points
 
     def inside(self, position: np.ndarray) -> np.ndarray:
@@ -180,7 +180,7 @@ def _require_convex(directions: np.ndarray, normal: np.ndarray, name: str) -> No
         )
 
 
-def _cut(points: np.ndarray, inward: np.ndarray, offset: float) -> np.ndarray:
+def cut_polygon(points: np.ndarray, inward: np.ndarray, offset: float) -> np.ndarray:
     """Part (k, 3) of a convex polygon with inward @ p >= offset: Sutherland and Hodgman's clipping."""
     kept: list[np.ndarray] = []
     for a, b in zip(points, np.roll(points, -1, axis=0), strict=True):

@@ -1,0 +1,94 @@
+"""Ground of a replay that is no plane: faces as solid blocks with holes between, or a smooth surface."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import meshcat.geometry as shapes
+import numpy as np
+
+from trajopt.replay_ground import GRID_STRONG, GROUND_COLOUR, GROUND_TINTS, sky_and_light
+from trajopt.surface import UP
+from trajopt.terrain import PiecewiseTerrain, SmoothTerrain
+from trajopt.terrain.patch import Patch, cut_polygon
+
+# Ground on each side of the motion, in robot extents; blocks reach this far below the lowest face drawn.
+MARGIN, DEPTH = 3.0, 0.3
+# Cells of a smooth ground along its longer side.
+CELLS = 80
+# Lines lie over the ground by this part of the robot's extent, so that both show.
+LINE_LIFT = 0.002
+UPWARD = np.array(UP)
+
+
+def draw_terrain(
+    vis: Any, terrain: PiecewiseTerrain | SmoothTerrain, box: np.ndarray, drop: float, size: float
+) -> None:
+    """Draw the ground around ``box`` (2, 3), lowered by ``drop`` m to the drawn feet, with sky and light."""
+    low, high = box[0, :2] - MARGIN * size, box[1, :2] + MARGIN * size
+    sky_and_light(vis, size)
+    if isinstance(terrain, PiecewiseTerrain):
+        _draw_faces(vis["ground"], terrain, (low, high), drop, size)
+    else:
+        _draw_smooth(vis["ground"], terrain, (low, high), drop, size)
+
+
+def _draw_faces(
+    node: Any, terrain: PiecewiseTerrain, area: tuple[np.ndarray, np.ndarray], drop: float, size: float
+) -> None:
+    drawn = [(face, _within(face, area)) for face in terrain.faces]
+    seen = [(face, corners) for face, corners in drawn if len(corners) >= 3]
+    bottom = min([corners[:, 2].min() for _, corners in seen], default=0.0) - drop - DEPTH * size
+    for number, (_, corners) in enumerate(seen):
+        top = corners - drop * UPWARD
+        colour = GROUND_TINTS[number % len(GROUND_TINTS)]
+        node[f"face{number}"].set_object(_block(top, bottom), shapes.MeshLambertMaterial(color=colour))
+        outline = np.vstack([top, top[:1]]) + LINE_LIFT * size * UPWARD
+        points = shapes.PointsGeometry(position=outline.T.astype(np.float32))
+        node[f"edge{number}"].set_object(shapes.Line(points, shapes.LineBasicMaterial(color=GRID_STRONG)))
+
+
+def _within(face: Patch, area: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Corners (k, 3) of the part of a face over the drawn area."""
+    corners = face.vertices
+    for axis in (0, 1):
+        inward = np.eye(3)[axis]
+        corners = cut_polygon(corners, inward, float(area[0][axis]))
+        corners = cut_polygon(corners, -inward, -float(area[1][axis]))
+    return corners
+
+
+def _block(top: np.ndarray, bottom: float) -> Any:
+    """A prism under a convex polygon (k, 3): its top, and walls down to ``bottom`` m."""
+    n = len(top)
+    under = np.column_stack([top[:, :2], np.full(n, bottom)])
+    fan = [(0, i, i + 1) for i in range(1, n - 1)]
+    # Walls have corners of their own, so that each is shaded flat.
+    vertices, triangles = [top], list(fan)
+    for i in range(n):
+        j, first = (i + 1) % n, n + 4 * i
+        vertices.append(np.array([under[i], under[j], top[j], top[i]]))
+        triangles += [(first, first + 1, first + 2), (first, first + 2, first + 3)]
+    return shapes.TriangularMeshGeometry(np.concatenate(vertices), np.array(triangles))
+
+
+def _draw_smooth(
+    node: Any, terrain: SmoothTerrain, area: tuple[np.ndarray, np.ndarray], drop: float, size: float
+) -> None:
+    low, high = area
+    cell = float(np.max(high - low)) / CELLS
+    x, y = (
+        np.arange(int(np.ceil(span / cell)) + 1) * cell + start
+        for span, start in zip(high - low, low, strict=True)
+    )
+    across, along = np.meshgrid(x, y, indexing="ij")
+    grid = np.stack([across, along, terrain.height(across, along) - drop], axis=-1)
+    index = np.arange(grid[..., 0].size).reshape(len(x), len(y))
+    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
+    triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    mesh = shapes.TriangularMeshGeometry(grid.reshape(-1, 3), triangles)
+    node["smooth"].set_object(mesh, shapes.MeshLambertMaterial(color=GROUND_COLOUR))
+    lifted = grid + LINE_LIFT * size * UPWARD
+    lines = [np.repeat(row, 2, axis=0)[1:-1] for row in (*lifted[::4], *lifted.transpose(1, 0, 2)[::4])]
+    points = shapes.PointsGeometry(position=np.concatenate(lines).T.astype(np.float32))
+    node["grid"].set_object(shapes.LineSegments(points, shapes.LineBasicMaterial(color=GRID_STRONG)))
