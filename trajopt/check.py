@@ -21,7 +21,8 @@ from trajopt.certify.impact_figures import impact_figures
 from trajopt.certify.reintegration import OpenLoopError, open_loop
 from trajopt.certify.report import PhaseReport, Report
 from trajopt.certify.samples import Samples, evaluate
-from trajopt.certify.touched import touched
+from trajopt.certify.sliding import held_part
+from trajopt.certify.touched import Touched, touched
 from trajopt.model_quantities import gravity_of, mass_of
 from trajopt.robot_building import position_limits
 from trajopt.solution import Solution
@@ -42,7 +43,7 @@ def check(solution: Solution | str | Path) -> Report:
     gaps = interval_gaps(plan)
     phases = _phases(plan)
     return Report(
-        **_dynamics(plan, samples),
+        **_dynamics(plan, samples, surfaces),
         **force_figures(plan, samples, surfaces),
         **_limits(plan),
         **_drives(plan),
@@ -91,7 +92,7 @@ def _weight(plan: Solution) -> float:
     return mass_of(plan.model) * gravity_of(plan.model)
 
 
-def _dynamics(plan: Solution, samples: Samples) -> dict[str, float | None]:
+def _dynamics(plan: Solution, samples: Samples, surfaces: Touched) -> dict[str, float | None]:
     points, base, gravity = plan.collocation, plan.n_unactuated, gravity_of(plan.model)
     force = samples.generalized_force[points] / _weight(plan)
     balance = force[:, :base]
@@ -100,6 +101,7 @@ def _dynamics(plan: Solution, samples: Samples) -> dict[str, float | None]:
         still = replace(plan, v=np.zeros_like(plan.v), a=np.zeros_like(plan.a))
         balance = evaluate(still).generalized_force[points, :base] / _weight(plan) if base else balance
         held = samples.velocity / np.sqrt(gravity)
+    held = np.concatenate([held_part(held[..., :3], surfaces), held[..., 3:]], axis=-1)
     acceleration = held[points][plan.active[points]]
     soles = np.broadcast_to(is_sole(plan), plan.active.shape)[points][plan.active[points]]
     acceleration[~soles, 3:] = 0.0

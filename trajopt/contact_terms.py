@@ -24,7 +24,8 @@ class ContactConstraint(PointConstraint):
     """A constraint on the wrenches of unilateral contacts.
 
     ``friction`` overrides the coefficient of the surfaces that the contacts touch; ``contacts`` restricts
-    the term to these names (default: all). Contacts on bilateral surfaces have no rows: a grasp holds.
+    the term to these names (default: all). Contacts on bilateral surfaces have no rows: a grasp holds; nor
+    have those that slide, whose force follows a law (`trajopt.sliding`).
     At an impact it holds for the impulses. Raises InputError.
     """
 
@@ -41,7 +42,9 @@ class ContactConstraint(PointConstraint):
         """Active contacts that the term is about."""
         chosen = None if self.contacts is None else [context.contact(name) for name in self.contacts]
         for contact in context.pressing:
-            if (chosen is None or contact in chosen) and not context.surface(contact).bilateral:
+            if context.slides_on(contact) is not None or context.surface(contact).bilateral:
+                continue
+            if chosen is None or contact in chosen:
                 yield contact
 
     def _friction(self, context: Context, contact: Contact) -> float:

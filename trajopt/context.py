@@ -20,6 +20,7 @@ from trajopt.errors import InputError
 from trajopt.manifold import Coordinates
 from trajopt.mode import Mode
 from trajopt.robot import Contact, Robot
+from trajopt.surface import Surface
 from trajopt.terrain import Ground
 
 
@@ -167,7 +168,14 @@ class Context:
 
     def held_rows(self, contact: Contact) -> tuple[int, ...]:
         """Rows of an active contact's motion that no other's rows say already (see ``redundancy``)."""
+        if self.slides_on(contact) is not None:
+            return contact.rows
         return self._kept_rows.get(contact.name, contact.rows)
+
+    def slides_on(self, contact: Contact) -> Surface | None:
+        """The surface along which an active contact slides (see ``sliding``), None where it is held."""
+        surface = self._surfaces.get(contact.name)
+        return surface if isinstance(surface, Surface) and surface.slip_speed is not None else None
 
     def surface(self, contact: Contact) -> Ground:
         """The surface, or curved ground, that an active contact touches."""
@@ -318,6 +326,7 @@ class Context:
         return (
             self.moving
             and all(c.transmits_all and self.held_rows(c) == c.rows for c in self.contacts)
+            and all(self.slides_on(contact) is None for contact in self.contacts)
             and roots == [1]
             and self.coordinates.joints[0].kind == "freeflyer"
             and model.jointPlacements[1].isIdentity()

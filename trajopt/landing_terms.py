@@ -52,9 +52,11 @@ class ContactLanding(NodeConstraint):
         if context.actuation != "velocity":
             for name in (*self.contacts, *self.held):
                 contact = context.robot.contact(name)
-                rows = list(context.held_rows(contact))
-                velocity = context.frame(contact.frame).velocity[rows]
-                parts.append(Rows.create(velocity, 0.0, 0.0, units.twist[rows]))
+                rows, surface = list(context.held_rows(contact)), context.slides_on(contact)
+                velocity, unit = context.frame(contact.frame).velocity[rows], units.twist[rows]
+                if surface is not None:
+                    velocity, unit = along_normal(context, surface, velocity), units.twist[0]
+                parts.append(Rows.create(velocity, 0.0, 0.0, unit))
         return _joined(parts)
 
 

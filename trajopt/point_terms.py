@@ -105,11 +105,19 @@ class BaseDynamics(PointConstraint):
 
 @dataclass(frozen=True, kw_only=True)
 class ContactAcceleration(PointConstraint):
-    """Active contacts do not accelerate: J a + Jdot v = 0, linear (and for a sole angular), world axes."""
+    """Active contacts do not accelerate: J a + Jdot v = 0, linear (and for a sole angular), world axes.
+
+    One that slides does not along the normal of its surface.
+    """
 
     def rows(self, context: Context, units: Units) -> Rows | None:
         parts, scales = [], []
         for contact in context.contacts:
-            parts.append(context.contact_acceleration(contact))
+            acceleration, surface = context.contact_acceleration(contact), context.slides_on(contact)
+            if surface is not None:
+                parts.append(ca.mtimes(context.parameter(surface.normal).T, acceleration))
+                scales.append(units.contact_acceleration[0])
+                continue
+            parts.append(acceleration)
             scales += units.contact_acceleration[list(context.held_rows(contact))].tolist()
         return Rows.create(ca.vertcat(*parts), 0, 0, np.array(scales)) if parts else None

@@ -20,6 +20,7 @@ from trajopt.periodicity import Periodicity, UnitRotation, closing_map, landing_
 from trajopt.point_terms import BaseDynamics, ContactAcceleration
 from trajopt.robot import Robot
 from trajopt.schedule import Schedule
+from trajopt.sliding import SlidingFriction, require_sliding, sliding_surfaces
 from trajopt.term_interfaces import Cost, PointConstraint, Term
 from trajopt.terrain import FlatGround, Ground, Terrain
 from trajopt.terrain.standing import require_standing
@@ -96,6 +97,7 @@ class Problem:
         self._require_modes(names)
         self._require_impacts()
         self.schedule.require_steady_surfaces(self.terrain, self._starts)
+        require_sliding(self.robot, self.schedule, self.actuation, tuple(self.modes))
         require_standing(self.robot, self.schedule, self.terrain)
         self._require_periodicity()
         self._require_payloads(names)
@@ -241,8 +243,9 @@ class Problem:
         """The dynamics: rows that make it a motion of the robot."""
         if self.dynamics is not None:
             return self.dynamics
-        slide = ContactVelocity() if self.actuation == "velocity" else ContactAcceleration()
-        return (BaseDynamics(), slide)
+        still = ContactVelocity() if self.actuation == "velocity" else ContactAcceleration()
+        slides = any(sliding_surfaces(phase) for phase in self.schedule.phases)
+        return (BaseDynamics(), still, *([SlidingFriction()] if slides else []))
 
     def surfaces_of(self, phase: int) -> dict[str, Ground]:
         """What every contact of a phase touches, by the contact's name.

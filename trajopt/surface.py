@@ -41,13 +41,15 @@ class Surface:
     ``point`` (3,) in m lies on it; ``normal`` (3,) points from it to the robot and is made a unit
     vector; ``friction`` is Coulomb's coefficient. A ``bilateral`` surface holds the contact (a grasp, a
     handrail, a bolt): it transmits any wrench that the contact's kind has, so that neither friction nor
-    unilateral rows apply; its normal only says how a contact lands on it. Raises `InputError`.
+    unilateral rows apply; its normal only says how a contact lands on it. With a ``slip_speed`` (m/s) a point
+    contact slides along it, against its friction: see `trajopt.sliding`. Raises `InputError`.
     """
 
     point: np.ndarray
     normal: np.ndarray
     friction: float = 0.7
     bilateral: bool = False
+    slip_speed: float | None = None
 
     def __post_init__(self) -> None:
         point, normal = (_vector(getattr(self, name), name) for name in ("point", "normal"))
@@ -58,6 +60,11 @@ class Surface:
             raise InputError(f"friction of a surface is {self.friction!r}", "allowed: finite and >= 0")
         if not isinstance(self.bilateral, bool):
             raise InputError(f"bilateral of a surface is {self.bilateral!r}", "allowed: True or False")
+        slip = self.slip_speed
+        if slip is not None and (self.bilateral or not (_is_number(slip) and slip > 0)):
+            raise InputError(
+                f"slip_speed of a surface is {slip!r}", "allowed: > 0 m/s on a surface that is not bilateral"
+            )
         for name, vector in (("point", point), ("normal", normal / length)):
             vector.setflags(write=False)
             object.__setattr__(self, name, vector)
@@ -100,18 +107,19 @@ class Surface:
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
-        return {
+        described: dict[str, Any] = {
             "point": self.point.tolist(),
             "normal": self.normal.tolist(),
             "friction": self.friction,
             "bilateral": self.bilateral,
         }
+        return described if self.slip_speed is None else {**described, "slip_speed": self.slip_speed}
 
     @classmethod
     def from_description(cls, described: Any) -> Surface:
         """The surface that ``describe`` wrote. Raises `InputError`."""
         keys = ("point", "normal", "friction", "bilateral")
-        if not isinstance(described, dict) or set(described) != set(keys):
+        if not isinstance(described, dict) or set(described) - {"slip_speed"} != set(keys):
             raise InputError(f"a surface is described by {described!r}", f"allowed: {', '.join(keys)}")
         return cls(**described)
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from trajopt.certify.payloads import payload_wrenches
 from trajopt.certify.samples import Samples
+from trajopt.certify.sliding import held_part, sliding_error
 from trajopt.certify.touched import Touched, patches_of
 from trajopt.model_quantities import gravity_of, mass_of
 from trajopt.sole import pressure_rows, yaw_rows
@@ -28,6 +29,7 @@ def force_figures(plan: Solution, samples: Samples, surfaces: Touched) -> Figure
         "friction_margin_between": _least(margin[pressed & ~points]),
         "unilateral_margin": _least(normal[pressed & points]),
         "sole_margin": _sole_margin(plan, samples, surfaces, weight),
+        "sliding_friction": sliding_error(plan, samples, surfaces),
         "inactive_force": _largest(np.abs(_uncarried(plan)[~plan.active]) / weight),
     }
 
@@ -68,19 +70,21 @@ def _sole_margin(plan: Solution, samples: Samples, surfaces: Touched, weight: fl
 
 
 def place_figures(plan: Solution, samples: Samples, surfaces: Touched) -> Figures:
-    """Where contacts are, and whether they stay: over all samples, and at the start of each phase."""
+    """Where contacts are, and whether they stay: over all samples, and at the start of each phase.
+
+    Contacts that slide stay on their surface.
+    """
     drift, turn, landing = [], [], []
-    distance = surfaces.distance(samples.position)
+    distance, moved = surfaces.distance(samples.position), held_part(samples.position, surfaces)
     for phase in plan.phases:
         for index in np.flatnonzero(plan.active[phase.start]):
             rows = slice(phase.start, phase.stop)
-            place = samples.position[rows, index]
-            drift.append(np.linalg.norm(place - place[0], axis=1).max())
+            drift.append(np.linalg.norm(moved[rows, index] - moved[phase.start, index], axis=1).max())
             if surfaces.known[phase.start, index]:
                 landing.append(abs(distance[phase.start, index]))
             if is_sole(plan)[index]:
                 turn.append(_turn(samples.rotation[rows, index]))
-    speed = np.linalg.norm(samples.velocity[plan.active][:, :3], axis=1)
+    speed = np.linalg.norm(held_part(samples.velocity[..., :3], surfaces)[plan.active], axis=1)
     return {
         "contact_velocity": _largest(speed),
         "penetration": _largest(np.maximum(-distance[surfaces.known], 0.0)),

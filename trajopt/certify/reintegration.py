@@ -19,6 +19,8 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.payloads import carrying_model
+from trajopt.certify.sliding import SlidingDynamics
+from trajopt.certify.touched import surfaces_of
 from trajopt.dynamics.contact_dynamics import ContactDynamics
 from trajopt.dynamics.contact_set import ContactSet
 from trajopt.robot_building import BASE_JOINT, BASE_POSITION, BASE_ROWS, base_of
@@ -58,7 +60,7 @@ def _phase_error(solution: Solution, phase: range) -> OpenLoopError:
     q, v = solution.q[phase.start].copy(), solution.v[phase.start].copy()
     worst: np.ndarray = np.zeros(3)
     model = carrying_model(solution, int(solution.phase[phase.start]))
-    dynamics = _dynamics(solution, model, solution.active[phase.start])
+    dynamics = _dynamics(solution, model, phase.start)
     for rows in solution.intervals[solution.interval[phase.start] : solution.interval[phase.stop - 1] + 1]:
         if solution.meta.get("actuation") == "velocity":
             end = follow_rates(solution, rows, q)
@@ -99,7 +101,7 @@ def _base_rotation(model: pin.Model, q: np.ndarray) -> np.ndarray:
 
 
 def integrate_interval(
-    solution: Solution, dynamics: ContactDynamics, rows: range, q: np.ndarray, v: np.ndarray
+    solution: Solution, dynamics: ContactDynamics | SlidingDynamics, rows: range, q: np.ndarray, v: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Integrate one interval from ``q``, ``v`` with its torques and contacts; None where it runs away."""
     model, nv = solution.model, solution.model.nv
@@ -153,7 +155,16 @@ def _run(rate: Callable[[float, np.ndarray], np.ndarray], state: np.ndarray) -> 
     return method.y if method.status == "finished" and np.isfinite(method.y).all() else None
 
 
-def _dynamics(solution: Solution, model: pin.Model, active: np.ndarray) -> ContactDynamics:
-    kinds = zip(solution.contact_frames, solution.meta["contact_kinds"], active, strict=True)
+def _dynamics(solution: Solution, model: pin.Model, row: int) -> ContactDynamics | SlidingDynamics:
+    """Dynamics of the phase of a sample with the contacts that are active in it."""
+    kinds = zip(solution.contact_frames, solution.meta["contact_kinds"], solution.active[row], strict=True)
     contacts = [(frame, 3 if kind == "point" else 6) for frame, kind, on in kinds if on]
-    return ContactDynamics(model, ContactSet.of(model, contacts))
+    held = ContactSet.of(model, contacts)
+    described = surfaces_of(solution.meta.get("surfaces"))
+    surfaces = described[int(solution.phase[row])] if described else {}
+    sliding = {
+        index: surfaces[frame]
+        for index, (frame, _) in enumerate(contacts)
+        if frame in surfaces and surfaces[frame].slip_speed is not None
+    }
+    return SlidingDynamics(model, held, sliding) if sliding else ContactDynamics(model, held)

@@ -83,6 +83,7 @@ FIGURES: dict[str, Figure] = {
     "friction_margin_between": Figure(text="friction margin between points", unit="weight", margin=True),
     "unilateral_margin": Figure(text="least normal force", unit="weight", tolerance="friction", margin=True),
     "sole_margin": Figure(text="sole margin", unit="weight m", tolerance="friction", margin=True),
+    "sliding_friction": Figure(text="law of sliding friction", unit="weight", tolerance="residual"),
     "inactive_force": Figure(text="force of inactive contacts", unit="weight", tolerance="residual"),
     "effort_excess": Figure(text="torque beyond its limit", unit="limit", tolerance="limit"),
     "effort_excess_between": Figure(text="torque beyond its limit between points", unit="limit"),
@@ -146,7 +147,9 @@ class Report:
         over sqrt(g 1 m).
     friction_margin: least mu f_n - |f_t| at collocation points, ``..._between`` at other samples.
     unilateral_margin: least f_n. sole_margin: least distance of moments from the sole's limits. Each on
-        the contact's own surface; none of them on a bilateral one.
+        the contact's own surface; none of them on a bilateral one. sliding_friction: largest difference
+        between the force of a sliding contact and the law of `trajopt.sliding` at collocation points. Of such
+        contacts contact_acceleration, contact_velocity and foot_drift are those along the normal.
     effort_excess, velocity_excess: largest |x| / limit - 1; negative is reserve.
     drive_torque_excess: largest |tau_m| / torque_limit - 1 of the drives, with joint friction.
     drive_voltage_excess: largest |tau_m / stall_torque + omega_m / no_load_speed| - 1.
@@ -175,6 +178,7 @@ class Report:
     friction_margin_between: float | None
     unilateral_margin: float | None
     sole_margin: float | None
+    sliding_friction: float | None
     inactive_force: float | None
     effort_excess: float | None
     effort_excess_between: float | None

@@ -20,7 +20,8 @@ class Touched:
     """Planes at K samples of nc contacts: the terrain's under it, or that of the phase where it has its own.
 
     point, normal (K, nc, 3) m; friction (K, nc); bilateral (K, nc): transmits any wrench; known (K, nc):
-    there is one at all (in a hole, or without terrain, normals are up, and heights unknown).
+    there is one at all (in a hole, or without terrain, normals are up, and heights unknown). slip (K, nc):
+    slip speed, m/s, of a surface along which the contact slides, NaN where it is held.
     """
 
     point: np.ndarray
@@ -28,6 +29,12 @@ class Touched:
     friction: np.ndarray
     bilateral: np.ndarray
     known: np.ndarray
+    slip: np.ndarray
+
+    @property
+    def slides(self) -> np.ndarray:
+        """Which contacts slide (K, nc)."""
+        return np.isfinite(self.slip)
 
     def along_normal(self, vectors: np.ndarray) -> np.ndarray:
         """Components (K, nc) of vectors (K, nc, 3) along the normals."""
@@ -46,13 +53,14 @@ def touched(plan: Solution, position: np.ndarray) -> Touched:
     frames, rows = list(plan.contact_frames), plan.phase
     point, normal, known = _ground(terrain_of(plan.meta["terrain"]), position)
     friction = np.tile(np.array(plan.meta["friction"], dtype=float), (len(rows), 1))
-    bilateral = np.zeros(friction.shape, dtype=bool)
+    bilateral, slip = np.zeros(friction.shape, dtype=bool), np.full(friction.shape, np.nan)
     for phase, surfaces in enumerate(surfaces_of(plan.meta.get("surfaces"))):
         for frame, surface in surfaces.items():
             at = (rows == phase, frames.index(frame))
             point[at], normal[at], friction[at] = surface.point, surface.normal, surface.friction
             bilateral[at], known[at] = surface.bilateral, True
-    return Touched(point=point, normal=normal, friction=friction, bilateral=bilateral, known=known)
+            slip[at] = np.nan if surface.slip_speed is None else surface.slip_speed
+    return Touched(point=point, normal=normal, friction=friction, bilateral=bilateral, known=known, slip=slip)
 
 
 def _ground(terrain: Read | None, position: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

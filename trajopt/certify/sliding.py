@@ -1,0 +1,74 @@
+"""Sliding contacts in the check: what of their motion is held, their law of friction, their open loop."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.certify.samples import Samples
+from trajopt.certify.touched import Touched
+from trajopt.dynamics.contact_set import ContactSet, contact_kinematics
+from trajopt.model_quantities import gravity_of, mass_of
+from trajopt.solution import Solution
+from trajopt.surface import Surface
+
+
+def held_part(vectors: np.ndarray, surfaces: Touched) -> np.ndarray:
+    """Vectors (K, nc, 3) of motion, of sliding contacts their part along the normal alone."""
+    normal = surfaces.along_normal(vectors)[..., None] * surfaces.normal
+    return np.where(surfaces.slides[..., None], normal, vectors)
+
+
+def sliding_error(plan: Solution, samples: Samples, surfaces: Touched) -> float | None:
+    """Largest difference between forces of sliding contacts and Coulomb's law, over the weight, at points.
+
+    The law is that of `trajopt.sliding`: mu f_n against the velocity within the surface, over the root of
+    its square and the square of the slip speed.
+    """
+    rows = plan.active & surfaces.slides & plan.collocation[:, None]
+    if not rows.any():
+        return None
+    normal, force, velocity = surfaces.normal[rows], plan.f[rows][:, :3], samples.velocity[rows][:, :3]
+    pressure, approach = (np.sum(normal * part, axis=1)[:, None] for part in (force, velocity))
+    along = velocity - approach * normal
+    speed = np.sqrt(np.sum(along**2, axis=1) + surfaces.slip[rows] ** 2)[:, None]
+    law = pressure * (normal - surfaces.friction[rows][:, None] * along / speed)
+    return float(np.abs(force - law).max() / (mass_of(plan.model) * gravity_of(plan.model)))
+
+
+class SlidingDynamics:
+    """Forward dynamics with contacts of which some slide: the acceleration alone.
+
+        M a + h = tau + J_h^T f_h + D^T f_n        J_h a + .. = 0        n^T (J_s a + ..) = 0
+
+    with held contacts h, and sliding ones s whose force per unit of normal force, D = (n - mu t)^T J_s with t
+    the regularised direction of sliding, is no multiplier of their row: the matrix is not symmetric.
+    """
+
+    def __init__(self, model: pin.Model, contacts: ContactSet, surfaces: dict[int, Surface]) -> None:
+        self.model, self.contacts, self.surfaces = model, contacts, surfaces
+        self._data = model.createData()
+
+    def acceleration(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
+        """Return the acceleration (nv,) under ``generalized_force`` (nv,) and the contact forces."""
+        model, data, nv = self.model, self._data, self.model.nv
+        kinematics = contact_kinematics(model, data, q, v, self.contacts)
+        held, pushed, drift = [], [], []
+        for index, rows in enumerate(self.contacts.slices):
+            jacobian, surface = kinematics.jacobian[rows], self.surfaces.get(index)
+            if surface is None:
+                held.append(jacobian)
+                pushed.append(jacobian)
+                drift.append(kinematics.drift[rows])
+                continue
+            normal, velocity = surface.normal, kinematics.velocity[rows]
+            along = velocity - (normal @ velocity) * normal
+            speed = np.sqrt(along @ along + float(surface.slip_speed or 0.0) ** 2)
+            held.append(normal[None] @ jacobian)
+            pushed.append((normal - surface.friction * along / speed)[None] @ jacobian)
+            drift.append(normal[None] @ kinematics.drift[rows])
+        constraint, push = np.vstack(held), np.vstack(pushed)
+        zero = np.zeros((len(constraint), len(constraint)))
+        matrix = np.block([[pin.crba(model, data, q), -push.T], [constraint, zero]])
+        right = np.concatenate([generalized_force - pin.nle(model, data, q, v), -np.concatenate(drift)])
+        return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0][:nv])
