@@ -21,8 +21,8 @@ from trajopt.model_quantities import contact_jacobian, gravity_of
 from trajopt.node_terms import SwingClearance
 from trajopt.reduced.base_path import BaseWaypoint
 from trajopt.robot import Robot
-from trajopt.schedule import FlatGround
 from trajopt.terms import EffortLimits, FrictionPyramid, PositionLimits, Term, VelocityLimits
+from trajopt.terrain import Terrain
 
 # Of the extension that legs have left, the guess uses this part at take-off and at touchdown.
 EXTENSION_PART = 0.6
@@ -41,8 +41,9 @@ GROUND_PART = 0.2
 GROUND_TURN = 0.35
 # The guess pushes for at most this part of the stance, and brakes for at most this part of the landing.
 PUSH_PART = 0.7
-# Least height of a foot over the ground in mid flight, part of the robot's length.
-CLEARANCE_PART = 0.1
+# Least height of a foot over the ground in mid flight: the lesser of a part of the robot's length and a part
+# of what the base rises freely, so that slow legs need not be drawn up.
+CLEARANCE_PART, FREE_PART = 0.1, 0.5
 # Price of accelerations, for smooth motions.
 ACCELERATION = 2e-2
 
@@ -245,7 +246,12 @@ def _clipped(vector: np.ndarray, largest: float) -> np.ndarray:
     return vector if size <= largest else vector * (largest / size)
 
 
-def leap_terms(robot: Robot, ground: FlatGround, effort: float | None) -> tuple[Term, ...]:
+def clearance(robot: Robot, flight: float) -> float:
+    """Least height of feet in the middle of a flight of that duration, m."""
+    return min(CLEARANCE_PART * robot.length, FREE_PART * gravity_of(robot.model) * flight**2 / 8)
+
+
+def leap_terms(robot: Robot, ground: Terrain, effort: float | None, flight: float) -> tuple[Term, ...]:
     """Costs and limits of every leap: torques and rates, friction, feet clear of the ground in flight."""
     return (
         *common.legged_costs(acceleration=ACCELERATION),
@@ -253,7 +259,7 @@ def leap_terms(robot: Robot, ground: FlatGround, effort: float | None) -> tuple[
         PositionLimits(),
         VelocityLimits(),
         FrictionPyramid(),
-        SwingClearance(height=CLEARANCE_PART * robot.length, terrain=ground),
+        SwingClearance(height=clearance(robot, flight), terrain=ground),
     )
 
 

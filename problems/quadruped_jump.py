@@ -22,7 +22,7 @@ STANCE, LANDING = 2.7, 3.4
 # most this, rad; where joints are too slow, less.
 HEIGHT, LEAST_HEIGHT, FORWARD, SIDEWAYS, TURN = 0.75, 0.4, 1.0, 0.5, math.pi / 2
 # Shares of the largest speeds at take-off: upwards in a jump up, upwards in others, across and turning.
-SHARE_UP, SHARE_LOW, SHARE_ACROSS = 0.75, 0.6, 0.4
+SHARE_UP, SHARE_LOW, SHARE_ACROSS = 0.75, 0.6, 0.25
 
 # Which way a jump goes by default.
 Direction = Literal["up", "forward", "sideways", "turn"]
@@ -35,8 +35,8 @@ def _defaults(takeoff: leaping.Takeoff, direction: Direction, height: float | No
     share, most = (SHARE_UP, HEIGHT) if direction == "up" else (SHARE_LOW, HEIGHT if high else LEAST_HEIGHT)
     rise = leaping.apex(takeoff, share, most * length) if height is None else height
     flight = leaping.flight_time(takeoff, rise)
-    forward, left = (SHARE_ACROSS * speed * flight + leaping.GROUND_PART * length for speed in takeoff.across)
-    turn = SHARE_ACROSS * takeoff.turn * flight + leaping.GROUND_TURN
+    forward, left = (SHARE_ACROSS * speed * flight for speed in takeoff.across)
+    turn = SHARE_ACROSS * takeoff.turn * flight
     unit = leaping.natural_time(takeoff.robot)
     return {
         "distance": min(FORWARD * length, forward) if direction == "forward" else 0.0,
@@ -91,7 +91,7 @@ def build(
         initial_q=body.reference,
         initial_v=np.zeros(body.nv),
         terms=(
-            *leaping.leap_terms(body, ground, effort),
+            *leaping.leap_terms(body, ground, effort, chosen["flight"]),
             FrameHeight(frame=base, height=body.reference[2] + chosen["height"], phase="flight"),
             TerminalState(q=end),
             TerminalRest(q=end),
