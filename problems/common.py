@@ -13,7 +13,7 @@ from trajopt.objectives import effort_costs
 from trajopt.reduced.foot_motion import smooth_step
 from trajopt.robot import Robot
 from trajopt.schedule import Phase, Schedule
-from trajopt.terms import EffortLimits, Term
+from trajopt.terms import EffortLimits, FrictionPyramid, SoleCone, Term
 
 # Least height of a foot over the ground in mid flight, m.
 CLEARANCE = 0.03
@@ -32,7 +32,7 @@ def length(name: str, default: float | None, meaning: str, within: Range) -> Par
     return Parameter(name=name, default=default, unit="m", lower=within[0], upper=within[1], meaning=meaning)
 
 
-def angle(name: str, default: float, meaning: str, within: Range) -> Parameter:
+def angle(name: str, default: float | None, meaning: str, within: Range) -> Parameter:
     """An angle, rad, within bounds."""
     return Parameter(
         name=name, default=default, unit="rad", lower=within[0], upper=within[1], meaning=meaning
@@ -124,6 +124,13 @@ def legged_costs(*, acceleration: float, joints_only: bool = False) -> tuple[Ter
     acceleration: weight of accelerations. joints_only: leave those and rates of the base out.
     """
     return effort_costs(acceleration=acceleration, joints_only=joints_only)
+
+
+def contact_cones(robot: Robot) -> tuple[Term, ...]:
+    """Forces of points within pyramids of friction, wrenches of soles within what their surfaces transmit."""
+    kinds = {contact.kind for contact in robot.contacts}
+    points: tuple[Term, ...] = (FrictionPyramid(),) if "point" in kinds else ()
+    return (*points, SoleCone()) if "surface" in kinds else points
 
 
 def share_of_effort(robot: Robot, share: float) -> EffortLimits:

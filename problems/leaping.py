@@ -15,14 +15,16 @@ import pinocchio as pin
 import robots
 from problems import common
 from trajopt.family import Parameter
-from trajopt.kinematics import Posture, contact_positions, inverse_kinematics
+from trajopt.kinematics import Posture, contact_poses, inverse_kinematics
 from trajopt.legs import quadruped_legs
 from trajopt.model_quantities import contact_jacobian, gravity_of
-from trajopt.node_terms import SwingClearance
+from trajopt.problem import Motion
 from trajopt.reduced.base_path import BaseWaypoint
 from trajopt.robot import Robot
-from trajopt.terms import EffortLimits, FrictionPyramid, PositionLimits, Term, VelocityLimits
+from trajopt.schedule import Schedule
+from trajopt.terms import EffortLimits, PositionLimits, Term, VelocityLimits
 from trajopt.terrain import Terrain
+from trajopt.terrain.swing_terms import swing_clearance
 
 # Of the extension that legs have left, the guess uses this part at take-off and at touchdown.
 EXTENSION_PART = 0.6
@@ -107,7 +109,7 @@ def takeoff(robot: Robot, effort: float | None = None) -> Takeoff:
     limit = robot.effort_limit if effort is None else np.full(robot.nu, effort)
     gravity, sink = gravity_of(robot.model), SINK_PART * robot.length
     heights = np.linspace(-sink, EXTENSION_PART * extension_left(robot), PUSH_SAMPLES)
-    postures = [_raised(robot, height).q for height in heights]
+    postures = [raised(robot, height).q for height in heights]
     excess = np.array([_strongest(robot, q, limit) for q in postures]) - 1
     work = np.cumsum(np.append(0.0, np.diff(heights) * (excess[1:] + excess[:-1]) / 2))
     best: Takeoff | None = None
@@ -126,10 +128,11 @@ def _apex(takeoff: Takeoff, gravity: float) -> float:
     return takeoff.rise + takeoff.speed**2 / (2 * gravity)
 
 
-def _raised(robot: Robot, height: float) -> Posture:
-    """Posture with the base ``height`` m over the reference and the feet in place."""
+def raised(robot: Robot, height: float) -> Posture:
+    """Posture with the base ``height`` m over the reference and the feet in place, soles flat."""
+    poses = contact_poses(robot, robot.reference)
     feet = {
-        robot.contact(name).frame: place for name, place in contact_positions(robot, robot.reference).items()
+        c.frame: poses[c.name] if c.kind == "surface" else poses[c.name].translation for c in robot.contacts
     }
     return inverse_kinematics(robot, displaced(robot, (0.0, 0.0, height)), feet)
 
@@ -139,21 +142,21 @@ def extension_left(robot: Robot) -> float:
     lower, upper = 0.0, robot.length
     while upper - lower > EXTENSION_ERROR * robot.length:
         middle = (lower + upper) / 2
-        reached = _raised(robot, middle).error < REACHED
+        reached = raised(robot, middle).error < REACHED
         lower, upper = (middle, upper) if reached else (lower, middle)
     return lower
 
 
 def _feet_jacobian(robot: Robot, q: np.ndarray) -> np.ndarray:
-    return contact_jacobian(robot.model, q, [(contact.frame, 3) for contact in robot.contacts])
+    return contact_jacobian(robot.model, q, [(contact.frame, contact.rows) for contact in robot.contacts])
 
 
 def _strongest(robot: Robot, q: np.ndarray, limit: np.ndarray | None) -> float:
     """Largest upward force at the feet in static balance, over the weight: tau = -J^T f within limits."""
     if limit is None:
         return math.inf
-    count = len(robot.contacts)
-    force = np.tile([0.0, 0.0, robot.weight / count], count)
+    upward = robot.weight / len(robot.contacts)
+    force = np.concatenate([upward * (np.array(contact.rows) == 2) for contact in robot.contacts])
     torque = np.abs(_feet_jacobian(robot, q)[:, robot.n_unactuated :].T @ force)
     return float(np.min(limit / np.maximum(torque, ROUNDING * robot.weight * robot.length)))
 
@@ -251,15 +254,23 @@ def clearance(robot: Robot, flight: float) -> float:
     return min(CLEARANCE_PART * robot.length, FREE_PART * gravity_of(robot.model) * flight**2 / 8)
 
 
-def leap_terms(robot: Robot, ground: Terrain, effort: float | None, flight: float) -> tuple[Term, ...]:
+def leap_terms(
+    robot: Robot,
+    schedule: Schedule,
+    terrain: Terrain,
+    guess: Motion,
+    *,
+    effort: float | None,
+    clearance: float,
+) -> tuple[Term, ...]:
     """Costs and limits of every leap: torques and rates, friction, feet clear of the ground in flight."""
     return (
         *common.legged_costs(acceleration=ACCELERATION),
         EffortLimits(limit=None if effort is None else np.full(robot.nu, effort)),
         PositionLimits(),
         VelocityLimits(),
-        FrictionPyramid(),
-        SwingClearance(height=clearance(robot, flight), terrain=ground),
+        *common.contact_cones(robot),
+        *swing_clearance(robot, schedule, terrain, height=clearance, guess=guess),
     )
 
 

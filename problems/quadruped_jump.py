@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -13,6 +15,7 @@ from trajopt.kinematics import contact_positions
 from trajopt.node_terms import FrameHeight, TerminalRest, TerminalState
 from trajopt.problem import Problem
 from trajopt.reduced.legged_guess import legged_guess
+from trajopt.robot import Robot
 from trajopt.schedule import FlatGround
 
 ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
@@ -62,9 +65,14 @@ def build(
     friction: float,
     effort: float | None,
     direction: Direction,
+    kind: str = "quadruped",
+    load: Callable[[str], Robot] = leaping.quadruped,
 ) -> Problem:
-    """Build the jump; see ``FAMILIES`` for the parameters. Raises InputError."""
-    body = leaping.quadruped(robot)
+    """Build the jump; see ``FAMILIES`` for the parameters. Raises InputError.
+
+    ``load`` gives the robot of a name if it is of that ``kind``.
+    """
+    body = load(robot)
     takeoff = leaping.takeoff(body, effort)
     given = {"distance": distance, "sideways": sideways, "height": height, "yaw": yaw}
     given |= {"stance": stance, "flight": flight, "landing": landing}
@@ -82,32 +90,38 @@ def build(
         rise=takeoff.rise,
         turn=np.array([0.0, 0.0, chosen["yaw"]]),
     )
-    base = body.model.names[1]
+    base, lift = body.model.names[1], leaping.clearance(body, chosen["flight"])
+    guess = legged_guess(body, schedule, leap.waypoints(), terrain=ground, clearance=lift)
     return Problem(
-        name=f"quadruped-jump-{direction}",
+        name=f"{kind}-jump-{direction}",
         robot=body,
         schedule=schedule,
         terrain=ground,
         initial_q=body.reference,
         initial_v=np.zeros(body.nv),
         terms=(
-            *leaping.leap_terms(body, ground, effort, chosen["flight"]),
+            *leaping.leap_terms(body, schedule, ground, guess, effort=effort, clearance=lift),
             FrameHeight(frame=base, height=body.reference[2] + chosen["height"], phase="flight"),
             TerminalState(q=end),
             TerminalRest(q=end),
         ),
-        guess=legged_guess(body, schedule, leap.waypoints(), terrain=ground),
+        guess=guess,
         parameters=chosen,
     )
 
 
-def _family(direction: Direction, summary: str) -> Family:
-    def built(**parameters: object) -> Problem:
-        return build(direction=direction, **parameters)  # type: ignore[arg-type]
-
+def family(
+    direction: Direction,
+    summary: str,
+    *,
+    kind: str = "quadruped",
+    robots: tuple[str, ...] = ROBOTS,
+    load: Callable[[str], Robot] = leaping.quadruped,
+) -> Family:
+    """The family of jumps in a direction, on robots of a kind."""
     return Family(
-        name=f"quadruped-jump-{direction}",
-        robots=ROBOTS,
+        name=f"{kind}-jump-{direction}",
+        robots=robots,
         phases=("stance", "flight", "landing"),
         summary=summary,
         parameters=(
@@ -121,13 +135,13 @@ def _family(direction: Direction, summary: str) -> Family:
             common.friction(0.7),
             common.effort(),
         ),
-        build=built,
+        build=partial(build, direction=direction, kind=kind, load=load),
     )
 
 
 FAMILIES = (
-    _family("up", "jump straight up, land on the same places and come to rest"),
-    _family("forward", "jump forward from stance to stance"),
-    _family("sideways", "jump to the left from stance to stance"),
-    _family("turn", "jump up and turn to the left in flight"),
+    family("up", "jump straight up, land on the same places and come to rest"),
+    family("forward", "jump forward from stance to stance"),
+    family("sideways", "jump to the left from stance to stance"),
+    family("turn", "jump up and turn to the left in flight"),
 )

@@ -1,0 +1,147 @@
+"""A biped is pushed while it stands: it comes to rest with its feet in place, or steps with the push.
+
+The push is an impulse on the base: velocities jump at once, those of the standing feet excepted.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+
+from problems import bipeds, common, leaping
+from trajopt.family import Choice, Family, Parameter
+from trajopt.kinematics import contact_positions
+from trajopt.legs import biped_legs
+from trajopt.model_quantities import contact_jacobian, gravity_of
+from trajopt.node_terms import SwingClearance, TerminalRest, TerminalState
+from trajopt.problem import Problem
+from trajopt.reduced.legged_guess import legged_guess
+from trajopt.robot import Robot
+from trajopt.schedule import FlatGround, Phase, Schedule
+
+# Push over mass times sqrt(g l): the pendulum's capture point then moves by this part of the robot's length.
+PUSH = 0.05
+# Feet step this much further than the capture point of the pendulum.
+BEYOND = 1.5
+# Durations in units of sqrt(l / g).
+STAND, REACT, STEP, DOUBLE, SETTLE = 6.0, 0.3, 1.2, 0.4, 2.5
+CLEARANCE = 0.05
+INTERVALS = 40
+
+
+def pushed(robot: Robot, impulse: np.ndarray) -> np.ndarray:
+    """Velocity (nv,) of the standing robot just after an impulse (3,) N s, world, on its base's origin.
+
+    M v = J_b^T p + J_c^T p_c with J_c v = 0: of all velocities that move no foot the one that is nearest, in
+    the metric of kinetic energy, to that of the free robot.
+    """
+    q, model = robot.reference, robot.model
+    mass = pin.crba(model, model.createData(), q)
+    held = contact_jacobian(model, q, [(contact.frame, contact.rows) for contact in robot.contacts])
+    generalized = contact_jacobian(model, q, [(model.names[1], (0, 1, 2))]).T @ impulse
+    free = np.linalg.solve(mass, generalized)
+    spread = np.linalg.solve(mass, held.T)
+    # Contacts whose rows depend on each other share what they transmit.
+    return np.asarray(free - spread @ np.linalg.lstsq(held @ spread, held @ free, rcond=None)[0])
+
+
+def _capture(robot: Robot, velocity: np.ndarray) -> np.ndarray:
+    """Way (2,) in m from the centre of mass to the pendulum's capture point."""
+    data = robot.model.createData()
+    com = pin.centerOfMass(robot.model, data, robot.reference, velocity)
+    return np.asarray(data.vcom[0][:2] * math.sqrt(com[2] / gravity_of(robot.model)))
+
+
+def _schedule(robot: Robot, recover: str, way: np.ndarray) -> Schedule:
+    left, right = biped_legs(robot)
+    unit = bipeds.natural_time(robot)
+    if recover == "stand":
+        return Schedule((Phase(name="stand", duration=STAND * unit, contacts=(left, right)),))
+    moved = {
+        name: place + np.append(way, 0.0) for name, place in contact_positions(robot, robot.reference).items()
+    }
+    return Schedule(
+        (
+            Phase(name="react", duration=REACT * unit, contacts=(left, right)),
+            Phase(name="step_1", duration=STEP * unit, contacts=(left,)),
+            Phase(
+                name="double", duration=DOUBLE * unit, contacts=(left, right), footholds={right: moved[right]}
+            ),
+            Phase(name="step_2", duration=STEP * unit, contacts=(right,)),
+            Phase(
+                name="settle", duration=SETTLE * unit, contacts=(left, right), footholds={left: moved[left]}
+            ),
+        )
+    )
+
+
+def build(
+    *,
+    robot: str,
+    push: float | None,
+    direction: float,
+    recover: str,
+    friction: float,
+    effort_share: float,
+) -> Problem:
+    """Build the recovery; see ``FAMILY`` for the parameters. Raises InputError."""
+    body = bipeds.biped(robot)
+    push = PUSH * body.mass * math.sqrt(gravity_of(body.model) * body.length) if push is None else push
+    if recover == "default":
+        recover = "stand" if all(contact.kind == "surface" for contact in body.contacts) else "step"
+    start = pushed(body, push * np.array([math.cos(direction), math.sin(direction), 0.0]))
+    way = BEYOND * _capture(body, start) if recover == "step" else np.zeros(2)
+    schedule, ground = _schedule(body, recover, way), FlatGround(friction=friction)
+    end, lift = leaping.displaced(body, (*way, 0.0)), CLEARANCE * body.length
+    path = [
+        bipeds.waypoint(body, 0.0, (0.0, 0.0, 0.0)),
+        bipeds.waypoint(body, schedule.duration, (*way, 0.0)),
+    ]
+    return Problem(
+        name="biped-balance",
+        robot=body,
+        schedule=schedule,
+        terrain=ground,
+        initial_q=body.reference,
+        initial_v=start,
+        terms=(
+            *common.legged_costs(acceleration=bipeds.ACCELERATION),
+            *bipeds.limits(body, effort_share),
+            *([SwingClearance(height=lift, terrain=ground)] if recover == "step" else []),
+            TerminalState(q=end),
+            TerminalRest(q=end),
+        ),
+        guess=legged_guess(body, schedule, path),
+        parameters={"push": push, "recover": recover},
+        default_intervals=INTERVALS,
+    )
+
+
+FAMILY = Family(
+    name="biped-balance",
+    robots=bipeds.ROBOTS,
+    phases=("stand",),
+    summary="come to rest after a push, on the same feet or by two steps",
+    parameters=(
+        Parameter(
+            name="push",
+            default=None,
+            unit="N s",
+            lower=0.0,
+            upper=1e4,
+            meaning="impulse on the base (default: 0.05 of mass times sqrt(g length))",
+        ),
+        common.angle("direction", 0.0, "of the push, from forward to the left", (-math.pi, math.pi)),
+        Choice(
+            name="recover",
+            default="default",
+            choices=("default", "stand", "step"),
+            meaning="keep the feet in place, or step (default: stand on soles, step on points)",
+        ),
+        common.friction(0.7),
+        common.effort_share(),
+    ),
+    build=build,
+)

@@ -1,0 +1,83 @@
+"""What problems of bipeds share: the robot on its legs alone, costs and limits, places of the feet."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+import robots
+from problems import common, leaping
+from trajopt.legs import biped_legs
+from trajopt.model_quantities import gravity_of
+from trajopt.problem import Motion
+from trajopt.reduced.base_path import BaseWaypoint
+from trajopt.robot import Robot
+from trajopt.terms import PositionLimits, Term, VelocityLimits
+from trajopt.tracking import TrackingCost
+
+ROBOTS = ("talos", "g1", "bolt")
+# Price of accelerations, for smooth motions.
+ACCELERATION = 1e-2
+# Price of the base's distance from where it should be: a tenth of that of torques.
+TRACKING = 0.1
+# Depths are found to this part of the robot's length.
+DEPTH_ERROR = 1e-3
+
+
+@lru_cache(maxsize=8)
+def biped(name: str) -> Robot:
+    """The robot of that name on its two feet, every joint that carries no leg locked at the reference.
+
+    Arms, a waist, a head move nothing that these tasks ask for: they are dead weight on the trunk. Raises
+    InputError for a robot that is no biped.
+    """
+    robot = robots.load(name)
+    feet = biped_legs(robot)
+    contacts = tuple(robot.contact(foot) for foot in feet)
+    model = robot.model
+    legs = {
+        int(joint)
+        for contact in contacts
+        for joint in model.supports[model.frames[model.getFrameId(contact.frame)].parentJoint]
+    }
+    idle = [model.names[joint] for joint in range(2, model.njoints) if joint not in legs]
+    standing = replace(robot, contacts=contacts, given_length=robot.length)
+    return standing.with_locked(idle) if idle else standing
+
+
+def limits(robot: Robot, effort_share: float) -> tuple[Term, ...]:
+    """Torques, joints and rates within limits, contact wrenches within their cones."""
+    return (
+        common.share_of_effort(robot, effort_share),
+        PositionLimits(),
+        VelocityLimits(),
+        *common.contact_cones(robot),
+    )
+
+
+def near(motion: Motion) -> Term:
+    """Keeps the base, which has no price otherwise, near that of a motion."""
+    return TrackingCost(reference=motion, part="base", weight=TRACKING)
+
+
+def natural_time(robot: Robot) -> float:
+    """sqrt(l / g) in s, by which times of motions are scaled."""
+    return math.sqrt(robot.length / gravity_of(robot.model))
+
+
+def sink_left(robot: Robot) -> float:
+    """How far the level base can sink under the reference with its feet in place and joints in range, m."""
+    lower, upper = 0.0, robot.length
+    while upper - lower > DEPTH_ERROR * robot.length:
+        middle = (lower + upper) / 2
+        reached = leaping.raised(robot, -middle).error < leaping.REACHED
+        lower, upper = (middle, upper) if reached else (lower, middle)
+    return lower
+
+
+def waypoint(robot: Robot, time: float, shift: tuple[float, float, float]) -> BaseWaypoint:
+    """The reference's base at ``time`` s, displaced by ``shift`` m in the world."""
+    return BaseWaypoint(time=time, position=robot.reference[:3] + np.array(shift))
