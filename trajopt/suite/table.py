@@ -82,7 +82,7 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "within_check": sum(outcome.ok for outcome in outcomes),
         "failures": dict(Counter(outcome.mode for outcome in outcomes if outcome.mode)),
         "median_iterations_legged": _median(outcomes, legged=True),
-        "median_iterations_arms": _median(outcomes, legged=False),
+        "median_iterations_fixed_base": _median(outcomes, legged=False),
         "perturbed": len(starts),
         "perturbed_solved": sum(attempt.solved for attempt in starts),
         "perturbed_failures": dict(Counter(attempt.mode for attempt in starts if attempt.mode)),
@@ -106,11 +106,8 @@ def summary_lines(outcomes: Sequence[Outcome]) -> list[str]:
         f"{found['pairs']} pairs ({found['problems']} problems, {found['robots']} robots): "
         f"{found['solved']} solved from their own guess, {found['within_check']} within the check"
     ]
-    medians = [
-        f"{kind} {found[key]:g}"
-        for kind, key in (("legged", "median_iterations_legged"), ("arms", "median_iterations_arms"))
-        if found[key] is not None
-    ]
+    kinds = {"legged": found["median_iterations_legged"], "fixed base": found["median_iterations_fixed_base"]}
+    medians = [f"{kind} {median:g}" for kind, median in kinds.items() if median is not None]
     if medians:
         lines.append(f"median iterations: {', '.join(medians)}")
     if found["perturbed"]:

@@ -1,0 +1,42 @@
+"""Every problem of the library on one robot, and every robot on one problem, against their regression data.
+
+The subset is chosen by a rule (`representatives`); ``trajopt suite --compare tests/data/suite.csv`` runs all.
+Functions run on CasADi's virtual machine: compiling those of a pair takes longer than solving it once.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from trajopt.catalogue import families
+from trajopt.suite import data
+from trajopt.suite.cases import Case, all_cases, representatives
+from trajopt.suite.run import measure
+from trajopt.suite.settings import Settings
+
+DATA = Path(__file__).parent / "data" / "suite.csv"
+SETTINGS = Settings(compile="none")
+CASES = all_cases(families())
+UPDATE = f"trajopt suite --perturbed 20 --update {DATA.relative_to(Path(__file__).parents[1])}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", representatives(CASES), ids=lambda case: case.name)
+def test_pair_is_solved_and_checked_within_its_bands(case: Case) -> None:
+    outcome = measure(case, SETTINGS)
+    entries, _ = data.read(DATA)
+    assert data.deviation(outcome, SETTINGS, entries.get(case.name)) == ""
+
+
+def test_every_pair_has_its_bands() -> None:
+    entries, _ = data.read(DATA)
+    assert set(entries) == {case.name for case in CASES}, f"run: {UPDATE}"
+
+
+def test_data_are_as_they_are_written(tmp_path: Path) -> None:
+    """Sorted and padded, so that a change of one band is a change of one line."""
+    entries, versions = data.read(DATA)
+    data.write(tmp_path / "suite.csv", entries, versions)
+    assert (tmp_path / "suite.csv").read_text() == DATA.read_text()
