@@ -18,9 +18,9 @@ from trajopt.surface import frame_of_normal
 INSIDE = 1e-12
 # The least circle settles in a few exchanges of its support; a cycle through rounding ends here.
 MOST_EXCHANGES = 100
-# The search for a direction, rad: where the volume is stationary, this changes it by parts in 1e6.
-DIRECTION_ERROR = 1e-3
-MOST_DIRECTIONS = 120
+# The search for a direction, rad: where the volume is stationary, this changes it by parts in 1e4.
+DIRECTION_ERROR = 1e-2
+MOST_DIRECTIONS = 80
 # First step of the search from a principal axis, rad.
 FIRST_STEP = 0.15
 # A circle's polygon, tangent to it from outside, is 0.5 % larger with this many corners.
