@@ -98,7 +98,7 @@ class Problem:
         self._require_impacts()
         self.schedule.require_steady_surfaces(self.terrain, self._starts)
         require_sliding(self.robot, self.schedule, self.actuation, tuple(self.modes))
-        require_standing(self.robot, self.schedule, self.terrain)
+        require_standing(self.robot, self.schedule, self.terrain, self._starts)
         self._require_periodicity()
         self._require_payloads(names)
         self._require_duration()

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+import numpy as np
+
 from trajopt.errors import InputError
 from trajopt.robot import Robot
 from trajopt.schedule import Schedule
@@ -9,11 +13,14 @@ from trajopt.surface import SAME_PLANE
 from trajopt.terrain import FlatGround, PiecewiseTerrain, SmoothTerrain, Terrain
 
 
-def require_standing(robot: Robot, schedule: Schedule, terrain: Terrain) -> None:
-    """Raise `InputError` for a landing on piecewise or smooth ground that is nowhere, or not possible.
+def require_standing(
+    robot: Robot, schedule: Schedule, terrain: Terrain, starts: Mapping[str, np.ndarray]
+) -> None:
+    """Raise `InputError` for a contact on piecewise or smooth ground that is nowhere, or not possible.
 
-    On piecewise ground a contact that lands needs a patch, a surface or a foothold; soles do not lie on
-    curved ground; footholds on the terrain lie on it.
+    ``starts`` (3,) m are where contacts stand at the start, by name; none where the start is free. On
+    piecewise ground a contact that lands needs a patch, a surface or a foothold; soles do not lie on curved
+    ground; footholds on the terrain lie on it.
     """
     if isinstance(terrain, FlatGround):
         return
@@ -27,6 +34,8 @@ def require_standing(robot: Robot, schedule: Schedule, terrain: Terrain) -> None
                     "allowed: point contacts there, or a plane surface or patch for the sole",
                 )
             foothold = phase.footholds.get(name)
+            if schedule.beginning(name, index) == 0 and name in starts:
+                terrain.surface_at(starts[name])  # it refuses holes
             lands = name in schedule.new_contacts(index)
             if foothold is None and lands and isinstance(terrain, PiecewiseTerrain):
                 raise InputError(
