@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 NOT_REACHED = 1
 MOST_VALUES = 1000
+# Columns of a table that goes to a file or a pipe, which tells no width.
+PIPE_WIDTH = 120
 HALVINGS = WholeNumber(0, 20)
 VARY_FORM = "allowed: NAME=START:STOP:COUNT, such as distance=0.2:0.4:5"
 
@@ -147,11 +149,13 @@ def _saved(found: Continuation, folder: Path, stem: str) -> dict[str, str]:
 
 def _print(found: Continuation, problem: str, name: str, files: dict[str, str]) -> None:
     console = Console(highlight=False, markup=False)
+    if not console.is_terminal:
+        console.width = PIPE_WIDTH
     table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0))
     compared = any(step.cold is not None for step in found.steps)
     titles = (name, "from", "status", "iterations", "time s", "objective")
-    for title in (*titles, *(("own guess: iterations", "time s") if compared else ())):
-        table.add_column(title, justify="right")
+    for title in (*titles, *(("cold iterations", "cold time s") if compared else ())):
+        table.add_column(title, justify="right", no_wrap=True)
     for step in found.steps:
         table.add_row(*_row(step, compared))
     console.print(f"{problem}: {len(found.solutions)} of {len(set(found.values))} values solved")

@@ -48,22 +48,23 @@ FATROP_OPTIONS: dict[str, Option] = {
 # they are; without them a small first barrier keeps them there.
 IPOPT_WARM: dict[str, Option] = {
     "warm_start_init_point": "yes",
-    "warm_start_bound_push": 1e-6,
-    "warm_start_bound_frac": 1e-6,
-    "warm_start_slack_bound_push": 1e-6,
-    "warm_start_slack_bound_frac": 1e-6,
-    "warm_start_mult_bound_push": 1e-6,
+    "warm_start_bound_push": 1e-5,
+    "warm_start_bound_frac": 1e-5,
+    "warm_start_slack_bound_push": 1e-5,
+    "warm_start_slack_bound_frac": 1e-5,
+    "warm_start_mult_bound_push": 1e-5,
 }
 IPOPT_WARM_WITHOUT_MULTIPLIERS: dict[str, Option] = {
     "mu_strategy": "monotone",
-    "mu_init": 1e-6,
-    "bound_push": 1e-6,
-    "bound_frac": 1e-6,
-    "slack_bound_push": 1e-6,
-    "slack_bound_frac": 1e-6,
+    "mu_init": 1e-5,
+    "bound_push": 1e-5,
+    "bound_frac": 1e-5,
+    "slack_bound_push": 1e-5,
+    "slack_bound_frac": 1e-5,
 }
-# FATROP takes no multipliers of bounds, and those of rows alone gain nothing.
-FATROP_WARM: dict[str, Option] = {"mu_init": 1e-4, "bound_push": 1e-2, "bound_frac": 1e-2}
+# FATROP takes no multipliers of bounds, and those of rows alone gain nothing. A smaller barrier takes fewer
+# iterations where it succeeds, and stalls now and then.
+FATROP_WARM: dict[str, Option] = {"mu_init": 1e-3, "bound_push": 3e-3, "bound_frac": 3e-3}
 
 _IPOPT_STATUS = {
     "Solve_Succeeded": Status.SOLVED,
