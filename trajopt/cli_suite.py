@@ -219,7 +219,7 @@ def _print(outcomes: Sequence[Outcome], outside: dict[str, str] | None) -> None:
     if not sys.stdout.isatty():
         console.width = PIPE_WIDTH
     if outcomes:
-        console.print(table(outcomes))
+        console.print(table(outcomes, console.width))
     for text in summary_lines(outcomes):
         console.print(text, soft_wrap=True)
     for name, text in (outside or {}).items():

@@ -12,6 +12,9 @@ from rich.table import Table
 from trajopt.suite.outcome import Outcome
 from trajopt.suite.settings import Settings
 
+# Columns of a table with the names of the figures, of the longest ones.
+NAMED_WIDTH = 140
+
 
 def line(outcome: Outcome) -> str:
     """One pair in a line."""
@@ -27,25 +30,33 @@ def line(outcome: Outcome) -> str:
     return f"{outcome.name}: {'; '.join(parts)}"
 
 
-def table(outcomes: Sequence[Outcome]) -> Table:
-    """The pairs, sorted; columns on perturbed starts only where there are some."""
+def table(outcomes: Sequence[Outcome], width: int) -> Table:
+    """The pairs, sorted, in ``width`` columns: without room the worst figure of the check has no name.
+
+    ``check`` is the part of its tolerance that this figure uses. Columns on perturbed starts (median and 90 %
+    of their iterations among them) only where there are some.
+    """
     perturbed = any(outcome.starts for outcome in outcomes)
     found = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for title in ("problem", "robot", "solved"):
-        found.add_column(title, no_wrap=True)
-    for title in ("iter", "time", "objective"):
+    for title in ("problem", "robot"):
+        longest = max((len(getattr(outcome, title)) for outcome in outcomes), default=0)
+        found.add_column(title, no_wrap=True, min_width=longest)
+    found.add_column("solved", no_wrap=True)
+    for title in ("iter", "time", "objective", "check"):
         found.add_column(title, justify="right", no_wrap=True)
-    found.add_column("check, worst/tolerance", overflow="fold")
+    named = width >= NAMED_WIDTH
+    if named:
+        found.add_column("by its figure", no_wrap=True)
     found.add_column("failure", no_wrap=True)
     if perturbed:
-        for title in ("starts", "iter 50 %", "90 %", "optima"):
+        for title in ("starts", "50 %", "90 %", "optima"):
             found.add_column(title, justify="right", no_wrap=True)
     for outcome in sorted(outcomes, key=lambda one: (one.problem, one.robot)):
-        found.add_row(*_cells(outcome), *(_start_cells(outcome) if perturbed else ()))
+        found.add_row(*_cells(outcome, named), *(_start_cells(outcome) if perturbed else ()))
     return found
 
 
-def _cells(outcome: Outcome) -> list[str]:
+def _cells(outcome: Outcome, named: bool) -> list[str]:
     own, check = outcome.own, outcome.check
     cells = [outcome.problem, outcome.robot, "yes" if outcome.solved else "NO"]
     if own is None:
@@ -53,11 +64,10 @@ def _cells(outcome: Outcome) -> list[str]:
     else:
         objective = "not finite" if own.objective is None else f"{own.objective:.5g}"
         cells += [str(own.iterations), f"{own.wall_time:.2f} s", objective]
-    if check is None or not outcome.solved:
-        cells.append("")
-    else:
-        used = "" if check.used is None else f"{check.used:.2g} "
-        cells.append(check.error or f"{used}{check.figure}")
+    judged = check if outcome.solved else None
+    cells.append("" if judged is None or judged.used is None else f"{judged.used:.2g}")
+    if named:
+        cells.append("" if judged is None else judged.figure)
     return [*cells, outcome.mode]
 
 
