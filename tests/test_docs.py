@@ -11,6 +11,7 @@ ROOT = Path(__file__).parent.parent
 DOCUMENTS = (
     "README.md",
     "docs/robots.md",
+    "docs/suite.md",
     "docs/modelling/bases.md",
     "docs/modelling/coordinates.md",
     "docs/modelling/actuators.md",
