@@ -7,6 +7,7 @@ robot: its length l, the time sqrt(l / g), and the extension that its legs have 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,14 @@ import pinocchio as pin
 import robots
 from problems import common
 from trajopt.family import Parameter
-from trajopt.kinematics import Posture, contact_poses, inverse_kinematics
+from trajopt.frame_terms import FramesAbove, leg_joints
+from trajopt.kinematics import (
+    Posture,
+    contact_poses,
+    contact_positions,
+    frame_pose,
+    inverse_kinematics,
+)
 from trajopt.legs import quadruped_legs
 from trajopt.model_quantities import contact_jacobian, gravity_of
 from trajopt.problem import Motion
@@ -46,6 +54,8 @@ PUSH_PART = 0.7
 # Least height of a foot over the ground in mid flight: the lesser of a part of the robot's length and a part
 # of what the base rises freely, so that slow legs need not be drawn up.
 CLEARANCE_PART, FREE_PART = 0.1, 0.5
+# Hips and knees stay this part of the robot's length above the ground.
+JOINT_CLEARANCE = 0.15
 # Price of accelerations, for smooth motions.
 ACCELERATION = 2e-2
 
@@ -271,6 +281,20 @@ def leap_terms(
         VelocityLimits(),
         *common.contact_cones(robot),
         *swing_clearance(robot, schedule, terrain, height=clearance, guess=guess),
+    )
+
+
+def above_ground(robot: Robot, heights: Mapping[str, float]) -> tuple[Term, ...]:
+    """Hips and knees (no ankles) stay above the ground, whose ``heights`` in m are given by phase."""
+    keep = JOINT_CLEARANCE * robot.length
+    ground = min(place[2] for place in contact_positions(robot, robot.reference).values())
+    frames = tuple(
+        joint
+        for joint in leg_joints(robot)
+        if frame_pose(robot, robot.reference, joint).translation[2] > ground + 2 * keep
+    )
+    return tuple(
+        FramesAbove(frames=frames, height=height + keep, phases=(phase,)) for phase, height in heights.items()
     )
 
 

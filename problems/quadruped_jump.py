@@ -101,6 +101,7 @@ def build(
         initial_v=np.zeros(body.nv),
         terms=(
             *leaping.leap_terms(body, schedule, ground, guess, effort=effort, clearance=lift),
+            *leaping.above_ground(body, dict.fromkeys(("stance", "flight", "landing"), 0.0)),
             FrameHeight(frame=base, height=body.reference[2] + chosen["height"], phase="flight"),
             TerminalState(q=end),
             TerminalRest(q=end),
