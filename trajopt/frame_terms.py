@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 
 import casadi as ca
@@ -18,22 +19,32 @@ from trajopt.units import Units
 
 # A joint nearer to the one before it than this part of the robot's length is at the same place.
 SAME_JOINT = 0.25
+# A frame is at a joint if it is this near to it, m.
+SAME_PLACE = 1e-9
 
 
 def leg_joints(robot: Robot) -> tuple[str, ...]:
-    """Joints that bound the trunk and the legs: each root of a limb, and every joint a link further on.
+    """Frames at the joints that bound the trunk and the legs: the root of each limb, and every one a link on.
 
-    Of a quadruped the hips (of two that are close to each other the inner one) and the knees. Their frames
-    have the joints' names.
+    Of a quadruped the hips (of two that are close to each other the inner one) and the knees. The first frame
+    at the joint's place whose name no other frame has; a joint without any is left out.
     """
     model, data = robot.model, robot.model.createData()
     pin.forwardKinematics(model, data, robot.reference)
+    named = Counter(frame.name for frame in model.frames)
     found = []
     for joint in range(2, model.njoints):
         parent = model.parents[joint]
         apart = np.linalg.norm(data.oMi[joint].translation - data.oMi[parent].translation)
-        if parent == 1 or apart > SAME_JOINT * robot.length:
-            found.append(str(model.names[joint]))
+        if parent != 1 and apart <= SAME_JOINT * robot.length:
+            continue
+        found += [
+            frame.name
+            for frame in model.frames
+            if frame.parentJoint == joint
+            and named[frame.name] == 1
+            and np.abs(frame.placement.translation).max() < SAME_PLACE
+        ][:1]
     return tuple(found)
 
 
