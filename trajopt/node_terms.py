@@ -55,7 +55,8 @@ def rotation_error(target: ca.SX, rotation: ca.SX) -> ca.SX:
 class FrameHeight(NodeConstraint):
     """A frame at least ``height`` m high at the node nearest to ``fraction`` of the phase ``phase``.
 
-    ``below``: at most that high. Of the phase's own nodes: the last one of all but the last phase belongs to the next.
+    ``below``: at most that high. Of the phase's own nodes: the last one of all but the last phase belongs to
+    the next.
     """
 
     frame: str
@@ -74,11 +75,18 @@ class FrameHeight(NodeConstraint):
 
 @dataclass(frozen=True, kw_only=True)
 class FramePose(NodeConstraint):
-    """A frame's pose at the end: ``position`` (3,) m and ``rotation`` (3, 3), world; either may be None."""
+    """A frame's pose at the end: ``position`` (3,) m and ``rotation`` (3, 3), world; either may be None.
+
+    ``phase``: a waypoint, where that phase begins, instead of the end of the schedule.
+    """
 
     frame: str
     position: np.ndarray | None = None
     rotation: np.ndarray | None = None
+    phase: str | None = None
+
+    def acts_at(self, place: NodePlace) -> bool:
+        return _waypoint(place, self.phase)
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         frame = context.frame(self.frame)
@@ -97,13 +105,25 @@ class FramePose(NodeConstraint):
 
 @dataclass(frozen=True, kw_only=True)
 class FrameVelocity(NodeConstraint):
-    """A frame's velocity at the end: ``velocity`` (6,), linear m/s and angular rad/s, world axes."""
+    """A frame's velocity at the end: ``velocity`` (6,), linear m/s and angular rad/s, world axes.
+
+    ``phase``: where that phase begins, instead of the end of the schedule.
+    """
 
     frame: str
     velocity: np.ndarray
+    phase: str | None = None
+
+    def acts_at(self, place: NodePlace) -> bool:
+        return _waypoint(place, self.phase)
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         return Rows.create(context.frame(self.frame).velocity, self.velocity, self.velocity, units.twist)
+
+
+def _waypoint(place: NodePlace, phase: str | None) -> bool:
+    """Whether a node is the first of the phase, or without a phase the last of the schedule."""
+    return place.last if phase is None else place.phase.name == phase and place.index == 0
 
 
 def free_directions(

@@ -1,0 +1,208 @@
+"""An arm picks an object up and places it elsewhere: waypoints over both places, a payload in between."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import pinocchio as pin
+
+from problems import arms, common
+from trajopt.contact import Contact
+from trajopt.errors import InputError
+from trajopt.family import Choice, Family, Parameter
+from trajopt.model_quantities import contact_jacobian, gravity_of
+from trajopt.node_terms import FramePose, FrameVelocity, TerminalRest
+from trajopt.payload import Payload
+from trajopt.problem import Problem
+from trajopt.reduced.foot_motion import smooth_step
+from trajopt.robot import Robot
+from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.terms import AccelerationCost, Term, TimeCost, TorqueCost
+
+TOOL = "tool"
+PHASES = ("approach", "descend", "lift", "carry", "lower", "retreat")
+CARRIED = ("lift", "carry", "lower")
+GOALS = ("effort", "time")
+# Height of the waypoints over the places, part of the reach.
+OVER = 0.1
+# The default object takes this part of the torque that gravity leaves at the weakest joint of all waypoints,
+# and at most this part of the arm's mass. It is a cube as dense as water, held at the middle of its top.
+SHARE, OF_ARM = 0.4, 0.1
+DENSITY = 1000.0
+# Times over what limits need: a default duration of least effort, and the bounds of free durations.
+UNHURRIED, SHORTEST, LONGEST = 2.5, 0.1, 4.0
+# Prices of accelerations, as of `arm-transfer`.
+SMOOTH = {"effort": 1e-2, "time": 1e-3}
+INTERVALS = 36
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stages:
+    """Guess: from posture to posture (nq,), each in its phase's duration (s), at rest in between."""
+
+    model: pin.Model
+    postures: tuple[np.ndarray, ...]
+    ends: np.ndarray
+
+    def __call__(self, t: float) -> np.ndarray:
+        last = len(self.ends) - 1
+        index = min(int(np.searchsorted(self.ends, t, side="right")), last)
+        begin = self.ends[index - 1] if index else 0.0
+        part = smooth_step((t - begin) / (self.ends[index] - begin))
+        before, after = self.postures[index : index + 2]
+        return np.asarray(pin.interpolate(self.model, before, after, part))
+
+
+def cube(arm: arms.Arm, mass: float) -> Payload:
+    """A cube of that mass, kg, held at the middle of one side where the tool points."""
+    side = (mass / DENSITY) ** (1 / 3)
+    return Payload(
+        contact=TOOL, mass=mass, centre=side / 2 * arm.outward, inertia=mass * side**2 / 6 * np.eye(3)
+    )
+
+
+def default_mass(robot: Robot, tool: str, postures: list[np.ndarray]) -> float:
+    """Mass in kg of an object that the weakest joint holds with a part of its torque at all postures."""
+    most = OF_ARM * robot.mass
+    if robot.effort_limit is None:
+        return most
+    gravity, data = gravity_of(robot.model), robot.model.createData()
+    for q in postures:
+        needed = np.abs(pin.computeGeneralizedGravity(robot.model, data, q))
+        lever = np.abs(contact_jacobian(robot.model, q, [(tool, (2,))])[0]) * gravity
+        spare = SHARE * np.maximum(robot.effort_limit - needed, 0.0)
+        most = min(most, float(np.min(spare[lever > 0] / lever[lever > 0])))
+    return most
+
+
+def _terms(arm: arms.Arm, poses: list[pin.SE3], goal: str, end: np.ndarray) -> tuple[Term, ...]:
+    """Over each place on the way down and up, at rest on it, and over the second at last."""
+    over_pick, pick, over_place, place = poses
+    price = TimeCost(weight=1.0) if goal == "time" else TorqueCost(weight=1.0)
+
+    def at(phase: str | None, pose: pin.SE3, *, turned: bool) -> FramePose:
+        rotation = pose.rotation if turned else None
+        return FramePose(frame=arm.tool, position=pose.translation, rotation=rotation, phase=phase)
+
+    still = np.zeros(6)
+    return (
+        price,
+        AccelerationCost(weight=SMOOTH[goal]),
+        *arms.limits(arm.robot),
+        at("descend", over_pick, turned=False),
+        at("lift", pick, turned=True),
+        FrameVelocity(frame=arm.tool, velocity=still, phase="lift"),
+        at("carry", over_pick, turned=False),
+        at("lower", over_place, turned=False),
+        at("retreat", place, turned=True),
+        FrameVelocity(frame=arm.tool, velocity=still, phase="retreat"),
+        at(None, over_place, turned=True),
+        TerminalRest(q=end),
+    )
+
+
+def build(
+    *,
+    robot: str,
+    turn: float,
+    out: float,
+    up: float,
+    over: float,
+    payload: float | None,
+    goal: str,
+    duration: float | None,
+) -> Problem:
+    """Build the task; see ``FAMILY`` for the parameters. Raises InputError."""
+    loaded = arms.load(robot)
+    arm = replace(loaded, robot=replace(loaded.robot, contacts=(Contact(frame=loaded.tool, name=TOOL),)))
+    places = [(side * turn / 2, out, up + high) for side in (-1, 1) for high in (over, 0.0)]
+    over_pick, pick, over_place, place = (arm.posture(*where) for where in places)
+    postures = (arm.robot.reference, over_pick, pick, over_pick, over_place, place, over_place)
+    mass = (
+        default_mass(arm.robot, arm.tool, [pick, over_pick, over_place, place])
+        if payload is None
+        else payload
+    )
+    object_held = cube(arm, mass)
+    durations = _durations(arm.robot, postures, goal, duration)
+    free = goal == "time"
+    schedule = Schedule(
+        tuple(
+            Phase(
+                name=name,
+                duration=time,
+                duration_bounds=(SHORTEST * time, LONGEST * time) if free else None,
+            )
+            for name, time in zip(PHASES, durations, strict=True)
+        )
+    )
+    return Problem(
+        name="arm-pick-place",
+        robot=arm.robot,
+        schedule=schedule,
+        terrain=FlatGround(height=_below(arm)),
+        initial_q=arm.robot.reference,
+        initial_v=np.zeros(arm.robot.nv),
+        terms=_terms(arm, [arm.pose(*where) for where in places], goal, over_place),
+        guess=Stages(model=arm.robot.model, postures=postures, ends=np.cumsum(durations)),
+        parameters={"payload": mass, "duration": float(np.sum(durations))},
+        default_intervals=INTERVALS,
+        payloads=dict.fromkeys(CARRIED, object_held) if mass > 0 else {},
+    )
+
+
+def _durations(
+    robot: Robot, postures: tuple[np.ndarray, ...], goal: str, duration: float | None
+) -> list[float]:
+    """Duration of every phase, s: what its limits need, over what all need, of the whole."""
+    least = [arms.least_duration(robot, pair) for pair in pairwise(postures)]
+    if not min(least) > 0:
+        raise InputError("two waypoints of arm-pick-place are the same", "allowed: turn and over not zero")
+    whole = sum(least) * (1.0 if goal == "time" else UNHURRIED) if duration is None else duration
+    return [whole * own / sum(least) for own in least]
+
+
+def _below(arm: arms.Arm) -> float:
+    """Height in m of a floor that is clear of everything: the object stands on a table of its own."""
+    return float(min(arm.axis[2], 0.0) - arm.robot.length)
+
+
+def _part(name: str, default: float, meaning: str, within: common.Range) -> Parameter:
+    return Parameter(
+        name=name,
+        default=default,
+        unit="",
+        lower=within[0],
+        upper=within[1],
+        meaning=f"{meaning}, part of the reach",
+    )
+
+
+FAMILY = Family(
+    name="arm-pick-place",
+    robots=arms.ARMS,
+    phases=PHASES,
+    summary="pick an object up and place it elsewhere, over waypoints, with its mass in between",
+    parameters=(
+        common.angle(
+            "turn", math.radians(90), "from one place to the other about the base", (-math.pi, math.pi)
+        ),
+        _part("out", 0.0, "by how much the places are farther out than the tool's start", (-1.0, 1.0)),
+        _part("up", -0.1, "by how much they are higher than the tool's start", (-1.0, 1.0)),
+        _part("over", OVER, "height of the waypoints over the places", (0.0, 1.0)),
+        Parameter(
+            name="payload",
+            default=None,
+            unit="kg",
+            lower=0.0,
+            upper=1e4,
+            meaning="mass of the object (default: what the arm holds with part of its torque)",
+        ),
+        Choice(name="goal", default="effort", choices=GOALS, meaning="least torques, or least time"),
+        common.duration("duration", None, "of the whole (default: by the limits)", (1e-3, 120.0)),
+    ),
+    build=build,
+)
