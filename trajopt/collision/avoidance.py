@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.clearance import finer
+from trajopt.certify.report import PENETRATION
 from trajopt.collision.link_capsules import robot_capsules
 from trajopt.collision.near import CollisionScene, Pair, separable_pairs
 from trajopt.collision.shapes import LinkCapsule, Obstacle
@@ -25,7 +26,7 @@ from trajopt.solution import Solution
 BAND = 0.2
 # The guess is looked at this often: a tool that crosses the robot's length moves a twentieth of it between.
 LOOKS = 40
-# `solve_clear` gives up after this many solves: each adds at least one pair.
+# `solve_clear` gives up after this many solves: each adds a pair or halves the steps.
 MOST_SOLVES = 5
 
 
@@ -112,20 +113,30 @@ def missed_pairs(problem: Problem, solution: Solution) -> dict[str, tuple[Pair, 
 
 
 def solve_clear(problem: Problem, **options: Any) -> tuple[Solution, Problem]:
-    """Solve, and solve again with pairs that came too near without a row; options as for `solve`.
+    """Solve, and solve again where Coal finds the motion too near to something; options as for `solve`.
 
-    The motion found is the guess of the next solve. Returns the last solution and the problem it solves.
+    Pairs that came too near without a row get one, and the motion found is the next guess. Where rows are
+    kept at the points but not between, as by a link that slips past a post in one step, the grid is made
+    twice as fine, from the guess as it was. Returns the last solution and the problem it solves.
     """
     from trajopt.solving import solve  # loads the engine
 
     solution = solve(problem, **options)
     for _ in range(MOST_SOLVES - 1):
         missed = missed_pairs(problem, solution)
-        if not missed:
+        if missed:
+            problem = _again(problem, solution, missed)
+        elif solution.success and _least(problem, solution) < -PENETRATION:
+            options = {**options, "intervals": 2 * solution.n_intervals}
+        else:
             break
-        problem = _again(problem, solution, missed)
         solution = solve(problem, **options)
     return solution, problem
+
+
+def _least(problem: Problem, solution: Solution) -> float:
+    scene = scene_of(problem)
+    return math.inf if scene is None else float(scene.least_distances(finer(solution)).min(initial=math.inf))
 
 
 def _again(problem: Problem, solution: Solution, missed: Mapping[str, tuple[Pair, ...]]) -> Problem:
