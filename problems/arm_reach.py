@@ -42,7 +42,7 @@ def build(
     arm = arms.load(robot)
     goal, end = _goal(arm, (x, y, z), pin.rpy.rpyToMatrix(roll, pitch, yaw))
     start = arm.robot.reference
-    least = arms.least_duration(arm.robot, start, end)
+    least = arms.least_duration(arm.robot, (start, end))
     if not (duration or least > 0):
         raise InputError("start and goal of arm-reach are the same pose", "allowed: another goal")
     time = duration or UNHURRIED * least

@@ -37,7 +37,7 @@ def build(
     """Build the transfer; see ``FAMILY`` for the parameters. Raises InputError."""
     arm = arms.load(robot)
     start, goal = (arm.posture(side * turn / 2, side * out / 2, side * up / 2) for side in (-1, 1))
-    least = arms.least_duration(arm.robot, start, goal)
+    least = arms.least_duration(arm.robot, (start, goal))
     if not least > 0:
         raise InputError("start and goal of arm-transfer are the same posture", "allowed: turn, out or up")
     given = duration or (least if minimise == "time" else UNHURRIED * least)

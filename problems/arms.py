@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -22,6 +24,10 @@ ARMS = ("ur5", "panda", "kinova", "irb1600", "z1", "xarm7")
 STEPS = 12
 # A pose is reached up to this error, m and rad.
 REACHED = 1e-6
+# Part of a motor's torque that is taken to be left for the motion, at least.
+LEAST_SPARE = 0.1
+# A direction along the arm is one from a joint at least this far behind the tool, m.
+BEHIND = 1e-3
 # Peak rate and acceleration of the guess, 10 s^3 - 15 s^4 + 6 s^5, over a unit of time.
 PEAK_RATE, PEAK_ACCELERATION = 1.875, 10 / math.sqrt(3)
 
@@ -42,6 +48,20 @@ class Arm:
     def at_reference(self) -> pin.SE3:
         """Pose of the tool in the reference posture, world."""
         return frame_pose(self.robot, self.robot.reference, self.tool)
+
+    @property
+    def outward(self) -> np.ndarray:
+        """Unit axis (3,) of the last joint in the tool's axes, out of the arm: where the tool points."""
+        robot, data = self.robot, self.robot.model.createData()
+        model, last = robot.model, robot.model.njoints - 1
+        pin.computeJointJacobians(model, data, robot.reference)
+        column = pin.getJointJacobian(model, data, last, pin.LOCAL_WORLD_ALIGNED)[:, -1]
+        turns = bool(np.linalg.norm(column[3:]) > 0)
+        axis = np.array(column[3:] if turns else column[:3])
+        tool = self.at_reference
+        behind = [(tool.translation - data.oMi[joint].translation) @ axis for joint in model.supports[last]]
+        side = next((reach for reach in reversed(behind) if abs(reach) > BEHIND), 1.0)
+        return np.asarray(tool.rotation.T @ axis * math.copysign(1.0, side))
 
     def pose(self, turn: float, out: float, up: float) -> pin.SE3:
         """The tool's pose in the reference, turned about the vertical and moved.
@@ -99,31 +119,29 @@ class ArmPath:
 
 
 def load(name: str) -> Arm:
-    """Return the arm of that name. Raises InputError for what is no arm, or an arm without torque limits."""
+    """Return the arm of that name. Raises InputError for what is no arm."""
     tool = robots.tool_frame(name)
     return Arm(robot=robots.load(name), tool=tool)
 
 
-def least_duration(robot: Robot, start: np.ndarray, end: np.ndarray) -> float:
-    """Duration of a guess between two postures (nq,), s: what rates allow, and torques less gravity's.
+def least_duration(robot: Robot, postures: Sequence[np.ndarray]) -> float:
+    """Duration of a guess from rest to rest through ``postures`` (nq,), s: what rates and torques allow.
 
-    As if each joint moved its own inertia alone: an estimate for a start of the search, not a bound.
+    Torques are those that gravity leaves, and each joint moves its own inertia alone: an estimate for a start
+    of the search, not a bound.
     """
     model, data = robot.model, robot.model.createData()
-    travel = np.abs(pin.difference(model, start, end))
+    steps = [pin.difference(model, before, after) for before, after in pairwise(postures)]
+    travel = np.abs(steps).sum(axis=0)
     by_rate = PEAK_RATE * travel / robot.velocity_limit
     if robot.effort_limit is None:
         return float(by_rate.max())
-    left = [robot.effort_limit - np.abs(pin.computeGeneralizedGravity(model, data, q)) for q in (start, end)]
-    # An end that the motors do not hold leaves the problem infeasible, and the guess as it may be.
-    spare = np.maximum(np.min(left, axis=0), LEAST_SPARE * robot.effort_limit)
-    acceleration = spare / np.diag(pin.crba(model, data, start))
+    gravity = np.abs([pin.computeGeneralizedGravity(model, data, q) for q in postures]).max(axis=0)
+    # Postures that the motors do not hold leave the problem infeasible, and the guess as it may be.
+    spare = np.maximum(robot.effort_limit - gravity, LEAST_SPARE * robot.effort_limit)
+    acceleration = spare / np.diag(pin.crba(model, data, postures[0]))
     by_torque = np.sqrt(PEAK_ACCELERATION * travel / acceleration)
     return float(max(by_rate.max(), by_torque.max()))
-
-
-# Part of a motor's torque that is taken to be left for the motion, at least.
-LEAST_SPARE = 0.1
 
 
 def limits(robot: Robot) -> tuple[Term, ...]:

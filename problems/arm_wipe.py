@@ -1,0 +1,201 @@
+"""An arm wipes: its tool presses on a plane and slides along a line or a circle on it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+from scipy.interpolate import CubicSpline
+
+from problems import arms, common
+from problems.strokes import Facing, RestOnStroke, Stroke, StrokeMotion
+from trajopt.contact import Contact
+from trajopt.errors import InputError
+from trajopt.family import Choice, Family, Parameter
+from trajopt.kinematics import inverse_kinematics
+from trajopt.problem import Problem
+from trajopt.reduced.foot_motion import smooth_step
+from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.surface import Surface
+from trajopt.terms import AccelerationCost, NormalForce, TorqueCost
+
+TOOL = "tool"
+# Length of a line, diameter of a circle over the reach, where none is given.
+SIZES = {"line": 0.25, "circle": 0.15}
+# The default force takes this part of what gravity leaves of the weakest joint's torque along the path.
+FORCE_SHARE = 0.25
+# The default duration over what the limits need at least.
+UNHURRIED = 2.0
+# Friction turns round within this part of the mean speed.
+SLIP = 0.1
+# A joint counts as having at least this lever to the force, over the reach.
+LEAST_LEVER = 1e-3
+# Postures that inverse kinematics finds along the path for the guess.
+KNOTS = 41
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wiping:
+    """Guess: postures (nq,) along the stroke, by inverse kinematics, smoothly in ``duration`` s."""
+
+    model: pin.Model
+    start: np.ndarray
+    spline: CubicSpline
+    duration: float
+
+    def __call__(self, t: float) -> np.ndarray:
+        return np.asarray(pin.integrate(self.model, self.start, self.spline(smooth_step(t / self.duration))))
+
+
+def build(
+    *,
+    robot: str,
+    shape: str,
+    size: float | None,
+    force: float | None,
+    friction: float,
+    tilt: float | None,
+    out: float,
+    up: float,
+    lean: float,
+    duration: float | None,
+) -> Problem:
+    """Build the wiping; see ``FAMILY`` for the parameters. Raises InputError."""
+    arm = arms.load(robot)
+    touching = replace(arm.robot, contacts=(Contact(frame=arm.tool, name=TOOL),))
+    normal = _normal(arm, tilt, out)
+    stroke = _stroke(arm, shape, size, arm.pose(0.0, out, up).translation, normal)
+    postures = _postures(arm, stroke, normal)
+    travel = np.array([pin.difference(touching.model, postures[0], q) for q in postures])
+    least = arms.least_duration(arm.robot, postures)
+    time = duration or UNHURRIED * least
+    pressure = force if force is not None else FORCE_SHARE * _strength(arm, postures, normal)
+    surface = Surface(
+        point=stroke.centre, normal=normal, friction=friction, slip_speed=SLIP * stroke.length / time
+    )
+    spline = CubicSpline(np.linspace(0.0, 1.0, KNOTS), travel)
+    return Problem(
+        name="arm-wipe",
+        robot=touching,
+        schedule=Schedule((Phase(name="wipe", duration=time, contacts=(TOOL,), surfaces={TOOL: surface}),)),
+        terrain=FlatGround(),
+        initial_q=postures[0],
+        initial_v=np.zeros(touching.nv),
+        terms=(
+            TorqueCost(weight=1.0),
+            AccelerationCost(weight=1e-2),
+            *arms.limits(touching),
+            NormalForce(contact=TOOL, lower=pressure, upper=pressure),
+            StrokeMotion(contact=TOOL, stroke=stroke, duration=time),
+            Facing(frame=arm.tool, axis=arm.outward, direction=-normal, angle=lean),
+            RestOnStroke(q=postures[-1]),
+        ),
+        guess=Wiping(model=touching.model, start=postures[0], spline=spline, duration=time),
+        parameters={"size": stroke.size, "force": pressure, "duration": time},
+        default_intervals=40,
+    )
+
+
+def _normal(arm: arms.Arm, tilt: float | None, out: float) -> np.ndarray:
+    """Normal (3,) of the plane: against the tool of the reference, or tilted from upright towards the arm."""
+    if tilt is None:
+        return -np.asarray(arm.at_reference.rotation @ arm.outward)
+    away = arm.pose(0.0, out, 0.0).translation - arm.axis
+    heading = math.atan2(away[1], away[0])
+    return np.array(
+        [-math.sin(tilt) * math.cos(heading), -math.sin(tilt) * math.sin(heading), math.cos(tilt)]
+    )
+
+
+def _stroke(arm: arms.Arm, shape: str, size: float | None, centre: np.ndarray, normal: np.ndarray) -> Stroke:
+    """Stroke about ``centre`` (3,) m in the plane; a line runs sideways as the arm sees it."""
+    away = centre - arm.axis
+    sideways = np.array([-away[1], away[0], 0.0])
+    across = sideways - (sideways @ normal) * normal
+    across /= np.linalg.norm(across)
+    length = size if size is not None else SIZES[shape] * arm.robot.length
+    return Stroke(shape=shape, size=length, centre=centre, across=across, along=np.cross(normal, across))
+
+
+def _postures(arm: arms.Arm, stroke: Stroke, normal: np.ndarray) -> list[np.ndarray]:
+    """Postures (nq,) at `KNOTS` places of the stroke, the tool against the plane, each from the last."""
+    reference = arm.at_reference.rotation
+    turn = pin.Quaternion.FromTwoVectors(reference @ arm.outward, -normal).toRotationMatrix()
+    facing, first = turn @ reference, stroke(0.0)
+    approach = np.linspace(arm.at_reference.translation, first, arms.STEPS)
+    q, found = arm.robot.reference, []
+    for place in (*approach, *(stroke(part) for part in np.linspace(0.0, 1.0, KNOTS))):
+        posture = inverse_kinematics(arm.robot, q, {arm.tool: pin.SE3(facing, place)})
+        q = posture.q
+        found.append(posture)
+    found = found[len(approach) :]
+    worst = max(posture.error for posture in found)
+    if worst > arms.REACHED:
+        raise InputError(
+            f"'{arm.robot.name}' does not bring '{arm.tool}' along the stroke: it is off by {worst:.3g}",
+            "allowed: a plane and a size within its reach and joint ranges",
+        )
+    return [posture.q for posture in found]
+
+
+def _strength(arm: arms.Arm, postures: list[np.ndarray], normal: np.ndarray) -> float:
+    """Force (N) along the normal that takes all that gravity leaves of the weakest joint's torque."""
+    robot, data = arm.robot, arm.robot.model.createData()
+    if robot.effort_limit is None:
+        return robot.weight
+    frame, least = robot.model.getFrameId(arm.tool), np.inf
+    for q in postures:
+        jacobian = pin.computeFrameJacobian(robot.model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
+        left = robot.effort_limit - np.abs(pin.computeGeneralizedGravity(robot.model, data, q))
+        lever = np.maximum(np.abs(normal @ jacobian), LEAST_LEVER * robot.length)
+        least = min(least, float((left / lever).min()))
+    return max(least, 0.0)
+
+
+def _part(name: str, meaning: str) -> Parameter:
+    return Parameter(
+        name=name, default=0.0, unit="", lower=-1.0, upper=1.0, meaning=f"{meaning}, part of the reach"
+    )
+
+
+FAMILY = Family(
+    name="arm-wipe",
+    robots=arms.ARMS,
+    phases=("wipe",),
+    summary="press an arm's tool on a plane with a given force and slide along a line or a circle on it",
+    parameters=(
+        Choice(name="shape", default="line", choices=tuple(SIZES), meaning="path of the tool on the plane"),
+        Parameter(
+            name="size",
+            default=None,
+            unit="m",
+            lower=1e-3,
+            upper=5.0,
+            meaning="length of the line or diameter of the circle (default: 0.25 or 0.15 of the reach)",
+        ),
+        Parameter(
+            name="force",
+            default=None,
+            unit="N",
+            lower=0.0,
+            upper=1e5,
+            meaning="of the tool on the plane, along its normal (default: a quarter of what the arm can)",
+        ),
+        common.friction(0.3),
+        common.angle(
+            "tilt",
+            None,
+            "of the plane from level, facing the arm (default: it faces the tool of the reference)",
+            (-math.pi / 2, math.pi / 2),
+        ),
+        _part("out", "how much farther from the arm's axis than the tool of the reference the plane is"),
+        _part("up", "how much higher it is"),
+        common.angle(
+            "lean", math.radians(20), "most that the tool leans off the normal", (1e-3, math.pi / 2)
+        ),
+        common.duration("duration", None, "duration (default: twice what the limits need)", (1e-2, 60.0)),
+    ),
+    build=build,
+)
