@@ -1,0 +1,125 @@
+"""Sliding contacts: rows, refusals, and a block on a plane that Coulomb's friction brings to rest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import trajopt
+from trajopt import Contact, FlatGround, Phase, Problem, Robot, Schedule
+from trajopt.certify.sliding import SlidingDynamics
+from trajopt.dynamics.contact_dynamics import ContactDynamics
+from trajopt.dynamics.contact_set import ContactSet
+from trajopt.errors import InputError
+from trajopt.sliding import require_sliding
+from trajopt.surface import Surface
+from trajopt.terms import AccelerationCost
+
+MASS, FRICTION, SPEED, GRAVITY = 2.0, 0.3, 1.5, 9.81
+# Far below the block's speed: friction is mu m g then, but for half the square of the ratio.
+SLIP = 1e-3
+DURATION = 0.3  # s, before it stops at v / (mu g) = 0.51
+ROUNDING = 1e-10
+
+
+def block() -> Robot:
+    """A point mass on three slides along the world's axes, none of them driven."""
+    model, parent = pin.Model(), 0
+    for axis, joint in zip("xyz", (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ), strict=True):
+        parent = model.addJoint(parent, joint(), pin.SE3.Identity(), axis)
+        model.addJointFrame(parent)
+    model.appendBodyToJoint(parent, pin.Inertia.FromSphere(MASS, 0.1), pin.SE3.Identity())
+    model.addFrame(pin.Frame("block", parent, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    return Robot.from_model(model, name="block", contacts=["block"], passive=("x", "y", "z"))
+
+
+def slope(angle: float, **options: float) -> Surface:
+    normal = np.array([-np.sin(angle), 0.0, np.cos(angle)])
+    return Surface(point=np.zeros(3), normal=normal, friction=FRICTION, slip_speed=SLIP, **options)
+
+
+def sliding_block(surface: Surface, velocity: np.ndarray) -> Problem:
+    return Problem(
+        name="block",
+        robot=block(),
+        schedule=Schedule(
+            (Phase(name="slide", duration=DURATION, contacts=("block",), surfaces={"block": surface}),)
+        ),
+        terrain=FlatGround(),
+        initial_q=np.zeros(3),
+        initial_v=velocity,
+        terms=(AccelerationCost(weight=1.0),),
+        guess=lambda t: t * velocity,
+        default_intervals=10,
+    )
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.2])
+def test_a_block_is_braked_by_friction_on_a_plane(angle):
+    surface = slope(angle)
+    up = np.array([np.cos(angle), 0.0, np.sin(angle)])
+    solution = trajopt.solve(sliding_block(surface, SPEED * up))
+    assert solution.meta["status"] == "solved"
+    assert trajopt.check(solution).ok
+    braking = GRAVITY * (np.sin(angle) + FRICTION * np.cos(angle))
+    expected = SPEED * DURATION - braking * DURATION**2 / 2
+    # Friction below mu f_n by half (v_s / v)^2, and the collocation of its change.
+    np.testing.assert_allclose(solution.q[-1], expected * up, atol=1e-5)
+    assert solution.f[solution.collocation][0, 0, :3] @ surface.normal == pytest.approx(
+        MASS * GRAVITY * np.cos(angle), rel=1e-6
+    )
+
+
+def test_dynamics_of_a_contact_without_friction_are_those_of_a_multiplier_along_the_normal():
+    robot = block()
+    contacts = ContactSet.of(robot.model, [("block", 3)])
+    surface = replace(slope(0.4), friction=0.0)
+    q, v, force = np.zeros(3), np.array([0.3, -0.2, 0.1]), np.array([1.0, 2.0, 3.0])
+    found = SlidingDynamics(robot.model, contacts, {0: surface}).acceleration(q, v, force)
+    free = force / MASS - np.array([0.0, 0.0, GRAVITY])
+    expected = free - (surface.normal @ free) * surface.normal
+    np.testing.assert_allclose(found, expected, atol=ROUNDING)
+
+
+def test_dynamics_without_sliding_contacts_are_those_of_held_ones():
+    robot = block()
+    contacts = ContactSet.of(robot.model, [("block", 3)])
+    state = np.zeros(3), np.array([0.3, -0.2, 0.1]), np.array([1.0, 2.0, 3.0])
+    found = SlidingDynamics(robot.model, contacts, {}).acceleration(*state)
+    np.testing.assert_allclose(
+        found, ContactDynamics(robot.model, contacts).acceleration(*state), atol=ROUNDING
+    )
+
+
+def test_a_sliding_surface_survives_its_description():
+    surface = slope(0.3)
+    described = Surface.from_description(surface.describe())
+    assert described.slip_speed == surface.slip_speed
+    held = replace(surface, slip_speed=None).describe()
+    assert "slip_speed" not in held  # files of surfaces that hold are as they were
+    assert Surface.from_description(held).slip_speed is None
+
+
+@pytest.mark.parametrize("slip", [0.0, -1.0, np.nan, "fast", True])
+def test_a_slip_speed_that_is_none_is_refused(slip):
+    with pytest.raises(InputError, match="slip_speed"):
+        Surface(point=np.zeros(3), normal=np.array([0.0, 0.0, 1.0]), slip_speed=slip)
+
+
+def test_what_cannot_slide_is_refused():
+    surface = slope(0.0)
+    with pytest.raises(InputError, match="bilateral"):
+        Surface(point=np.zeros(3), normal=np.array([0.0, 0.0, 1.0]), slip_speed=SLIP, bilateral=True)
+    problem = sliding_block(surface, np.zeros(3))
+    sole = Contact(frame="block", kind="surface", half_length=0.1, half_width=0.1)
+    with pytest.raises(InputError, match="point contacts"):
+        replace(problem, robot=replace(problem.robot, contacts=(sole,)))
+    with pytest.raises(InputError, match="actuation"):
+        require_sliding(problem.robot, problem.schedule, "acceleration", ())
+    slide = problem.schedule.phases[0]
+    hold = replace(slide, name="hold", surfaces={"block": replace(surface, slip_speed=None)})
+    with pytest.raises(InputError, match="hold"):
+        replace(problem, schedule=Schedule((slide, hold)))
