@@ -18,6 +18,7 @@ DOCUMENTS = (
     "docs/modelling/irb1600.md",
     "docs/modelling/contacts.md",
     "docs/modelling/contacts-dynamics.md",
+    "docs/modelling/terrain.md",
     "docs/modelling/structure.md",
     "docs/modelling/reduced-models.md",
     "docs/modelling/scene.md",

@@ -408,7 +408,7 @@ def step_up(name: str) -> Problem:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["solo12", "go1"])
+@pytest.mark.parametrize("name", ["solo12"])
 def test_a_quadruped_steps_up_without_cutting_the_edge(name):
     problem = step_up(name)
     solution = solve(problem)
