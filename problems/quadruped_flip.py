@@ -1,0 +1,211 @@
+"""Whole turns of quadrupeds in the air, from feet to feet: a backflip and a barrel roll.
+
+Both leave the ground in two steps, as animals and machines do: one pair of feet lifts first, so that the body
+turns about the other; it lands on the pair that lifted first.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Literal
+
+import numpy as np
+import pinocchio as pin
+
+from problems import common, leaping
+from trajopt.family import Family
+from trajopt.frame_terms import FrameDirection
+from trajopt.kinematics import contact_positions
+from trajopt.legs import quadruped_legs
+from trajopt.node_terms import TerminalRest, TerminalState
+from trajopt.problem import Problem
+from trajopt.reduced.base_path import BaseWaypoint
+from trajopt.reduced.legged_guess import legged_guess
+from trajopt.robot import Robot
+from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.term_interfaces import Term
+
+ROBOTS = ("solo12", "go2", "a1", "hyq")
+PHASES = ("stance", "tip", "flight", "catch", "landing")
+# Default durations of the phases in units of sqrt(l / g).
+DURATIONS = (2.0, 1.0, 3.0, 1.0, 3.0)
+INTERVALS = 60
+# In the guess the body leaves the ground turned by this, rad, and is as far from upright when it lands.
+TILT = math.pi / 4
+# In the guess legs are drawn up by this part of the robot's length.
+TUCK = 0.3
+# The body is upside down in mid flight within this angle, and on its way there and back as far around.
+WITHIN = math.pi / 3
+
+Kind = Literal["backflip", "barrel-roll"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Flip:
+    """A turn about ``axis`` (3,): feet ``last`` leave the ground last, ``first`` land first."""
+
+    robot: Robot
+    axis: np.ndarray
+    last: tuple[str, ...]
+    first: tuple[str, ...]
+    durations: tuple[float, ...]
+
+    @cached_property
+    def _feet(self) -> dict[str, np.ndarray]:
+        return contact_positions(self.robot, self.robot.reference)
+
+    def _middle(self, feet: tuple[str, ...]) -> np.ndarray:
+        return np.asarray(np.mean([self._feet[name] for name in feet], axis=0))
+
+    @property
+    def way(self) -> np.ndarray:
+        """Displacement (3,) m: the first feet land where the last ones stood, so that the flight is vertical."""
+        way: np.ndarray = self._middle(self.last) - self._middle(self.first)
+        return way * [1, 1, 0]
+
+    def schedule(self, end: np.ndarray) -> Schedule:
+        """On all feet, on the last, in flight, on the first, on all: they land where ``end`` (nq,) has them."""
+        every = tuple(contact.name for contact in self.robot.contacts)
+        places = contact_positions(self.robot, end)
+        contacts = (every, self.last, (), self.first, every)
+        new = ((), (), (), self.first, self.last)
+        return Schedule(
+            tuple(
+                Phase(
+                    name=name,
+                    duration=duration,
+                    contacts=touching,
+                    footholds={foot: places[foot] for foot in landing},
+                )
+                for name, duration, touching, landing in zip(
+                    PHASES, self.durations, contacts, new, strict=True
+                )
+            )
+        )
+
+    def waypoints(self) -> tuple[BaseWaypoint, ...]:
+        """Rest, crouch, tipped a little, take-off, and the same backwards in time on the other side."""
+        start, sink = self.robot.reference[:3], leaping.SINK_PART * self.robot.length / 2
+        stance, landing = self.durations[0], self.durations[-1]
+        reach = leaping.EXTENSION_PART * leaping.extension_left(self.robot)
+        little = math.asin(min(reach / float(np.linalg.norm(self.way)), math.sin(TILT / 2)))
+        ends = np.cumsum(self.durations)
+        low, first = np.array([0.0, 0.0, sink]), pin.log3(pin.Quaternion(self.robot.reference[3:7]).matrix())
+        poses = [
+            (0.0, start, 0.0),
+            (stance / 2, start - low, 0.0),
+            (ends[0], self._tipped(little), little),
+            (ends[1], self._tipped(TILT), TILT - little),
+            (ends[2], self._tipped(-TILT), 2 * math.pi - 2 * TILT),
+            (ends[3], self._tipped(-little), TILT - little),
+            (ends[3] + landing / 2, start + self.way - low, little),
+            (ends[4], start + self.way, 0.0),
+        ]
+        return tuple(
+            BaseWaypoint(time=float(time), position=position, turn=turn * self.axis if i else first)
+            for i, (time, position, turn) in enumerate(poses)
+        )
+
+    def _tipped(self, angle: float) -> np.ndarray:
+        """Base (3,) of the standing robot turned about the last feet, or by a negative angle the first ones."""
+        start = self.robot.reference[:3]
+        pivot = self._middle(self.last if angle > 0 else self.first)
+        moved = np.zeros(3) if angle > 0 else self.way
+        turned: np.ndarray = pivot + pin.exp3(angle * self.axis) @ (start - pivot) + moved
+        return turned
+
+    def turning(self) -> tuple[Term, ...]:
+        """In the flight one side of the body is up, halfway its back is down, then the other side is up."""
+        up, base = np.array([0.0, 0.0, 1.0]), self.robot.model.names[1]
+        side = np.cross(up, self.axis)
+        about = partial(FrameDirection, frame=base, phase="flight", direction=tuple(up), angle=WITHIN)
+        return (
+            about(axis=tuple(side), fraction=0.25),
+            about(axis=tuple(-up), fraction=0.5),
+            about(axis=tuple(-side), fraction=0.75),
+        )
+
+
+def _flip(robot: Robot, kind: Kind, durations: tuple[float, ...]) -> Flip:
+    legs = quadruped_legs(robot)
+    hind, front = (legs.hind_left, legs.hind_right), (legs.front_left, legs.front_right)
+    left, right = (legs.front_left, legs.hind_left), (legs.front_right, legs.hind_right)
+    back = kind == "backflip"
+    return Flip(
+        robot=robot,
+        axis=np.array([0.0, -1.0, 0.0] if back else [1.0, 0.0, 0.0]),
+        last=hind if back else right,
+        first=front if back else left,
+        durations=durations,
+    )
+
+
+def build(
+    *,
+    robot: str,
+    stance: float | None,
+    tip: float | None,
+    flight: float | None,
+    catch: float | None,
+    landing: float | None,
+    friction: float,
+    effort: float | None,
+    kind: Kind,
+) -> Problem:
+    """Build the flip; see ``FAMILIES`` for the parameters. Raises InputError."""
+    body = leaping.quadruped(robot)
+    unit = leaping.natural_time(body)
+    given = (stance, tip, flight, catch, landing)
+    durations = tuple(part * unit if own is None else own for part, own in zip(DURATIONS, given, strict=True))
+    flip = _flip(body, kind, durations)
+    end = leaping.displaced(body, flip.way)
+    schedule, ground = flip.schedule(end), FlatGround(friction=friction)
+    lift = leaping.CLEARANCE_PART * body.length
+    guess = legged_guess(
+        body, schedule, flip.waypoints(), terrain=ground, clearance=lift, tuck=TUCK * body.length
+    )
+    return Problem(
+        name=f"quadruped-{kind}",
+        robot=body,
+        schedule=schedule,
+        terrain=ground,
+        initial_q=body.reference,
+        initial_v=np.zeros(body.nv),
+        terms=(
+            *leaping.leap_terms(body, schedule, ground, guess, effort=effort, clearance=lift),
+            *leaping.above_ground(body, dict.fromkeys(PHASES, 0.0)),
+            *flip.turning(),
+            TerminalState(q=end),
+            TerminalRest(q=end),
+        ),
+        guess=guess,
+        parameters=dict(zip(PHASES, durations, strict=True)),
+        default_intervals=INTERVALS,
+    )
+
+
+def _family(kind: Kind, summary: str) -> Family:
+    return Family(
+        name=f"quadruped-{kind}",
+        robots=ROBOTS,
+        phases=PHASES,
+        summary=summary,
+        parameters=(
+            leaping.scaled("stance", "s", (1e-3, 10.0), "duration of the push on all feet"),
+            leaping.scaled("tip", "s", (1e-3, 10.0), "duration of the push on two feet"),
+            leaping.scaled("flight", "s", (1e-3, 3.0), "duration of the flight"),
+            leaping.scaled("catch", "s", (1e-3, 10.0), "duration of the landing on two feet"),
+            leaping.scaled("landing", "s", (1e-3, 10.0), "duration on all feet, to rest"),
+            common.friction(0.7),
+            common.effort(),
+        ),
+        build=partial(build, kind=kind),
+    )
+
+
+FAMILIES = (
+    _family("backflip", "somersault backwards: off the hind feet, all around, onto the front feet"),
+    _family("barrel-roll", "roll about the long axis in the air: off the right feet, onto the left ones"),
+)
