@@ -185,7 +185,7 @@ class Plan:
 def plan_of_cycle(
     robot: Robot, cycle: Schedule, pace: Pace, *, mirror: Mapping[str, str] | None = None, clearance: float
 ) -> Plan:
-    """The plan of a periodic motion, the middle one of three cycles of ``cycle``.
+    """The plan of a periodic motion, the middle one of five cycles of ``cycle``.
 
     mirror: where the cycle is half of one, the contact on the other side, for every contact: halves before
     and after are its mirror images. clearance: height of swings, m. Raises `InputError`.
@@ -214,13 +214,18 @@ def plan_of_part(
 
 
 def _repeated(cycle: Schedule, mirror: Mapping[str, str] | None) -> tuple[Schedule, int]:
-    """A cycle before and one after this one, or half a cycle's other halves; which of them it is."""
+    """Two cycles before and two after this one, or as many halves in turn; which of them it is.
+
+    Two, since a foot that swings at the beginning left a stance of the cycle before, where the base
+    already moved as it does in every cycle.
+    """
     own = other = cycle.phases
     if mirror is not None:
         other = tuple(
             replace(phase, contacts=tuple(mirror[name] for name in phase.contacts)) for phase in own
         )
-    pieces, first = ((own,) * 3, 1) if mirror is None else ((own, other, own, other, own), 2)
+    first = 2 if mirror is None else 4
+    pieces = (own, other) * first + (own,)
     phases = [replace(phase, name=f"{phase.name}_{i}") for i, piece in enumerate(pieces) for phase in piece]
     return Schedule(tuple(phases)), first
 
