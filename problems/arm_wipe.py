@@ -30,8 +30,6 @@ FORCE_SHARE = 0.25
 UNHURRIED = 2.0
 # Friction turns round within this part of the mean speed.
 SLIP = 0.1
-# A joint counts as having at least this lever to the force, over the reach.
-LEAST_LEVER = 1e-3
 # Postures that inverse kinematics finds along the path for the guess.
 KNOTS = 41
 
@@ -71,7 +69,7 @@ def build(
     travel = np.array([pin.difference(touching.model, postures[0], q) for q in postures])
     least = arms.least_duration(arm.robot, postures)
     time = duration or UNHURRIED * least
-    pressure = force if force is not None else FORCE_SHARE * _strength(arm, postures, normal)
+    pressure = force if force is not None else FORCE_SHARE * arms.strength(arm, postures, normal)
     surface = Surface(
         point=stroke.centre, normal=normal, friction=friction, slip_speed=SLIP * stroke.length / time
     )
@@ -138,20 +136,6 @@ def _postures(arm: arms.Arm, stroke: Stroke, normal: np.ndarray) -> list[np.ndar
             "allowed: a plane and a size within its reach and joint ranges",
         )
     return [posture.q for posture in found]
-
-
-def _strength(arm: arms.Arm, postures: list[np.ndarray], normal: np.ndarray) -> float:
-    """Force (N) along the normal that takes all that gravity leaves of the weakest joint's torque."""
-    robot, data = arm.robot, arm.robot.model.createData()
-    if robot.effort_limit is None:
-        return robot.weight
-    frame, least = robot.model.getFrameId(arm.tool), np.inf
-    for q in postures:
-        jacobian = pin.computeFrameJacobian(robot.model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
-        left = robot.effort_limit - np.abs(pin.computeGeneralizedGravity(robot.model, data, q))
-        lever = np.maximum(np.abs(normal @ jacobian), LEAST_LEVER * robot.length)
-        least = min(least, float((left / lever).min()))
-    return max(least, 0.0)
 
 
 def _part(name: str, meaning: str) -> Parameter:

@@ -26,6 +26,8 @@ STEPS = 12
 REACHED = 1e-6
 # Part of a motor's torque that is taken to be left for the motion, at least.
 LEAST_SPARE = 0.1
+# A joint counts as having at least this lever to a force at the tool, over the reach.
+LEAST_LEVER = 1e-3
 # A direction along the arm is one from a joint at least this far behind the tool, m.
 BEHIND = 1e-3
 # Peak rate and acceleration of the guess, 10 s^3 - 15 s^4 + 6 s^5, over a unit of time.
@@ -142,6 +144,20 @@ def least_duration(robot: Robot, postures: Sequence[np.ndarray]) -> float:
     acceleration = spare / np.diag(pin.crba(model, data, postures[0]))
     by_torque = np.sqrt(PEAK_ACCELERATION * travel / acceleration)
     return float(max(by_rate.max(), by_torque.max()))
+
+
+def strength(arm: Arm, postures: Sequence[np.ndarray], direction: np.ndarray) -> float:
+    """Force (N) at the tool along ``direction`` (3,) that joints bear besides gravity in all ``postures``."""
+    robot, data = arm.robot, arm.robot.model.createData()
+    if robot.effort_limit is None:
+        return robot.weight
+    frame, least = robot.model.getFrameId(arm.tool), np.inf
+    for q in postures:
+        jacobian = pin.computeFrameJacobian(robot.model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
+        left = robot.effort_limit - np.abs(pin.computeGeneralizedGravity(robot.model, data, q))
+        lever = np.maximum(np.abs(direction @ jacobian), LEAST_LEVER * robot.length)
+        least = min(least, float((left / lever).min()))
+    return max(least, 0.0)
 
 
 def limits(robot: Robot) -> tuple[Term, ...]:
