@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from problems_for_tests import FOOT, hop, hopper
+from replay_pages import shown
 from scipy.spatial import Delaunay
 from synthetic import Motion, sampled, standing
 
@@ -485,6 +486,24 @@ def test_damaged_terrain_of_a_file_is_refused(terrain):
     solution = stands()
     with pytest.raises(SolutionFileError, match="terrain in meta"):
         check(replace(solution, meta={**solution.meta, "terrain": terrain}))
+
+
+# The replay
+
+
+@pytest.mark.parametrize(
+    ("terrain", "drawn"),
+    [
+        (PiecewiseTerrain.gap(0.3, at=(0.3, 0.0)), {"ground/face0", "ground/face1"}),
+        (HILLS, {"ground/smooth", "ground/grid"}),
+    ],
+    ids=["piecewise", "smooth"],
+)
+def test_replay_draws_the_ground_as_it_is_described(terrain, drawn, tmp_path):
+    scene = shown(on_terrain(stands(), terrain), tmp_path)
+    paths = {str(command.get("path", "")).removeprefix("/meshcat/") for command in scene["commands"]}
+    assert drawn <= paths
+    assert "ground/plane" not in paths
 
 
 # A motion on smooth ground

@@ -11,14 +11,13 @@ import numpy as np
 
 from trajopt.errors import InputError
 from trajopt.surface import UP, Surface
+from trajopt.terrain.obstacle import ObstacleAxes, Point, require_lengths
 from trajopt.terrain.patch import Patch
 
 # How far flats before and beyond an obstacle reach, m: farther than any motion of one plan.
 REACH = 20.0
 # Positions this far outside a polygon still stand on it, m: two faces that share an edge leave no crack.
 CRACK = 1e-9
-
-Point = Sequence[float] | np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,11 +136,11 @@ class PiecewiseTerrain:
         Faces ``before``, ``step1``, ...; the last height is that of the flat ``beyond``. The first riser
         stands at ``at`` (x, y) m, across the direction ``yaw`` rad.
         """
-        _require_lengths(run=run, width=width)
+        require_lengths(run=run, width=width)
         levels = np.array(heights, dtype=float).ravel()
         if not len(levels) or not np.isfinite(levels).all():
             raise InputError(f"heights of steps are {heights!r} m", "allowed: one or more finite numbers")
-        place = _Place(at, yaw, friction, margin)
+        place = ObstacleAxes(at, yaw, friction, margin)
         edges = [-REACH, *(run * np.arange(len(levels))), run * (len(levels) - 1) + REACH]
         names = ["before", *(f"step{i}" for i in range(1, len(levels))), "beyond"]
         strips = zip(names, edges[:-1], edges[1:], [0.0, *levels], strict=True)
@@ -191,10 +190,10 @@ class PiecewiseTerrain:
         The ground around it is ``before`` (smaller x), ``beyond``, ``left`` (greater y) and ``right``, which
         overlap at the corners. A negative ``height`` is a pit.
         """
-        _require_lengths(length=length, width=width)
+        require_lengths(length=length, width=width)
         if not math.isfinite(height):
             raise InputError(f"height of a box is {height!r} m", "allowed: finite")
-        place, a, b = _Place(at, yaw, friction, margin), length / 2, width / 2
+        place, a, b = ObstacleAxes(at, yaw, friction, margin), length / 2, width / 2
         ends = {
             "before": (-REACH, -a, -REACH, REACH, 0.0),
             "box": (-a, a, -b, b, height),
@@ -224,8 +223,8 @@ class PiecewiseTerrain:
 
         ``height``: of the ground beyond it over that before it, m.
         """
-        _require_lengths(width=width)
-        place = _Place(at, yaw, friction, margin)
+        require_lengths(width=width)
+        place = ObstacleAxes(at, yaw, friction, margin)
         strips = {"before": (-REACH, 0.0, 0.0), "beyond": (width, width + REACH, height)}
         return cls(
             faces=tuple(
@@ -247,8 +246,8 @@ class PiecewiseTerrain:
         margin: float = 0.0,
     ) -> PiecewiseTerrain:
         """A ``slope`` that rises by ``rise`` m over ``length`` m, from ``at`` (x, y) m, between two flats."""
-        _require_lengths(length=length, width=width)
-        place, half = _Place(at, yaw, friction, margin), width / 2
+        require_lengths(length=length, width=width)
+        place, half = ObstacleAxes(at, yaw, friction, margin), width / 2
         edges = [(-REACH, 0.0), (0.0, 0.0), (length, rise), (length + REACH, rise)]
         faces = []
         for name, (a, low), (b, high) in zip(("before", "slope", "beyond"), edges, edges[1:], strict=False):
@@ -288,36 +287,3 @@ class PiecewiseTerrain:
                 )
             )
         )
-
-
-@dataclass(frozen=True)
-class _Place:
-    """Where an obstacle stands: its origin (x, y) m and direction rad, and what its faces share."""
-
-    at: Point
-    yaw: float
-    friction: float
-    margin: float
-
-    def face(self, name: str, corners: Sequence[tuple[float, float, float]]) -> Patch:
-        """A face with corners (x, y, z) in the obstacle's own axes."""
-        origin = np.array(self.at, dtype=float)
-        if origin.shape != (2,) or not np.isfinite([*origin, self.yaw]).all():
-            raise InputError(
-                f"an obstacle stands at {self.at!r} m, yaw {self.yaw!r}",
-                "allowed: two finite numbers and a yaw",
-            )
-        c, s = math.cos(self.yaw), math.sin(self.yaw)
-        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        points = np.array(corners, dtype=float) @ turn.T + np.array([*origin, 0.0])
-        normal = np.cross(points[1] - points[0], points[3] - points[0])
-        if np.ptp(points[:, 2]) == 0.0:
-            normal = np.array(UP)
-        surface = Surface(point=points[0], normal=normal, friction=self.friction)
-        return Patch(surface=surface, vertices=points, margin=self.margin, name=name)
-
-
-def _require_lengths(**lengths: float) -> None:
-    for name, length in lengths.items():
-        if not (math.isfinite(length) and length > 0):
-            raise InputError(f"{name} of an obstacle is {length!r} m", "allowed: finite and > 0")

@@ -1,0 +1,49 @@
+"""Where an obstacle stands, and its faces in its own axes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.surface import UP, Surface
+from trajopt.terrain.patch import Patch
+
+Point = Sequence[float] | np.ndarray
+
+
+@dataclass(frozen=True)
+class ObstacleAxes:
+    """Where an obstacle stands: its origin (x, y) m and direction rad, and what its faces share."""
+
+    at: Point
+    yaw: float
+    friction: float
+    margin: float
+
+    def face(self, name: str, corners: Sequence[tuple[float, float, float]]) -> Patch:
+        """A face with corners (x, y, z) in the obstacle's own axes."""
+        origin = np.array(self.at, dtype=float)
+        if origin.shape != (2,) or not np.isfinite([*origin, self.yaw]).all():
+            raise InputError(
+                f"an obstacle stands at {self.at!r} m, yaw {self.yaw!r}",
+                "allowed: two finite numbers and a yaw",
+            )
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        points = np.array(corners, dtype=float) @ turn.T + np.array([*origin, 0.0])
+        normal = np.cross(points[1] - points[0], points[3] - points[0])
+        if np.ptp(points[:, 2]) == 0.0:
+            normal = np.array(UP)
+        surface = Surface(point=points[0], normal=normal, friction=self.friction)
+        return Patch(surface=surface, vertices=points, margin=self.margin, name=name)
+
+
+def require_lengths(**lengths: float) -> None:
+    """Raise `InputError` for a length of an obstacle that is not finite and positive."""
+    for name, length in lengths.items():
+        if not (math.isfinite(length) and length > 0):
+            raise InputError(f"{name} of an obstacle is {length!r} m", "allowed: finite and > 0")
