@@ -120,7 +120,7 @@ def takeoff(robot: Robot, effort: float | None = None) -> Takeoff:
     gravity, sink = gravity_of(robot.model), SINK_PART * robot.length
     heights = np.linspace(-sink, EXTENSION_PART * extension_left(robot), PUSH_SAMPLES)
     postures = [raised(robot, height).q for height in heights]
-    excess = np.array([_strongest(robot, q, limit) for q in postures]) - 1
+    excess = np.array([strongest(robot, q, limit) for q in postures]) - 1
     work = np.cumsum(np.append(0.0, np.diff(heights) * (excess[1:] + excess[:-1]) / 2))
     best: Takeoff | None = None
     for height, q, done in zip(heights, postures, work, strict=True):
@@ -161,7 +161,7 @@ def _feet_jacobian(robot: Robot, q: np.ndarray) -> np.ndarray:
     return contact_jacobian(robot.model, q, [(contact.frame, contact.rows) for contact in robot.contacts])
 
 
-def _strongest(robot: Robot, q: np.ndarray, limit: np.ndarray | None) -> float:
+def strongest(robot: Robot, q: np.ndarray, limit: np.ndarray | None) -> float:
     """Largest upward force at the feet in static balance, over the weight: tau = -J^T f within limits."""
     if limit is None:
         return math.inf
@@ -284,15 +284,20 @@ def leap_terms(
     )
 
 
-def above_ground(robot: Robot, heights: Mapping[str, float]) -> tuple[Term, ...]:
-    """Hips and knees (no ankles) stay above the ground, whose ``heights`` in m are given by phase."""
-    keep = JOINT_CLEARANCE * robot.length
+def hips_and_knees(robot: Robot) -> tuple[str, ...]:
+    """Frames of the joints of limbs, but for ankles: those that stand twice the clearance over the ground."""
     ground = min(place[2] for place in contact_positions(robot, robot.reference).values())
-    frames = tuple(
+    return tuple(
         joint
         for joint in leg_joints(robot)
-        if frame_pose(robot, robot.reference, joint).translation[2] > ground + 2 * keep
+        if frame_pose(robot, robot.reference, joint).translation[2]
+        > ground + 2 * JOINT_CLEARANCE * robot.length
     )
+
+
+def above_ground(robot: Robot, heights: Mapping[str, float]) -> tuple[Term, ...]:
+    """Hips and knees stay above the ground, whose ``heights`` in m are given by phase."""
+    frames, keep = hips_and_knees(robot), JOINT_CLEARANCE * robot.length
     return tuple(
         FramesAbove(frames=frames, height=height + keep, phases=(phase,)) for phase, height in heights.items()
     )

@@ -61,12 +61,12 @@ class Flip:
 
     @property
     def way(self) -> np.ndarray:
-        """Displacement (3,) m: the first feet land where the last ones stood, so that the flight is vertical."""
+        """Displacement (3,) m: the first feet land where the last ones stood; so the flight is vertical."""
         way: np.ndarray = self._middle(self.last) - self._middle(self.first)
         return way * [1, 1, 0]
 
     def schedule(self, end: np.ndarray) -> Schedule:
-        """On all feet, on the last, in flight, on the first, on all: they land where ``end`` (nq,) has them."""
+        """On all feet, on the last, in flight, on the first, on all; landing where ``end`` (nq,) has them."""
         every = tuple(contact.name for contact in self.robot.contacts)
         places = contact_positions(self.robot, end)
         contacts = (every, self.last, (), self.first, every)
@@ -109,7 +109,7 @@ class Flip:
         )
 
     def _tipped(self, angle: float) -> np.ndarray:
-        """Base (3,) of the standing robot turned about the last feet, or by a negative angle the first ones."""
+        """Base (3,) of the standing robot turned about the last feet; by a negative angle the first ones."""
         start = self.robot.reference[:3]
         pivot = self._middle(self.last if angle > 0 else self.first)
         moved = np.zeros(3) if angle > 0 else self.way
