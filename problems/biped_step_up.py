@@ -22,12 +22,14 @@ from trajopt.terrain.swing_terms import swing_clearance
 # Height of the box and way forward, parts of the robot's length; a way of so many soles at least.
 HEIGHT, FORWARD, SOLES = 0.15, 0.4, 1.6
 # Durations in units of sqrt(l / g).
-SHIFT, STEP, DOUBLE = 2.0, 2.2, 1.0
+SHIFT, STEP, DOUBLE = 3.5, 3.2, 2.0
 # In the guess the base goes this part of the way to over the standing foot, and has done these parts of its
 # way forward and of its rise at the ends of the phases.
 SWAY = 0.7
 DONE_FORWARD, DONE_UP = (0.1, 0.35, 0.65, 0.95), (0.0, 0.2, 0.6, 1.0)
 CLEARANCE = 0.05
+# The box begins this part of the way before the heels that land on it: room to lift a foot before its edge.
+BEFORE_HEEL = 0.1
 INTERVALS = 50
 
 
@@ -83,9 +85,8 @@ def build(
         )
     given = zip((shift, step, double), (SHIFT, STEP, DOUBLE), strict=True)
     durations = tuple(unit * scaled if value is None else value for value, scaled in given)
-    edge = (
-        float(np.mean([place[0] for place in contact_positions(body, body.reference).values()])) + forward / 2
-    )
+    heel = float(np.mean([place[0] for place in contact_positions(body, body.reference).values()]))
+    edge = heel - sole / 2 + (1 - BEFORE_HEEL) * forward
     terrain = PiecewiseTerrain.steps([height], forward, at=(edge, 0.0), friction=friction)
     schedule = _schedule(body, forward, height, durations)
     times = np.cumsum([0.0, *(phase.duration for phase in schedule.phases)])
