@@ -51,17 +51,23 @@ class Style:
 
 
 STYLES = {
-    "trot": Style(froude=0.16, summary="diagonal legs together"),
-    "pace": Style(froude=0.09, summary="legs of a side together"),
     "walk": Style(
         froude=0.06, summary="one leg after the other, lateral sequence, two or three on the ground"
     ),
+    "amble": Style(froude=0.16, summary="footfalls of the walk, one or two legs on the ground"),
+    "trot": Style(froude=0.16, summary="diagonal legs together"),
+    "flying-trot": Style(froude=0.25, summary="diagonal legs together, flight between"),
+    "pace": Style(froude=0.09, summary="legs of a side together"),
     "bound": Style(froude=0.25, stride=1.9, growth=0.40, summary="hind legs, flight, fore legs, flight"),
     "pronk": Style(froude=0.09, stride=1.9, growth=0.40, summary="all legs together, then flight"),
-    "gallop": Style(
-        froude=0.64, stride=1.9, growth=0.40, summary="transverse, one leg after the other, two flights"
+    "canter": Style(froude=0.36, stride=1.9, growth=0.40, summary="three beats, left lead, one flight"),
+    "gallop": Style(froude=0.64, stride=1.9, growth=0.40, summary="transverse, two flights"),
+    "rotary-gallop": Style(
+        froude=0.64, stride=1.9, growth=0.40, summary="footfalls round the body, two flights"
     ),
 }
+# Gaits that the suite runs on one robot only; they run on all.
+RARE = ("amble", "flying-trot", "canter", "rotary-gallop")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 import robots
 from problems import common, gait_common
-from problems.gait_common import HIGHER, ROBOTS, STYLES, gait_terms
+from problems.gait_common import HIGHER, RARE, ROBOTS, STYLES, gait_terms
 from trajopt.errors import InputError
 from trajopt.family import Choice, Family
 from trajopt.gaits import Gait
@@ -31,7 +31,7 @@ FREE = (0.6, 1.5)
 # Of a whole cycle.
 INTERVALS = 32
 
-SYMMETRIC = ("trot", "pace", "walk")
+SYMMETRIC = ("walk", "amble", "trot", "flying-trot", "pace")
 
 
 def _cycle(gait: Gait, period: float, mirror: Mapping[str, str] | None, *, free: bool) -> Schedule:
@@ -101,7 +101,7 @@ def _family(style: str) -> Family:
     own = STYLES[style]
     return Family(
         name=f"quadruped-{style}",
-        robots=ROBOTS,
+        robots=ROBOTS[:1] if style in RARE else ROBOTS,
         phases=tuple(phase.name for phase in QUADRUPED[style].phases(1.0)),
         summary=f"{style}, periodic at a commanded speed: {own.summary}",
         parameters=(

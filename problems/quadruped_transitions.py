@@ -36,14 +36,19 @@ STOPS = {"start": False, "stop": True, "go": True}
 
 
 def _pace(steady: Pace, kind: str, phases: tuple[Phase, ...], period: float) -> Pace:
-    """The pace grows until a period before the end of a start, falls from a stop's beginning on."""
+    """The pace grows until a period before the end of a start; in a stop it falls after a period.
+
+    So where they meet the gait moves as in a cycle of its own, and their states are the same.
+    """
     duration = sum(phase.duration for phase in phases)
-    grown = duration - period if kind == "start" else duration / 2
+    grown, falling = duration - period, period
+    if kind == "go":
+        grown = falling = duration / 2
     return Pace(
         velocity=steady.velocity,
         turn_rate=steady.turn_rate,
         starts=(0.0, grown) if STARTS[kind] else None,
-        stops=(duration - grown if kind == "go" else 0.0, duration) if STOPS[kind] else None,
+        stops=(falling, duration) if STOPS[kind] else None,
     )
 
 
@@ -112,11 +117,12 @@ def _ends(
     own = plan.schedule.phases
     begin = robot.reference, np.zeros(robot.nv)
     if not STARTS[kind]:
-        begin = plan.state(robot, 0.0, own[0].contacts)
+        before = whole[len(whole) - len(own) - 1]
+        begin = plan.state(robot, 0.0, sorted({*before.contacts, *own[0].contacts}))
     end = plan.guess(plan.schedule.duration), np.zeros(robot.nv)
     if not STOPS[kind]:
-        touching = set(own[-1].contacts) | set(whole[len(own)].contacts)
-        end = plan.state(robot, plan.schedule.duration, sorted(touching))
+        after = whole[len(own)]
+        end = plan.state(robot, plan.schedule.duration, sorted({*own[-1].contacts, *after.contacts}))
     return begin, end
 
 
@@ -125,12 +131,11 @@ _SUMMARIES = {
     "stop": "from a gait's commanded state to a stance",
     "go": "from a stance through some cycles of a gait to a stance",
 }
-# A start has one cycle to gain speed and one at full speed.
-_LEAST_CYCLES = {"start": 2, "stop": 1, "go": 2}
+# One to gain or lose speed and one at full speed, or one for each.
+LEAST_CYCLES = 2
 
 
 def _family(kind: str) -> Family:
-    least = _LEAST_CYCLES[kind]
     return Family(
         name=f"quadruped-{kind}",
         robots=ROBOTS,
@@ -139,7 +144,12 @@ def _family(kind: str) -> Family:
         parameters=(
             Choice(name="gait", default="trot", choices=tuple(STYLES), meaning="which gait"),
             Parameter(
-                name="cycles", default=2.0, unit="", lower=least, upper=20.0, meaning="periods of the gait"
+                name="cycles",
+                default=2.0,
+                unit="",
+                lower=LEAST_CYCLES,
+                upper=20.0,
+                meaning="periods of the gait",
             ),
             common.duration("stand", None, "standing on all feet (default: half a period)", (0.01, 10.0)),
             gait_common.speed("speed", None, "forward at full pace (default: the gait's)"),

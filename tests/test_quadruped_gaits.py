@@ -20,6 +20,7 @@ from trajopt.legs import quadruped_legs
 from trajopt.mirror import find_mirror, mirrored_configuration
 from trajopt.model_quantities import contact_jacobian, gravity_of
 from trajopt.named_gaits import QUADRUPED
+from trajopt.node_terms import TerminalVelocity
 from trajopt.reduced.gait_guess import Pace, base_pose, plan_of_cycle
 from trajopt.schedule import Schedule
 
@@ -27,12 +28,21 @@ from trajopt.schedule import Schedule
 MOST_ITERATIONS = 60
 # Closed forms and inverse kinematics, m and rad.
 ROUNDING = 1e-9
+# States in which a start's and a stop's plan meet, rad, and rad/s or m/s: equal but for the flight of a gallop
+# whose first part is within the time in which the pace grows.
+MEETING, MEETING_RATE = 1e-5, 1e-3
 # A solver that stops at 1e-6 in natural units leaves this of equal states, m, rad and their rates.
 SOLVED = 1e-4
 # The same motion as a whole cycle and as half of one: a robot that is symmetric to 1e-3 of its size.
 SAME_OPTIMUM = 1e-3
 # Second differences over 1 ms, m/s^2: rounding of positions of 1e-10 m.
 BALLISTIC = 1e-2
+
+OTHER_SIDE = {
+    f"{end}_{side}": f"{end}_{other}"
+    for end in ("front", "hind")
+    for side, other in (("left", "right"), ("right", "left"))
+}
 
 
 @pytest.mark.parametrize("turn_rate", [0.0, 0.7])
@@ -61,7 +71,8 @@ def test_default_speeds_are_froude_numbers_and_strides_those_of_mammals() -> Non
             froude = speed**2 / (gravity_of(robot.model) * robot.length)
             assert_allclose(froude, own.froude)
             stride = own.period(robot, speed) * speed / robot.length
-            expected = 2.4 * froude**0.34 if style in ("trot", "pace", "walk") else 1.9 * froude**0.40
+            symmetric = QUADRUPED[style].is_symmetric(OTHER_SIDE)
+            expected = 2.4 * froude**0.34 if symmetric else 1.9 * froude**0.40
             assert_allclose(stride, expected)
             assert_allclose(own.period(robot, 0.0), own.period(robot, speed))
 
@@ -173,6 +184,16 @@ def test_footholds_of_a_transition_are_where_its_guess_lands() -> None:
         begin += phase.duration
 
 
+@pytest.mark.parametrize("style", ["trot", "walk", "gallop", "pronk"])
+def test_a_start_is_to_end_where_the_stop_of_the_same_gait_begins(style: str) -> None:
+    start, stop = (problems.load(f"quadruped-{kind}", gait=style) for kind in ("start", "stop"))
+    end = next(term for term in start.terms if isinstance(term, TerminalVelocity))
+    assert_allclose(end.q[2:], stop.initial_q[2:], atol=MEETING)
+    assert_allclose(end.v, stop.initial_v, atol=MEETING_RATE)
+    speed = start.parameters["speed"]
+    assert_allclose(stop.initial_v[[0, 1, 3, 4, 5]], [speed, 0, 0, 0, 0], atol=1e-2 * speed)
+
+
 def test_what_cannot_be_commanded_is_refused() -> None:
     for name, values in (
         ("quadruped-trot", {"robot": "talos"}),
@@ -184,6 +205,7 @@ def test_what_cannot_be_commanded_is_refused() -> None:
         ("quadruped-trot", {"goal": "transport", "speed": 0.0}),
         ("quadruped-trot", {"period": 0.0}),
         ("quadruped-start", {"cycles": 1}),
+        ("quadruped-stop", {"cycles": 1}),
         ("quadruped-start", {"cycles": 2.5}),
         ("quadruped-stop", {"gait": "moonwalk"}),
         ("quadruped-stop", {"stand": 0.0}),
@@ -218,7 +240,7 @@ def test_trot_solves_as_a_whole_cycle_and_as_half_of_one() -> None:
 
 
 @pytest.mark.slow
-def test_a_start_ends_where_the_stop_of_the_same_gait_begins() -> None:
+def test_start_and_stop_solve_and_meet_in_one_state() -> None:
     start, stop = (problems.load(f"quadruped-{kind}") for kind in ("start", "stop"))
     solutions = [trajopt.solve(problem, compile="quick") for problem in (start, stop)]
     for solution in solutions:
