@@ -10,6 +10,7 @@ import numpy as np
 
 from trajopt.family import Choice, Parameter
 from trajopt.objectives import effort_costs
+from trajopt.reduced.base_path import hermite as hermite
 from trajopt.reduced.foot_motion import smooth_step
 from trajopt.robot import Robot
 from trajopt.schedule import Phase, Schedule
@@ -19,7 +20,6 @@ from trajopt.terms import EffortLimits, FrictionPyramid, SoleCone, Term
 CLEARANCE = 0.03
 
 Range = tuple[float, float]
-Value = float | np.ndarray
 
 
 def duration(name: str, default: float | None, meaning: str, within: Range) -> Parameter:
@@ -85,22 +85,6 @@ class JointPath:
 
     def __call__(self, t: float) -> np.ndarray:
         return self.start + smooth_step(t / self.duration) * (self.end - self.start)
-
-
-def hermite(
-    s: float, duration: float, start: Value, start_rate: Value, end: Value, end_rate: Value
-) -> np.ndarray:
-    """Cubic through values and rates at both ends: a number or (n,), at the fraction ``s`` of the duration.
-
-    ``s`` is clipped to [0, 1]; rates are per unit of ``duration``'s time, s.
-    """
-    s = min(max(s, 0.0), 1.0)
-    return np.asarray(
-        (1 + 2 * s) * (1 - s) ** 2 * start
-        + s * (1 - s) ** 2 * duration * start_rate
-        + s * s * (3 - 2 * s) * end
-        + s * s * (s - 1) * duration * end_rate
-    )
 
 
 def hop_schedule(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
@@ -44,9 +45,10 @@ LEAST_FREE_RISE = 0.02
 ROUNDING = 1e-9
 # Feet count as reached by inverse kinematics below this error, m.
 REACHED = 1e-6
-# In the guess the base sinks by at most this part of the robot's length under its height at the ends, and
-# moves and turns by at most these while the feet stand: parts of the length, and rad.
-SINK_PART = 0.25
+# In the guess the base sinks by at most this part of the robot's length under its height at the ends, and of
+# what joints allow with the feet flat in place (ankles of humanoids end soon); it moves and turns by at most
+# these while the feet stand: parts of the length, and rad.
+SINK_PART, OF_REACHABLE = 0.25, 0.7
 GROUND_PART = 0.2
 GROUND_TURN = 0.35
 # The guess pushes for at most this part of the stance, and brakes for at most this part of the landing.
@@ -117,7 +119,7 @@ def takeoff(robot: Robot, effort: float | None = None) -> Takeoff:
     Forces are taken to be vertical and the same at all feet, the base level. effort: N m, for all joints.
     """
     limit = robot.effort_limit if effort is None else np.full(robot.nu, effort)
-    gravity, sink = gravity_of(robot.model), SINK_PART * robot.length
+    gravity, sink = gravity_of(robot.model), sink_of(robot)
     heights = np.linspace(-sink, EXTENSION_PART * extension_left(robot), PUSH_SAMPLES)
     postures = [raised(robot, height).q for height in heights]
     excess = np.array([strongest(robot, q, limit) for q in postures]) - 1
@@ -148,11 +150,27 @@ def raised(robot: Robot, height: float) -> Posture:
 
 
 def extension_left(robot: Robot) -> float:
-    """How much the base can rise over the reference posture with its feet in place, m, by bisection."""
+    """How much the base can rise over the reference posture with its feet in place, m."""
+    return _way_left(robot, 1)
+
+
+@lru_cache(maxsize=8)
+def sink_left(robot: Robot) -> float:
+    """How far the level base can sink under the reference with its feet in place, m."""
+    return _way_left(robot, -1)
+
+
+def sink_of(robot: Robot) -> float:
+    """How far the base sinks for a push or a landing, m."""
+    return min(SINK_PART * robot.length, OF_REACHABLE * sink_left(robot))
+
+
+def _way_left(robot: Robot, sign: int) -> float:
+    """Way of the level base up or down until inverse kinematics fails, m, by bisection."""
     lower, upper = 0.0, robot.length
     while upper - lower > EXTENSION_ERROR * robot.length:
         middle = (lower + upper) / 2
-        reached = raised(robot, middle).error < REACHED
+        reached = raised(robot, sign * middle).error < REACHED
         lower, upper = (middle, upper) if reached else (lower, middle)
     return lower
 
@@ -244,7 +262,7 @@ class Leap:
         """Time s and depth m of a push of constant acceleration up to ``speed`` m/s at the rise."""
         if not speed > 0:
             return PUSH_PART * duration, 0.0
-        deepest = 2 * (SINK_PART * self.robot.length + self.rise) / speed
+        deepest = 2 * (sink_of(self.robot) + self.rise) / speed
         time = min(deepest, PUSH_PART * duration)
         return time, max(speed * time / 2 - self.rise, 0.0)
 
@@ -272,10 +290,14 @@ def leap_terms(
     *,
     effort: float | None,
     clearance: float,
+    costs: tuple[Term, ...] | None = None,
 ) -> tuple[Term, ...]:
-    """Costs and limits of every leap: torques and rates, friction, feet clear of the ground in flight."""
+    """Costs and limits of every leap: torques and rates, friction, feet clear of the ground in flight.
+
+    costs: default those of least effort.
+    """
     return (
-        *common.legged_costs(acceleration=ACCELERATION),
+        *(common.legged_costs(acceleration=ACCELERATION) if costs is None else costs),
         EffortLimits(limit=None if effort is None else np.full(robot.nu, effort)),
         PositionLimits(),
         VelocityLimits(),

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Literal
 
 import numpy as np
+import pinocchio as pin
 
 from problems import common, leaping
 from trajopt.family import Family
 from trajopt.kinematics import contact_positions
-from trajopt.node_terms import FrameHeight, TerminalRest, TerminalState
+from trajopt.node_terms import FrameHeight, FramePose, TerminalRest, TerminalState
+from trajopt.objectives import effort_costs, goal_terms
 from trajopt.problem import Problem
 from trajopt.reduced.legged_guess import legged_guess
 from trajopt.robot import Robot
-from trajopt.schedule import FlatGround
+from trajopt.schedule import FlatGround, Schedule
+from trajopt.term_interfaces import Term
 
 ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
 # Default durations in units of sqrt(l / g): solo12 pushes for 0.4 s and comes to rest in 0.5 s.
@@ -26,6 +30,11 @@ STANCE, LANDING = 2.7, 3.4
 HEIGHT, LEAST_HEIGHT, FORWARD, SIDEWAYS, TURN = 0.75, 0.4, 1.0, 0.5, math.pi / 2
 # Shares of the largest speeds at take-off: upwards in a jump up, upwards in others, across and turning.
 SHARE_UP, SHARE_LOW, SHARE_ACROSS = 0.75, 0.6, 0.25
+
+# With other goals than effort durations are free within these multiples of theirs.
+FREE = (0.5, 2.0)
+# Motions of free durations are faster and want more intervals for feet that do not drift.
+INTERVALS, FREE_INTERVALS = 50, 80
 
 # Which way a jump goes by default.
 Direction = Literal["up", "forward", "sideways", "turn"]
@@ -55,18 +64,13 @@ def _defaults(takeoff: leaping.Takeoff, direction: Direction, height: float | No
 def build(
     *,
     robot: str,
-    distance: float | None,
-    sideways: float | None,
-    height: float | None,
-    yaw: float | None,
-    stance: float | None,
-    flight: float | None,
-    landing: float | None,
     friction: float,
     effort: float | None,
+    goal: str,
     direction: Direction,
     kind: str = "quadruped",
     load: Callable[[str], Robot] = leaping.quadruped,
+    **given: float | None,
 ) -> Problem:
     """Build the jump; see ``FAMILIES`` for the parameters. Raises InputError.
 
@@ -74,14 +78,11 @@ def build(
     """
     body = load(robot)
     takeoff = leaping.takeoff(body, effort)
-    given = {"distance": distance, "sideways": sideways, "height": height, "yaw": yaw}
-    given |= {"stance": stance, "flight": flight, "landing": landing}
-    chosen = _defaults(takeoff, direction, height)
+    chosen = _defaults(takeoff, direction, given["height"])
     chosen |= {key: value for key, value in given.items() if value is not None}
     end = leaping.displaced(body, (chosen["distance"], chosen["sideways"], 0.0), chosen["yaw"])
     durations = (chosen["stance"], chosen["flight"], chosen["landing"])
-    schedule = common.hop_schedule(contact_positions(body, end), durations)
-    ground = FlatGround(friction=friction)
+    schedule, ground = _schedule(body, end, durations, goal), FlatGround(friction=friction)
     leap = leaping.Leap(
         robot=body,
         start=body.reference[:3],
@@ -90,8 +91,15 @@ def build(
         rise=takeoff.rise,
         turn=np.array([0.0, 0.0, chosen["yaw"]]),
     )
-    base, lift = body.model.names[1], leaping.clearance(body, chosen["flight"])
+    lift = leaping.clearance(body, chosen["flight"])
     guess = legged_guess(body, schedule, leap.waypoints(), terrain=ground, clearance=lift)
+    costs = goal_terms(
+        goal,
+        body,
+        schedule,
+        frame=body.model.names[1],
+        effort=effort_costs(acceleration=leaping.ACCELERATION),
+    )
     return Problem(
         name=f"{kind}-jump-{direction}",
         robot=body,
@@ -100,15 +108,41 @@ def build(
         initial_q=body.reference,
         initial_v=np.zeros(body.nv),
         terms=(
-            *leaping.leap_terms(body, schedule, ground, guess, effort=effort, clearance=lift),
+            *leaping.leap_terms(body, schedule, ground, guess, effort=effort, clearance=lift, costs=costs),
             *leaping.above_ground(body, dict.fromkeys(("stance", "flight", "landing"), 0.0)),
-            FrameHeight(frame=base, height=body.reference[2] + chosen["height"], phase="flight"),
-            TerminalState(q=end),
-            TerminalRest(q=end),
+            *_ends(body, end, chosen["height"], goal),
         ),
         guess=guess,
         parameters=chosen,
+        default_intervals=INTERVALS if goal == "effort" else FREE_INTERVALS,
     )
+
+
+def _schedule(robot: Robot, end: np.ndarray, durations: tuple[float, float, float], goal: str) -> Schedule:
+    """Stance, flight and landing: of free durations unless effort is the goal, to no given place if far."""
+    schedule = common.hop_schedule(contact_positions(robot, end), durations)
+    if goal == "effort":
+        return schedule
+    phases = [
+        replace(phase, duration_bounds=(FREE[0] * phase.duration, FREE[1] * phase.duration))
+        for phase in schedule.phases
+    ]
+    if goal == "distance":
+        phases[-1] = replace(phases[-1], footholds={})
+    return Schedule(tuple(phases))
+
+
+def _ends(robot: Robot, end: np.ndarray, height: float, goal: str) -> tuple[Term, ...]:
+    """Rise in flight, where a given one is asked for, and the end at rest: there, or upright at any place."""
+    base = robot.model.names[1]
+    rise = FrameHeight(frame=base, height=robot.reference[2] + height, phase="flight")
+    there: tuple[Term, ...] = (TerminalState(q=end),)
+    if goal == "distance":
+        upright = pin.Quaternion(end[3:7]).toRotationMatrix()
+        high = FrameHeight(frame=base, height=end[2], phase="landing", fraction=1.0)
+        there = (FramePose(frame=base, rotation=upright), high)
+    rises = () if goal in ("height", "distance") else (rise,)
+    return (*rises, *there, TerminalRest(q=end))
 
 
 def family(
@@ -135,6 +169,7 @@ def family(
             leaping.scaled("landing", "s", (1e-3, 10.0), "duration from touchdown to rest"),
             common.friction(0.7),
             common.effort(),
+            common.goal("effort", "time", "height", "distance"),
         ),
         build=partial(build, direction=direction, kind=kind, load=load),
     )
