@@ -61,9 +61,9 @@ STYLES = {
     "bound": Style(froude=0.25, stride=1.9, growth=0.40, summary="hind legs, flight, fore legs, flight"),
     "pronk": Style(froude=0.09, stride=1.9, growth=0.40, summary="all legs together, then flight"),
     "canter": Style(froude=0.36, stride=1.9, growth=0.40, summary="three beats, left lead, one flight"),
-    "gallop": Style(froude=0.64, stride=1.9, growth=0.40, summary="transverse, two flights"),
+    "gallop": Style(froude=0.49, stride=1.9, growth=0.40, summary="transverse, two flights"),
     "rotary-gallop": Style(
-        froude=0.64, stride=1.9, growth=0.40, summary="footfalls round the body, two flights"
+        froude=0.49, stride=1.9, growth=0.40, summary="footfalls round the body, two flights"
     ),
 }
 # Gaits that the suite runs on one robot only; they run on all.
