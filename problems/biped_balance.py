@@ -56,7 +56,7 @@ def _capture(robot: Robot, velocity: np.ndarray) -> np.ndarray:
 
 def _schedule(robot: Robot, recover: str, way: np.ndarray) -> Schedule:
     left, right = biped_legs(robot)
-    unit = bipeds.natural_time(robot)
+    unit = leaping.natural_time(robot)
     if recover == "stand":
         return Schedule((Phase(name="stand", duration=STAND * unit, contacts=(left, right)),))
     moved = {

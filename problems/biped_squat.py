@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from problems import bipeds, common
+from problems import bipeds, common, leaping
 from trajopt.family import Family, Parameter
 from trajopt.node_terms import FrameHeight, TerminalRest, TerminalState
 from trajopt.problem import Problem
 from trajopt.reduced.legged_guess import legged_guess
 from trajopt.schedule import FlatGround, Phase, Schedule
 
-# Depth as a part of the robot's length, and at most this part of what joint limits allow the level base;
-# duration in units of sqrt(l / g): two seconds for a human's leg.
-DEPTH, OF_REACHABLE, DURATION = 0.2, 0.7, 6.0
+# Depth as a part of the robot's length; duration in units of sqrt(l / g): two seconds for a human's leg.
+DEPTH, DURATION = 0.2, 6.0
 INTERVALS = 30
 
 
@@ -23,8 +22,8 @@ def build(
     """Build the squat; see ``FAMILY`` for the parameters. Raises InputError."""
     body = bipeds.biped(robot)
     if depth is None:
-        depth = min(DEPTH * body.length, OF_REACHABLE * bipeds.sink_left(body))
-    duration = DURATION * bipeds.natural_time(body) if duration is None else duration
+        depth = min(DEPTH * body.length, leaping.OF_REACHABLE * leaping.sink_left(body))
+    duration = DURATION * leaping.natural_time(body) if duration is None else duration
     feet = tuple(contact.name for contact in body.contacts)
     schedule = Schedule((Phase(name="squat", duration=duration, contacts=feet),))
     down = (0.0, 0.0, -depth)

@@ -76,7 +76,7 @@ def build(
 ) -> Problem:
     """Build the step; see ``FAMILY`` for the parameters. Raises InputError."""
     body = bipeds.biped(robot)
-    unit, sole = bipeds.natural_time(body), 2 * max(contact.half_length for contact in body.contacts)
+    unit, sole = leaping.natural_time(body), 2 * max(contact.half_length for contact in body.contacts)
     height = HEIGHT * body.length if height is None else height
     forward = max(FORWARD * body.length, SOLES * sole) if forward is None else forward
     if not forward > sole:
@@ -91,9 +91,8 @@ def build(
     schedule = _schedule(body, forward, height, durations)
     times = np.cumsum([0.0, *(phase.duration for phase in schedule.phases)])
     lift = CLEARANCE * body.length
-    guess = legged_guess(
-        body, schedule, _path(body, times, forward, height), terrain=terrain, swing=swing_path(terrain, lift)
-    )
+    swing = swing_path(terrain, lift, reach=sole / 2)
+    guess = legged_guess(body, schedule, _path(body, times, forward, height), terrain=terrain, swing=swing)
     end = leaping.displaced(body, (forward, 0.0, height))
     return Problem(
         name="biped-step-up",

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
 import robots
-from problems import common, leaping
+from problems import common
 from trajopt.legs import biped_legs
-from trajopt.model_quantities import gravity_of
 from trajopt.problem import Motion
 from trajopt.reduced.base_path import BaseWaypoint
 from trajopt.robot import Robot
@@ -23,8 +21,6 @@ ROBOTS = ("talos", "g1", "bolt")
 ACCELERATION = 1e-2
 # Price of the base's distance from where it should be: a tenth of that of torques.
 TRACKING = 0.1
-# Depths are found to this part of the robot's length.
-DEPTH_ERROR = 1e-3
 
 
 @lru_cache(maxsize=8)
@@ -61,21 +57,6 @@ def limits(robot: Robot, effort_share: float) -> tuple[Term, ...]:
 def near(motion: Motion) -> Term:
     """Keeps the base, which has no price otherwise, near that of a motion."""
     return TrackingCost(reference=motion, part="base", weight=TRACKING)
-
-
-def natural_time(robot: Robot) -> float:
-    """sqrt(l / g) in s, by which times of motions are scaled."""
-    return math.sqrt(robot.length / gravity_of(robot.model))
-
-
-def sink_left(robot: Robot) -> float:
-    """How far the level base can sink under the reference with its feet in place and joints in range, m."""
-    lower, upper = 0.0, robot.length
-    while upper - lower > DEPTH_ERROR * robot.length:
-        middle = (lower + upper) / 2
-        reached = leaping.raised(robot, -middle).error < leaping.REACHED
-        lower, upper = (middle, upper) if reached else (lower, middle)
-    return lower
 
 
 def waypoint(robot: Robot, time: float, shift: tuple[float, float, float]) -> BaseWaypoint:

@@ -67,10 +67,11 @@ def inverse_kinematics(robot: Robot, q: np.ndarray, targets: Targets, *, move_ba
     for _ in range(MOST_ITERATIONS):
         if np.linalg.norm(error) < TOLERANCE or damping > 1 / FIRST_DAMPING:
             break
-        jacobian = _jacobian(model, data, q, targets)[:, movable]
-        step = np.zeros(robot.nv)
-        normal = jacobian.T @ jacobian + damping * np.eye(len(movable))
-        step[movable] = -np.linalg.solve(normal, jacobian.T @ error)
+        whole = _jacobian(model, data, q, targets)
+        moving = movable[~_held_by_limits(robot, q, whole.T @ error)[movable]]
+        jacobian, step = whole[:, moving], np.zeros(robot.nv)
+        normal = jacobian.T @ jacobian + damping * np.eye(len(moving))
+        step[moving] = -np.linalg.solve(normal, jacobian.T @ error)
         trial = np.clip(pin.integrate(model, q, step), robot.position_lower, robot.position_upper)
         trial_error = _errors(model, data, trial, targets)
         if np.linalg.norm(trial_error) < np.linalg.norm(error):
@@ -78,6 +79,21 @@ def inverse_kinematics(robot: Robot, q: np.ndarray, targets: Targets, *, move_ba
         else:
             damping *= DAMPING_GROWTH
     return Posture(q, float(np.linalg.norm(error)))
+
+
+def _held_by_limits(robot: Robot, q: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """Which directions (nv,) descent would leave the position limits in: joints at a limit, pushed outwards.
+
+    Without them a step minimises over the others, and the search ends where no allowed direction descends
+    (projected Newton: Bertsekas, SIAM J. Control and Optimization 20, 1982).
+    """
+    held = np.zeros(robot.nv, dtype=bool)
+    for joint in robot.model.joints:
+        if joint.nq == joint.nv == 1:
+            value, slope = q[joint.idx_q], gradient[joint.idx_v]
+            low, high = robot.position_lower[joint.idx_q], robot.position_upper[joint.idx_q]
+            held[joint.idx_v] = (value <= low and slope > 0) or (value >= high and slope < 0)
+    return held
 
 
 def _errors(model: pin.Model, data: pin.Data, q: np.ndarray, targets: Targets) -> np.ndarray:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -29,18 +31,19 @@ DONE = np.array([smooth_step(float(time)) for time in TIMES])
 SwingPath = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
 
 
-def swing_path(terrain: Terrain, clearance: float) -> SwingPath:
+def swing_path(terrain: Terrain, clearance: float, reach: float = 0.0) -> SwingPath:
     """Path of a swinging foot: (name, start (3,), end (3,), s) -> position (3,), m, world; s from 0 to 1.
 
     It rises to the highest ground between its ends before it meets it, and sinks behind it; on top of that
-    an arc that is ``clearance`` m over smooth or flat ground and over edges. For `legged_guess`.
+    an arc that is ``clearance`` m over smooth or flat ground and over edges. ``reach``: how far the foot
+    extends before and behind its position, m, half a sole's length. For `legged_guess`.
     """
     if not (np.isfinite(clearance) and clearance >= 0):
         raise InputError(f"swing clearance is {clearance:g} m", "allowed: finite and >= 0")
 
     @lru_cache(maxsize=KEPT)
     def between(start: tuple[float, ...], end: tuple[float, ...]) -> Crossing:
-        return crossing_of(terrain, np.array(start), np.array(end))
+        return _reached(crossing_of(terrain, np.array(start), np.array(end)), start, end, reach)
 
     def path(name: str, start: np.ndarray, end: np.ndarray, s: float) -> np.ndarray:
         ground = between(tuple(map(float, start)), tuple(map(float, end)))
@@ -55,6 +58,16 @@ def crossing_of(terrain: Terrain, start: np.ndarray, end: np.ndarray) -> Crossin
     if isinstance(terrain, PiecewiseTerrain):
         return crossing(terrain, start, end, *planes)
     return Crossing(first=planes[0], last=planes[1])
+
+
+def _reached(ground: Crossing, start: tuple[float, ...], end: tuple[float, ...], reach: float) -> Crossing:
+    """The same ground with the parts of the way at which the foot's front or back meets the edges."""
+    way = math.hypot(end[0] - start[0], end[1] - start[1])
+
+    def met(edge: Edge | None) -> Edge | None:
+        return edge and replace(edge, part=max(edge.part - reach / way, 0.0))
+
+    return replace(ground, rise=met(ground.rise), fall=met(ground.fall))
 
 
 def _plane(terrain: Terrain, point: np.ndarray) -> Surface:

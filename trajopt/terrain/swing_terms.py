@@ -15,8 +15,8 @@ import numpy as np
 
 from trajopt.context import Context
 from trajopt.errors import InputError
-from trajopt.kinematics import contact_positions
-from trajopt.landing_terms import SwingClearance, contact_points
+from trajopt.kinematics import contact_poses, contact_positions
+from trajopt.landing_terms import SwingClearance, contact_points, corners
 from trajopt.node_interfaces import NodeConstraint, NodePlace
 from trajopt.problem import Motion
 from trajopt.robot import Robot
@@ -162,12 +162,13 @@ def _swings(
             span = (float(times[first]), float(times[last]))
             track = _track(robot, contact.name, guess, span)
             starts = contact_positions(robot, guess(0.0))
+            middles = track.mean(axis=1)
             places = [
-                _touched(schedule, first - 1, contact.name, terrain, starts, track[0]),
-                _touched(schedule, last, contact.name, terrain, starts, track[-1]),
+                _touched(schedule, first - 1, contact.name, terrain, starts, middles[0]),
+                _touched(schedule, last, contact.name, terrain, starts, middles[-1]),
             ]
-            track = track.copy()
-            track[0], track[-1] = places[0][0], places[1][0]
+            for end, (place, _) in zip((0, -1), places, strict=True):
+                track[end] += place - middles[end]
             parts = {
                 schedule.phases[i].name: (float(times[i]), schedule.phases[i].duration)
                 for i in range(first, last)
@@ -176,8 +177,10 @@ def _swings(
 
 
 def _track(robot: Robot, name: str, guess: Motion, span: tuple[float, float]) -> np.ndarray:
-    """Positions (n, 3) of a contact along the guess of its swing, m."""
-    return np.array([contact_positions(robot, guess(float(t)))[name] for t in np.linspace(*span, SAMPLES)])
+    """Points (n, m, 3) of a contact along the guess of its swing, m: one, or a sole's four corners."""
+    poses = (contact_poses(robot, guess(float(t)))[name] for t in np.linspace(*span, SAMPLES))
+    points = corners(robot.contact(name))
+    return np.array([pose.translation + points @ pose.rotation[:, :2].T for pose in poses])
 
 
 def _touched(
@@ -210,7 +213,7 @@ def _swing(
     (start, first), (end, last) = places
     upward = first.normal[2] > 0 and last.normal[2] > 0
     found = crossing(terrain, start, end, first, last) if upward else crossing_of(terrain, start, end)
-    rise, fall = _kept_from(found.rise, start, height), _kept_from(found.fall, end, height)
+    rise, fall = _kept_from(found.rise, track[0], height), _kept_from(found.fall, track[-1], height)
     ground = Crossing(first=found.first, last=found.last, top=found.top, rise=rise, fall=fall)
     fractions = np.linspace(0.0, 1.0, len(track))
     risen = 0.0 if rise is None else float(fractions[_last_before(rise.distance(track))])
@@ -226,15 +229,15 @@ def _swing(
     )
 
 
-def _kept_from(edge: Edge | None, place: np.ndarray, height: float) -> Edge | None:
-    """The edge with a distance to keep from it, less than the foot has at its place on the free side."""
+def _kept_from(edge: Edge | None, points: np.ndarray, height: float) -> Edge | None:
+    """The edge with a distance to keep from it, less than all of the foot has at its end of the swing."""
     if edge is None:
         return None
-    keep = min(FROM_EDGE * height, OF_WAY * max(float(edge.distance(place)), 0.0))
+    keep = min(FROM_EDGE * height, OF_WAY * max(float(edge.distance(points).min()), 0.0))
     return Edge(normal=edge.normal, offset=edge.offset + keep, part=edge.part)
 
 
 def _last_before(distances: np.ndarray) -> int:
-    """Last sample up to which a track has stayed on the free side."""
-    beyond = np.flatnonzero(distances < 0)
+    """Last sample up to which all points of a track have stayed on the free side; ``distances`` (n, m)."""
+    beyond = np.flatnonzero(distances.min(axis=1) < 0)
     return int(max(beyond[0] - 1, 0)) if len(beyond) else len(distances) - 1
