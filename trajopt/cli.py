@@ -111,18 +111,27 @@ main.add_command(suite)
 
 
 @main.command("list")
+@click.argument("problems", nargs=-1, metavar="[PROBLEM]...")
+@click.option("--robot", metavar="NAME", help="Only problems that are tested on that robot.")
+@click.option("--brief", is_flag=True, help="One row a problem: name, robots, summary.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def list_problems(as_json: bool) -> None:
-    """List the problems with robot, phases and parameters."""
+def list_problems(problems: tuple[str, ...], robot: str | None, brief: bool, as_json: bool) -> None:
+    """List problems with robots, phases and parameters: all, or those whose names fit, as in 'biped-*'."""
     from trajopt.catalogue import families
+    from trajopt.suite.cases import select
 
-    found = families()
+    cases = select(families(), problems, [] if robot is None else [robot])
+    wanted = {case.problem for case in cases}
+    found = {name: family for name, family in families().items() if name in wanted}
     if as_json:
         click.echo(cli_report.to_json(cli_report.list_dict(found)))
         return
     console = Console(highlight=False, markup=False)
     if not console.is_terminal:
         console.width = PIPE_WIDTH
+    if brief:
+        console.print(cli_report.family_table(found))
+        return
     for family in found.values():
         console.print(cli_report.family_heading(family), soft_wrap=True)
         console.print(cli_report.parameter_table(family))

@@ -103,7 +103,18 @@ def _described(parameter: Parameter | Choice | RobotName) -> dict[str, Any]:
 
 def family_heading(family: Family) -> str:
     """Name, robot, phases and summary of a family."""
-    return f"{family.name} (robot {family.robot}; phases {', '.join(family.phases)})\n  {family.summary}"
+    robots = f"robot{'s' * (len(family.robots) > 1)} {', '.join(family.robots)}"
+    return f"{family.name} ({robots}; phases {', '.join(family.phases)})\n  {family.summary}"
+
+
+def family_table(families: Mapping[str, Family]) -> Table:
+    """One row a family: name, robots it is tested on, summary."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for title in ("problem", "robots", "what it is"):
+        table.add_column(title, overflow="fold")
+    for family in families.values():
+        table.add_row(family.name, " ".join(family.robots), family.summary)
+    return table
 
 
 def parameter_table(family: Family) -> Table:
