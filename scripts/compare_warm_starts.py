@@ -1,24 +1,27 @@
-"""Iterations and solver time of starts from other solutions against the problems' own guesses.
+"""Iterations and CPU time of starts from other solutions against the problems' own guesses.
 
 uv run python -m scripts.compare_warm_starts
 uv run python -m scripts.compare_warm_starts --solver fatrop
 
 Solutions at other parameters, on other grids and of other schemes as starts; ladders of grids; sequences over
-a parameter. A time is the median of ``--repeat`` solves.
+a parameter. A time is the solver's, of the processor, from the first iterate to the last: the median of
+``--repeat`` solves. What a step costs besides (transcription, check) is the same for both.
 """
 
 from __future__ import annotations
 
 import statistics
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import click
 
 import problems
-import trajopt
+from trajopt.problem import Problem
 from trajopt.solution import Solution
 from trajopt.solvers.drivers import SOLVERS
+from trajopt.solving import prepare, solve_prepared
 
 Values = Mapping[str, object]
 Grid = tuple[str | None, int | None]
@@ -67,6 +70,13 @@ LADDERS: tuple[tuple[str, tuple[Grid, ...]], ...] = (
     ("biped-walk", (("legendre:1", 16), ("legendre:2", 32))),
     ("ur5-reach", (("legendre:1", 10), ("legendre:3", 60))),
 )
+# From a guess that stands still instead of the problem's own.
+STILL: tuple[tuple[str, tuple[Grid, ...]], ...] = (
+    ("solo12-jump", (("legendre:2", 15), ("legendre:2", 50))),
+    ("solo12-flip", (("legendre:2", 25), ("legendre:2", 50))),
+    ("biped-walk", (("legendre:2", 14), ("legendre:2", 32))),
+)
+PARTS = ("cases", "ladders", "still", "sequences")
 SEQUENCES = (
     ("solo12-jump", "distance", (0.2, 0.25, 0.3, 0.35, 0.4, 0.45)),
     ("ur5-reach", "x", (0.2, 0.25, 0.3, 0.35, 0.4, 0.45)),
@@ -79,68 +89,108 @@ def _grid(grid: Grid) -> str:
     return f"{scheme or 'default'}@{intervals or 'default'}"
 
 
-def _cost(solutions: list[Solution], repeats: list[float]) -> str:
-    iterations = sum(solution.meta["iterations"] for solution in solutions)
-    failed = "" if all(solution.success for solution in solutions) else " not solved"
-    return f"{iterations:4d} {statistics.median(repeats):6.2f} s{failed}"
+@dataclass(frozen=True)
+class Stop:
+    """A problem's values and grid; ``still`` takes the guess that does not move."""
+
+    name: str
+    values: Values
+    grid: Grid
+    still: bool = False
+
+    def problem(self) -> Problem:
+        """The problem, with its guess."""
+        own = problems.load(self.name, **self.values)
+        return replace(own, guess=lambda t: own.robot.reference) if self.still else own
 
 
-def _seconds(solutions: list[Solution]) -> float:
-    return sum(solution.meta["wall_time_s"] for solution in solutions)
+@dataclass(frozen=True)
+class Run:
+    """A solution, the solver's CPU time in s, and how many functions were compiled for it."""
+
+    solution: Solution
+    seconds: float
+    compiled: int
+
+    @property
+    def iterations(self) -> int:
+        """Of the solver."""
+        return int(self.solution.meta["iterations"])
+
+
+def solved(stop: Stop, solver: str, start: Run | None = None, repeat: int = 1) -> Run:
+    """Solve, as often as asked; the median time."""
+    before = None if start is None else start.solution
+    scheme, intervals = stop.grid
+    prepared = prepare(stop.problem(), transcription=scheme, intervals=intervals, start=before)
+    seconds, origin = [], {"seed": 0, "perturb": 0.0}
+    for _ in range(repeat):
+        stamps: list[float] = []
+        solution = solve_prepared(
+            prepared,
+            prepared.guess,
+            origin=origin,
+            solver=solver,
+            progress=lambda _, stamps=stamps: stamps.append(time.process_time()) is None,
+        )
+        seconds.append(stamps[-1] - stamps[0])
+    return Run(solution, statistics.median(seconds), prepared.compilation.built)
+
+
+def _cost(runs: Sequence[Run]) -> str:
+    failed = "" if all(run.solution.success for run in runs) else " not solved"
+    return f"{sum(run.iterations for run in runs):4d} {sum(run.seconds for run in runs):6.2f} s{failed}"
+
+
+def _each(runs: Sequence[Run]) -> str:
+    return " ".join(str(run.iterations) for run in runs)
 
 
 def run_case(case: Case, solver: str, repeat: int) -> None:
     """One line: cold, warm, and how the objectives differ."""
-    before = problems.load(case.problem, **case.before)
-    after = problems.load(case.problem, **case.after)
-    scheme, intervals = case.coarse
-    first = trajopt.solve(before, transcription=scheme, intervals=intervals, solver=solver)
-    scheme, intervals = case.grid
-    grid = {"transcription": scheme, "intervals": intervals, "solver": solver}
-    cold = [trajopt.solve(after, **grid) for _ in range(repeat)]
-    warm = [trajopt.solve(after, start=first, **grid) for _ in range(repeat)]
-    lines = [_cost(runs[:1], [_seconds([one]) for one in runs]) for runs in (cold, warm)]
-    differ = warm[0].meta["objective"] / cold[0].meta["objective"] - 1
-    click.echo(f"{case.title:60s} cold {lines[0]}  warm {lines[1]}  objective {differ:+.1e}")
+    first = solved(Stop(case.problem, case.before, case.coarse), solver)
+    after = Stop(case.problem, case.after, case.grid)
+    cold, warm = (solved(after, solver, start, repeat) for start in (None, first))
+    differ = warm.solution.meta["objective"] / cold.solution.meta["objective"] - 1
+    click.echo(f"{case.title:60s} cold {_cost([cold])}  warm {_cost([warm])}  objective {differ:+.1e}")
 
 
-def run_ladder(name: str, rungs: tuple[Grid, ...], solver: str, repeat: int) -> None:
-    """One line: the finest grid from the own guess, and all rungs together."""
-    found = [
-        trajopt.solve_ladder(problems.load(name), rungs, compare=True, solver=solver) for _ in range(repeat)
-    ]
-    cold = [ladder.cold for ladder in found if ladder.cold is not None]
-    title = f"{name}: {' '.join(_grid(rung) for rung in rungs)}"
-    total = _cost(list(found[0].rungs), [_seconds(list(ladder.rungs)) for ladder in found])
-    each = " + ".join(str(rung.meta["iterations"]) for rung in found[0].rungs)
-    click.echo(f"{title:60s} cold {_cost(cold[:1], [_seconds([one]) for one in cold])}  all {total} ({each})")
+def run_chain(title: str, stops: Sequence[Stop], solver: str, repeat: int) -> None:
+    """One line: the stops from own guesses, and each from the last; of a ladder the last counts."""
+    ladder = len({stop.grid for stop in stops}) > 1
+    cold = [solved(stop, solver, repeat=repeat) for stop in (stops[-1:] if ladder else stops)]
+    warm: list[Run] = []
+    for stop in stops:
+        warm.append(solved(stop, solver, warm[-1] if warm else None, repeat))
+    again = sum(run.compiled for run in warm[1:])
+    name = f"{stops[0].name}: {title}"
+    click.echo(f"{name:60s} cold {_cost(cold)}  all {_cost(warm)} ({_each(warm)}), {again} compiled")
 
 
-def run_sequence(name: str, parameter: str, values: tuple[float, ...], solver: str) -> None:
-    """One line: all values from own guesses, and each from the last."""
-    found = trajopt.continuation(
-        lambda value: problems.load(name, **{parameter: value}), values, compare=True, solver=solver
-    )
-    steps = [step.solution for step in found.steps]
-    cold = [step.cold for step in found.steps if step.cold is not None]
-    title = f"{name}: {parameter} {values[0]:g} to {values[-1]:g}, {len(values)} values"
-    each = " ".join(str(one.meta["iterations"]) for one in steps)
-    costs = [_cost(runs, [_seconds(runs)]) for runs in (cold, steps)]
-    compiled = sum(one.meta["functions_compiled"] for one in steps[1:])
-    click.echo(f"{title:60s} cold {costs[0]}  warm {costs[1]} ({each}); compiled after the first: {compiled}")
+def run_ladders(
+    ladders: Sequence[tuple[str, tuple[Grid, ...]]], still: bool, solver: str, repeat: int
+) -> None:
+    """A line for each ladder."""
+    for name, rungs in ladders:
+        title = " ".join(map(_grid, rungs)) + (", standing still" if still else "")
+        run_chain(title, [Stop(name, {}, rung, still) for rung in rungs], solver, repeat)
 
 
 @click.command()
 @click.option("--solver", type=click.Choice(list(SOLVERS)), default="ipopt")
 @click.option("--repeat", default=3, help="solves of which the median time is taken")
-def main(solver: str, repeat: int) -> None:
+@click.option("--part", "parts", multiple=True, type=click.Choice(PARTS), help="default: all")
+def main(solver: str, repeat: int, parts: tuple[str, ...]) -> None:
     """Print a line for every case, ladder and sequence."""
-    for case in CASES:
+    wanted = parts or PARTS
+    for case in CASES if "cases" in wanted else ():
         run_case(case, solver, repeat)
-    for name, rungs in LADDERS:
-        run_ladder(name, rungs, solver, repeat)
-    for name, parameter, values in SEQUENCES:
-        run_sequence(name, parameter, values, solver)
+    for part, ladders in (("ladders", LADDERS), ("still", STILL)):
+        run_ladders(ladders if part in wanted else (), part == "still", solver, repeat)
+    for name, parameter, values in SEQUENCES if "sequences" in wanted else ():
+        title = f"{parameter} {values[0]:g} to {values[-1]:g}, {len(values)} values"
+        stops = [Stop(name, {parameter: value}, (None, None)) for value in values]
+        run_chain(title, stops, solver, repeat)
 
 
 if __name__ == "__main__":

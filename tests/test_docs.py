@@ -11,6 +11,7 @@ ROOT = Path(__file__).parent.parent
 DOCUMENTS = (
     "README.md",
     "docs/robots.md",
+    "docs/warm-starts.md",
     "docs/suite.md",
     "docs/modelling/bases.md",
     "docs/modelling/coordinates.md",
@@ -19,6 +20,7 @@ DOCUMENTS = (
     "docs/modelling/contacts.md",
     "docs/modelling/contacts-dynamics.md",
     "docs/modelling/terrain.md",
+    "docs/modelling/periodicity.md",
     "docs/modelling/structure.md",
     "docs/modelling/reduced-models.md",
     "docs/modelling/scene.md",
