@@ -12,8 +12,9 @@ import numpy as np
 from trajopt.context import Context
 from trajopt.errors import InputError
 from trajopt.node_terms import NodeConstraint, NodePlace, along_normal
-from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.schedule import Phase, Schedule
 from trajopt.term_interfaces import Rows
+from trajopt.terrain import CurvedSurface, FlatGround, SmoothTerrain
 from trajopt.units import Units
 
 
@@ -30,13 +31,15 @@ class SwingPart:
 class SwingArc(NodeConstraint):
     """Swinging contacts are at least ``height`` times 4 s (1 - s) m over the ground, s the part of the swing.
 
+    Along the normal of flat ground; on smooth ground the height over what is under the contact.
+
     Of `swing_arcs`, which gives ``parts`` by phase. ``changes``: at the nodes where the phase begins, for
     the contacts that are in the air before it too; otherwise at the nodes inside the phase. Where a swing
     begins and ends nothing is asked: the contact's stance says where it is.
     """
 
     height: float
-    terrain: FlatGround
+    terrain: FlatGround | SmoothTerrain
     parts: Mapping[str, tuple[SwingPart, ...]]
     changes: bool = False
 
@@ -57,8 +60,13 @@ class SwingArc(NodeConstraint):
         for part in self._acting(place.phase.name):
             s = part.begin + place.fraction * (part.end - part.begin)
             frame = context.frame(context.robot.contact(part.contact).frame)
-            heights.append(along_normal(context, ground, frame.position))
-            least.append(ground.height + self.height * 4 * s * (1 - s))
+            lift = self.height * 4 * s * (1 - s)
+            if isinstance(ground, CurvedSurface):
+                heights.append(ground.symbolic_gap(frame.position, context.parameter))
+                least.append(lift)
+            else:
+                heights.append(along_normal(context, ground, frame.position))
+                least.append(ground.height + lift)
         return Rows.create(ca.vertcat(*heights), np.array(least), np.inf, units.length)
 
 
@@ -67,7 +75,7 @@ def swing_arcs(
     contacts: tuple[str, ...],
     *,
     height: float,
-    terrain: FlatGround,
+    terrain: FlatGround | SmoothTerrain,
     next_name: Mapping[str, str] | None = None,
 ) -> tuple[SwingArc, SwingArc]:
     """Arcs ``height`` m high over the ground for every swing of ``contacts``, inside phases and between.

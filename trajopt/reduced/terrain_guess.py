@@ -1,0 +1,160 @@
+"""Gaits laid over terrain: footholds on its faces, a base that follows the ground under its feet, a guess.
+
+The base stays over the plane that fits the ground under the feet best, as high over it as it stands in the
+reference, and leans as that plane does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.errors import InputError
+from trajopt.kinematics import contact_positions, inverse_kinematics
+from trajopt.model_quantities import gravity_of
+from trajopt.problem import Motion
+from trajopt.reduced.base_path import BaseWaypoint, WaypointPath, flights
+from trajopt.reduced.foot_motion import require_free_flyer
+from trajopt.reduced.gait_guess import Pace, base_pose, gait_path, with_footholds
+from trajopt.reduced.legged_guess import LeggedPosture, Stance, legged_guess
+from trajopt.robot import Robot
+from trajopt.schedule import Phase, Schedule
+from trajopt.surface import frame_of_normal
+from trajopt.terrain import PiecewiseTerrain, Terrain
+from trajopt.terrain.placing import placed_on
+from trajopt.terrain.swing_path import swing_path
+
+# Feet farther from their places at the start than this part of the robot's length do not reach them.
+REACHED = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TerrainPlan:
+    """A ``schedule`` with landings on terrain, the posture ``start`` (nq,), a ``guess`` ``t -> q`` (nq,)."""
+
+    schedule: Schedule
+    start: np.ndarray
+    guess: Motion
+
+
+def plan_over_terrain(
+    robot: Robot, schedule: Schedule, pace: Pace, terrain: Terrain, *, clearance: float, free: bool = False
+) -> TerrainPlan:
+    """The plan of a gait that starts from standing and goes over ``terrain`` at ``pace``.
+
+    Feet that land do so under their hips in mid stance (`gait_guess`), moved to the nearest place of the
+    terrain that keeps its margin from edges; ``free`` leaves them the choice on the face found so, or on
+    ground without faces everywhere. The feet start under the reference's, vertically.
+    clearance: height of swings, m, and over edges. Raises `InputError` for a gait with flights.
+    """
+    require_free_flyer(robot)
+    if flights(schedule):
+        raise InputError(
+            "a gait with flights is laid over terrain", "allowed: feet on the ground at all times"
+        )
+    level_path = gait_path(robot, schedule, pace)
+    level = with_footholds(robot, schedule, level_path)
+    held = replace(level.phases[0], footholds={})  # these contacts are where the start has them
+    over_ground = Schedule((held, *(_over_ground(phase, terrain) for phase in level.phases[1:])))
+    placed = placed_on(over_ground, terrain)
+    start = standing_on(robot, terrain)
+    posture = LeggedPosture(
+        robot=robot,
+        schedule=placed,
+        base=level_path,
+        start=start,
+        terrain=terrain,
+        clearance=clearance,
+        tuck=0.0,
+        swing=swing_path(terrain, clearance),
+    )
+    path = _path_over(robot, placed, pace, posture.stances)
+    guess = legged_guess(robot, placed, path, start=start, terrain=terrain, swing=posture.swing)
+    return TerrainPlan(
+        schedule=placed_on(over_ground, terrain, free=True) if free else placed, start=start, guess=guess
+    )
+
+
+def standing_on(robot: Robot, terrain: Terrain) -> np.ndarray:
+    """Posture (nq,) in which every contact is on the terrain right under or over its place in the reference.
+
+    Raises `InputError` where that is a hole, and where a leg does not reach.
+    """
+    feet = {}
+    for name, place in contact_positions(robot, robot.reference).items():
+        plane = terrain.surface_at(place).plane_at(place)
+        feet[name] = place - np.array([0.0, 0.0, float(plane.distance(place) / plane.normal[2])])
+    pose = _pose_over(robot, pin.XYZQUATToSE3(robot.reference[:7]), feet)
+    q = robot.reference.copy()
+    q[:7] = pin.SE3ToXYZQUAT(pose)
+    targets = {robot.contact(name).frame: place for name, place in feet.items()}
+    posture = inverse_kinematics(robot, q, targets)
+    if posture.error > REACHED * robot.length:
+        raise InputError(
+            f"robot '{robot.name}' does not reach the ground under all its feet, by {posture.error:.3g} m",
+            "allowed: ground that is less steep or uneven at the start",
+        )
+    return posture.q
+
+
+def _over_ground(phase: Phase, terrain: Terrain) -> Phase:
+    """The phase with every foothold over a face: over a hole it goes to the nearest face."""
+    if not isinstance(terrain, PiecewiseTerrain):
+        return phase
+    return replace(
+        phase, footholds={name: _over_face(place, terrain) for name, place in phase.footholds.items()}
+    )
+
+
+def _over_face(place: np.ndarray, terrain: PiecewiseTerrain) -> np.ndarray:
+    if terrain.face_at(float(place[0]), float(place[1])) is not None:
+        return place
+    candidates = [face.nearest(place) for face in terrain.faces]
+    return min(candidates, key=lambda found: float(np.linalg.norm((found - place)[:2])))
+
+
+def _path_over(
+    robot: Robot, schedule: Schedule, pace: Pace, stances: Mapping[str, list[Stance]]
+) -> WaypointPath:
+    """The base at every change of supports: at the pace seen from above, over the ground under the feet."""
+    waypoints, before = [], np.eye(3)
+    for time in np.cumsum([0.0, *(phase.duration for phase in schedule.phases)]):
+        under = {name: _ground_under(found, float(time)) for name, found in stances.items()}
+        pose = _pose_over(robot, base_pose(robot, pace, float(time)), under)
+        turn = pin.log3(pose.rotation @ before.T)
+        waypoints.append(BaseWaypoint(time=float(time), position=pose.translation, turn=turn))
+        before = pose.rotation
+    return WaypointPath(schedule, waypoints, gravity_of(robot.model))
+
+
+def _ground_under(stances: list[Stance], time: float) -> np.ndarray:
+    """Place (3,) of a foot at a time; in a swing the part of the straight way between its ends."""
+    times, places = [], []
+    for stance in stances:
+        times += [stance.begin, stance.end]
+        places += [stance.place.translation, stance.place.translation]
+    return np.array([np.interp(time, times, axis) for axis in np.array(places).T])
+
+
+def _pose_over(robot: Robot, level: pin.SE3, feet: Mapping[str, np.ndarray]) -> pin.SE3:
+    """The ``level`` pose of the base, raised and leant as the plane nearest to the ``feet`` (3,) m.
+
+    Heights over the reference's feet are fitted with a + b x + c y in the base's heading (least squares, of
+    least norm where all feet are on one line); the base rises by a and leans by atan b and atan c.
+    """
+    reference = contact_positions(robot, robot.reference)
+    names = sorted(feet)
+    heading = math.atan2(level.rotation[1, 0], level.rotation[0, 0])
+    turn = np.array(pin.utils.rotate("z", heading))
+    local = np.array([turn.T @ (feet[name] - level.translation) for name in names])
+    rises = np.array([feet[name][2] - reference[name][2] for name in names])
+    columns = np.column_stack([np.ones(len(names)), local[:, :2] / robot.length])
+    offset, ahead, left = np.linalg.lstsq(columns, rises, rcond=None)[0]
+    normal = np.array([-ahead / robot.length, -left / robot.length, 1.0])
+    lean = frame_of_normal(normal / np.linalg.norm(normal))
+    position = level.translation + np.array([0.0, 0.0, offset])
+    return pin.SE3(turn @ lean @ turn.T @ level.rotation, position)
