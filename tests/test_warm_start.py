@@ -10,16 +10,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from problems_for_tests import FOOT, REACH, REACH_TIME, SCHEME_ORDERS, hop, hopper, planar_hopper, reach
-from robots_for_tests import JOINT_KINDS, hand_built, random_state
+from problems_for_tests import REACH, REACH_TIME, SCHEME_ORDERS, hop, planar_hopper, reach
 
 import problems
 import trajopt
-from trajopt.errors import InputError, SolutionFileError
 from trajopt.extraction import extract
-from trajopt.guess import initial_guess
-from trajopt.local_motion import local_from_pinocchio
-from trajopt.manifold import Coordinates
 from trajopt.multipliers import with_multipliers
 from trajopt.problem import Problem
 from trajopt.schedule import Phase, Schedule
@@ -82,66 +77,6 @@ def solved_hop() -> Solved:
 
 def swing() -> Problem:
     return reach(gravity=True, terms=(TorqueCost(weight=1.0), VelocityCost(weight=0.1)))
-
-
-# Coordinates
-
-
-@pytest.mark.parametrize("kind", JOINT_KINDS)
-def test_local_coordinates_are_the_inverse_of_pinocchios(kind):
-    model, _ = hand_built(kind)
-    coordinates = Coordinates(model)
-    q, v, a = random_state(model, 3)
-    start = coordinates.node_from_pinocchio(*random_state(model, 4)[:2])[: 4 * coordinates.n_rotations]
-    local = local_from_pinocchio(coordinates, start, q, v, a)
-    back = coordinates.local_to_pinocchio(start[None], *(part[None] for part in local))
-    assert_allclose(pin.difference(model, back[0][0], q), 0.0, atol=ROUNDING)
-    assert_allclose(back[1][0], v, atol=ROUNDING)
-    assert_allclose(back[2][0], a, atol=ROUNDING)
-
-
-# The motion of a solution
-
-
-@pytest.mark.parametrize("name", SCHEME_ORDERS)
-def test_motion_of_a_solution_passes_through_its_samples(name):
-    case = solved(hop(), name, 6)
-    solution, motion = case.solution, motion_of(case.solution)
-    inner = [row for row in np.flatnonzero(solution.collocation) if 0 < solution.t[row] < solution.t[-1]]
-    nodes = [rows[0] for rows in solution.intervals]
-    consistent = name.startswith(("legendre", "radau"))  # others have no polynomial through their points
-    for row in (*nodes, *(inner if consistent else [])):
-        if solution.t[row] in solution.interval_t and row not in nodes:
-            continue  # radau's last point is a node: the next interval's side counts
-        apart = pin.difference(solution.model, solution.q[row], motion(float(solution.t[row])))
-        assert_allclose(apart, 0.0, atol=SAME_STATE)
-
-
-def test_rates_of_the_motion_are_the_solutions():
-    solution, step = solved_hop().solution, 1e-5
-    motion = motion_of(solution)
-    for row in np.flatnonzero(solution.collocation):
-        t = float(solution.t[row])
-        rate = pin.difference(solution.model, motion(t - step), motion(t + step)) / (2 * step)
-        # Central differences: step squared times the third derivative, below 1e4 / s^3 here.
-        assert_allclose(rate, solution.v[row], atol=1e-5)
-
-
-def test_motion_holds_its_ends_outside_its_time():
-    solution = solved_hop().solution
-    motion = motion_of(solution)
-    assert_allclose(motion(-1.0), solution.q[0], atol=SAME_STATE)
-    assert_allclose(motion(9.0), solution.q[-1], atol=SAME_STATE)
-
-
-def test_motion_of_a_solution_is_a_guess():
-    case = solved_hop()
-    t = trajopt.solving.transcribe(replace(hop(), guess=motion_of(case.solution)), "legendre:2", 8)
-    node, form = t.layout.node(3), t.layout.forms[3]
-    guess, found = initial_guess(t)[node], case.result.x[node]
-    assert_allclose(guess[form.additive], found[form.additive], atol=SAME_STATE)
-    # Rates are differences over 1e-3 s, in which accelerations jump from an interval to the next.
-    assert_allclose(guess[form.rates], found[form.rates], atol=5e-2)
 
 
 # The same grid
@@ -349,62 +284,3 @@ def test_multipliers_of_other_terms_are_left_out():
     free = replace(other, schedule=Schedule((Phase(name="reach", duration=0.8, duration_bounds=(0.5, 1.0)),)))
     t = prepare(free, transcription="legendre:2", intervals=12, compile="none").transcription
     assert warm_start(t, first.solution).multipliers is None  # its nodes have a clock more
-
-
-# What is refused
-
-
-def test_another_robot_is_refused():
-    t = prepare(reach(), compile="none").transcription
-    with pytest.raises(InputError, match=r"'hopper' has other joints than 'arm'"):
-        warm_start(t, solved_hop().solution)
-
-
-def test_other_phases_are_refused():
-    stand = hop(schedule=Schedule((Phase(name="stance", duration=0.3, contacts=(FOOT,)),)),
-                terms=(TorqueCost(weight=1.0),))  # fmt: skip
-    t = prepare(stand, intervals=4, compile="none").transcription
-    with pytest.raises(InputError, match="phases"):
-        warm_start(t, solved_hop().solution)
-
-
-def test_phases_of_other_names_are_mapped_by_order():
-    phases = tuple(replace(phase, name=f"{phase.name} again") for phase in hop().schedule.phases)
-    terms = tuple(term for term in hop().terms if not term.phases)
-    renamed = hop(schedule=Schedule(phases), terms=terms)
-    t = prepare(renamed, transcription="legendre:2", intervals=8, compile="none").transcription
-    assert_allclose(warm_start(t, solved_hop().solution).x, solved_hop().result.x, atol=SAME_STATE)
-
-
-@pytest.mark.parametrize("start", [5, {}, b"file"])
-def test_a_start_that_is_no_solution_is_refused(start):
-    with pytest.raises(InputError, match="start is"):
-        trajopt.solve(reach(), compile="none", start=start)
-
-
-def test_a_file_that_is_not_there_is_refused(tmp_path):
-    with pytest.raises(SolutionFileError, match="does not exist"):
-        trajopt.solve(reach(), compile="none", start=tmp_path / "none.npz")
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"row_place": None}, "come together"),
-        ({"row_multiplier": np.zeros(3)}, "row_place"),
-        ({"bound_multiplier": np.full(5, np.nan)}, "NaN"),
-    ],
-)
-def test_damaged_multipliers_are_refused(changes, words, tmp_path):
-    damaged = replace(solved_hop().solution, **changes)
-    with pytest.raises(InputError, match=words):
-        damaged.save(tmp_path / "damaged.npz")
-
-
-def test_multipliers_of_rows_that_are_nowhere_are_left_out():
-    case = solved_hop()
-    place = case.solution.row_place.copy()
-    place[-1, 1] = 10_000
-    strange = replace(case.solution, row_place=place)
-    assert warm_start(case.transcription, strange).multipliers is None
-    assert hopper().name == strange.meta["robot"]
