@@ -31,7 +31,7 @@ ROBOTS = ("solo12", "go2", "a1", "hyq")
 PHASES = ("stance", "tip", "flight", "catch", "landing")
 # Default durations of the phases in units of sqrt(l / g).
 DURATIONS = (2.0, 1.0, 3.0, 1.0, 3.0)
-INTERVALS = 60
+INTERVALS = 70
 # In the guess the body leaves the ground turned by this, rad, and is as far from upright when it lands.
 TILT = math.pi / 4
 # In the guess legs are drawn up by this part of the robot's length.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -23,6 +23,10 @@ from trajopt.terrain import FlatGround, Terrain
 
 # Height of a swing over the straight line between its footholds, as a part of the robot's length.
 CLEARANCE_PART = 0.1
+
+# A joint that inverse kinematics moves this far from the reference, rad, may be on another branch, or wound
+# around: then the feet go there in this many steps.
+FAR, STEPS = 1.5, 12
 
 # Place (3,) in m, world, of a swinging contact: its name, where it left, where it lands, the part done.
 SwingPath = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
@@ -55,11 +59,38 @@ class LeggedPosture:
         placement = self.base(t)
         q = self.robot.reference.copy()
         q[:7] = pin.SE3ToXYZQUAT(placement)
-        targets: dict[str, pin.SE3 | np.ndarray] = {}
-        for contact in self.robot.contacts:
-            foot = self.foot(contact.name, t, placement)
-            targets[contact.frame] = foot if contact.kind == "surface" else foot.translation
-        return inverse_kinematics(self.robot, q, targets).q if targets else q
+        feet = {contact.name: self.foot(contact.name, t, placement) for contact in self.robot.contacts}
+        return self._legs(q, feet) if feet else q
+
+    def _legs(self, q: np.ndarray, feet: Mapping[str, pin.SE3]) -> np.ndarray:
+        """Legs that bring the contacts to ``feet``, on the branch that is continuous with the reference.
+
+        From the reference posture at once; where that takes a joint far, by small steps of the feet in the
+        base's axes from their reference places.
+        """
+        joints = slice(self.robot.nq - self.robot.nu, None)
+        found = inverse_kinematics(self.robot, q, self._targets(feet)).q
+        if np.abs(found[joints] - q[joints]).max() < FAR:
+            return found
+        placement = pin.XYZQUATToSE3(q[:7])
+        reference = pin.XYZQUATToSE3(self.robot.reference[:7])
+        for part in np.linspace(0.0, 1.0, STEPS + 1)[1:]:
+            stepped = {}
+            for name, foot in feet.items():
+                first, last = reference.actInv(self._reference_feet[name]), placement.actInv(foot)
+                stepped[name] = placement * pin.SE3(
+                    _between(first.rotation, last.rotation, part),
+                    (1 - part) * first.translation + part * last.translation,
+                )
+            q = inverse_kinematics(self.robot, q, self._targets(stepped)).q
+        return q
+
+    def _targets(self, feet: Mapping[str, pin.SE3]) -> dict[str, pin.SE3 | np.ndarray]:
+        """Targets of inverse kinematics by frame: positions of points, poses of soles."""
+        return {
+            contact.frame: foot if contact.kind == "surface" else foot.translation
+            for contact, foot in ((self.robot.contact(name), foot) for name, foot in feet.items())
+        }
 
     def foot(self, name: str, t: float, placement: pin.SE3) -> pin.SE3:
         """Pose in the world of a contact at ``t`` with the base at ``placement``."""
