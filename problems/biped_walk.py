@@ -1,20 +1,17 @@
 """A biped walks: weight shift, steps with a smooth swing and double support between, rest with feet level.
 
-The guess is the walk of the linear inverted pendulum over the same footsteps.
+The guess is the walk of the linear inverted pendulum over the same footsteps: on soles, for the pendulum's
+zero-moment point cannot move while one point foot stands.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
 
-import robots
-from problems import common
-from robots.talos import SIDES
+from problems import bipeds, common
 from trajopt.errors import InputError
 from trajopt.family import Family, Parameter
 from trajopt.model_quantities import gravity_of
@@ -26,24 +23,37 @@ from trajopt.reduced.footsteps import FootstepPlan, Walk
 from trajopt.reduced.lip import Pendulum
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround
-from trajopt.terms import EffortLimits, PositionLimits, SoleCone, Term, VelocityLimits
+from trajopt.term_interfaces import Term
 
 # Part of the soles that the pendulum's ZMP keeps away from: the robot is no pendulum.
 MARGIN = 0.5
 # Swings of the guess rise this much higher than they must.
 GUESS_SWING = 1.5
-INTERVALS_PER_SECOND = 10
+# Defaults are those of Talos, whose length this is in m; others walk the same at the same Froude number, with
+# lengths in proportion to theirs and times to the root of it.
+LENGTH_OF_DEFAULTS = 1.0193317172808651
+LENGTHS = {"length": 0.2, "clearance": 0.04}
+TIMES = {"step_time": 0.6, "double_support": 0.15, "shift": 0.5, "settle": 0.6}
+# Per second of Talos; rounding makes no interval more.
+INTERVALS_PER_SECOND, WHOLE = 10, 1e-9
 # Of every part of the walk, s.
 DURATIONS = (0.05, 5.0)
 
 
-@lru_cache(maxsize=1)
 def talos_legs() -> Robot:
     """Talos on its two soles, everything above the legs locked: 12 joints, the mass of the whole robot."""
-    whole = robots.load("talos")
-    upper = [name for name in whole.model.names if name.startswith("arm_")]
-    soles = tuple(whole.contact(side) for side in SIDES)
-    return replace(replace(whole, contacts=soles).with_locked(upper), name="talos-legs")
+    return bipeds.biped("talos")
+
+
+def _on_soles(name: str) -> Robot:
+    robot = bipeds.biped(name)
+    points = [contact.name for contact in robot.contacts if contact.kind != "surface"]
+    if points:
+        raise InputError(
+            f"robot '{robot.name}' stands on points: {', '.join(points)}",
+            "allowed: a biped on soles (points walk in biped-gait)",
+        )
+    return robot
 
 
 def _guess(robot: Robot, plan: FootstepPlan, clearance: float) -> Motion:
@@ -58,13 +68,12 @@ def _guess(robot: Robot, plan: FootstepPlan, clearance: float) -> Motion:
     return guess_from_lip(robot, plan, program.solve(), clearance=GUESS_SWING * clearance)
 
 
-def _terms(clearance: float, ground: FlatGround, end: np.ndarray, effort: EffortLimits) -> tuple[Term, ...]:
+def _terms(
+    robot: Robot, clearance: float, ground: FlatGround, end: np.ndarray, effort_share: float
+) -> tuple[Term, ...]:
     return (
-        *common.legged_costs(acceleration=1e-2),
-        effort,
-        PositionLimits(),
-        VelocityLimits(),
-        SoleCone(),
+        *common.legged_costs(acceleration=bipeds.ACCELERATION),
+        *bipeds.limits(robot, effort_share),
         SwingClearance(height=clearance, terrain=ground),
         TerminalRest(q=end),
     )
@@ -72,73 +81,71 @@ def _terms(clearance: float, ground: FlatGround, end: np.ndarray, effort: Effort
 
 def build(
     *,
+    robot: str,
     steps: float,
-    length: float,
     turn: float,
-    step_time: float,
-    double_support: float,
-    shift: float,
-    settle: float,
-    clearance: float,
     friction: float,
     effort_share: float,
+    **given: float | None,
 ) -> Problem:
     """Build the walk; see ``FAMILY`` for the parameters. Raises InputError."""
     if steps != round(steps):
         raise InputError(f"parameter steps is {steps:g}", "allowed: a whole number")
-    robot = talos_legs()
+    body = _on_soles(robot)
+    scale = body.length / LENGTH_OF_DEFAULTS
+    own = {name: value * scale for name, value in LENGTHS.items()}
+    own |= {name: value * math.sqrt(scale) for name, value in TIMES.items()}
+    own |= {name: value for name, value in given.items() if value is not None}
     walk = Walk(
         steps=round(steps),
-        length=length,
+        length=own["length"],
         turn=turn,
-        step_time=step_time,
-        double_support=double_support,
-        shift_time=shift,
-        settle_time=settle,
+        step_time=own["step_time"],
+        double_support=own["double_support"],
+        shift_time=own["shift"],
+        settle_time=own["settle"],
     )
-    plan, ground = walk.plan(robot), FlatGround(friction=friction)
-    guess = _guess(robot, plan, clearance)
+    plan, ground = walk.plan(body), FlatGround(friction=friction)
+    guess = _guess(body, plan, own["clearance"])
+    intervals = math.ceil(INTERVALS_PER_SECOND * plan.duration / math.sqrt(scale) - WHOLE)
     return Problem(
         name="biped-walk",
-        robot=robot,
+        robot=body,
         schedule=plan.schedule(),
         terrain=ground,
-        initial_q=robot.reference,
-        initial_v=np.zeros(robot.nv),
-        terms=_terms(clearance, ground, guess(plan.duration), common.share_of_effort(robot, effort_share)),
+        initial_q=body.reference,
+        initial_v=np.zeros(body.nv),
+        terms=_terms(body, own["clearance"], ground, guess(plan.duration), effort_share),
         guess=guess,
-        parameters={
-            "steps": walk.steps,
-            "length": length,
-            "turn": turn,
-            "step_time": step_time,
-            "double_support": double_support,
-            "shift": shift,
-            "settle": settle,
-            "clearance": clearance,
-            "friction": friction,
-            "effort_share": effort_share,
-        },
-        default_intervals=max(len(plan.supports), math.ceil(INTERVALS_PER_SECOND * plan.duration)),
+        parameters=own | {"steps": walk.steps},
+        default_intervals=max(len(plan.supports), intervals),
     )
+
+
+def _time(name: str, meaning: str) -> Parameter:
+    own = f"{meaning} (default: {TIMES[name]:g} s on Talos, others by the root of their length)"
+    return common.duration(name, None, f"duration {own}", DURATIONS)
+
+
+def _way(name: str, meaning: str, within: common.Range) -> Parameter:
+    own = f"{meaning} (default: {LENGTHS[name]:g} m on Talos, others by their length)"
+    return common.length(name, None, own, within)
 
 
 FAMILY = Family(
     name="biped-walk",
-    robot="talos",
+    robots=("talos", "g1"),
     phases=("shift", "step_1", "double_1", "step_2", "...", "settle"),
     summary="walk some steps on two soles, the last of which brings the feet side by side, and come to rest",
     parameters=(
         Parameter(name="steps", default=4, unit="", lower=2, upper=20, meaning="number of steps"),
-        common.length("length", 0.2, "from one step to the next", (-0.4, 0.4)),
+        _way("length", "from one step to the next", (-0.4, 0.4)),
         common.angle("turn", 0.0, "to the left from one step to the next", (-0.4, 0.4)),
-        common.duration("step_time", 0.6, "duration of a swing", DURATIONS),
-        common.duration(
-            "double_support", 0.15, "duration of both feet on the ground between steps", DURATIONS
-        ),
-        common.duration("shift", 0.5, "duration from rest to the first step", DURATIONS),
-        common.duration("settle", 0.6, "duration from the last touchdown to rest", DURATIONS),
-        common.length("clearance", 0.04, "least height of a sole in mid swing", (0.0, 0.2)),
+        _time("step_time", "of a swing"),
+        _time("double_support", "of both feet on the ground between steps"),
+        _time("shift", "from rest to the first step"),
+        _time("settle", "from the last touchdown to rest"),
+        _way("clearance", "least height of a sole in mid swing", (0.0, 0.2)),
         common.friction(0.7),
         common.effort_share(),
     ),

@@ -40,7 +40,7 @@ def biped(name: str) -> Robot:
         for joint in model.supports[model.frames[model.getFrameId(contact.frame)].parentJoint]
     }
     idle = [model.names[joint] for joint in range(2, model.njoints) if joint not in legs]
-    standing = replace(robot, contacts=contacts, given_length=robot.length)
+    standing = replace(robot, contacts=contacts)  # whose length is that of its legs
     return standing.with_locked(idle) if idle else standing
 
 

@@ -132,7 +132,7 @@ def _tilting_axes(contact: Contact, held: tuple[int, ...]) -> list[int]:
 
 @dataclass(frozen=True, kw_only=True)
 class SwingClearance(NodeConstraint):
-    """Contact frames that are not in contact stay above the terrain at the nodes inside a phase.
+    """Contacts that do not touch, of soles all four corners, stay above the terrain at nodes inside a phase.
 
     The least distance from flat ground, or height over smooth ground, is ``height`` times 4 s (1 - s), s the
     fraction of the phase, m. Piecewise ground has edges: see `trajopt.terrain.swing_terms`.
@@ -156,7 +156,8 @@ class SwingClearance(NodeConstraint):
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         swing = [c for c in context.robot.contacts if c.name not in place.phase.contacts]
         least = self.height * 4 * place.fraction * (1 - place.fraction)
-        positions, ground = [context.frame(c.frame).position for c in swing], self.terrain.surface
+        ground = self.terrain.surface
+        positions = [point for contact in swing for point in contact_points(context, contact)]
         if isinstance(ground, CurvedSurface):
             heights = [ground.symbolic_gap(position, context.parameter) for position in positions]
         else:

@@ -11,7 +11,8 @@ import numpy as np
 
 from trajopt.context import Context
 from trajopt.errors import InputError
-from trajopt.node_terms import NodeConstraint, NodePlace, along_normal
+from trajopt.landing_terms import along_normal, contact_points
+from trajopt.node_interfaces import NodeConstraint, NodePlace
 from trajopt.schedule import Phase, Schedule
 from trajopt.term_interfaces import Rows
 from trajopt.terrain import CurvedSurface, FlatGround, SmoothTerrain
@@ -31,7 +32,8 @@ class SwingPart:
 class SwingArc(NodeConstraint):
     """Swinging contacts are at least ``height`` times 4 s (1 - s) m over the ground, s the part of the swing.
 
-    Along the normal of flat ground; on smooth ground the height over what is under the contact.
+    Along the normal of flat ground; on smooth ground the height over what is under the contact. Of a sole
+    all four corners.
 
     Of `swing_arcs`, which gives ``parts`` by phase. ``changes``: at the nodes where the phase begins, for
     the contacts that are in the air before it too; otherwise at the nodes inside the phase. Where a swing
@@ -59,14 +61,14 @@ class SwingArc(NodeConstraint):
         ground, heights, least = self.terrain.surface, [], []
         for part in self._acting(place.phase.name):
             s = part.begin + place.fraction * (part.end - part.begin)
-            frame = context.frame(context.robot.contact(part.contact).frame)
             lift = self.height * 4 * s * (1 - s)
-            if isinstance(ground, CurvedSurface):
-                heights.append(ground.symbolic_gap(frame.position, context.parameter))
-                least.append(lift)
-            else:
-                heights.append(along_normal(context, ground, frame.position))
-                least.append(ground.height + lift)
+            for point in contact_points(context, context.robot.contact(part.contact)):
+                if isinstance(ground, CurvedSurface):
+                    heights.append(ground.symbolic_gap(point, context.parameter))
+                    least.append(lift)
+                else:
+                    heights.append(along_normal(context, ground, point))
+                    least.append(ground.height + lift)
         return Rows.create(ca.vertcat(*heights), np.array(least), np.inf, units.length)
 
 

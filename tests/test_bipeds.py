@@ -1,0 +1,249 @@
+"""Bipeds: robots on their legs, pushes, swings of soles, postures at joint limits, and two motions solved."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose
+
+import problems
+import robots
+import trajopt
+from problems import biped_balance, bipeds, leaping
+from trajopt.context import Context
+from trajopt.errors import InputError
+from trajopt.kinematics import contact_poses, contact_positions, inverse_kinematics
+from trajopt.landing_terms import SwingClearance, corners
+from trajopt.legs import biped_legs
+from trajopt.manifold import Coordinates
+from trajopt.model_quantities import contact_jacobian
+from trajopt.node_interfaces import NodePlace
+from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.swing_terms import swing_arcs
+from trajopt.terrain.swing_terms import SwingOver
+from trajopt.units import Units
+
+# Linear algebra in double precision on numbers of order one to a hundred.
+ROUNDING = 1e-9
+# Inverse kinematics stops at errors of 1e-10, or where descent has stalled: the gradient's rounding there.
+STATIONARY = 1e-6
+# A solver at 1e-6 in natural units, of about a metre.
+SOLVED = 1e-4
+# Iterations within which every example is to solve from its own guess.
+MOST_ITERATIONS = 60
+ON_SOLES = ("talos", "g1")
+
+
+@pytest.mark.parametrize("name", bipeds.ROBOTS)
+def test_legs_carry_the_whole_mass_and_every_joint_moves_a_foot(name):
+    whole, legs = robots.load(name), bipeds.biped(name)
+    assert legs.mass == pytest.approx(whole.mass)
+    assert {contact.name for contact in legs.contacts} == set(biped_legs(whole))
+    jacobian = contact_jacobian(legs.model, legs.reference, [(c.frame, range(6)) for c in legs.contacts])
+    assert (np.abs(jacobian).max(axis=0) > ROUNDING).all()
+    feet = contact_positions(legs, legs.reference)
+    for foot, place in feet.items():
+        assert_allclose(place, contact_positions(whole, whole.reference)[foot], atol=ROUNDING)
+    heights = [place[2] for place in feet.values()]
+    assert legs.length == pytest.approx(legs.reference[2] - np.mean(heights))
+
+
+@pytest.mark.parametrize("family", ["biped-gait", "biped-run", "biped-squat", "biped-step-up", "biped-walk"])
+def test_robots_that_are_no_bipeds_are_refused(family):
+    with pytest.raises(InputError, match="allowed"):
+        problems.load(family, robot="solo12")
+
+
+def test_point_feet_do_not_follow_the_pendulum():
+    with pytest.raises(InputError, match="soles"):
+        problems.load("biped-walk", robot="bolt")
+
+
+# Pushes
+
+
+@pytest.mark.parametrize("name", bipeds.ROBOTS)
+def test_push_is_the_impact_of_a_free_robot_on_its_standing_feet(name):
+    """Against Pinocchio's impact: an impulse on the free robot, then feet that stop without rebound."""
+    robot, impulse = bipeds.biped(name), np.array([2.0, -1.0, 0.5])
+    velocity = biped_balance.pushed(robot, impulse)
+    model, data, q = robot.model, robot.model.createData(), robot.reference
+    feet = contact_jacobian(model, q, [(contact.frame, contact.rows) for contact in robot.contacts])
+    assert_allclose(feet @ velocity, 0.0, atol=ROUNDING)
+    # Of the free-flyer in its own axes, at its origin: level in the reference, so the world's.
+    generalized = np.zeros(model.nv)
+    generalized[:3] = pin.Quaternion(q[3:7]).toRotationMatrix().T @ impulse
+    free = np.linalg.solve(pin.crba(model, data, q), generalized)
+    assert_allclose(velocity, pin.impulseDynamics(model, data, q, free, feet, 0.0, 0.0), atol=ROUNDING)
+
+
+@pytest.mark.parametrize("name", bipeds.ROBOTS)
+def test_what_momentum_a_push_does_not_explain_enters_through_the_feet(name):
+    robot, impulse = bipeds.biped(name), np.array([3.0, 1.0, 0.0])
+    velocity = biped_balance.pushed(robot, impulse)
+    model, data, q = robot.model, robot.model.createData(), robot.reference
+    momentum = pin.computeCentroidalMomentum(model, data, q, velocity)
+    com = data.com[0].copy()
+    feet = contact_jacobian(model, q, [(contact.frame, contact.rows) for contact in robot.contacts])
+    torque = pin.crba(model, data, q) @ velocity
+    torque[:3] -= pin.Quaternion(q[3:7]).toRotationMatrix().T @ impulse
+    found = np.linalg.lstsq(feet.T, torque, rcond=None)[0]
+    linear, angular = impulse.copy(), np.cross(q[:3] - com, impulse)
+    for place, rows in zip(
+        contact_positions(robot, q).values(), np.split(found, len(robot.contacts)), strict=True
+    ):
+        linear += rows[:3]
+        angular += np.cross(place - com, rows[:3]) + (rows[3:] if len(rows) > 3 else 0.0)
+    assert_allclose(momentum.linear, linear, atol=ROUNDING * robot.mass)
+    assert_allclose(momentum.angular, angular, atol=ROUNDING * robot.mass)
+
+
+def test_no_push_moves_nothing_and_a_push_backwards_mirrors_one_forwards():
+    robot = bipeds.biped("bolt")
+    assert not biped_balance.pushed(robot, np.zeros(3)).any()
+    forward, backward = (biped_balance.pushed(robot, np.array([x, 0.0, 0.0])) for x in (1.0, -1.0))
+    assert_allclose(forward, -backward, atol=ROUNDING)
+
+
+def test_soles_stand_and_points_step_after_a_push():
+    assert [phase.name for phase in problems.load("biped-balance", robot="g1").schedule.phases] == ["stand"]
+    stepping = problems.load("biped-balance", robot="bolt")
+    assert [len(phase.contacts) for phase in stepping.schedule.phases] == [2, 1, 2, 1, 2]
+    start = contact_positions(stepping.robot, stepping.initial_q)
+    com = pin.centerOfMass(stepping.robot.model, stepping.robot.model.createData(), stepping.initial_q)
+    left, right = biped_legs(stepping.robot)
+    moved = [
+        stepping.schedule.phases[2].footholds[right] - start[right],
+        stepping.schedule.phases[4].footholds[left] - start[left],
+    ]
+    assert_allclose(moved[0], moved[1], atol=ROUNDING)
+    assert moved[0][0] > 0  # with the push, which is forward
+    assert moved[0][0] < com[2]
+
+
+# A step up
+
+
+@pytest.mark.parametrize("name", bipeds.ROBOTS)
+def test_step_up_moves_one_foot_after_the_other_onto_the_box(name):
+    problem = problems.load("biped-step-up", robot=name)
+    left, right = biped_legs(problem.robot)
+    assert [phase.contacts for phase in problem.schedule.phases] == [
+        (left, right), (left,), (left, right), (right,), (left, right),
+    ]  # fmt: skip
+    end = contact_positions(problem.robot, problem.guess(problem.schedule.duration))
+    for place in end.values():
+        assert problem.terrain.height(place[0], place[1]) == pytest.approx(problem.parameters["height"])
+
+
+def test_steps_shorter_than_a_sole_are_refused():
+    with pytest.raises(InputError, match="more than a sole"):
+        problems.load("biped-step-up", robot="talos", forward=0.1)
+
+
+@pytest.mark.parametrize("name", bipeds.ROBOTS)
+def test_guess_of_a_step_up_has_the_whole_foot_before_the_edge_until_it_is_up(name):
+    problem = problems.load("biped-step-up", robot=name)
+    robot, (term,) = problem.robot, (term for term in problem.terms if isinstance(term, SwingOver))
+    assert len(term.swings) == 2
+    for swing in term.swings:
+        contact, edge = robot.contact(swing.contact), swing.ground.rise
+        for s in np.linspace(0.0, swing.risen, 20):
+            q = problem.guess(swing.begin + s * (swing.end - swing.begin))
+            pose = contact_poses(robot, q)[contact.name]
+            points = pose.translation + corners(contact) @ pose.rotation[:, :2].T
+            assert edge.distance(points).min() > -ROUNDING
+        # From there the guess passes the edge at once: the row is not put off.
+        later = problem.guess(swing.begin + (swing.risen + 0.05) * (swing.end - swing.begin))
+        pose = contact_poses(robot, later)[contact.name]
+        assert edge.distance(pose.translation + corners(contact) @ pose.rotation[:, :2].T).min() < 0
+
+
+# Soles in the air
+
+
+@pytest.mark.parametrize("name", ON_SOLES)
+def test_all_corners_of_a_swinging_sole_stay_above_the_ground(name):
+    """The rows of both swing terms are the heights of the corners, here of a sole that is turned."""
+    robot = bipeds.biped(name)
+    left, right = biped_legs(robot)
+    phase = Phase(name="swing", duration=0.5, contacts=(left,))
+    place = NodePlace(phase=phase, index=1, count=4, last=False)
+    ground, contact = FlatGround(), robot.contact(right)
+    arc = swing_arcs(Schedule((phase,)), (right,), height=0.04, terrain=ground)[0]
+    pose = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.4, 0.2), np.array([0.1, 0.0, 0.2]))
+    points = pose.translation + corners(contact) @ pose.rotation[:, :2].T
+    assert np.ptp(points[:, 2]) > contact.half_length * np.sin(0.4)
+    for term in (SwingClearance(height=0.04, terrain=ground), arc):
+        context = Context(robot, Coordinates(robot.model), node=True)
+        rows = term.rows(context, Units(robot), place)
+        assert_allclose(rows.lower, 0.04 * 4 * 0.25 * 0.75)
+        frame = context.frame(contact.frame)
+        inputs = [frame.position, frame.rotation, context.parameters]
+        heights = ca.Function("rows", inputs, [rows.expression])(
+            pose.translation, pose.rotation, context.parameter_values
+        )
+        assert_allclose(np.array(heights).ravel(), points[:, 2], atol=ROUNDING)
+
+
+# Postures at joint limits
+
+
+def test_inverse_kinematics_ends_at_a_bounded_optimum_where_ankles_end():
+    """At a base too low for flat feet no direction that the limits allow makes the error smaller."""
+    robot = bipeds.biped("g1")
+    low = leaping.displaced(robot, (0.0, 0.0, -0.25 * robot.length))
+    feet = {robot.contact(name).frame: pose for name, pose in contact_poses(robot, robot.reference).items()}
+    found = inverse_kinematics(robot, low, feet)
+    assert found.error > leaping.REACHED
+
+    def squared(q: np.ndarray) -> float:
+        data = robot.model.createData()
+        pin.framesForwardKinematics(robot.model, data, q)
+        errors = [pin.log6(data.oMf[robot.model.getFrameId(f)].actInv(to)).vector for f, to in feet.items()]
+        return float(np.sum(np.square(errors)))
+
+    at_limit = 0
+    for joint in robot.model.joints:
+        if joint.nv != 1:
+            continue
+        step = np.zeros(robot.nv)
+        step[joint.idx_v] = 1e-5
+        up, down = (squared(pin.integrate(robot.model, found.q, sign * step)) for sign in (1, -1))
+        slope, value = (up - down) / 2e-5, found.q[joint.idx_q]
+        if value <= robot.position_lower[joint.idx_q]:
+            at_limit += 1
+            assert slope > -STATIONARY
+        elif value >= robot.position_upper[joint.idx_q]:
+            at_limit += 1
+            assert slope < STATIONARY
+        else:
+            assert abs(slope) < STATIONARY
+    assert at_limit > 0
+
+
+@pytest.mark.parametrize("name", bipeds.ROBOTS)
+def test_leaps_sink_to_where_feet_still_stand_flat(name):
+    robot = bipeds.biped(name)
+    assert leaping.raised(robot, -leaping.sink_of(robot)).error < leaping.REACHED
+    assert 0 < leaping.sink_of(robot) <= leaping.SINK_PART * robot.length
+
+
+# Solved
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("family", "name", "intervals"), [("biped-squat", "g1", 12), ("biped-balance", "bolt", 30)]
+)
+def test_motion_solves_from_its_own_guess_and_ends_at_rest(family, name, intervals):
+    problem = problems.load(family, robot=name)
+    solution = trajopt.solve(problem, intervals=intervals, compile="none")
+    assert solution.success, solution.meta["advice"]
+    assert solution.meta["iterations"] <= MOST_ITERATIONS
+    assert np.abs(solution.v[-1]).max() < SOLVED
+    if family == "biped-squat":
+        lowest = problem.robot.reference[2] - solution.q[:, 2].min()
+        assert lowest > problem.parameters["depth"] - SOLVED
