@@ -32,6 +32,9 @@ PHASES = ("stance", "tip", "flight", "catch", "landing")
 # Default durations of the phases in units of sqrt(l / g).
 DURATIONS = (2.0, 1.0, 3.0, 1.0, 3.0)
 INTERVALS = 70
+# No flight is longer than from this multiple of the largest speed with which legs alone leave the ground
+# (see `leaping.takeoff`): the turn about two feet adds to it.
+SPEED_PART = 1.1
 # In the guess the body leaves the ground turned by this, rad, and is as far from upright when it lands.
 TILT = math.pi / 4
 # In the guess legs are drawn up by this part of the robot's length.
