@@ -161,7 +161,10 @@ def build(
     body = leaping.quadruped(robot)
     unit = leaping.natural_time(body)
     given = (stance, tip, flight, catch, landing)
-    durations = tuple(part * unit if own is None else own for part, own in zip(DURATIONS, given, strict=True))
+    defaults = [part * unit for part in DURATIONS]
+    fastest = SPEED_PART * leaping.takeoff(body, effort).speed
+    defaults[2] = min(defaults[2], 2 * fastest / gravity_of(body.model))
+    durations = tuple(default if own is None else own for default, own in zip(defaults, given, strict=True))
     flip = _flip(body, kind, durations)
     end = leaping.displaced(body, flip.way)
     schedule, ground = flip.schedule(end), FlatGround(friction=friction)
