@@ -10,7 +10,7 @@ import pinocchio as pin
 
 import robots
 from problems import common
-from problems.gait_common import CLEARANCE, HIGHER, STYLES, TRACKING
+from problems.gait_common import CLEARANCE, STYLES, TRACKING
 from trajopt.errors import InputError
 from trajopt.family import Choice, Parameter
 from trajopt.gait_transitions import transition
@@ -156,9 +156,7 @@ def problem_over(
     """From standing to standing ``way`` m ahead over terrain. Raises InputError."""
     robot = own.robot
     schedule, pace = schedule_for(own, way)
-    plan = plan_over_terrain(
-        robot, schedule, pace, terrain, clearance=HIGHER * own.lift, free=footholds == "free"
-    )
+    plan = plan_over_terrain(robot, schedule, pace, terrain, clearance=own.lift, free=footholds == "free")
     end = plan.guess(schedule.duration)
     pose = pin.XYZQUATToSE3(end[:7])
     return Problem(

@@ -49,13 +49,12 @@ def plan_over_terrain(
     Feet that land do so under their hips in mid stance (`gait_guess`), moved to the nearest place of the
     terrain that keeps its margin from edges; ``free`` leaves them the choice on the face found so, or on
     ground without faces everywhere. The feet start under the reference's, vertically.
-    clearance: height of swings, m, and over edges. Raises `InputError` for a gait with flights.
+    clearance: least height of swings, m, also over edges; those of the guess are higher (`swing_path`).
+    Raises `InputError` for a gait with flights.
     """
     require_free_flyer(robot)
     if flights(schedule):
-        raise InputError(
-            "a gait with flights is laid over terrain", "allowed: feet on the ground at all times"
-        )
+        raise InputError("a gait over terrain flies", "allowed: feet on the ground at all times")
     level_path = gait_path(robot, schedule, pace)
     level = with_footholds(robot, schedule, level_path)
     held = replace(level.phases[0], footholds={})  # these contacts are where the start has them
