@@ -39,8 +39,11 @@ from trajopt.terrain.swing_terms import swing_clearance
 EXTENSION_PART = 0.6
 # The work of a push is summed over this many heights; the extension is found to this part of the length.
 PUSH_SAMPLES, EXTENSION_ERROR = 24, 1e-3
-# Any flight rises freely by this part of the robot's length at least.
-LEAST_FREE_RISE = 0.02
+# Any flight rises freely by this part of the robot's length at least, or what this share of the speed at
+# take-off gives, whichever is less.
+LEAST_FREE_RISE, LEAST_SHARE = 0.02, 0.75
+# A take-off is fast enough if it rises freely by this part of the length: more is not bought with extension.
+ENOUGH_FREE = 0.05
 # A torque or rate this small against the others' is rounding.
 ROUNDING = 1e-9
 # Feet count as reached by inverse kinematics below this error, m.
@@ -109,12 +112,21 @@ class Takeoff:
         """Largest rate about the vertical, rad/s."""
         return self._fastest(5)
 
+    @property
+    def merit(self) -> tuple[float, float]:
+        """Free rise up to what is enough, and the base's apex, m: the first that is larger wins."""
+        free = self.speed**2 / (2 * gravity_of(self.robot.model))
+        return min(free, ENOUGH_FREE * self.robot.length), self.rise + free
+
     def _fastest(self, row: int) -> float:
         return _fastest(self.robot, self.posture, row)
 
 
 def takeoff(robot: Robot, effort: float | None = None) -> Takeoff:
-    """The take-off with the highest apex of the base among those with part of the extension left.
+    """The take-off with the highest apex of the base among the fast ones with part of the extension left.
+
+    Legs that are nearly straight lift the base slowly: a hop of stretching is none. Where none is fast enough
+    the fastest.
 
     Forces are taken to be vertical and the same at all feet, the base level. effort: N m, for all joints.
     """
@@ -130,14 +142,10 @@ def takeoff(robot: Robot, effort: float | None = None) -> Takeoff:
             continue
         speed = min(math.sqrt(2 * gravity * max(done, 0.0)), _fastest(robot, q, 2))
         found = Takeoff(robot=robot, posture=q, rise=float(height), speed=speed)
-        if best is None or _apex(found, gravity) >= _apex(best, gravity):
+        if best is None or found.merit >= best.merit:
             best = found
     assert best is not None  # the last height is the extension, 0 or more
     return best
-
-
-def _apex(takeoff: Takeoff, gravity: float) -> float:
-    return takeoff.rise + takeoff.speed**2 / (2 * gravity)
 
 
 def raised(robot: Robot, height: float) -> Posture:
@@ -209,7 +217,8 @@ def flight_time(takeoff: Takeoff, height: float, drop: float = 0.0) -> float:
     Take-off and touchdown with the legs as far extended as at the `takeoff`.
     """
     gravity = gravity_of(takeoff.robot.model)
-    up = max(height - takeoff.rise, LEAST_FREE_RISE * takeoff.robot.length)
+    least = min(LEAST_FREE_RISE * takeoff.robot.length, (LEAST_SHARE * takeoff.speed) ** 2 / (2 * gravity))
+    up = max(height - takeoff.rise, least)
     return math.sqrt(2 * up / gravity) + math.sqrt(2 * max(up + drop, 0.0) / gravity)
 
 
