@@ -129,7 +129,7 @@ def test_embedded_contacts_have_neither_forces_nor_rows():
     t = prepare(hop_of_the_plane(), intervals=4, compile="none").transcription
     assert t.layout.n_wrench(0) == t.layout.n_wrench(2) == 0
     assert "contact_acceleration" not in t.rows.names
-    assert "friction_cone" in t.rows.names
+    assert "friction_pyramid" in t.rows.names
 
 
 def test_hop_in_space_agrees_in_both_coordinates():

@@ -168,10 +168,10 @@ class TerminalState(NodeConstraint):
     q: np.ndarray
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
-        return _free_rows(context, place, self.q, _difference(context, self.q) / units.position)
+        return free_rows(context, place, self.q, configuration_difference(context, self.q) / units.position)
 
 
-def _free_rows(context: Context, place: NodePlace, q: np.ndarray, quantity: ca.SX) -> Rows:
+def free_rows(context: Context, place: NodePlace, q: np.ndarray, quantity: ca.SX) -> Rows:
     """A dimensionless quantity (nv,) vanishes in the directions that active contacts leave free at q."""
     surfaces = {name: context.slides_on(context.robot.contact(name)) for name in place.phase.contacts}
     normals = {name: surface.normal for name, surface in surfaces.items() if surface is not None}
@@ -179,7 +179,7 @@ def _free_rows(context: Context, place: NodePlace, q: np.ndarray, quantity: ca.S
     return Rows.create(ca.mtimes(context.parameter(basis).T, quantity), 0, 0, 1.0)
 
 
-def _difference(context: Context, q: np.ndarray) -> ca.SX:
+def configuration_difference(context: Context, q: np.ndarray) -> ca.SX:
     """Local coordinates (nv,) of the context's configuration relative to q."""
     coordinates = context.coordinates
     goal = coordinates.node_from_pinocchio(q, np.zeros(coordinates.nv))
@@ -206,7 +206,7 @@ class TerminalRest(NodeConstraint):
     q: np.ndarray
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
-        return _free_rows(context, place, self.q, context.dxi / units.velocity)
+        return free_rows(context, place, self.q, context.dxi / units.velocity)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,4 +221,4 @@ class TerminalVelocity(NodeConstraint):
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         rates = context.coordinates.node_from_pinocchio(self.q, self.v)[-context.coordinates.nv :]
-        return _free_rows(context, place, self.q, (context.dxi - context.parameter(rates)) / units.velocity)
+        return free_rows(context, place, self.q, (context.dxi - context.parameter(rates)) / units.velocity)

@@ -8,8 +8,9 @@
     smooth      accelerations, squared
     track       distance from a reference motion
 
-What a goal leaves undetermined is decided by the costs of `effort`, a hundredth of them: without such a rest
-minimum time has many controls, and a robot without torque limits could jump to any height.
+What a goal leaves undetermined is decided by the costs of `effort`, a hundredth of them; a tenth beside time,
+height and distance, which have no curvature of their own: without it torques only jump from limit to limit,
+and a robot without torque limits could jump to any height.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from trajopt.costs import (
     WrenchCost,
 )
 from trajopt.errors import InputError
-from trajopt.node_costs import DistanceCost, FrameHeightCost
+from trajopt.node_costs import DistanceCost, FrameHeightCost, NodeCost
 from trajopt.power import PowerCost
 from trajopt.problem import Motion
 from trajopt.robot import Robot
@@ -40,8 +41,10 @@ from trajopt.units import Units
 Goal = Literal["effort", "time", "height", "distance", "transport", "smooth", "track"]
 GOALS: tuple[Goal, ...] = get_args(Goal)
 
-# Part of the costs of effort beside any other goal: enough to decide, little enough not to be felt.
-REST = 1e-2
+# Part of the costs of effort beside another goal: enough to decide, little enough not to be felt; and
+# beside a goal that is linear, for which less means two to five times the iterations and motions so violent
+# that grids do not resolve them (docs/modelling/objectives.md).
+REST, REST_OF_LINEAR = 1e-2, 1e-1
 
 
 def effort_costs(
@@ -72,39 +75,54 @@ def goal_terms(
     travel: float | None = None,
     reference: Motion | None = None,
     effort: Sequence[Cost] | None = None,
+    rest: float | None = None,
 ) -> tuple[Term, ...]:
     """Cost terms of a goal out of ``GOALS``, with the rest that makes its motion unique.
 
     frame: for "height" and "distance". phase: for "height", by default the longest without contacts.
     direction: (3,) world, for "distance". travel: m, for "transport", the way that the motion has to go.
     reference: q(t) (nq,), for "track". effort: costs of effort, by default `effort_costs()`.
+    rest: part of them beside another goal, by default ``REST`` or ``REST_OF_LINEAR``.
     Raises InputError for an unknown goal, and for one whose argument is missing or without effect.
     """
     effort = tuple(effort_costs() if effort is None else effort)
-    rest = [replace(term, weight=REST * term.weight) for term in effort]
     if goal == "effort":
         return effort
+    main = _main_term(goal, robot, schedule, frame, phase, direction, travel, reference)
+    linear = isinstance(main, TimeCost | NodeCost)
+    share = (REST_OF_LINEAR if linear else REST) if rest is None else rest
+    return (main, *(replace(term, weight=share * term.weight) for term in effort))
+
+
+def _main_term(
+    goal: str,
+    robot: Robot,
+    schedule: Schedule,
+    frame: str | None,
+    phase: str | None,
+    direction: tuple[float, float, float],
+    travel: float | None,
+    reference: Motion | None,
+) -> Term:
+    """What the goal itself is, of weight one."""
     if goal == "smooth":
-        return (AccelerationCost(weight=1.0), *rest)
+        return AccelerationCost(weight=1.0)
     if goal == "time":
         free = any(clock is not None for clock in schedule.clocks)
         _require(free, goal, "a schedule with duration_bounds in some phase")
-        return (TimeCost(weight=1.0), *rest)
+        return TimeCost(weight=1.0)
     if goal == "height":
-        return (
-            FrameHeightCost(weight=1.0, frame=_frame(frame, goal), phase=phase or _flight(schedule)),
-            *rest,
-        )
+        return FrameHeightCost(weight=1.0, frame=_frame(frame, goal), phase=phase or _flight(schedule))
     if goal == "distance":
-        return (DistanceCost(weight=1.0, frame=_frame(frame, goal), direction=direction), *rest)
+        return DistanceCost(weight=1.0, frame=_frame(frame, goal), direction=direction)
     if goal == "transport":
         way = 0.0 if travel is None else travel
         _require(math.isfinite(way) and way > 0, goal, "travel > 0, the way of the motion in m")
-        return (PowerCost(weight=Units(robot).length / way), *rest)
+        return PowerCost(weight=Units(robot).length / way)
     if goal == "track":
         if reference is None:
             raise _missing(goal, "a reference motion")
-        return (TrackingCost(weight=1.0, reference=reference), *rest)
+        return TrackingCost(weight=1.0, reference=reference)
     raise InputError(f"goal '{goal}' is unknown", f"allowed: {', '.join(GOALS)}")
 
 
