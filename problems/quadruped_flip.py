@@ -19,6 +19,7 @@ from trajopt.family import Family
 from trajopt.frame_terms import FrameDirection
 from trajopt.kinematics import contact_positions
 from trajopt.legs import quadruped_legs
+from trajopt.model_quantities import gravity_of
 from trajopt.node_terms import TerminalRest, TerminalState
 from trajopt.problem import Problem
 from trajopt.reduced.base_path import BaseWaypoint

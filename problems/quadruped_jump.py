@@ -31,7 +31,8 @@ HEIGHT, LEAST_HEIGHT, FORWARD, SIDEWAYS, TURN = 0.75, 0.4, 1.0, 0.5, math.pi / 2
 # Shares of the largest speeds at take-off: upwards in a jump up, upwards in others, across and turning.
 SHARE_UP, SHARE_LOW, SHARE_ACROSS = 0.75, 0.6, 0.25
 
-# With other goals than effort durations are free within these multiples of theirs.
+# With other goals than effort durations (of all phases for least time, else of the flight) are free within
+# these multiples of theirs.
 FREE = (0.5, 2.0)
 # Costs of effort beside other goals are this many times those of `objectives.goal_terms`: a tenth in all.
 SMOOTH = 10.0
@@ -127,12 +128,14 @@ def _rest(goal: str) -> tuple[Cost, ...]:
 
 
 def _schedule(robot: Robot, end: np.ndarray, durations: tuple[float, float, float], goal: str) -> Schedule:
-    """Stance, flight and landing: of free durations unless effort is the goal, to no given place if far."""
+    """Stance, flight and landing: all of free durations for least time, the flight for height or distance."""
     schedule = common.hop_schedule(contact_positions(robot, end), durations)
     if goal == "effort":
         return schedule
     phases = [
         replace(phase, duration_bounds=(FREE[0] * phase.duration, FREE[1] * phase.duration))
+        if goal == "time" or not phase.contacts
+        else phase
         for phase in schedule.phases
     ]
     if goal == "distance":
