@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -121,8 +121,8 @@ def walker(
     )
 
 
-def schedule_for(own: Walker, way: float) -> tuple[Schedule, Pace]:
-    """Standing, cycles, standing, and the pace that goes ``way`` m forward in them.
+def schedule_for(own: Walker, way: float) -> tuple[Schedule, Pace, int]:
+    """Standing, cycles, standing, the pace that goes ``way`` m forward in them, and how many they are.
 
     The pace grows and falls over the first and the last period. Without a number of cycles the least whose
     strides at full pace are no longer than the gait's own.
@@ -136,7 +136,7 @@ def schedule_for(own: Walker, way: float) -> tuple[Schedule, Pace]:
         unit = Pace(velocity=(1.0, 0.0), starts=(0.0, change), stops=(whole - change, whole))
         speed = way / unit.progress(whole)
         if own.cycles is not None or abs(speed) * own.period <= own.stride * (1 + 1e-9):
-            return schedule, Pace(velocity=(speed, 0.0), starts=unit.starts, stops=unit.stops)
+            return schedule, replace(unit, velocity=(speed, 0.0)), cycles
     raise InputError(
         f"a way of {way:.3g} m is more than {MOST_CYCLES} strides of {own.stride:.3g} m",
         "allowed: a shorter way",
@@ -155,7 +155,7 @@ def problem_over(
 ) -> Problem:
     """From standing to standing ``way`` m ahead over terrain. Raises InputError."""
     robot = own.robot
-    schedule, pace = schedule_for(own, way)
+    schedule, pace, cycles = schedule_for(own, way)
     plan = plan_over_terrain(robot, schedule, pace, terrain, clearance=own.lift, free=footholds == "free")
     end = plan.guess(schedule.duration)
     pose = pin.XYZQUATToSE3(end[:7])
@@ -179,7 +179,7 @@ def problem_over(
         ),
         guess=plan.guess,
         parameters={
-            "cycles": _cycles(own, schedule),
+            "cycles": float(cycles),
             "clearance": own.lift,
             **parameters,
         },
@@ -187,12 +187,6 @@ def problem_over(
             len(schedule.phases), math.ceil(INTERVALS_PER_PERIOD * schedule.duration / own.period)
         ),
     )
-
-
-def _cycles(own: Walker, schedule: Schedule) -> float:
-    """Number of swings of a foot."""
-    foot = own.gait.feet[0]
-    return float(sum(foot in schedule.new_contacts(i) for i in range(len(schedule.phases))))
 
 
 def _swings(own: Walker, schedule: Schedule, terrain: Terrain, guess: Motion) -> tuple[Term, ...]:
