@@ -69,9 +69,13 @@ def _finite(value: object) -> object:
 
 def solve_dict(solution: Solution, report: Report | None, file: Path | None) -> dict[str, Any]:
     """The JSON of a solve; ``accuracy`` and ``file`` are null where they could not be had."""
+    from trajopt.power import cost_of_transport, energy
+
     meta = solution.meta
     return {
         **{key: meta[key] for key in FROM_META},
+        "energy_j": energy(solution),
+        "cost_of_transport": cost_of_transport(solution),
         "intervals": solution.n_intervals,
         "accuracy": None if report is None else report.to_dict(),
         "file": None if file is None else str(file),
@@ -150,6 +154,7 @@ def summary(solution: Solution, report: Report | None, file: Path | None, notes:
     lines.append(_line("size", f"{meta['variables']} variables, {meta['constraints']} constraints; {grid}"))
     lines.append(_line("objective", _number(meta["objective"])))
     lines.append(_line("violation", f"{_number(meta['max_violation'])} (tolerance {meta['tolerance']:g})"))
+    lines.append(_line("energy", _energy(solution)))
     lines.append(_line("times", _times(meta)))
     if report is not None:
         lines.append(_line("accuracy", accuracy_line(report)))
@@ -178,6 +183,15 @@ def worst_block(block: dict[str, Any]) -> str:
     size = "not finite" if block["violation"] is None else f"{block['violation']:.2e}"
     where = f"phase '{block['phase']}', {place} {block['node']}, t = {block['time']:.3f} s"
     return f"{block['block']} in {where}: {size}"
+
+
+def _energy(solution: Solution) -> str:
+    """What joints draw, and the cost of transport of robots that go somewhere."""
+    from trajopt.power import cost_of_transport, energy
+
+    drawn, transport = energy(solution), cost_of_transport(solution)
+    way = f", cost of transport {transport:.3g}" if math.isfinite(transport) else ""
+    return f"{drawn:.4g} J drawn by joints{way}"
 
 
 def _times(meta: dict[str, Any]) -> str:

@@ -42,8 +42,8 @@ Goal = Literal["effort", "time", "height", "distance", "transport", "smooth", "t
 GOALS: tuple[Goal, ...] = get_args(Goal)
 
 # Part of the costs of effort beside another goal: enough to decide, little enough not to be felt; and
-# beside a goal that is linear, for which less means two to five times the iterations and motions so violent
-# that grids do not resolve them (docs/modelling/objectives.md).
+# beside a goal that is linear, for which a tenth of that means up to three times the iterations and motions
+# that need finer grids (docs/modelling/objectives.md).
 REST, REST_OF_LINEAR = 1e-2, 1e-1
 
 

@@ -110,11 +110,14 @@ def _quadrature(solution: Solution) -> np.ndarray:
 
 
 def cost_of_transport(solution: Solution, *, recovered: float = -1.0) -> float:
-    """Energy over weight times horizontal way of the centre of mass, dimensionless; infinite on the spot.
+    """Energy over weight times horizontal way of the centre of mass, dimensionless.
 
-    See `energy`; the way is the straight line from the first sample to the last.
+    See `energy`; the way is the straight line from the first sample to the last. Infinite on the spot, and
+    for robots that go nowhere: with a fixed base, or without contacts.
     """
     model = solution.model
+    if not (solution.n_unactuated and solution.contact_frames):
+        return math.inf
     start, end = (pin.centerOfMass(model, model.createData(), solution.q[row]).copy() for row in (0, -1))
     upwards = -model.gravity.linear / (np.linalg.norm(model.gravity.linear) or 1.0)
     way = end - start
