@@ -9,18 +9,17 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-import pinocchio as pin
 
 from problems import common, leaping
 from trajopt.family import Family
 from trajopt.kinematics import contact_positions
-from trajopt.node_terms import FrameHeight, FramePose, TerminalRest, TerminalState
+from trajopt.node_terms import FrameHeight, TerminalRest, TerminalState
 from trajopt.objectives import effort_costs, goal_terms
 from trajopt.problem import Problem
 from trajopt.reduced.legged_guess import legged_guess
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround, Schedule
-from trajopt.term_interfaces import Cost, Term
+from trajopt.term_interfaces import Cost
 
 ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
 # Default durations in units of sqrt(l / g): solo12 pushes for 0.4 s and comes to rest in 0.5 s.
@@ -31,8 +30,7 @@ HEIGHT, LEAST_HEIGHT, FORWARD, SIDEWAYS, TURN = 0.75, 0.4, 1.0, 0.5, math.pi / 2
 # Shares of the largest speeds at take-off: upwards in a jump up, upwards in others, across and turning.
 SHARE_UP, SHARE_LOW, SHARE_ACROSS = 0.75, 0.6, 0.25
 
-# With other goals than effort durations (of all phases for least time, else of the flight) are free within
-# these multiples of theirs.
+# For least time durations are free within these multiples of theirs.
 FREE = (0.5, 2.0)
 # Costs of effort beside other goals are this many times those of `objectives.goal_terms`: a tenth in all.
 SMOOTH = 10.0
@@ -94,7 +92,7 @@ def build(
         rise=takeoff.rise,
         turn=np.array([0.0, 0.0, chosen["yaw"]]),
     )
-    lift = leaping.clearance(body, chosen["flight"])
+    base, lift = body.model.names[1], leaping.clearance(body, chosen["flight"])
     guess = legged_guess(body, schedule, leap.waypoints(), terrain=ground, clearance=lift)
     costs = goal_terms(
         goal,
@@ -113,7 +111,9 @@ def build(
         terms=(
             *leaping.leap_terms(body, schedule, ground, guess, effort=effort, clearance=lift, costs=costs),
             *leaping.above_ground(body, dict.fromkeys(("stance", "flight", "landing"), 0.0)),
-            *_ends(body, end, chosen["height"], goal),
+            FrameHeight(frame=base, height=body.reference[2] + chosen["height"], phase="flight"),
+            TerminalState(q=end),
+            TerminalRest(q=end),
         ),
         guess=guess,
         parameters=chosen,
@@ -128,32 +128,16 @@ def _rest(goal: str) -> tuple[Cost, ...]:
 
 
 def _schedule(robot: Robot, end: np.ndarray, durations: tuple[float, float, float], goal: str) -> Schedule:
-    """Stance, flight and landing: all of free durations for least time, the flight for height or distance."""
+    """Stance, flight and landing, of free durations for least time."""
     schedule = common.hop_schedule(contact_positions(robot, end), durations)
     if goal == "effort":
         return schedule
-    phases = [
-        replace(phase, duration_bounds=(FREE[0] * phase.duration, FREE[1] * phase.duration))
-        if goal == "time" or not phase.contacts
-        else phase
-        for phase in schedule.phases
-    ]
-    if goal == "distance":
-        phases[-1] = replace(phases[-1], footholds={})
-    return Schedule(tuple(phases))
-
-
-def _ends(robot: Robot, end: np.ndarray, height: float, goal: str) -> tuple[Term, ...]:
-    """Rise in flight, where a given one is asked for, and the end at rest: there, or upright at any place."""
-    base = robot.model.names[1]
-    rise = FrameHeight(frame=base, height=robot.reference[2] + height, phase="flight")
-    there: tuple[Term, ...] = (TerminalState(q=end),)
-    if goal == "distance":
-        upright = pin.Quaternion(end[3:7]).toRotationMatrix()
-        high = FrameHeight(frame=base, height=end[2], phase="landing", fraction=1.0)
-        there = (FramePose(frame=base, rotation=upright), high)
-    rises = () if goal in ("height", "distance") else (rise,)
-    return (*rises, *there, TerminalRest(q=end))
+    return Schedule(
+        tuple(
+            replace(phase, duration_bounds=(FREE[0] * phase.duration, FREE[1] * phase.duration))
+            for phase in schedule.phases
+        )
+    )
 
 
 def family(
@@ -180,7 +164,7 @@ def family(
             leaping.scaled("landing", "s", (1e-3, 10.0), "duration from touchdown to rest"),
             common.friction(0.7),
             common.effort(),
-            common.goal("effort", "time", "height", "distance"),
+            common.goal("effort", "time"),
         ),
         build=partial(build, direction=direction, kind=kind, load=load),
     )
