@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pinocchio as pin
 
 import robots
 from problems import common
@@ -18,7 +17,7 @@ from trajopt.gaits import Gait
 from trajopt.kinematics import contact_positions
 from trajopt.legs import Legs, quadruped_legs
 from trajopt.named_gaits import gait_of
-from trajopt.node_terms import FramePose, TerminalRest
+from trajopt.node_terms import TerminalRest, TerminalState
 from trajopt.objectives import effort_costs
 from trajopt.problem import Motion, Problem
 from trajopt.reduced.gait_guess import Pace
@@ -158,7 +157,6 @@ def problem_over(
     schedule, pace, cycles = schedule_for(own, way)
     plan = plan_over_terrain(robot, schedule, pace, terrain, clearance=own.lift, free=footholds == "free")
     end = plan.guess(schedule.duration)
-    pose = pin.XYZQUATToSE3(end[:7])
     return Problem(
         name=name,
         robot=robot,
@@ -174,7 +172,7 @@ def problem_over(
             VelocityLimits(),
             FrictionPyramid(),
             *_swings(own, plan.schedule, terrain, plan.guess),
-            FramePose(frame=robot.model.names[1], position=pose.translation, rotation=pose.rotation),
+            TerminalState(q=end),
             TerminalRest(q=end),
         ),
         guess=plan.guess,
@@ -206,7 +204,7 @@ def parameters(*own: Parameter | Choice, margin: bool = True) -> tuple[Parameter
             name="footholds",
             default="free",
             choices=("free", "planned"),
-            meaning="feet land anywhere on the face under their planned places, or at these",
+            meaning="anywhere on the face under planned places (the last one at its place), or at these",
         ),
         Parameter(
             name="cycles",

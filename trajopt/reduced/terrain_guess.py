@@ -47,8 +47,9 @@ def plan_over_terrain(
     """The plan of a gait that starts from standing and goes over ``terrain`` at ``pace``.
 
     Feet that land do so under their hips in mid stance (`gait_guess`), moved to the nearest place of the
-    terrain that keeps its margin from edges; ``free`` leaves them the choice on the face found so, or on
-    ground without faces everywhere. The feet start under the reference's, vertically.
+    terrain that keeps its margin from edges. ``free`` leaves them the choice on the face found so, or on
+    ground without faces everywhere; only where each lands last is planned, so that the posture at the end is
+    that of the guess. The feet start under the reference's, vertically.
     clearance: least height of swings, m, also over edges; those of the guess are higher (`swing_path`).
     Raises `InputError` for a gait with flights.
     """
@@ -73,8 +74,17 @@ def plan_over_terrain(
     )
     path = _path_over(robot, placed, pace, posture.stances)
     guess = legged_guess(robot, placed, path, start=start, terrain=terrain, swing=posture.swing)
-    return TerrainPlan(
-        schedule=placed_on(over_ground, terrain, free=True) if free else placed, start=start, guess=guess
+    return TerrainPlan(schedule=_freed(placed) if free else placed, start=start, guess=guess)
+
+
+def _freed(schedule: Schedule) -> Schedule:
+    """The schedule without the footholds of all landings but every contact's last."""
+    last = {name: i for i, phase in enumerate(schedule.phases) for name in phase.footholds}
+    return Schedule(
+        tuple(
+            replace(phase, footholds={name: p for name, p in phase.footholds.items() if last[name] == i})
+            for i, phase in enumerate(schedule.phases)
+        )
     )
 
 
