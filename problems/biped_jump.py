@@ -11,7 +11,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from problems import bipeds, quadruped_jump
+from problems import bipeds, leaping, quadruped_jump
 from trajopt.family import Family
 from trajopt.model_quantities import gravity_of
 from trajopt.problem import Problem
@@ -19,11 +19,15 @@ from trajopt.problem import Problem
 # Default jumps forward are no longer than feet come in flight, from rest to rest, at this part of gravity's
 # acceleration: legs are a third of a humanoid's mass.
 SWING_ACCELERATION = 2.0
+# Default duration of the push in units of sqrt(l / g): half of a quadruped's, no time to swing.
+STANCE = 1.4
 # Bodies pitch fast over two feet.
 INTERVALS = 64
 
 
 def _upright(build: Callable[..., Problem], *, goal: str, **values: Any) -> Problem:
+    if values["stance"] is None:
+        values["stance"] = STANCE * leaping.natural_time(bipeds.biped(values["robot"]))
     problem = build(goal=goal, **values)
     if goal != "effort":
         return problem
