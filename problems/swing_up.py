@@ -26,7 +26,7 @@ PERIODS = {"effort": 2.5, "time": 1.5}
 # A swing has no posture to keep and no contacts, and has to be fast to rise: rates cost less than on legs.
 EFFORT = effort_costs(acceleration=1e-3, velocity=3e-3, posture=0.0)
 # Share of the torque that would just hold the links stretched and level.
-WEAK = 0.3
+WEAK = 0.5
 # What free durations may be, of the nominal one.
 SHORTEST, LONGEST = 0.2, 2.0
 # Moments below this part of the largest count as none: real links do not balance exactly along their axis.

@@ -82,7 +82,7 @@ def _stretched(model: pin.Model, angle: float) -> float:
 def test_motors_cannot_lift_the_links_at_once(name):
     problem, solution = solved(name)
     rates = solution.v[:, 0]
-    assert np.all(np.abs(solution.tau[solution.collocation]) < 0.3 * problem.robot.effort_limit + SOLVED)
+    assert np.all(np.abs(solution.tau[solution.collocation]) < 0.5 * problem.robot.effort_limit + SOLVED)
     assert np.sum(np.diff(np.sign(rates[np.abs(rates) > 0.1])) != 0) >= 2  # it swings to and fro
 
 
@@ -100,7 +100,7 @@ def test_nothing_drives_the_first_joint_of_the_acrobot():
 def test_the_least_time_of_the_double_pendulum_takes_all_the_torque():
     problem, solution = solved("double-pendulum", goal="time")
     assert sum(solution.meta["durations"]) < 0.7 * problem.schedule.duration
-    limit = 0.3 * problem.robot.effort_limit
+    limit = 0.5 * problem.robot.effort_limit
     used = np.abs(solution.tau[solution.collocation]) / limit
     assert np.mean(used.max(axis=1) > 0.99) > 0.8
     assert used.max() < 1 + SOLVED
@@ -155,7 +155,8 @@ def test_goals_of_a_hop_are_met_better_than_by_least_effort():
 
 
 def test_the_farthest_hop_ends_in_the_reference_posture_wherever_it_lands():
-    problem, solution = solved("hopper-hop", goal="distance")
+    problem = problems.load("hopper-hop", goal="distance")
+    solution = solve(problem, compile="none", intervals=60)
     assert check(solution).ok
     foot = contact_positions(problem.robot, solution.q[-1])["foot"]
     standing = contact_positions(problem.robot, problem.robot.reference)["foot"]

@@ -20,6 +20,7 @@ DOCUMENTS = (
     "docs/modelling/contacts.md",
     "docs/modelling/contacts-dynamics.md",
     "docs/modelling/terrain.md",
+    "docs/modelling/objectives.md",
     "docs/modelling/periodicity.md",
     "docs/modelling/structure.md",
     "docs/modelling/reduced-models.md",
