@@ -12,8 +12,8 @@ from trajopt import Contact, FlatGround, Phase, Problem, Robot, Schedule
 from trajopt.actuators.drive import Drive
 from trajopt.bases.rerooting import joint_slices
 from trajopt.kinematics import inverse_kinematics
-from trajopt.node_terms import SwingClearance, TerminalRest, TerminalState
 from trajopt.mirror import find_mirror, pairs, reflected, reflected_inertia
+from trajopt.node_terms import SwingClearance, TerminalRest, TerminalState
 from trajopt.terms import (
     AccelerationCost,
     EffortLimits,

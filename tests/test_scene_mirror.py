@@ -11,11 +11,6 @@ from numpy.testing import assert_allclose
 
 from tests.scenes_for_tests import FEET, biped, drive, push, symmetrised
 from trajopt import Contact, InputError, Robot
-from trajopt.model_quantities import generalized_force
-from trajopt.robot_data import robot_file
-from trajopt.scenes import smallest
-from trajopt.scenes.half import half_robot, turned_by_mirror
-from trajopt.scenes.lock import locked
 from trajopt.mirror import (
     find_mirror,
     limit_differences,
@@ -24,6 +19,11 @@ from trajopt.mirror import (
     paired_contacts,
     pairs,
 )
+from trajopt.model_quantities import generalized_force
+from trajopt.robot_data import robot_file
+from trajopt.scenes import smallest
+from trajopt.scenes.half import half_robot, turned_by_mirror
+from trajopt.scenes.lock import locked
 from trajopt.scenes.reduction import Reduction
 
 # Rounding of sums over some ten bodies, parts of the largest entry.
