@@ -10,6 +10,8 @@ from click.testing import CliRunner, Result
 
 from trajopt import catalogue
 from trajopt.cli import main
+from trajopt.errors import InputError
+from trajopt.family import Parameter
 
 
 def trajopt(*arguments: str) -> Result:
@@ -67,3 +69,17 @@ def test_a_name_offered_twice_is_refused(tmp_path: Path, monkeypatch: pytest.Mon
     install(tmp_path, "same_problems", FOREIGN_FAMILY % ("solo12-jump", "solo12-jump"))
     monkeypatch.syspath_prepend(tmp_path)
     assert_refused(trajopt("list"), "'solo12-jump' is offered by both", "same_problems")
+
+
+SPEED = Parameter(name="speed", default=0.0, unit="m/s", lower=-10.0, upper=10.0, meaning="forward")
+
+
+@pytest.mark.parametrize(("text", "number"), [("0.8", 0.8), ("80cm", 0.8), ("80 cm/s", 0.8), ("1m/s", 1.0)])
+def test_a_value_may_carry_a_unit_that_fits(text: str, number: float) -> None:
+    assert SPEED.parse(text) == pytest.approx(number)
+
+
+@pytest.mark.parametrize("text", ["45deg", "1s", "1m/s/s", "fast"])
+def test_a_value_with_the_unit_of_something_else_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match=f"speed='{text}' is not a number"):
+        SPEED.parse(text)

@@ -12,7 +12,12 @@ from typing import ClassVar
 from trajopt.errors import InputError
 from trajopt.problem import Problem
 
-_SUFFIXES = {"deg": math.pi / 180, "rad": 1.0, "m": 1.0, "s": 1.0, "cm": 0.01, "mm": 0.001, "ms": 0.001}
+# Unit -> what may be written for it and for it per second, and its size in that unit.
+_SUFFIXES = {
+    "rad": {"deg": math.pi / 180, "rad": 1.0},
+    "m": {"m": 1.0, "cm": 0.01, "mm": 0.001},
+    "s": {"s": 1.0, "ms": 0.001},
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,14 +32,15 @@ class Parameter:
     meaning: str
 
     def parse(self, value: object) -> float:
-        """The value as a number within range; text may carry a unit, as in ``45deg``. Raises InputError."""
+        """The value as a number within range; text may carry a fitting unit, ``45deg``. Raises InputError."""
         allowed = f"allowed: {self.lower:g} to {self.upper:g} {self.unit}".rstrip()
         if isinstance(value, str):
-            match = re.fullmatch(r"\s*([-+0-9.eE]+|[-+]?(?:nan|inf))\s*([a-z]*)\s*", value)
-            if not match or (match[2] and match[2] not in _SUFFIXES):
+            match = re.fullmatch(r"\s*([-+0-9.eE]+|[-+]?(?:nan|inf))\s*([a-zA-Z/]*)\s*", value)
+            sizes = self._sizes()
+            if not match or match[2] not in sizes:
                 raise InputError(f"parameter {self.name}={value!r} is not a number", allowed)
             try:
-                number = float(match[1]) * _SUFFIXES.get(match[2], 1.0)
+                number = float(match[1]) * sizes[match[2]]
             except ValueError:
                 raise InputError(f"parameter {self.name}={value!r} is not a number", allowed) from None
         elif isinstance(value, (int, float)) and not isinstance(value, bool):
@@ -44,11 +50,19 @@ class Parameter:
         if not (math.isfinite(number) and self.lower <= number <= self.upper):
             hint = (
                 f" (for degrees write {self.name}={value}deg)"
-                if self.unit == "rad" and abs(number) > math.pi
+                if self.unit == "rad" and abs(number) > math.pi and not str(value).strip().endswith("deg")
                 else ""
             )
             raise InputError(f"parameter {self.name} is {number:g}", allowed + hint)
         return number
+
+    def _sizes(self) -> dict[str, float]:
+        """Suffix that a value may carry -> its size in the unit; a rate may leave out its /s."""
+        kind = self.unit.removesuffix("/s")
+        sizes = {"": 1.0, self.unit: 1.0} | _SUFFIXES.get(kind, {})
+        if kind != self.unit:
+            sizes |= {f"{name}/s": size for name, size in _SUFFIXES.get(kind, {}).items()}
+        return sizes
 
 
 @dataclass(frozen=True, kw_only=True)
