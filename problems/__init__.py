@@ -6,6 +6,7 @@ import importlib
 import pkgutil
 from functools import lru_cache
 
+import robots
 from trajopt.family import Family, choose
 from trajopt.problem import Problem
 
@@ -22,6 +23,11 @@ def families() -> dict[str, Family]:
 def family(name: str) -> Family:
     """The family of that name; raises `InputError` that lists the known names."""
     return choose(families(), name)
+
+
+def robot_kind(name: str) -> str:
+    """Kind of a robot, by name or file: what families it may suit. Raises `InputError` for an unknown one."""
+    return robots.kind(name)
 
 
 def load(name: str, **parameters: object) -> Problem:

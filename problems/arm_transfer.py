@@ -32,7 +32,7 @@ UNHURRIED = 2.0
 
 
 def build(
-    *, robot: str, minimise: str, turn: float, out: float, up: float, duration: float | None
+    *, robot: str, goal: str, turn: float, out: float, up: float, duration: float | None
 ) -> Problem:
     """Build the transfer; see ``FAMILY`` for the parameters. Raises InputError."""
     arm = arms.load(robot)
@@ -40,8 +40,8 @@ def build(
     least = arms.least_duration(arm.robot, (start, goal))
     if not least > 0:
         raise InputError("start and goal of arm-transfer are the same posture", "allowed: turn, out or up")
-    given = duration or (least if minimise == "time" else UNHURRIED * least)
-    bounds = (SHORTEST * given, LONGEST * given) if minimise == "time" else None
+    given = duration or (least if goal == "time" else UNHURRIED * least)
+    bounds = (SHORTEST * given, LONGEST * given) if goal == "time" else None
     return Problem(
         name="arm-transfer",
         robot=arm.robot,
@@ -50,19 +50,19 @@ def build(
         initial_q=start,
         initial_v=np.zeros(arm.robot.nv),
         terms=(
-            *_priced(minimise),
+            *_priced(goal),
             *arms.limits(arm.robot),
             TerminalState(q=goal),
             TerminalRest(q=goal),
         ),
         guess=arms.ArmPath(model=arm.robot.model, start=start, end=goal, duration=given),
         parameters={"duration": given},
-        **_TRANSCRIPTIONS[minimise],
+        **_TRANSCRIPTIONS[goal],
     )
 
 
-def _priced(minimise: str) -> tuple[Term, ...]:
-    if minimise == "time":
+def _priced(goal: str) -> tuple[Term, ...]:
+    if goal == "time":
         return (TimeCost(weight=1.0), AccelerationCost(weight=SMOOTH_TIME))
     return (TorqueCost(weight=1.0), AccelerationCost(weight=SMOOTH_EFFORT))
 
@@ -79,7 +79,7 @@ FAMILY = Family(
     phases=("transfer",),
     summary="move an arm between two postures, from rest to rest, in least time or with least torque",
     parameters=(
-        Choice(name="minimise", default="time", choices=GOALS, meaning="duration, or torques"),
+        Choice(name="goal", default="time", choices=GOALS, meaning="duration, or torques"),
         common.angle("turn", math.radians(90), "of the tool about the base", (-math.pi, math.pi)),
         _part("out", 0.1, "by how much the goal is farther from the base's axis"),
         _part("up", 0.2, "by how much the goal is higher"),

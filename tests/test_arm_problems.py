@@ -96,7 +96,7 @@ def test_the_fastest_transfer_binds_limits_and_beats_its_guess():
 
 def test_a_slower_transfer_needs_less_torque_than_the_fastest():
     _, fast = solve(arm_transfer.FAMILY, robot="ur5")
-    _, slow = solve(arm_transfer.FAMILY, robot="ur5", minimise="effort")
+    _, slow = solve(arm_transfer.FAMILY, robot="ur5", goal="effort")
     squares = [np.mean(s.tau[s.collocation] ** 2) for s in (fast, slow)]
     assert squares[1] < squares[0]
 

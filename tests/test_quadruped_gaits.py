@@ -28,7 +28,7 @@ from trajopt.schedule import Schedule
 MOST_ITERATIONS = 60
 # Closed forms and inverse kinematics, m and rad.
 ROUNDING = 1e-9
-# States in which plans of a start and a stop meet, rad, and rad/s or m/s: equal but for the flight of a gallop
+# States in which plans of a start and a stop meet, rad, and rad/s or m/s: equal but for a flight of a gallop
 # whose first part is within the time in which the pace grows.
 MEETING, MEETING_RATE = 1e-5, 1e-3
 # A solver that stops at 1e-6 in natural units leaves this of equal states, m, rad and their rates.

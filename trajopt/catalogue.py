@@ -38,6 +38,18 @@ def families() -> dict[str, Family]:
     return dict(sorted(found.items()))
 
 
+def robot_kind(name: str) -> str | None:
+    """Kind of a robot by name, or of a ``.py`` file that builds one; None where no package knows robots.
+
+    A package's module may offer ``robot_kind(name) -> str``, which raises InputError for an unknown name.
+    """
+    for entry in entry_points(group=GROUP):
+        offered = getattr(entry.load(), "robot_kind", None)
+        if offered is not None:
+            return str(offered(name))
+    return None
+
+
 def _families_of(entry: EntryPoint) -> Mapping[str, Family]:
     try:
         offered: Mapping[str, Family] = entry.load().families()

@@ -44,6 +44,9 @@ FROM_META = (
     "parameters",
 )
 
+# A cost of transport beyond this belongs to a motion on the spot, about which it says nothing.
+MOST_TRANSPORT = 10.0
+
 # The figures of a check that a summary shows, each with a short name.
 KEY_FIGURES = {
     "base_residual": "base residual",
@@ -190,7 +193,7 @@ def _energy(solution: Solution) -> str:
     from trajopt.power import cost_of_transport, energy
 
     drawn, transport = energy(solution), cost_of_transport(solution)
-    way = f", cost of transport {transport:.3g}" if math.isfinite(transport) else ""
+    way = f", cost of transport {transport:.3g}" if transport < MOST_TRANSPORT else ""
     return f"{drawn:.4g} J drawn by joints{way}"
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from trajopt.certify.payloads import payload_wrenches
@@ -70,20 +72,19 @@ def _sole_margin(plan: Solution, samples: Samples, surfaces: Touched, weight: fl
 
 
 def place_figures(plan: Solution, samples: Samples, surfaces: Touched) -> Figures:
-    """Where contacts are, and whether they stay: over all samples, and at the start of each phase.
+    """Where contacts are, and whether they stay: over all samples, and over every stance from its start.
 
-    Contacts that slide stay on their surface.
+    A stance is the time from a touchdown to the lift-off, whatever phases it spans. Contacts that slide stay
+    on their surface.
     """
     drift, turn, landing = [], [], []
     distance, moved = surfaces.distance(samples.position), held_part(samples.position, surfaces)
-    for phase in plan.phases:
-        for index in np.flatnonzero(plan.active[phase.start]):
-            rows = slice(phase.start, phase.stop)
-            drift.append(np.linalg.norm(moved[rows, index] - moved[phase.start, index], axis=1).max())
-            if surfaces.known[phase.start, index]:
-                landing.append(abs(distance[phase.start, index]))
-            if is_sole(plan)[index]:
-                turn.append(_turn(samples.rotation[rows, index]))
+    for index, first, stop in _stances(plan):
+        drift.append(np.linalg.norm(moved[first:stop, index] - moved[first, index], axis=1).max())
+        if surfaces.known[first, index]:
+            landing.append(abs(distance[first, index]))
+        if is_sole(plan)[index]:
+            turn.append(_turn(samples.rotation[first:stop, index]))
     speed = np.linalg.norm(held_part(samples.velocity[..., :3], surfaces)[plan.active], axis=1)
     return {
         "contact_velocity": _largest(speed),
@@ -94,6 +95,20 @@ def place_figures(plan: Solution, samples: Samples, surfaces: Touched) -> Figure
         "sole_tilt": _sole_tilt(plan, samples, surfaces),
         "patch_margin": _patch_margin(plan, samples),
     }
+
+
+def _stances(plan: Solution) -> Iterator[tuple[int, int, int]]:
+    """Contact, first sample and the one behind the last, of every stretch of phases with it active."""
+    for index in range(plan.active.shape[1]):
+        first: int | None = None
+        for phase in plan.phases:
+            if plan.active[phase.start, index]:
+                first = phase.start if first is None else first
+            elif first is not None:
+                yield index, first, phase.start
+                first = None
+        if first is not None:
+            yield index, first, plan.n_samples
 
 
 def _patch_margin(plan: Solution, samples: Samples) -> float | None:

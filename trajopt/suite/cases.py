@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
+from trajopt.catalogue import robot_kind
 from trajopt.errors import InputError
 from trajopt.family import Family
 
@@ -51,25 +52,16 @@ def select(
 ) -> tuple[Case, ...]:
     """The cases whose problem fits one of the patterns and whose robot is named; none means all.
 
-    problems: names, or patterns with ``*``, ``?`` and ``[...]``. robots: names of robots that families name,
-    or ``.py`` files that build one: such a robot meets every family that takes a robot.
+    problems: names, or patterns with ``*``, ``?`` and ``[...]``. robots: names, or ``.py`` files that build
+    one. One that no family names meets the families that take a robot and name one of its kind.
     Raises InputError for a pattern or a robot that fits nothing, and where no pair is left.
     """
     wanted = _fitting(families, problems)
-    files = [robot for robot in robots if robot.endswith(ROBOT_FILE)]
     known = {case.robot for case in all_cases(families)}
-    for robot in robots:
-        if robot in files:
-            _require_file(robot)
-        elif robot not in known:
-            raise _unknown("robot", robot, known)
     found = {case for case in all_cases(wanted) if not robots or case.robot in robots}
-    found |= {
-        Case(problem=family.name, robot=file, takes_robot=True)
-        for file in files
-        for family in wanted.values()
-        if family.takes_robot
-    }
+    for robot in robots:
+        if robot not in known:
+            found |= _unnamed(robot, wanted, known)
     if not found:
         raise InputError(
             f"no problem of {', '.join(problems) or 'all'} is run on {', '.join(robots)}",
@@ -86,6 +78,20 @@ def _fitting(families: Mapping[str, Family], patterns: Sequence[str]) -> dict[st
         name: family
         for name, family in families.items()
         if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)
+    }
+
+
+def _unnamed(robot: str, families: Mapping[str, Family], known: Iterable[str]) -> set[Case]:
+    """A robot that no family names on those that take a robot and name one of its kind."""
+    if robot.endswith(ROBOT_FILE):
+        _require_file(robot)
+    kind = robot_kind(robot)
+    if kind is None and not robot.endswith(ROBOT_FILE):
+        raise _unknown("robot", robot, known)
+    return {
+        Case(problem=family.name, robot=robot, takes_robot=True)
+        for family in families.values()
+        if family.takes_robot and (kind is None or robot_kind(family.robot) == kind)
     }
 
 
