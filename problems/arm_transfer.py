@@ -36,8 +36,8 @@ def build(
 ) -> Problem:
     """Build the transfer; see ``FAMILY`` for the parameters. Raises InputError."""
     arm = arms.load(robot)
-    start, goal = (arm.posture(side * turn / 2, side * out / 2, side * up / 2) for side in (-1, 1))
-    least = arms.least_duration(arm.robot, (start, goal))
+    start, end = (arm.posture(side * turn / 2, side * out / 2, side * up / 2) for side in (-1, 1))
+    least = arms.least_duration(arm.robot, (start, end))
     if not least > 0:
         raise InputError("start and goal of arm-transfer are the same posture", "allowed: turn, out or up")
     given = duration or (least if goal == "time" else UNHURRIED * least)
@@ -52,10 +52,10 @@ def build(
         terms=(
             *_priced(goal),
             *arms.limits(arm.robot),
-            TerminalState(q=goal),
-            TerminalRest(q=goal),
+            TerminalState(q=end),
+            TerminalRest(q=end),
         ),
-        guess=arms.ArmPath(model=arm.robot.model, start=start, end=goal, duration=given),
+        guess=arms.ArmPath(model=arm.robot.model, start=start, end=end, duration=given),
         parameters={"duration": given},
         **_TRANSCRIPTIONS[goal],
     )
