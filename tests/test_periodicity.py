@@ -244,5 +244,7 @@ def test_problems_that_cannot_close_are_refused() -> None:
         trajopt.solve(trot(half=True), solver="fatrop")
     with pytest.raises(InputError, match="duration_bounds"):
         replace(problem, duration_bounds=(1.0, 2.0))
+    with pytest.raises(InputError, match="duration_bounds"):
+        replace(problem, duration_bounds=("a", 2.0))
     with pytest.raises(InputError, match="velocity source"):
         replace(problem, actuation="velocity", terms=())

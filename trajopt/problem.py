@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -193,7 +194,10 @@ class Problem:
         if self.duration_bounds is None:
             return
         lower, upper = self.schedule.duration_range
-        low, high = (float(bound) for bound in self.duration_bounds)
+        try:
+            low, high = (float(bound) for bound in self.duration_bounds)
+        except (TypeError, ValueError):
+            low = high = math.nan
         if not (0 < low <= high and high >= lower and low <= upper):
             raise InputError(
                 f"duration_bounds of problem '{self.name}' are {self.duration_bounds} s",
