@@ -86,7 +86,7 @@ def test_patterns_and_robots_select():
 
 def test_a_robot_file_meets_the_families_that_take_a_robot(tmp_path: Path):
     file = tmp_path / "mine.py"
-    file.write_text("")
+    file.write_text("KIND = 'arm'\ndef build(): ...\n")
     (found,) = select(families(), ["t-*"], [str(file)])
     assert (found.problem, found.values) == ("t-robots", {"robot": str(file)})
 

@@ -72,29 +72,38 @@ def _sole_margin(plan: Solution, samples: Samples, surfaces: Touched, weight: fl
 
 
 def place_figures(plan: Solution, samples: Samples, surfaces: Touched) -> Figures:
-    """Where contacts are, and whether they stay: over all samples, and over every stance from its start.
+    """Where contacts are, and whether they stay: over all samples, and from the start of each phase.
 
-    A stance is the time from a touchdown to the lift-off, whatever phases it spans. Contacts that slide stay
+    ``stance_drift`` is from a touchdown to the lift-off, whatever phases that spans. Contacts that slide stay
     on their surface.
     """
     drift, turn, landing = [], [], []
     distance, moved = surfaces.distance(samples.position), held_part(samples.position, surfaces)
-    for index, first, stop in _stances(plan):
-        drift.append(np.linalg.norm(moved[first:stop, index] - moved[first, index], axis=1).max())
-        if surfaces.known[first, index]:
-            landing.append(abs(distance[first, index]))
-        if is_sole(plan)[index]:
-            turn.append(_turn(samples.rotation[first:stop, index]))
+    for phase in plan.phases:
+        for index in np.flatnonzero(plan.active[phase.start]):
+            rows = slice(phase.start, phase.stop)
+            drift.append(_way(moved[rows, index]))
+            if surfaces.known[phase.start, index]:
+                landing.append(abs(distance[phase.start, index]))
+            if is_sole(plan)[index]:
+                turn.append(_turn(samples.rotation[rows, index]))
+    stances = [_way(moved[first:stop, index]) for index, first, stop in _stances(plan)]
     speed = np.linalg.norm(held_part(samples.velocity[..., :3], surfaces)[plan.active], axis=1)
     return {
         "contact_velocity": _largest(speed),
         "penetration": _largest(np.maximum(-distance[surfaces.known], 0.0)),
         "landing_height": _largest(np.array(landing)),
         "foot_drift": _largest(np.array(drift)),
+        "stance_drift": _largest(np.array(stances)),
         "foot_turn": _largest(np.array(turn)),
         "sole_tilt": _sole_tilt(plan, samples, surfaces),
         "patch_margin": _patch_margin(plan, samples),
     }
+
+
+def _way(places: np.ndarray) -> float:
+    """Largest distance (m) of places (n, 3) from the first."""
+    return float(np.linalg.norm(places - places[0], axis=1).max())
 
 
 def _stances(plan: Solution) -> Iterator[tuple[int, int, int]]:

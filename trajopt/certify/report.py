@@ -104,6 +104,7 @@ FIGURES: dict[str, Figure] = {
     "landing_height": Figure(text="height of contacts where they begin", unit="m", tolerance="foot_drift"),
     "patch_margin": Figure(text="distance inside the patch", unit="m", tolerance="foot_drift", margin=True),
     "foot_drift": Figure(text="drift of active contacts", unit="m", tolerance="foot_drift"),
+    "stance_drift": Figure(text="drift from touchdown to lift-off", unit="m"),
     "foot_turn": Figure(text="turn of active soles", unit="rad"),
     "sole_tilt": Figure(text="tilt of active soles on their surface", unit="rad", tolerance="sole_tilt"),
     "impact_residual": Figure(text="law of the impacts", unit="momentum", tolerance="residual"),
@@ -193,6 +194,7 @@ class Report:
     landing_height: float | None
     patch_margin: float | None
     foot_drift: float | None
+    stance_drift: float | None
     foot_turn: float | None
     sole_tilt: float | None
     impact_residual: float | None

@@ -85,14 +85,27 @@ def _unnamed(robot: str, families: Mapping[str, Family], known: Iterable[str]) -
     """A robot that no family names on those that take a robot and name one of its kind."""
     if robot.endswith(ROBOT_FILE):
         _require_file(robot)
-    kind = robot_kind(robot)
-    if kind is None and not robot.endswith(ROBOT_FILE):
-        raise _unknown("robot", robot, known)
+        kind = robot_kind(robot)
+    else:
+        try:
+            kind = robot_kind(robot)
+        except InputError:
+            raise _unknown("robot", robot, known) from None
+        if kind is None:
+            raise _unknown("robot", robot, known)
     return {
         Case(problem=family.name, robot=robot, takes_robot=True)
         for family in families.values()
-        if family.takes_robot and (kind is None or robot_kind(family.robot) == kind)
+        if family.takes_robot and (kind is None or _kind(family.robot) in (None, kind))
     }
+
+
+def _kind(robot: str) -> str | None:
+    """Kind of a robot that a family names; None for one that no package of robots knows."""
+    try:
+        return robot_kind(robot)
+    except InputError:
+        return None
 
 
 def _require_file(robot: str) -> None:

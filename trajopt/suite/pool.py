@@ -98,8 +98,8 @@ def run_all(
             if isinstance(news, BaseException):
                 raise news
             left -= 1
-            display.finished(slot, news)
             yield news
+            display.finished(slot, news)  # shown when it is recorded: Ctrl-C in between would lose it
     finally:
         cancelled.set()
         for thread in threads:
