@@ -5,7 +5,7 @@ solved. Bands:
 
 - objective: the own solution's, plus or minus `OBJECTIVE_BAND` of it. The solver's tolerance of 1e-6 leaves
   far less, another optimum is further away.
-- iterations: from half to one and a half times the own solve's (at least `LEAST_MARGIN` apart from it):
+- iterations: from half to twice the own solve's (at least `LEAST_MARGIN` apart from it):
   rounding, which differs between processors and compilers, changes them that much. Where perturbed starts
   were run the band also holds the middle 80 % of theirs.
 """
@@ -23,7 +23,7 @@ from trajopt.suite.outcome import Outcome, quantile
 from trajopt.suite.settings import Settings
 
 OBJECTIVE_BAND = 1e-3
-ITERATION_BAND = 0.5
+FEWEST, MOST = 0.5, 2.0
 LEAST_MARGIN = 5
 # Objectives are written with so many digits: far finer than the band.
 DIGITS = 7
@@ -57,7 +57,8 @@ def entry_of(outcome: Outcome, settings: Settings) -> Entry:
     assert outcome.own.objective is not None
     assert outcome.grid is not None
     own, objective = outcome.own.iterations, outcome.own.objective
-    margin = max(LEAST_MARGIN, math.ceil(ITERATION_BAND * own))
+    fewest = min(own - LEAST_MARGIN, math.floor(FEWEST * own))
+    most = max(own + LEAST_MARGIN, math.ceil(MOST * own))
     others = sorted(start.iterations for start in outcome.starts if start.solved) or [own]
     width = max(OBJECTIVE_BAND * abs(objective), OBJECTIVE_FLOOR)
     return Entry(
@@ -68,8 +69,8 @@ def entry_of(outcome: Outcome, settings: Settings) -> Entry:
         solver=settings.solver,
         objective_low=_rounded(objective - width),
         objective_high=_rounded(objective + width),
-        iterations_low=max(0, min(own - margin, quantile(others, 0.1))),
-        iterations_high=max(own + margin, quantile(others, 0.9)),
+        iterations_low=max(0, min(fewest, quantile(others, 0.1))),
+        iterations_high=max(most, quantile(others, 0.9)),
     )
 
 
