@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
-from scipy.interpolate import CubicSpline
 
 from problems import arms, common
 from problems.strokes import Facing, RestOnStroke, Stroke, StrokeMotion
@@ -20,6 +20,9 @@ from trajopt.reduced.foot_motion import smooth_step
 from trajopt.schedule import FlatGround, Phase, Schedule
 from trajopt.surface import Surface
 from trajopt.terms import AccelerationCost, NormalForce, TorqueCost
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 TOOL = "tool"
 # Length of a line, diameter of a circle over the reach, where none is given.
@@ -73,6 +76,8 @@ def build(
     surface = Surface(
         point=stroke.centre, normal=normal, friction=friction, slip_speed=SLIP * stroke.length / time
     )
+    from scipy.interpolate import CubicSpline  # takes longer to load than all other problems
+
     spline = CubicSpline(np.linspace(0.0, 1.0, KNOTS), travel)
     return Problem(
         name="arm-wipe",
