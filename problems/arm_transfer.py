@@ -31,9 +31,7 @@ SHORTEST, LONGEST = 0.1, 4.0
 UNHURRIED = 2.0
 
 
-def build(
-    *, robot: str, goal: str, turn: float, out: float, up: float, duration: float | None
-) -> Problem:
+def build(*, robot: str, goal: str, turn: float, out: float, up: float, duration: float | None) -> Problem:
     """Build the transfer; see ``FAMILY`` for the parameters. Raises InputError."""
     arm = arms.load(robot)
     start, end = (arm.posture(side * turn / 2, side * out / 2, side * up / 2) for side in (-1, 1))
