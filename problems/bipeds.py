@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -31,17 +30,8 @@ def biped(name: str) -> Robot:
     InputError for a robot that is no biped.
     """
     robot = robots.load(name)
-    feet = biped_legs(robot)
-    contacts = tuple(robot.contact(foot) for foot in feet)
-    model = robot.model
-    legs = {
-        int(joint)
-        for contact in contacts
-        for joint in model.supports[model.frames[model.getFrameId(contact.frame)].parentJoint]
-    }
-    idle = [model.names[joint] for joint in range(2, model.njoints) if joint not in legs]
-    standing = replace(robot, contacts=contacts)  # whose length is that of its legs
-    return standing.with_locked(idle) if idle else standing
+    biped_legs(robot)
+    return robots.legs_only(robot)
 
 
 def limits(robot: Robot, effort_share: float) -> tuple[Term, ...]:

@@ -19,7 +19,6 @@ from trajopt.problem import Problem
 from trajopt.reduced.legged_guess import legged_guess
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround, Schedule
-from trajopt.term_interfaces import Cost
 
 ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
 # Default durations in units of sqrt(l / g): solo12 pushes for 0.4 s and comes to rest in 0.5 s.
@@ -32,8 +31,6 @@ SHARE_UP, SHARE_LOW, SHARE_ACROSS = 0.75, 0.6, 0.25
 
 # For least time durations are free within these multiples of theirs.
 FREE = (0.5, 2.0)
-# Costs of effort beside other goals are this many times those of `objectives.goal_terms`: a tenth in all.
-SMOOTH = 10.0
 # Motions of free durations are faster and want more intervals for feet that do not drift.
 INTERVALS, FREE_INTERVALS = 50, 80
 
@@ -119,12 +116,6 @@ def build(
         parameters=chosen,
         default_intervals=INTERVALS if goal == "effort" else FREE_INTERVALS,
     )
-
-
-def _rest(goal: str) -> tuple[Cost, ...]:
-    """Costs of effort; beside another goal, which takes a hundredth of them, more: leaps are to be smooth."""
-    costs, part = effort_costs(acceleration=leaping.ACCELERATION), 1.0 if goal == "effort" else SMOOTH
-    return tuple(replace(cost, weight=part * cost.weight) for cost in costs)
 
 
 def _schedule(robot: Robot, end: np.ndarray, durations: tuple[float, float, float], goal: str) -> Schedule:

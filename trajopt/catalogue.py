@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING
 
-from trajopt.errors import TrajoptError
+from trajopt.errors import InputError, TrajoptError
 
 if TYPE_CHECKING:
     from trajopt.family import Family
@@ -41,12 +41,22 @@ def families() -> dict[str, Family]:
 def robot_kind(name: str) -> str | None:
     """Kind of a robot by name, or of a ``.py`` file that builds one; None where no package knows robots.
 
-    A package's module may offer ``robot_kind(name) -> str``, which raises InputError for an unknown name.
+    A package's module may offer ``robot_kind(name) -> str``, which raises InputError for a name that it does
+    not know: so does this where none of them knows it. A package that cannot be loaded is passed over.
     """
+    unknown: InputError | None = None
     for entry in entry_points(group=GROUP):
-        offered = getattr(entry.load(), "robot_kind", None)
-        if offered is not None:
-            return str(offered(name))
+        try:
+            offered = getattr(entry.load(), "robot_kind", None)
+        except Exception:  # `families` warns of it
+            continue
+        try:
+            if offered is not None:
+                return str(offered(name))
+        except InputError as error:
+            unknown = unknown or error
+    if unknown is not None:
+        raise unknown
     return None
 
 

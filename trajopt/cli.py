@@ -120,9 +120,9 @@ def list_problems(problems: tuple[str, ...], robot: str | None, brief: bool, as_
     from trajopt.catalogue import families
     from trajopt.suite.cases import select
 
-    cases = select(families(), problems, [] if robot is None else [robot])
-    wanted = {case.problem for case in cases}
-    found = {name: family for name, family in families().items() if name in wanted}
+    known = families()
+    wanted = {case.problem for case in select(known, problems, [] if robot is None else [robot])}
+    found = {name: family for name, family in known.items() if name in wanted}
     if as_json:
         click.echo(cli_report.to_json(cli_report.list_dict(found)))
         return

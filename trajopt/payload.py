@@ -12,7 +12,6 @@ own model gives the torques of the robot with its load.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,6 +20,7 @@ import pinocchio as pin
 
 from trajopt.errors import InputError
 from trajopt.robot import Robot
+from trajopt.surface import is_number
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,7 +38,7 @@ class Payload:
     inertia: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        if not (_is_number(self.mass) and self.mass >= 0):
+        if not (is_number(self.mass) and self.mass >= 0):
             raise InputError(f"mass of a payload is {self.mass!r} kg", "allowed: finite and >= 0")
         for name, shape in (("centre", (3,)), ("inertia", (3, 3))):
             given = getattr(self, name)
@@ -69,10 +69,6 @@ class Payload:
             "centre": self.centre.tolist(),
             "inertia": self.inertia.tolist(),
         }
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _array(value: Any, shape: tuple[int, ...], name: str) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -187,8 +188,12 @@ class Problem:
 
     def robot_in(self, phase: str) -> Robot:
         """The robot in a phase: with what it carries there."""
-        payload = self.payloads.get(phase)
-        return self.robot if payload is None else loaded(self.robot, payload)
+        return self._loaded.get(phase, self.robot)
+
+    @cached_property
+    def _loaded(self) -> dict[str, Robot]:
+        """The robot with its payload, by phase: a model that every node and point of the phase shares."""
+        return {phase: loaded(self.robot, payload) for phase, payload in self.payloads.items()}
 
     def _require_duration(self) -> None:
         if self.duration_bounds is None:

@@ -56,12 +56,12 @@ class Surface:
         length = float(np.linalg.norm(normal))
         if not length > 0:
             raise InputError("normal of a surface has no length", "allowed: any direction")
-        if not (_is_number(self.friction) and self.friction >= 0):
+        if not (is_number(self.friction) and self.friction >= 0):
             raise InputError(f"friction of a surface is {self.friction!r}", "allowed: finite and >= 0")
         if not isinstance(self.bilateral, bool):
             raise InputError(f"bilateral of a surface is {self.bilateral!r}", "allowed: True or False")
         slip = self.slip_speed
-        if slip is not None and (self.bilateral or not (_is_number(slip) and slip > 0)):
+        if slip is not None and (self.bilateral or not (is_number(slip) and slip > 0)):
             raise InputError(
                 f"slip_speed of a surface is {slip!r}", "allowed: > 0 m/s on a surface that is not bilateral"
             )
@@ -134,5 +134,6 @@ def _vector(value: Any, name: str) -> np.ndarray:
     return vector
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> bool:
+    """Whether a value is a finite number, Python's or NumPy's; True and False are none."""
     return isinstance(value, int | float | np.number) and not isinstance(value, bool) and math.isfinite(value)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from trajopt.mirror import signed
 from trajopt.robot_building import base_of
 from trajopt.solution import Solution
 
@@ -37,7 +38,7 @@ def image(
     for joint in list(model.joints)[1:]:
         if joint.nv == 1:
             other = next(own for own in list(model.joints)[1:] if own.idx_v == index[joint.idx_v])
-            found[joint.idx_q : joint.idx_q + joint.nq] = _signed(
+            found[joint.idx_q : joint.idx_q + joint.nq] = signed(
                 q[other.idx_q : other.idx_q + other.nq], sign[joint.idx_v]
             )
     base = base_of(model)
@@ -59,8 +60,3 @@ def _translation(described: dict[str, Any], duration: float) -> np.ndarray:
         return np.array(described["velocity"], dtype=float) * duration
     given = described["translation"]
     return np.zeros(3) if given is None else np.array(given, dtype=float)
-
-
-def _signed(value: np.ndarray, sign: float) -> np.ndarray:
-    """A joint's coordinate times 1 or -1; of (cos, sin) the angle's."""
-    return sign * value if len(value) == 1 else np.array([value[0], sign * value[1]])

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.surface import SAME_PLANE, UP, Surface
+from trajopt.surface import SAME_PLANE, UP, Surface, is_number
 
 # Sine of the turn at a corner below which three corners are on one line (or turn the wrong way): rounding of
 # corners that were computed, far below any polygon that is meant to turn there.
@@ -37,7 +37,7 @@ class Patch:
     def __post_init__(self) -> None:
         if not isinstance(self.surface, Surface):
             raise InputError(f"surface of patch '{self.name}' is {self.surface!r}", "allowed: a Surface")
-        if not (_is_number(self.margin) and self.margin >= 0):
+        if not (is_number(self.margin) and self.margin >= 0):
             raise InputError(
                 f"margin of patch '{self.name}' is {self.margin!r} m", "allowed: finite and >= 0"
             )
@@ -83,7 +83,7 @@ class Patch:
         middle = np.array(centre, dtype=float)
         if middle.shape != (3,) or not np.isfinite(middle).all():
             raise InputError(f"centre of patch '{name}' is {centre!r}", "allowed: 3 finite numbers, m")
-        if len(size) != 2 or not all(_is_number(length) and length > 0 for length in size):
+        if len(size) != 2 or not all(is_number(length) and length > 0 for length in size):
             raise InputError(f"size of patch '{name}' is {size!r} m", "allowed: two lengths > 0")
         turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(size) / 2
@@ -145,10 +145,6 @@ class Patch:
         if not isinstance(described, dict) or set(described) != set(DESCRIBED):
             raise InputError(f"a patch is described by {described!r}", f"allowed: {', '.join(DESCRIBED)}")
         return cls(**(described | {"surface": Surface.from_description(described["surface"])}))
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _corners(value: Any, name: str) -> np.ndarray:
