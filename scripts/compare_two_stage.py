@@ -74,7 +74,7 @@ def with_wrenches(transcription: Transcription, x: np.ndarray, solution: Solutio
     unknowns = x * transcription.scale
     for k, rows in zip(layout.interval_stages, solution.intervals, strict=True):
         phase, window = int(layout.phase_of[k]), unknowns[layout.window(k)]
-        for i in range(layout.scheme.s):
+        for i in range(layout.scheme_of(phase).s):
             f = solution.f[rows.start + 1 + i]
             parts = [f[names.index(c.name), list(c.rows)] for c in layout.contacts[phase]]
             window[layout.local_wrench(phase, i)] = np.concatenate([np.zeros(0), *parts])

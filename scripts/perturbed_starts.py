@@ -38,7 +38,7 @@ def main(
         start = perturbed(prepared.transcription, prepared.guess, seed, sigma)
         results.append(run(prepared.nlp, start, solver, Stop(), {}, lambda _: True))
     solved = [result for result in results if result.status is Status.SOLVED]
-    scheme = prepared.transcription.layout.scheme.name
+    scheme = prepared.transcription.layout.mesh.transcription
     click.echo(f"{problem} {solver} {scheme} sigma {sigma}: {len(solved)} of {seeds}")
     if solved:
         iterations = [result.iterations for result in solved]

@@ -18,6 +18,7 @@ from trajopt.kinematics import contact_poses, contact_positions, inverse_kinemat
 from trajopt.landing_terms import SwingClearance, corners
 from trajopt.legs import biped_legs
 from trajopt.manifold import Coordinates
+from trajopt.mesh import equal_fractions
 from trajopt.model_quantities import contact_jacobian
 from trajopt.node_interfaces import NodePlace
 from trajopt.schedule import FlatGround, Phase, Schedule
@@ -172,7 +173,7 @@ def test_all_corners_of_a_swinging_sole_stay_above_the_ground(name):
     robot = bipeds.biped(name)
     left, right = biped_legs(robot)
     phase = Phase(name="swing", duration=0.5, contacts=(left,))
-    place = NodePlace(phase=phase, index=1, count=4, last=False)
+    place = NodePlace(phase=phase, index=1, fractions=equal_fractions(4), last=False)
     ground, contact = FlatGround(), robot.contact(right)
     arc = swing_arcs(Schedule((phase,)), (right,), height=0.04, terrain=ground)[0]
     pose = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.4, 0.2), np.array([0.1, 0.0, 0.2]))

@@ -175,7 +175,7 @@ def test_transcription_holds_on_the_propagated_states(name):
         x[layout.node(k)] = propagation.nodes[k]
     for k in range(count):
         window = x[layout.node_offset[k] : layout.node_offset[k + 1]]
-        for i in range(layout.scheme.s):
+        for i in range(layout.scheme_of(0).s):
             window[layout.local_derivative(0, i)] = propagation.y[k, i]
     x = x / prepared.transcription.scale
     assert set(prepared.transcription.rows.names) == {"defect", "base_dynamics"}

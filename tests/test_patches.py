@@ -21,6 +21,7 @@ from trajopt.errors import InputError, SolutionFileError
 from trajopt.kinematics import contact_positions
 from trajopt.legs import quadruped_legs
 from trajopt.manifold import Coordinates
+from trajopt.mesh import equal_fractions
 from trajopt.node_terms import (
     ContactLanding,
     FramePose,
@@ -211,7 +212,7 @@ def test_foothold_on_piecewise_ground_is_on_the_face_under_it():
 def landing_rows(robot: Robot, patch: Patch) -> tuple[Context, ca.Function, np.ndarray, np.ndarray]:
     """Rows of a landing on a patch as a function of the foot's frame, with their bounds."""
     context = Context(robot, Coordinates(robot.model), node=True)
-    place = NodePlace(phase=stance(patches={FOOT: patch}), index=0, count=4, last=False)
+    place = NodePlace(phase=stance(patches={FOOT: patch}), index=0, fractions=equal_fractions(4), last=False)
     term = ContactLanding(phase="stance", contacts=(FOOT,), terrain=FlatGround())
     rows = term.rows(context, Units(robot), place)
     function = ca.Function("rows", [context.frame(FOOT).stacked(), context.parameters], [rows.expression])

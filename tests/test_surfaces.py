@@ -15,6 +15,7 @@ from scipy.optimize import linprog
 from trajopt.context import Context
 from trajopt.errors import InputError
 from trajopt.manifold import Coordinates
+from trajopt.mesh import equal_fractions
 from trajopt.node_terms import ContactLanding, NodePlace, SwingClearance
 from trajopt.problem import Problem
 from trajopt.schedule import FlatGround, Phase, Schedule
@@ -288,7 +289,7 @@ def node_values(term, robot, placement: pin.SE3, place: NodePlace) -> np.ndarray
 def test_sole_lands_flat_on_its_surface():
     phase = stance(surfaces={FOOT: WALL})
     term = ContactLanding(phase="stance", contacts=(FOOT,), terrain=FlatGround())
-    place = NodePlace(phase=phase, index=0, count=4, last=False)
+    place = NodePlace(phase=phase, index=0, fractions=equal_fractions(4), last=False)
     on_wall = WALL.point + 0.4 * WALL.tangents[0] - 0.2 * WALL.tangents[1]
     flat = pin.SE3(WALL.frame @ pin.rpy.rpyToMatrix(0, 0, 1.1), on_wall)
     values = node_values(term, hopper("surface"), flat, place)
@@ -302,7 +303,9 @@ def test_sole_lands_flat_on_its_surface():
 
 def test_swing_clearance_is_the_distance_from_a_slope():
     ground = FlatGround(height=0.1, normal=(-0.6, 0.0, 0.8))
-    place = NodePlace(phase=Phase(name="flight", duration=0.2), index=2, count=4, last=False)
+    place = NodePlace(
+        phase=Phase(name="flight", duration=0.2), index=2, fractions=equal_fractions(4), last=False
+    )
     foot = ground.surface.point + 0.5 * ground.surface.tangents[0] + 0.07 * ground.surface.normal
     values = node_values(
         SwingClearance(height=0.05, terrain=ground), hopper(), pin.SE3(np.eye(3), foot), place

@@ -22,6 +22,7 @@ from trajopt.context import Context
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.kinematics import contact_positions
 from trajopt.manifold import Coordinates
+from trajopt.mesh import equal_fractions
 from trajopt.node_terms import NodePlace, SwingClearance
 from trajopt.schedule import Phase, Schedule
 from trajopt.solution import Solution
@@ -178,7 +179,9 @@ def test_force_on_curved_ground_is_split_along_its_normal_there():
 
 def test_swing_clearance_is_the_height_over_smooth_ground():
     context = Context(hopper(), Coordinates(hopper().model), node=True)
-    place = NodePlace(phase=Phase(name="flight", duration=0.2), index=1, count=4, last=False)
+    place = NodePlace(
+        phase=Phase(name="flight", duration=0.2), index=1, fractions=equal_fractions(4), last=False
+    )
     rows = SwingClearance(height=0.04, terrain=HILLS).rows(context, Units(hopper()), place)
     assert_allclose(rows.lower, 0.04 * 4 * 0.25 * 0.75)
     function = ca.Function("rows", [context.frame(FOOT).position, context.parameters], [rows.expression])
@@ -302,7 +305,12 @@ def test_straight_ways_between_nodes_within_the_rows_cut_no_edge(terrain, count)
         context = Context(hopper(), Coordinates(hopper().model), node=True)
         nodes = [start]
         for index in range(1, count):
-            place = NodePlace(phase=Phase(name="swing", duration=0.4), index=index, count=count, last=False)
+            place = NodePlace(
+                phase=Phase(name="swing", duration=0.4),
+                index=index,
+                fractions=equal_fractions(count),
+                last=False,
+            )
             assert term.acts_at(place)
             rows = term._planes(term.swings[0], place)
             assert term.rows(context, Units(hopper()), place).expression.numel() == len(rows)
@@ -332,7 +340,7 @@ def test_swing_through_two_phases_is_one_swing():
     inside, joints = swing_clearance(
         robot, Schedule(tuple(phases)), STAIRS, height=0.02, guess=lambda t: robot.reference
     )
-    at = NodePlace(phase=phases[2], index=0, count=3, last=False)
+    at = NodePlace(phase=phases[2], index=0, fractions=equal_fractions(3), last=False)
     assert joints.acts_at(at)
     assert not inside.acts_at(at)
     assert inside.swings[0].fraction(at) == (pytest.approx(0.25), pytest.approx(0.25))

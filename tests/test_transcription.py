@@ -127,7 +127,7 @@ def test_rows_of_a_stage_are_gaps_then_points_then_node():
         n = t.layout.forms[0].size
         assert_allclose(stage[:n], t.gap_rows[k])
         points = t.rows.point[stage[n:]]
-        kinds = np.where(points < 0, t.layout.scheme.s, points)  # rows at the node come last
+        kinds = np.where(points < 0, t.layout.scheme_of(0).s, points)  # rows at the node come last
         assert np.all(np.diff(kinds) >= 0)
         assert set(points) >= {0, 1}
 

@@ -15,7 +15,7 @@ from trajopt.units import Units
 
 @dataclass(frozen=True)
 class Collocation:
-    """The collocation map of a layout's scheme between scaled unknowns, in the robot's units.
+    """The collocation map of a layout's schemes between scaled unknowns, in the robot's units.
 
     ``units`` are those of every form's robot, by identity of the robot.
     """
@@ -47,7 +47,9 @@ class Collocation:
         if impact:
             return np.concatenate([node, units.velocity, wrench * units.time])
         derivative = units.acceleration if layout.order == 2 else units.velocity
-        return np.concatenate([node, *[np.concatenate([derivative, wrench])] * layout.scheme.s])
+        return np.concatenate(
+            [node, *[np.concatenate([derivative, wrench])] * layout.scheme_of(stage.phase).s]
+        )
 
     @cached_property
     def scale(self) -> np.ndarray:
@@ -55,10 +57,10 @@ class Collocation:
         windows = [self.window_scale(k) for k in range(self.layout.n_stages)]
         return np.concatenate([*windows, self.node_scale(self.layout.forms[-1])])
 
-    def point_gather(self, phase: int, i: int) -> sparse.csr_matrix:
-        """z of a point: rotations, local coordinates and their derivatives, wrenches, own clock."""
-        layout, scheme = self.layout, self.layout.scheme
-        stage, form = int(layout.intervals_of(phase)[0]), layout.form_of(phase)
+    def point_gather(self, stage: int, i: int) -> sparse.csr_matrix:
+        """z of a point of an interval: rotations, local coordinates and derivatives, wrenches, own clock."""
+        layout, phase = self.layout, int(self.layout.phase_of[stage])
+        scheme, form = layout.scheme_of(phase), layout.form_of(phase)
         lower = self._lower_derivatives(stage, scheme.c[i], scheme.A1[i], scheme.A2[i])
         eye = np.eye(layout.window_size(stage))
         highest = eye[layout.local_derivative(phase, i)]
@@ -77,10 +79,9 @@ class Collocation:
         """z of a node: its own unknowns."""
         return sparse.csr_matrix(np.diag(self.node_scale(form)))
 
-    def end_gather(self, phase: int) -> sparse.csr_matrix:
-        """z = (rotations, theta, and theta' if there are rates) at an interval's end."""
-        layout = self.layout
-        stage, form = int(layout.intervals_of(phase)[0]), layout.form_of(phase)
+    def end_gather(self, stage: int) -> sparse.csr_matrix:
+        """z = (rotations, theta, and theta' if there are rates) at the end of an interval."""
+        layout, form = self.layout, self.layout.forms[stage]
         rotation = form.coordinates.rotation_index
         eye = np.eye(layout.window_size(stage))
         ends = [matrix[rotation] for matrix in self._end_derivatives(stage)]
@@ -134,7 +135,7 @@ class Collocation:
         return block
 
     def _end_derivatives(self, k: int) -> list[np.ndarray]:
-        scheme = self.layout.scheme
+        scheme = self.layout.scheme_of(int(self.layout.phase_of[k]))
         return self._lower_derivatives(k, 1.0, scheme.b1, scheme.b2)
 
     def _lower_derivatives(self, k: int, c: float, a1: np.ndarray, a2: np.ndarray) -> list[np.ndarray]:
@@ -143,7 +144,7 @@ class Collocation:
         phase, h = layout.stages[k].phase, layout.steps[k]
         eye = np.eye(layout.window_size(k))
         position = self._positions(eye, form)
-        unknown = [eye[layout.local_derivative(phase, j)] for j in range(layout.scheme.s)]
+        unknown = [eye[layout.local_derivative(phase, j)] for j in range(layout.scheme_of(phase).s)]
         if layout.order == 1:
             return [position + h * sum(a * y for a, y in zip(a1, unknown, strict=True))]
         start = eye[form.rates]

@@ -49,13 +49,14 @@ def extract(transcription: Transcription, x: np.ndarray, meta: dict[str, Any]) -
     clocks = layout.clocks(unknowns)
     steps = layout.steps * clocks[layout.phase_of]
     times = layout.times(unknowns)
-    ends = layout.scheme.interpolation(np.array([0.0, 1.0]))
     columns: dict[str, list[np.ndarray]] = {name: [] for name in ("t", "q", "v", "a", "tau", "f")}
     for k in layout.interval_stages:
         interval = _interval(
             problem, layout, unknowns, int(k), float(steps[k]), float(clocks[layout.phase_of[k]])
         )
-        inner = times[k] + layout.scheme.c * steps[k]
+        scheme = layout.scheme_of(int(layout.phase_of[k]))
+        ends = scheme.interpolation(np.array([0.0, 1.0]))
+        inner = times[k] + scheme.c * steps[k]
         columns["t"].append(np.concatenate([[times[k]], inner, [times[k + 1]]]))
         for name in ("q", "v", "a"):
             columns[name].append(getattr(interval, name))
@@ -95,32 +96,40 @@ def _impacts(layout: Layout, unknowns: np.ndarray) -> dict[str, np.ndarray]:
         )
         for k in stages
     ]
-    first = [int(np.sum(layout.interval_stages < k)) * (layout.scheme.s + 2) for k in stages]
+    before = [layout.interval_stages[layout.interval_stages < k] for k in stages]
+    first = [int(_widths(layout, intervals).sum()) for intervals in before]
     return {"impulse": np.array(impulse), "impact_index": np.array(first)}
 
 
 def _labels(layout: Layout) -> dict[str, np.ndarray]:
     """Phase, interval, collocation and active of every sample."""
-    width = layout.scheme.s + 2
-    inner = np.ones(width, dtype=bool)
-    inner[[0, -1]] = False
+    widths = _widths(layout, layout.interval_stages)
+    inner = np.ones(widths.sum(), dtype=bool)
+    ends = np.cumsum(widths)
+    inner[[*(ends - widths), *(ends - 1)]] = False
     every = [contact.name for contact in layout.robot.contacts]
     phases = layout.schedule.phases
     active = np.array([[name in phase.contacts for name in every] for phase in phases], dtype=bool)
-    phase = np.repeat(layout.phase_of[layout.interval_stages], width)
+    phase = np.repeat(layout.phase_of[layout.interval_stages], widths)
     return {
         "phase": phase,
-        "interval": np.repeat(np.arange(layout.n_intervals), width),
-        "collocation": np.tile(inner, layout.n_intervals),
+        "interval": np.repeat(np.arange(layout.n_intervals), widths),
+        "collocation": inner,
         "active": active.reshape(len(phases), len(every))[phase],
     }
+
+
+def _widths(layout: Layout, stages: np.ndarray) -> np.ndarray:
+    """Number of samples of each of these intervals: its points and its two nodes."""
+    return np.array([layout.scheme_of(int(layout.phase_of[k])).s + 2 for k in stages], dtype=int)
 
 
 def _interval(
     problem: Problem, layout: Layout, unknowns: np.ndarray, k: int, h: float, clock: float
 ) -> _Interval:
     """Motion from the collocation map, torques from numeric Pinocchio; ``h`` in s, ``clock`` over nominal."""
-    phase, method, form = int(layout.phase_of[k]), layout.scheme, layout.forms[k]
+    phase, form = int(layout.phase_of[k]), layout.forms[k]
+    method = layout.scheme_of(phase)
     window, nv = unknowns[layout.window(k)], form.coordinates.nv
     y = np.array([window[layout.local_derivative(phase, i)] for i in range(method.s)])
     nodes = [
@@ -212,8 +221,9 @@ def _problem_meta(transcription: Transcription) -> dict[str, Any]:
         "actuation": problem.actuation,
         "redundant_contact_rows": dict(transcription.redundant),
         "terrain": problem.terrain.describe(),
-        "transcription": transcription.layout.scheme.name,
+        "transcription": transcription.layout.mesh.transcription,
         "intervals": list(transcription.layout.intervals),
+        "mesh": transcription.layout.mesh.describe(),
         "phase_names": [phase.name for phase in problem.schedule.phases],
         "versions": {name: installed_version(name) for name in VERSIONED},
         **robot_meta(problem),

@@ -48,7 +48,7 @@ def _fill_interval(transcription: Transcription, k: int, window: np.ndarray) -> 
         int(transcription.layout.phase_of[k]),
         transcription.layout.forms[k],
     )
-    for i, c in enumerate(layout.scheme.c):
+    for i, c in enumerate(layout.scheme_of(phase).c):
         whole = _state(transcription, layout.node_times[k] + c * layout.steps[k], phase)
         q, v, a = in_form(layout, form, whole)
         if layout.order == 2:

@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from trajopt.manifold import Coordinates
+from trajopt.mesh import Mesh
 from trajopt.mode import Mode
 from trajopt.node_terms import NodePlace
 from trajopt.robot import Contact, Robot
@@ -35,7 +36,7 @@ class Meeting:
 
 @dataclass(frozen=True)
 class Layout:
-    """Index ranges of one transcription; ``intervals`` is the number of intervals of each phase.
+    """Index ranges of one transcription on ``mesh``: schemes and intervals of each phase.
 
     ``order`` of the equations of motion: 2, or 1 for a velocity source, whose nodes have no rates.
     ``closed``: the ends are compared, so their rates are in true time.
@@ -43,8 +44,7 @@ class Layout:
 
     robot: Robot
     schedule: Schedule
-    intervals: tuple[int, ...]
-    scheme: Scheme
+    mesh: Mesh
     order: int = 2
     modes: Mapping[str, Mode] = field(default_factory=dict)
     closed: bool = False
@@ -52,7 +52,7 @@ class Layout:
     @cached_property
     def timeline(self) -> Timeline:
         """Stages, forms of nodes, places of nodes."""
-        return timeline(self.robot, self.schedule, self.modes, self.intervals, self.order, self.closed)
+        return timeline(self.robot, self.schedule, self.modes, self.mesh, self.order, self.closed)
 
     @property
     def stages(self) -> tuple[Stage, ...]:
@@ -68,6 +68,15 @@ class Layout:
     def n_stages(self) -> int:
         """Number of stages; there is one node more."""
         return len(self.stages)
+
+    @property
+    def intervals(self) -> tuple[int, ...]:
+        """Number of intervals of each phase."""
+        return self.mesh.counts
+
+    def scheme_of(self, phase: int) -> Scheme:
+        """Scheme of a phase."""
+        return self.mesh.phases[phase].method
 
     @property
     def n_intervals(self) -> int:
@@ -129,7 +138,7 @@ class Layout:
         """Size of the controls of stage k."""
         stage, nv = self.stages[k], self.forms[k].coordinates.nv
         if stage.kind is StageKind.INTERVAL:
-            return self.scheme.s * (nv + self.n_wrench(stage.phase))
+            return self.scheme_of(stage.phase).s * (nv + self.n_wrench(stage.phase))
         if stage.kind is StageKind.IMPACT:
             return nv + sum(contact.dimension for contact in self.touching[stage.phase])
         return 0
@@ -188,9 +197,10 @@ class Layout:
         if found is None:
             return None
         phase, index = found
-        count = self.intervals[phase]
+        mesh = self.mesh.phases[phase]
         final = phase == len(self.intervals) - 1
-        return NodePlace(self.schedule.phases[phase], index, count, final and index == count, final)
+        last = final and index == mesh.count
+        return NodePlace(self.schedule.phases[phase], index, mesh.fractions, last, final)
 
     def meeting(self, k: int) -> Meeting:
         """The intervals between which node k lies, whatever transitions are there."""

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trajopt.layout import Layout
+from trajopt.mesh import mesh_of
 from trajopt.row_collection import RowInfo
-from trajopt.schemes import scheme
 from trajopt.solution import Solution
 from trajopt.timeline import StageKind
 from trajopt.transcription import Transcription
@@ -124,10 +124,10 @@ def _functions(blocks: list[_Block], multipliers: np.ndarray) -> Mapping[_Key, _
 
 def _layout_of(layout: Layout, solution: Solution, bounds: np.ndarray) -> Layout | None:
     """The solution's own layout, if its unknowns are those of this problem on its grid."""
-    intervals = tuple(len(set(solution.interval[list(rows)].tolist())) for rows in solution.phases)
-    if len(intervals) != len(layout.intervals):
+    mesh = mesh_of(solution)
+    if len(mesh.phases) != len(layout.mesh.phases):
         return None
-    old = replace(layout, intervals=intervals, scheme=scheme(solution.meta["transcription"]))
+    old = replace(layout, mesh=mesh)
     return old if len(bounds) == old.n_unknowns else None
 
 
@@ -136,7 +136,9 @@ def _rows_of(old: Layout, solution: Solution) -> RowInfo | None:
     if solution.row_place is None:
         return None
     block, stage, point = solution.row_place.T
-    outside = (stage < 0) | (stage > old.n_stages) | (point < -1) | (point >= old.scheme.s)
+    points = [old.scheme_of(old.phase_at(k)).s for k in range(old.n_stages + 1)]
+    outside = (stage < 0) | (stage > old.n_stages) | (point < -1)
+    outside |= point >= np.array(points)[np.clip(stage, 0, old.n_stages)]
     if outside.any():
         return None
     return RowInfo(names=tuple(solution.meta["row_names"]), block=block, stage=stage, point=point)
@@ -155,14 +157,14 @@ def _blocks(layout: Layout, info: RowInfo) -> Iterator[_Block]:
 def _block(layout: Layout, name: str, k: int, point: int, rows: np.ndarray) -> _Block:
     transition = k < layout.n_stages and layout.stages[k].kind is not StageKind.INTERVAL
     if point >= 0:
-        phase, index = _interval_in_phase(layout, k)
-        c, count = float(layout.scheme.c[point]), layout.intervals[phase]
-        weight = layout.steps[k] * layout.scheme.b1[point]
-        inner = index + c + INSIDE * (0.5 - c)
-        return _Block(_Key(name, phase, "point", len(rows)), rows, inner / count, weight)
+        phase, (start, end) = _interval_in_phase(layout, k)
+        method = layout.scheme_of(phase)
+        c = float(method.c[point])
+        inner = start + (c + INSIDE * (0.5 - c)) * (end - start)
+        weight = layout.steps[k] * method.b1[point]
+        return _Block(_Key(name, phase, "point", len(rows)), rows, inner, weight)
     if name == "defect" and not transition:
-        phase, index = _interval_in_phase(layout, k)
-        end = (index + 1) / layout.intervals[phase]
+        phase, (_, end) = _interval_in_phase(layout, k)
         return _Block(_Key(name, phase, "defect", len(rows)), rows, end, 1.0)
     if transition:
         kind = layout.stages[k].kind.value
@@ -176,11 +178,12 @@ def _at_node(layout: Layout, name: str, k: int, rows: np.ndarray) -> _Block:
     if place is None:
         return _Block(_Key(name, layout.phase_at(k), "repeated", len(rows)), rows, 0.0, 1.0)
     phase, index = place
-    count = layout.intervals[phase]
-    if index in (0, count):
+    mesh = layout.mesh.phases[phase]
+    if index in (0, mesh.count):
         return _Block(_Key(name, phase, "first" if index == 0 else "last", len(rows)), rows, 0.0, 1.0)
     key = _Key(name, phase, "node", len(rows))
-    return _Block(key, rows, index / count, layout.schedule.phases[phase].duration / count)
+    spacing = (mesh.widths[index - 1] + mesh.widths[index]) / 2
+    return _Block(key, rows, mesh.fractions[index], layout.schedule.phases[phase].duration * spacing)
 
 
 def _nodes(layout: Layout) -> Iterator[_Block]:
@@ -190,6 +193,9 @@ def _nodes(layout: Layout) -> Iterator[_Block]:
         yield _at_node(layout, "node", k, np.arange(node.start, node.stop))
 
 
-def _interval_in_phase(layout: Layout, k: int) -> tuple[int, int]:
+def _interval_in_phase(layout: Layout, k: int) -> tuple[int, tuple[float, float]]:
+    """Phase of an interval, and its start and end as fractions of it."""
     phase = int(layout.phase_of[k])
-    return phase, k - int(layout.intervals_of(phase)[0])
+    index = k - int(layout.intervals_of(phase)[0])
+    fractions = layout.mesh.phases[phase].fractions
+    return phase, (fractions[index], fractions[index + 1])

@@ -16,6 +16,7 @@ from trajopt.compilation import DEFAULT_LEVEL, CompilationReport, compile_points
 from trajopt.errors import InputError
 from trajopt.extraction import extract
 from trajopt.guess import initial_guess, perturbed
+from trajopt.mesh import Mesh
 from trajopt.multipliers import with_multipliers
 from trajopt.nlp import Nlp, assemble
 from trajopt.problem import Problem
@@ -53,6 +54,7 @@ def prepare(
     *,
     transcription: str | None = None,
     intervals: int | None = None,
+    mesh: Mesh | None = None,
     compile: str = DEFAULT_LEVEL,
     threads: int = 1,
     start: Solution | str | Path | None = None,
@@ -62,7 +64,7 @@ def prepare(
     The guess is the solution ``start``, resampled, or the problem's own. Raises InputError.
     """
     begun = time.perf_counter()
-    transcribed = transcribe(problem, transcription, intervals)
+    transcribed = transcribe(problem, transcription, intervals, mesh)
     points = {id(group.point): group.point for group in transcribed.groups}
     compiled, report = compile_points(points.values(), compile)
     by_point = {key: compiled[entry_key(point, report.level)] for key, point in points.items()}
@@ -92,6 +94,7 @@ def solve(
     *,
     transcription: str | None = None,
     intervals: int | None = None,
+    mesh: Mesh | None = None,
     solver: str = DEFAULT_SOLVER,
     tolerance: float = 1e-6,
     max_iterations: int = 500,
@@ -106,8 +109,10 @@ def solve(
 ) -> Solution:
     """Solve a problem; never raises because the solver did not converge.
 
-    transcription: scheme by name, for example ``legendre:2``; default: the problem's.
+    transcription: scheme by name, for example ``legendre:2``, or one for each phase, separated by commas;
+        default: the problem's.
     intervals: number over the whole schedule; default: the problem's.
+    mesh: schemes and widths of intervals by phase, instead of both.
     solver: ``ipopt`` or ``fatrop``; ``options`` are its own, refused when unknown.
     tolerance: on feasibility and optimality, in natural units (weight, length, sqrt(l/g)).
     seed, perturb: noise on the guess, standard deviation in scaled units.
@@ -124,6 +129,7 @@ def solve(
         problem,
         transcription=transcription,
         intervals=intervals,
+        mesh=mesh,
         compile=compile,
         threads=threads,
         start=start,

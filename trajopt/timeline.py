@@ -11,7 +11,7 @@ unknowns; the clock of every free phase is a constant entry of all nodes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
@@ -19,6 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from trajopt.manifold import Coordinates
+from trajopt.mesh import Mesh
 from trajopt.mode import Mode
 from trajopt.robot import Robot
 from trajopt.schedule import Schedule
@@ -134,15 +135,15 @@ class _Builder:
             self.known[key] = NodeForm(*pair, clock, self.n_clocks, self.order)
         return self.known[key]
 
-    def build(self, intervals: Sequence[int]) -> Timeline:
+    def build(self, mesh: Mesh) -> Timeline:
         last = len(self.schedule.phases) - 1
-        for phase, count in enumerate(intervals):
+        for phase, own_mesh in enumerate(mesh.phases):
             own = self.form(self.of_phase[phase], self.clocks[phase])
             if phase == 0:
                 self.begin(own)
-            step = self.schedule.phases[phase].duration / count
-            for index in range(1, count + 1):
-                self.stages.append(Stage(StageKind.INTERVAL, phase, step))
+            duration = self.schedule.phases[phase].duration
+            for index, width in enumerate(own_mesh.widths, 1):
+                self.stages.append(Stage(StageKind.INTERVAL, phase, duration * width))
                 self.node(own, (phase, index))
             self.transitions(phase, phase + 1 if phase < last else None)
         return Timeline(tuple(self.stages), tuple(self.forms), tuple(self.places))
@@ -189,12 +190,12 @@ def timeline(
     robot: Robot,
     schedule: Schedule,
     modes: Mapping[str, Mode],
-    intervals: Sequence[int],
+    mesh: Mesh,
     order: int,
     closed: bool = False,
 ) -> Timeline:
-    """Stages and nodes of a schedule with that number of intervals in each phase.
+    """Stages and nodes of a schedule on a mesh.
 
     closed: rates at the first and the last node are in true time, whatever clocks the phases have.
     """
-    return _Builder(robot, schedule, modes, order, closed).build(intervals)
+    return _Builder(robot, schedule, modes, order, closed).build(mesh)

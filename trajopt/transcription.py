@@ -1,4 +1,4 @@
-"""Problem + scheme -> rows, bounds, scales and groups of point functions: an NLP without numbers of its own.
+"""Problem + mesh -> rows, bounds, scales and groups of point functions: an NLP without numbers of its own.
 
 Rows of stage k, in order: the gap rows ``x_(k+1) - F(x_k, u_k) = 0`` with an identity block in
 x_(k+1); the rows of each collocation point, or of an impact; the rows at node k. Every row is divided by
@@ -7,7 +7,7 @@ its natural unit, every unknown is measured in its own, so that one tolerance me
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,10 +16,10 @@ from scipy import sparse
 from trajopt.collocation import Collocation
 from trajopt.errors import InputError
 from trajopt.layout import Layout
+from trajopt.mesh import Mesh
 from trajopt.problem import Problem
 from trajopt.row_collection import RowCollection, RowInfo
 from trajopt.schedule_rows import schedule_rows
-from trajopt.schemes import Scheme, scheme
 from trajopt.stage_functions import PointFunction
 from trajopt.term_functions import Kind, TermFunctions
 from trajopt.timeline import StageKind
@@ -91,14 +91,13 @@ class _Numbers:
 class Transcriber:
     """Builds a Transcription step by step; ``build()`` reads top to bottom."""
 
-    def __init__(self, problem: Problem, method: Scheme, intervals: Sequence[int]) -> None:
+    def __init__(self, problem: Problem, mesh: Mesh) -> None:
         order = 1 if problem.actuation == "velocity" else 2
-        self.problem, self.method = problem, method
+        self.problem = problem
         self.layout = Layout(
             problem.robot,
             problem.schedule,
-            tuple(intervals),
-            method,
+            mesh,
             order,
             dict(problem.modes),
             closed=problem.periodicity is not None,
@@ -158,7 +157,10 @@ class Transcriber:
                 found.gap.append(self.rows.add("defect", k, -1, zero, zero))
                 if layout.stages[k].kind is StageKind.INTERVAL:
                     blocks = kinds[layout.phase_of[k]].blocks
-                    found.point[k] = [self.rows.add_blocks(blocks, k, i) for i in range(self.method.s)]
+                    found.point[k] = [
+                        self.rows.add_blocks(blocks, k, i)
+                        for i in range(layout.scheme_of(layout.stages[k].phase).s)
+                    ]
             if k in impacts:
                 found.impact[k] = self.rows.add_blocks(impacts[k].blocks, k, -1)
             if k in nodes:
@@ -175,19 +177,27 @@ class Transcriber:
     # Groups
 
     def _add_point_groups(self, phase: int, kind: Kind, point_rows: dict[int, list[np.ndarray]]) -> None:
-        stages = self.layout.intervals_of(phase)
-        for i in range(self.method.s):
-            self.groups.append(
-                Group(
-                    point=kind.function,
-                    gather=self.collocation.point_gather(phase, i),
-                    stages=stages,
-                    rows=np.array([point_rows[k][i] for k in stages]),
-                    row_scale=kind.row_scale,
-                    parameters=self._parameters(kind, stages, self.method.c[i]),
-                    cost_weight=self.layout.steps[stages] * self.method.b1[i] / self.time,
+        method = self.layout.scheme_of(phase)
+        for stages in self._alike(phase):
+            for i in range(method.s):
+                self.groups.append(
+                    Group(
+                        point=kind.function,
+                        gather=self.collocation.point_gather(int(stages[0]), i),
+                        stages=stages,
+                        rows=np.array([point_rows[k][i] for k in stages]),
+                        row_scale=kind.row_scale,
+                        parameters=self._parameters(kind, stages, method.c[i]),
+                        cost_weight=self.layout.steps[stages] * method.b1[i] / self.time,
+                    )
                 )
-            )
+
+    def _alike(self, phase: int) -> Iterator[np.ndarray]:
+        """Intervals of a phase by their width: those of one width share the collocation map."""
+        stages = self.layout.intervals_of(phase)
+        steps = self.layout.steps[stages]
+        for step in np.unique(steps):
+            yield stages[steps == step]
 
     def _parameters(self, kind: Kind, stages: np.ndarray, fraction: float = 0.0) -> np.ndarray:
         """Values of the parameters (n, n_p) at that fraction of stages."""
@@ -197,21 +207,22 @@ class Transcriber:
         return np.array([kind.parameters_at(float(t)) for t in times])
 
     def _add_end_group(self, phase: int, gap_rows: list[np.ndarray]) -> None:
-        form, stages = self.layout.form_of(phase), self.layout.intervals_of(phase)
+        form = self.layout.form_of(phase)
         end = self.functions.end(form)
         if end is None:
             return
         rotating = form.rates[form.coordinates.rotation_index] if form.order == 2 else form.rates
         local = np.concatenate([form.rotations, rotating])
-        self.groups.append(
-            _gap_group(
-                end,
-                self.collocation.end_gather(phase),
-                stages,
-                np.array([gap_rows[k][local] for k in stages]),
-                self.collocation.node_scale(form)[local],
+        for stages in self._alike(phase):
+            self.groups.append(
+                _gap_group(
+                    end,
+                    self.collocation.end_gather(int(stages[0])),
+                    stages,
+                    np.array([gap_rows[k][local] for k in stages]),
+                    self.collocation.node_scale(form)[local],
+                )
             )
-        )
 
     def _add_impact_group(self, k: int, kind: Kind, rows: np.ndarray) -> None:
         self.groups.append(
@@ -268,19 +279,37 @@ def _gap_group(
 
 
 def transcribe(
-    problem: Problem, transcription: str | None = None, intervals: int | None = None
+    problem: Problem,
+    transcription: str | None = None,
+    intervals: int | None = None,
+    mesh: Mesh | None = None,
 ) -> Transcription:
-    """Transcribe a problem with the scheme of that name on ``intervals`` over the whole schedule.
+    """Transcribe a problem on ``intervals`` over the whole schedule, or on a mesh of its own.
 
-    Raises InputError for an unknown scheme or fewer intervals than phases.
+    transcription: a scheme by name for all phases, or one for each, separated by commas.
+    Raises InputError for an unknown scheme, fewer intervals than phases, or a mesh that does not fit.
     """
-    method = scheme(problem.default_transcription if transcription is None else transcription)
+    chosen = mesh if mesh is not None else _uniform_mesh(problem, transcription, intervals)
+    if mesh is not None and (transcription is not None or intervals is not None):
+        raise InputError("a mesh is given with a transcription or intervals", "allowed: one of them")
+    phases = problem.schedule.phases
+    if len(chosen.phases) != len(phases):
+        raise InputError(
+            f"the mesh has {len(chosen.phases)} phases, problem '{problem.name}' {len(phases)}",
+            "allowed: as many",
+        )
+    for method in (phase.method for phase in chosen.phases):
+        if problem.actuation == "velocity" and problem.robot.n_unactuated and 0.0 in method.c:
+            raise InputError(
+                f"transcription '{method.name}' states the balance of a velocity source twice at every node",
+                "allowed: legendre or radau for a free base",
+            )
+    return Transcriber(problem, chosen).build()
+
+
+def _uniform_mesh(problem: Problem, transcription: str | None, intervals: int | None) -> Mesh:
     total = problem.default_intervals if intervals is None else intervals
     if not isinstance(total, (int, np.integer)) or isinstance(total, bool):
         raise InputError(f"intervals is {total!r}", "allowed: a whole number")
-    if problem.actuation == "velocity" and problem.robot.n_unactuated and 0.0 in method.c:
-        raise InputError(
-            f"transcription '{method.name}' states the balance of a velocity source twice at every node",
-            "allowed: legendre or radau for a free base",
-        )
-    return Transcriber(problem, method, problem.schedule.intervals(total)).build()
+    name = problem.default_transcription if transcription is None else transcription
+    return Mesh.uniform(name, problem.schedule.intervals(total))

@@ -178,7 +178,8 @@ def _bounded_nodes(term: PointConstraint, layout: Layout) -> list[_Bounded]:
         if meeting.before is None:  # the free start of a closed motion: its image at the end has the limits
             continue
         before, after = (_acts(term, layout, stage) for stage in (meeting.before, meeting.after))
-        stated_before, stated_after = before and 1.0 in layout.scheme.c, after and 0.0 in layout.scheme.c
+        stated_before = before and _has_point(layout, meeting.before, 1.0)
+        stated_after = after and _has_point(layout, meeting.after, 0.0)
         if meeting.impact_ahead:
             if layout.stages[k].kind is StageKind.IMPACT and before and not stated_before:
                 found.append(_Bounded(k, positions=True, rates=True))
@@ -205,6 +206,11 @@ def _stated_limits(
             found = bounds[id(layout.forms[at.node].robot)]
             if found is not None:
                 yield term, at, found
+
+
+def _has_point(layout: Layout, stage: int | None, fraction: float) -> bool:
+    """Whether an interval has a collocation point at that fraction of it."""
+    return stage is not None and fraction in layout.scheme_of(layout.stages[stage].phase).c
 
 
 def _acts(term: PointConstraint, layout: Layout, stage: int | None) -> bool:

@@ -52,7 +52,8 @@ def _describe(
     layout = t.layout
     time = float(times[stage])
     if point >= 0:
-        time += float(layout.scheme.c[point] * (times[stage + 1] - times[stage]))
+        fraction = layout.scheme_of(layout.phase_at(stage)).c[point]
+        time += float(fraction * (times[stage + 1] - times[stage]))
     return {
         "block": name,
         "phase": layout.schedule.phases[layout.phase_at(stage)].name,

@@ -174,7 +174,7 @@ def _fill_interval(source: _Source, k: int, window: np.ndarray) -> None:
     """Highest derivatives in nominal time relative to the interval's start, and wrenches, at the points."""
     layout, form, phase = source.layout, source.layout.forms[k], int(source.layout.phase_of[k])
     start, step, clock = layout.node_times[k], layout.steps[k], source.clocks[phase]
-    for i, c in enumerate(layout.scheme.c):
+    for i, c in enumerate(layout.scheme_of(phase).c):
         found = source.at(phase, float(start + c * step), float(start + step / 2))
         q, v, a = in_form(layout, form, (found.q, found.v, found.a))
         local = local_from_pinocchio(form.coordinates, window[form.rotations], q, v, a)

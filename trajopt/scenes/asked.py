@@ -16,6 +16,7 @@ import numpy as np
 from trajopt.context import Context
 from trajopt.context_symbols import Actuation, Place
 from trajopt.manifold import Coordinates
+from trajopt.mesh import equal_fractions
 from trajopt.node_terms import NodeConstraint, NodePlace
 from trajopt.problem import Problem
 from trajopt.robot_layers import robot_layers
@@ -158,7 +159,9 @@ class Reader:
         phases = self.problem.schedule.phases
         for index in range(NODE_INTERVALS + (phase == len(phases) - 1)):
             last = index == NODE_INTERVALS
-            place = NodePlace(phases[phase], index, NODE_INTERVALS, last, phase == len(phases) - 1)
+            place = NodePlace(
+                phases[phase], index, equal_fractions(NODE_INTERVALS), last, phase == len(phases) - 1
+            )
             for term in self.problem.node_constraints:
                 if term.acts_at(place):
                     yield self.node(term, phase, place)

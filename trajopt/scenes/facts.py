@@ -8,13 +8,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from trajopt.contact_terms import ContactConstraint
+from trajopt.mesh import Mesh
 from trajopt.node_terms import SwingClearance
 from trajopt.point_terms import EffortLimits, PositionLimits, VelocityLimits
 from trajopt.problem import Problem
 from trajopt.robot import Robot
 from trajopt.scenes.asked import Reader
 from trajopt.scenes.report import EXACT, OFFER, Decision
-from trajopt.schemes import scheme
 from trajopt.units import Units
 
 Grid = tuple[str | None, int | None]
@@ -49,8 +49,9 @@ def remarks(problem: Problem, whole: Problem, grid: Grid) -> list[Decision]:
 
 def _points(problem: Problem, grid: Grid) -> np.ndarray:
     """Collocation points of every phase."""
-    method, total = scheme(grid[0] or problem.default_transcription), grid[1] or problem.default_intervals
-    return np.array(problem.schedule.intervals(total)) * method.s
+    name, total = grid[0] or problem.default_transcription, grid[1] or problem.default_intervals
+    mesh = Mesh.uniform(name, problem.schedule.intervals(total))
+    return np.array([phase.count * phase.method.s for phase in mesh.phases])
 
 
 def _flight(problem: Problem, points: np.ndarray) -> list[Decision]:

@@ -241,6 +241,6 @@ class _Smallest:
             decisions=tuple(self.decisions),
             before=self.before,
             after=Size(variables=made.layout.n_unknowns, rows=made.n_rows),
-            transcription=made.layout.scheme.name,
+            transcription=made.layout.mesh.transcription,
             intervals=made.layout.n_intervals,
         )

@@ -94,7 +94,7 @@ def _solve(
 def _grid(prepared: Prepared) -> Grid:
     t = prepared.transcription
     return Grid(
-        scheme=t.layout.scheme.name,
+        scheme=t.layout.mesh.transcription,
         intervals=t.layout.n_intervals,
         variables=t.layout.n_unknowns,
         constraints=t.n_rows,

@@ -57,7 +57,7 @@ class Swing:
         """Fraction of the swing at a node, and that of one interval there."""
         begin, duration = self.parts[place.phase.name]
         whole = self.end - self.begin
-        return (begin + place.fraction * duration - self.begin) / whole, duration / place.count / whole
+        return (begin + place.fraction * duration - self.begin) / whole, duration * place.step / whole
 
     @property
     def has_two_rows(self) -> bool:
