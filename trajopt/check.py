@@ -9,22 +9,19 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from trajopt.actuators.drive import Drive
-from trajopt.actuators.on_robot import drive_torque_values
 from trajopt.bases.virtual_base import gimbal_margin_along
 from trajopt.certify.clearance import clearance_figures
 from trajopt.certify.closing import periodicity_error
 from trajopt.certify.consistency import interval_gaps
-from trajopt.certify.contact_figures import force_figures, is_sole, place_figures
+from trajopt.certify.contact_figures import force_figures, place_figures
+from trajopt.certify.dynamics_figures import dynamics_figures
 from trajopt.certify.flight import flight_errors
 from trajopt.certify.impact_figures import impact_figures
+from trajopt.certify.limit_figures import drive_figures, limit_figures
 from trajopt.certify.reintegration import OpenLoopError, open_loop
 from trajopt.certify.report import PhaseReport, Report
-from trajopt.certify.samples import Samples, evaluate
-from trajopt.certify.sliding import held_part
-from trajopt.certify.touched import Touched, touched
-from trajopt.model_quantities import gravity_of, mass_of
-from trajopt.robot_building import position_limits
+from trajopt.certify.samples import evaluate
+from trajopt.certify.touched import touched
 from trajopt.solution import Solution
 from trajopt.solution_file import consistent_meta
 
@@ -36,17 +33,17 @@ def check(solution: Solution | str | Path) -> Report:
     Pinocchio. Raises `SolutionFileError` for a file, `InputError` for a solution, that is
     inconsistent or not finite.
     """
-    given = _trusted(solution)
-    plan = _on_manifold(given)
+    given = trusted(solution)
+    plan = on_manifold(given)
     samples = evaluate(plan)
     surfaces = touched(plan, samples.position)
     gaps = interval_gaps(plan)
     phases = _phases(plan)
     return Report(
-        **_dynamics(plan, samples, surfaces),
+        **dynamics_figures(plan, samples, surfaces),
         **force_figures(plan, samples, surfaces),
-        **_limits(plan),
-        **_drives(plan),
+        **limit_figures(plan),
+        **drive_figures(plan),
         **place_figures(plan, samples, surfaces),
         **impact_figures(plan, surfaces),
         **clearance_figures(plan),
@@ -66,13 +63,14 @@ def check(solution: Solution | str | Path) -> Report:
     )
 
 
-def _trusted(solution: Solution | str | Path) -> Solution:
+def trusted(solution: Solution | str | Path) -> Solution:
+    """The solution, or the one of the file at that path, its consistency tested; raises as `check`."""
     if not isinstance(solution, Solution):
         return Solution.load(solution)
     return replace(solution, meta=json.loads(consistent_meta(solution)))
 
 
-def _on_manifold(plan: Solution) -> Solution:
+def on_manifold(plan: Solution) -> Solution:
     """Rotations of unit norm: their error is a figure of its own and shall not disturb the others."""
     q = np.array([pin.normalize(plan.model, row) for row in plan.q])
     return replace(plan, q=q)
@@ -85,75 +83,6 @@ def _worst(values: list[float | None]) -> float | None:
 
 def _largest(values: np.ndarray) -> float | None:
     return float(np.max(values)) if values.size else None
-
-
-def _weight(plan: Solution) -> float:
-    """Weight of the moving bodies in N, the unit of forces and, times one metre, of moments."""
-    return mass_of(plan.model) * gravity_of(plan.model)
-
-
-def _dynamics(plan: Solution, samples: Samples, surfaces: Touched) -> dict[str, float | None]:
-    points, base, gravity = plan.collocation, plan.n_unactuated, gravity_of(plan.model)
-    force = samples.generalized_force[points] / _weight(plan)
-    balance = force[:, :base]
-    held = samples.acceleration / gravity
-    if plan.meta.get("actuation") == "velocity":  # rows of statics and of velocities, not of motion
-        still = replace(plan, v=np.zeros_like(plan.v), a=np.zeros_like(plan.a))
-        balance = evaluate(still).generalized_force[points, :base] / _weight(plan) if base else balance
-        held = samples.velocity / np.sqrt(gravity)
-    held = np.concatenate([held_part(held[..., :3], surfaces), held[..., 3:]], axis=-1)
-    acceleration = held[points][plan.active[points]]
-    soles = np.broadcast_to(is_sole(plan), plan.active.shape)[points][plan.active[points]]
-    acceleration[~soles, 3:] = 0.0
-    return {
-        "base_residual": _largest(np.abs(balance)),
-        "actuated_residual": _largest(np.abs(force[:, base:] - plan.tau[points] / _weight(plan))),
-        "contact_acceleration": _largest(np.abs(acceleration)),
-    }
-
-
-def _limits(plan: Solution) -> dict[str, float | None]:
-    effort = _beyond(plan.tau, plan.meta["effort_limit"])
-    # Rates that are inputs have values at points; those of motions have them everywhere.
-    moving = plan.collocation if plan.meta.get("actuation") == "velocity" else slice(None)
-    velocity = _beyond(plan.v[moving], plan.meta["velocity_limit"])
-    lower, upper = position_limits(plan.model)
-    beyond = np.maximum(plan.q - upper, lower - plan.q)
-    limited = np.isfinite(lower) | np.isfinite(upper)
-    span = np.where(np.isfinite(upper - lower) & (upper > lower), upper - lower, 1.0)
-    return {
-        "effort_excess": _largest(effort[plan.collocation]),
-        "effort_excess_between": _largest(effort[~plan.collocation]),
-        "velocity_excess": _largest(velocity),
-        "position_excess": _largest((beyond / span)[:, limited]),
-    }
-
-
-def _beyond(values: np.ndarray, limit: list[float | None] | None) -> np.ndarray:
-    """|x| / limit - 1 of the limited columns; a limit of zero counts in units of x itself."""
-    if limit is None:
-        return np.zeros((len(values), 0))
-    bound = np.array([np.inf if entry is None else entry for entry in limit], dtype=float)
-    columns = np.isfinite(bound)
-    unit = np.where(bound[columns] > 0, bound[columns], 1.0)
-    return np.asarray((np.abs(values[:, columns]) - bound[columns]) / unit)
-
-
-def _drives(plan: Solution) -> dict[str, float | None]:
-    """Motor torque and voltage over their limits, minus one, from ``tau``, ``v`` and the drives of meta."""
-    entries = plan.meta.get("drives") or []
-    drives = tuple(None if entry is None else Drive.from_meta(entry) for entry in entries)
-    rates = plan.v[:, plan.n_unactuated :]
-    torque = drive_torque_values(drives, plan.tau, rates) if drives else plan.tau
-    found = [(row, drive) for row, drive in enumerate(drives) if drive is not None]
-    current = [torque[:, i] / d.joint_torque_limit for i, d in found if np.isfinite(d.torque_limit)]
-    voltage = [d.voltage_use(torque[:, i], rates[:, i]) for i, d in found if np.isfinite(d.stall_torque)]
-    points = plan.collocation
-    return {
-        "drive_torque_excess": _largest(np.abs([row[points] for row in current]) - 1),
-        "drive_voltage_excess": _largest(np.abs([row[points] for row in voltage]) - 1),
-        "drive_voltage_excess_between": _largest(np.abs([row[~points] for row in voltage]) - 1),
-    }
 
 
 def _quaternion_error(plan: Solution) -> float | None:

@@ -26,6 +26,8 @@ from trajopt.dynamics.contact_set import ContactSet
 from trajopt.robot_building import BASE_JOINT, BASE_POSITION, BASE_ROWS, base_of
 from trajopt.solution import Solution
 
+PhaseDynamics = ContactDynamics | SlidingDynamics
+
 # Far below what is measured (1e-6 at best), far above rounding.
 RELATIVE_ERROR = 1e-10
 ABSOLUTE_ERROR = 1e-12
@@ -59,8 +61,7 @@ def open_loop(solution: Solution) -> tuple[OpenLoopError, ...]:
 def _phase_error(solution: Solution, phase: range) -> OpenLoopError:
     q, v = solution.q[phase.start].copy(), solution.v[phase.start].copy()
     worst: np.ndarray = np.zeros(3)
-    model = carrying_model(solution, int(solution.phase[phase.start]))
-    dynamics = _dynamics(solution, model, phase.start)
+    dynamics = phase_dynamics(solution, phase.start)
     for rows in solution.intervals[solution.interval[phase.start] : solution.interval[phase.stop - 1] + 1]:
         if solution.meta.get("actuation") == "velocity":
             end = follow_rates(solution, rows, q)
@@ -70,13 +71,13 @@ def _phase_error(solution: Solution, phase: range) -> OpenLoopError:
             worst[:] = np.inf
             break
         q, v = end
-        worst = np.maximum(worst, _distance(solution.model, solution.q[rows.stop - 1], q))
+        worst = np.maximum(worst, state_distance(solution.model, solution.q[rows.stop - 1], q))
     if base_of(solution.model) == "fixed":
         return OpenLoopError(position=None, orientation=None, joints=float(worst[2]))
     return OpenLoopError(position=float(worst[0]), orientation=float(worst[1]), joints=float(worst[2]))
 
 
-def _distance(model: pin.Model, planned: np.ndarray, reached: np.ndarray) -> np.ndarray:
+def state_distance(model: pin.Model, planned: np.ndarray, reached: np.ndarray) -> np.ndarray:
     """Distance of base position (m), base orientation (rad) and worst joint (rad or m)."""
     base = base_of(model)
     rows = BASE_ROWS[base]
@@ -155,16 +156,23 @@ def _run(rate: Callable[[float, np.ndarray], np.ndarray], state: np.ndarray) -> 
     return method.y if method.status == "finished" and np.isfinite(method.y).all() else None
 
 
-def _dynamics(solution: Solution, model: pin.Model, row: int) -> ContactDynamics | SlidingDynamics:
-    """Dynamics of the phase of a sample with the contacts that are active in it."""
-    kinds = zip(solution.contact_frames, solution.meta["contact_kinds"], solution.active[row], strict=True)
-    contacts = [(frame, 3 if kind == "point" else 6) for frame, kind, on in kinds if on]
-    held = ContactSet.of(model, contacts)
+def phase_dynamics(solution: Solution, row: int) -> PhaseDynamics:
+    """Dynamics of the phase of a sample: the contacts that are active in it, and what is carried."""
+    phase = int(solution.phase[row])
+    model = carrying_model(solution, phase)
+    held = active_contacts(solution, model, row)
     described = surfaces_of(solution.meta.get("surfaces"))
-    surfaces = described[int(solution.phase[row])] if described else {}
+    surfaces = described[phase] if described else {}
     sliding = {
         index: surfaces[frame]
-        for index, (frame, _) in enumerate(contacts)
+        for index, frame in enumerate(held.names)
         if frame in surfaces and surfaces[frame].slip_speed is not None
     }
     return SlidingDynamics(model, held, sliding) if sliding else ContactDynamics(model, held)
+
+
+def active_contacts(solution: Solution, model: pin.Model, row: int) -> ContactSet:
+    """The contacts of ``model`` that are active at a sample, by their frames."""
+    kinds = zip(solution.contact_frames, solution.meta["contact_kinds"], solution.active[row], strict=True)
+    contacts = [(frame, 3 if kind == "point" else 6) for frame, kind, on in kinds if on]
+    return ContactSet.of(model, contacts)

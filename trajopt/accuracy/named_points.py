@@ -1,0 +1,52 @@
+"""The points of a robot that its model names: origins of joints and frames, and centres of mass of links."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedPoints:
+    """Points that move with a model: places (n, 3) m in the axes of each of its joints."""
+
+    model: pin.Model
+    by_joint: dict[int, np.ndarray]
+
+    @classmethod
+    def of(cls, model: pin.Model) -> NamedPoints:
+        """Origins of all joints and frames, and the centres of mass of their links."""
+        places = {joint: [np.zeros(3), model.inertias[joint].lever] for joint in range(1, model.njoints)}
+        for frame in model.frames:
+            if frame.parentJoint > 0:
+                places[frame.parentJoint].append(frame.placement.translation)
+        return cls(
+            model=model,
+            by_joint={joint: np.unique(np.array(found), axis=0) for joint, found in places.items()},
+        )
+
+    def positions(self, q: np.ndarray) -> np.ndarray:
+        """Places (n, 3) m in the world at q (nq,)."""
+        data = self.model.createData()
+        pin.forwardKinematics(self.model, data, q)
+        found = []
+        for joint, places in self.by_joint.items():
+            found.append(data.oMi[joint].translation + places @ data.oMi[joint].rotation.T)
+        return np.vstack(found)
+
+    def velocities(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Velocities (n, 3) m/s in the world at q (nq,), v (nv,)."""
+        data = self.model.createData()
+        pin.forwardKinematics(self.model, data, q, v)
+        found = []
+        for joint, places in self.by_joint.items():
+            twist = data.v[joint]
+            found.append((twist.linear + np.cross(twist.angular, places)) @ data.oMi[joint].rotation.T)
+        return np.vstack(found)
+
+    def farthest(self, planned: np.ndarray, reached: np.ndarray) -> float:
+        """Largest distance (m) of a point at one configuration (nq,) from where it is at the other."""
+        apart = self.positions(reached) - self.positions(planned)
+        return float(np.linalg.norm(apart, axis=1).max())

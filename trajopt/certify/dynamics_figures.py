@@ -1,0 +1,61 @@
+"""Rows of the dynamics and of the contacts' motion at samples of a solution, and their figures in a check."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trajopt.certify.contact_figures import is_sole
+from trajopt.certify.samples import Samples, evaluate
+from trajopt.certify.sliding import held_part
+from trajopt.certify.touched import Touched
+from trajopt.model_quantities import gravity_of, mass_of
+from trajopt.solution import Solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class DynamicsRows:
+    """What is left of the rows that hold at the collocation points, at K samples, in SI units.
+
+    base (K, n_unactuated), actuated (K, nu): N and N m. contact (K, nc, 6), linear rows first: classical
+    acceleration of active contacts, of a velocity source their velocity; zero where there is no such row.
+    """
+
+    base: np.ndarray
+    actuated: np.ndarray
+    contact: np.ndarray
+
+
+def dynamics_rows(plan: Solution, samples: Samples, surfaces: Touched) -> DynamicsRows:
+    """Rows at every sample; of a velocity source the base rows are its statics, RNEA(q, 0, 0) - sum J^T f."""
+    base, force = plan.n_unactuated, samples.generalized_force
+    balance, held = force[:, :base], samples.acceleration
+    if plan.meta.get("actuation") == "velocity":  # rows of statics and of velocities, not of motion
+        still = replace(plan, v=np.zeros_like(plan.v), a=np.zeros_like(plan.a))
+        balance = evaluate(still).generalized_force[:, :base] if base else balance
+        held = samples.velocity
+    contact = np.concatenate([held_part(held[..., :3], surfaces), held[..., 3:]], axis=-1)
+    contact[~plan.active] = 0.0
+    contact[:, ~is_sole(plan), 3:] = 0.0
+    return DynamicsRows(base=balance, actuated=force[:, base:] - plan.tau, contact=contact)
+
+
+def dynamics_figures(plan: Solution, samples: Samples, surfaces: Touched) -> dict[str, float | None]:
+    """Largest rows at the collocation points, over the weight (moments: times 1 m) and over g.
+
+    Of a velocity source the contacts' velocities are over sqrt(g 1 m).
+    """
+    rows, points = dynamics_rows(plan, samples, surfaces), plan.collocation
+    gravity = gravity_of(plan.model)
+    weight = mass_of(plan.model) * gravity
+    moving = np.sqrt(gravity) if plan.meta.get("actuation") == "velocity" else gravity
+    return {
+        "base_residual": _largest(np.abs(rows.base[points]) / weight),
+        "actuated_residual": _largest(np.abs(rows.actuated[points]) / weight),
+        "contact_acceleration": _largest(np.abs(rows.contact[points][plan.active[points]]) / moving),
+    }
+
+
+def _largest(values: np.ndarray) -> float | None:
+    return float(np.max(values)) if values.size else None
