@@ -1,10 +1,8 @@
-"""IPOPT and FATROP on the same NLP, with defaults chosen by measurement (docs/measurements.md)."""
+"""IPOPT, FATROP and the SQP on the same NLP, with defaults chosen by measurement (docs/measurements.md)."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,14 +10,9 @@ import numpy as np
 from trajopt import _engine
 from trajopt.errors import InputError
 from trajopt.nlp import Nlp
+from trajopt.solvers.result import FEASIBILITY_SHARE, Callback, Option, Result, Stop, Warm
+from trajopt.solvers.sqp_driver import solve_sqp
 from trajopt.solvers.status import Status
-
-Option = str | int | float
-Callback = Callable[[dict[str, float]], bool]
-
-# IPOPT meets rows more tightly than optimality, so that a solution passes a check at its tolerance.
-# FATROP stalls at that: it works at the edge of its linear algebra's accuracy.
-FEASIBILITY_SHARE = 0.1
 
 # The NLP comes scaled by units, so the solvers' own scaling is off; a solution "to an
 # acceptable level" is no solution. The bound relaxation is far below the tolerance. Multipliers
@@ -83,46 +76,6 @@ _IPOPT_STATUS = {
     "Invalid_Problem_Definition": Status.INVALID,
     "Invalid_Number_Detected": Status.NOT_FINITE,
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Result:
-    """Outcome of a solve in scaled units; ``wall_time`` and ``function_time`` in s.
-
-    lam_g, lam_x: multipliers of rows and bounds, of the Lagrangian f + lam_g . g + lam_x . x.
-    primal, dual, complementarity: the solver's own infeasibilities (largest entries, unscaled by its
-    multipliers) at ``x``; NaN where it was not started.
-    """
-
-    x: np.ndarray
-    lam_g: np.ndarray
-    lam_x: np.ndarray
-    status: Status
-    solver_status: str
-    iterations: int
-    objective: float
-    wall_time: float
-    function_time: float
-    primal: float = math.nan
-    dual: float = math.nan
-    complementarity: float = math.nan
-
-
-@dataclass(frozen=True, kw_only=True)
-class Warm:
-    """What a start from another solution knows: multipliers as `Result`'s, None where there are none."""
-
-    lam_g: np.ndarray | None = None
-    lam_x: np.ndarray | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Stop:
-    """When to stop: optimality and feasibility ``tolerance`` in scaled units, iterations, s."""
-
-    tolerance: float = 1e-6
-    max_iterations: int = 500
-    max_time: float = 600.0
 
 
 def _ipopt(
@@ -199,7 +152,7 @@ def _fatrop(
     return _result(raw, _FATROP_STATUS.get(raw["status"], Status.FAILED))
 
 
-SOLVERS = {"ipopt": _ipopt, "fatrop": _fatrop}
+SOLVERS = {"ipopt": _ipopt, "fatrop": _fatrop, "sqp": solve_sqp}
 
 
 def _result(raw: dict[str, Any], status: Status) -> Result:

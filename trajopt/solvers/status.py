@@ -15,6 +15,7 @@ class Status(Enum):
     )
     ITERATION_LIMIT = "the iteration limit was reached: raise --max-iterations, or start from a better guess"
     TIME_LIMIT = "the time limit was reached: raise --max-time, or use fewer intervals"
+    EARLY = "stopped early, as asked: rows hold as well as that, the motion is not optimal"
     INTERRUPTED = "stopped by the user: the iterate at that moment is kept, it is not a solution"
     NOT_FINITE = (
         "a function value or derivative is not finite: look at the block named, and at the guess there"

@@ -1,0 +1,59 @@
+"""What every solver takes and gives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from trajopt.solvers.status import Status
+
+Option = str | int | float
+Callback = Callable[[dict[str, float]], bool]
+
+# IPOPT meets rows more tightly than optimality, so that a solution passes a check at its tolerance.
+# FATROP stalls at that: it works at the edge of its linear algebra's accuracy.
+FEASIBILITY_SHARE = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """Outcome of a solve in scaled units; ``wall_time`` and ``function_time`` in s.
+
+    lam_g, lam_x: multipliers of rows and bounds, of the Lagrangian f + lam_g . g + lam_x . x.
+    primal, dual, complementarity: the solver's own infeasibilities (largest entries, unscaled by its
+    multipliers) at ``x``; NaN where it was not started. figures: what else a solver tells, for ``meta``.
+    """
+
+    x: np.ndarray
+    lam_g: np.ndarray
+    lam_x: np.ndarray
+    status: Status
+    solver_status: str
+    iterations: int
+    objective: float
+    wall_time: float
+    function_time: float
+    primal: float = math.nan
+    dual: float = math.nan
+    complementarity: float = math.nan
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Warm:
+    """What a start from another solution knows: multipliers as `Result`'s, None where there are none."""
+
+    lam_g: np.ndarray | None = None
+    lam_x: np.ndarray | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stop:
+    """When to stop: optimality and feasibility ``tolerance`` in scaled units, iterations, s."""
+
+    tolerance: float = 1e-6
+    max_iterations: int = 500
+    max_time: float = 600.0

@@ -1,0 +1,270 @@
+"""Sequential quadratic programming with a filter line search, for few and cheap steps from a good start.
+
+Each step solves a quadratic program of the problem's stages (see `qp`) with the NLP's own Hessian: the
+exact one of the Lagrangian, or Gauss-Newton's. A filter decides how far to go (see `sqp_filter`), after a
+second-order correction where the whole step makes the rows worse. Where the program has no feasible
+point, or no step along its direction is taken, the step comes from an elastic program, which may miss rows
+at a price, and must make the rows better; where that cannot be done the problem is infeasible nearby
+(Nocedal and Wright, "Numerical Optimization", 2006, chapter 18; Fletcher and Leyffer, "Nonlinear programming
+without a penalty function", Mathematical Programming 91, 2002).
+
+The diagonal gets ``delta`` more where curvature is wrong: a program that is not solved, a direction along
+which the objective rises, a short step.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from trajopt.nlp import Nlp
+from trajopt.solvers.qp import QpStep, Quadratic, StageQp
+from trajopt.solvers.sqp_filter import Filter
+from trajopt.solvers.sqp_point import Errors, Evaluator, Point
+from trajopt.solvers.sqp_settings import SqpSettings
+
+# Added to the diagonal: the least, the factor by which it grows, the most after short steps, and the most
+# for a program that is not solved.
+FIRST_DELTA, DELTA_GROWTH, SHORT_STEP_DELTA, MOST_DELTA = 1e-4, 4.0, 1.0, 1e4
+UNSOLVED_DELTA = 1e-2
+# Steps shorter than this share of their direction call for curvature; the shortest that are tried.
+SHORT, SHORTEST, SHORTEST_ELASTIC = 0.2, 1e-3, 1e-6
+# The elastic program: its first and least share of the objective, the part of the violation that it must
+# do away with to be content with its share, and its curvature, in natural units.
+FIRST_SHARE, LEAST_SHARE, CONTENT, ELASTIC_DELTA = 0.1, 1e-4, 0.9, 1e-2
+# Less than this part of the violation done away with is none: the rows have a stationary point.
+STATIONARY = 1e-6
+# Multipliers beyond say nothing but that rows contradict each other: the Hessian does without.
+LARGEST_MULTIPLIER = 1e6
+# Programs are solved to this part of the errors so far, and never less well than that.
+QP_SHARE, LEAST_QP_ACCURACY = 1e-3, 1e-5
+# A direction so short is at the limit of rounding: nothing can be told from values along it.
+TINY = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class SqpOutcome:
+    """The last iterate and why it is the last; ``programs``: how many were solved, ``program_time`` in s."""
+
+    point: Point
+    errors: Errors
+    status: str
+    iterations: int
+    programs: int
+    program_iterations: int
+    program_time: float
+
+
+class _Stop(Exception):  # noqa: N818 - it is no error
+    """The reason why no further step is taken."""
+
+
+@dataclass
+class Sqp:
+    """One solve: ``run`` takes steps until a reason to stop."""
+
+    nlp: Nlp
+    settings: SqpSettings
+    callback: Callable[[dict[str, float]], bool]
+    delta: float = field(init=False)
+    iteration: int = field(default=0, init=False)
+    last: Mapping[str, float] = field(default_factory=dict, init=False)
+    programs: int = field(default=0, init=False)
+    program_iterations: int = field(default=0, init=False)
+    program_time: float = field(default=0.0, init=False)
+
+    def __post_init__(self) -> None:
+        self.evaluator = Evaluator(self.nlp)
+        self.qp = StageQp(self.nlp)
+        self.delta = self.settings.regularization
+
+    def run(self, x: np.ndarray, lam_g: np.ndarray, lam_x: np.ndarray) -> SqpOutcome:
+        """Solve from ``x``, moved into its bounds, and multipliers of rows and bounds."""
+        self.deadline = time.perf_counter() + self.settings.max_time
+        self.point = self.evaluator.at(x, lam_g, lam_x)
+        self.filter = Filter(self.point.pair.theta, 1e-3 * self.settings.feasibility)
+        status = "Interrupted"
+        try:
+            while True:
+                self._report_and_test()
+                self.point = self._next()
+                self.iteration += 1
+        except _Stop as reason:
+            status = str(reason)
+        except KeyboardInterrupt:
+            pass
+        return SqpOutcome(
+            point=self.point,
+            errors=self.evaluator.errors(self.point),
+            status=status,
+            iterations=self.iteration,
+            programs=self.programs,
+            program_iterations=self.program_iterations,
+            program_time=self.program_time,
+        )
+
+    def _report_and_test(self) -> None:
+        """Tell of the iterate; stop there if it is good enough, or there is no more time."""
+        point, settings = self.point, self.settings
+        errors = self.errors = self.evaluator.errors(point)
+        seen = {
+            "iteration": self.iteration,
+            "objective": point.pair.f,
+            "primal": errors.primal,
+            "dual": errors.dual,
+            "barrier": 0.0,
+            "step": 0.0,
+            "regularization": self.delta,
+            "line_search": 0,
+            "restoration": False,
+        }
+        if not self.callback({**seen, **self.last}):
+            raise _Stop("Interrupted")
+        if not point.is_finite:
+            raise _Stop("NotFinite")
+        if errors.primal <= settings.feasibility and errors.optimality <= settings.tolerance:
+            raise _Stop("Solved")
+        if settings.early is not None and self.iteration > 0 and errors.primal <= settings.early:
+            raise _Stop("Early")
+        if self.iteration >= settings.max_iterations:
+            raise _Stop("IterationLimit")
+        self._watch_time()
+
+    def _watch_time(self) -> None:
+        if time.perf_counter() > self.deadline:
+            raise _Stop("TimeLimit")
+
+    def _next(self) -> Point:
+        """The point after one step: along the program's direction, or the elastic program's."""
+        q = self.evaluator.program(self.point, self.point.lam_g)
+        if not np.isfinite(q.hessian).all():
+            raise _Stop("NotFinite")
+        for _ in range(3):
+            step = self._direction(q)
+            if step is None:
+                break
+            after = self._line_search(q, step)
+            if after is not None:
+                return after
+            if not self._more_curvature(FIRST_DELTA, SHORT_STEP_DELTA):
+                break
+        return self._elastic_step()
+
+    def _direction(self, q: Quadratic) -> QpStep | None:
+        """The program's solution, with more curvature until it is one; None where rows contradict."""
+        here = self.point.pair
+        for attempt in range(6):
+            step = self._timed(partial(self.qp.solve, q, self.delta, self._accuracy()))
+            if step.infeasible:
+                return None
+            rises = float(q.gradient @ step.d) >= 0 and here.theta <= self.filter.negligible
+            if step.solved and not (rises and np.abs(step.d).max() > TINY):
+                return step
+            if attempt == 2 and here.theta > self.settings.feasibility:
+                return None
+            if not self._more_curvature(UNSOLVED_DELTA if not step.solved else FIRST_DELTA, MOST_DELTA):
+                return None
+        return None
+
+    def _more_curvature(self, least: float, most: float) -> bool:
+        """Raise delta, up to ``most``; False where it was there."""
+        before = self.delta
+        self.delta = max(before, min(most, max(least, 2 * DELTA_GROWTH * before)))
+        return self.delta > before
+
+    def _line_search(self, q: Quadratic, step: QpStep) -> Point | None:
+        """The first point along a direction that the filter takes, or None."""
+        here, slope = self.point.pair, float(q.gradient @ step.d)
+        share, trials = 1.0, 0
+        while share >= SHORTEST:
+            x = self.evaluator.inside(self.point.x + share * step.d)
+            there, trials = self.evaluator.pair(x), trials + 1
+            if self.filter.takes(here, there, slope, share) or np.abs(step.d).max() <= TINY:
+                return self._taken(x, step, slope, share, trials)
+            if trials == 1 and np.isfinite(there.theta) and there.theta >= 0.5 * here.theta:
+                corrected = self._corrected(q, step)
+                if corrected is not None:
+                    x = self.evaluator.inside(self.point.x + corrected.d)
+                    if self.filter.takes(here, self.evaluator.pair(x), slope, 1.0):
+                        return self._taken(x, corrected, slope, 1.0, 2)
+            share *= 0.5
+            self._watch_time()
+        return None
+
+    def _corrected(self, q: Quadratic, step: QpStep) -> QpStep | None:
+        """The direction with the rows' curvature along the first one: with their values at its end."""
+        bent = self.evaluator.bent(self.point, q, step.d)
+        found = self._timed(partial(self.qp.solve, bent, self.delta, self._accuracy()))
+        return found if found.solved else None
+
+    def _taken(self, x: np.ndarray, step: QpStep, slope: float, share: float, trials: int) -> Point:
+        """Go to ``x``; the filter, the multipliers and delta follow."""
+        point, here = self.point, self.point.pair
+        if not self.filter.about_objective(here, slope, share):
+            self.filter.keep(here)
+        self.last = {"step": share, "line_search": trials, "regularization": self.delta, "restoration": False}
+        if share < SHORT:
+            self._more_curvature(FIRST_DELTA, SHORT_STEP_DELTA)
+        elif share == 1.0:
+            self.delta = self.delta / DELTA_GROWTH if self.delta > FIRST_DELTA / DELTA_GROWTH else 0.0
+        lam_g = point.lam_g + share * (step.lam_g - point.lam_g)
+        lam_x = point.lam_x + share * (step.lam_x - point.lam_x)
+        if np.abs(lam_g).max(initial=0.0) > LARGEST_MULTIPLIER:
+            lam_g, lam_x = np.zeros_like(lam_g), np.zeros_like(lam_x)
+        return self.evaluator.at(x, lam_g, lam_x)
+
+    def _elastic_step(self) -> Point:
+        """A step that makes the rows better; stops where there is none."""
+        here = self.point.pair
+        if here.theta <= self.filter.negligible:
+            raise _Stop("NoStep")
+        step = self._elastic_direction()
+        if here.theta - step.missed <= STATIONARY * here.theta:
+            raise _Stop("Infeasible")
+        self.filter.keep(here)
+        share, trials = 1.0, 1
+        while share >= SHORTEST_ELASTIC:
+            x = self.evaluator.inside(self.point.x + share * step.d)
+            theta = self.evaluator.pair(x).theta
+            if theta <= here.theta - 1e-4 * share * (here.theta - step.missed):
+                self.last = {"step": share, "line_search": trials, "restoration": True}
+                self.delta = min(self.delta, UNSOLVED_DELTA)
+                zero_g, zero_x = np.zeros_like(self.point.lam_g), np.zeros_like(self.point.lam_x)
+                return self.evaluator.at(x, zero_g, zero_x)
+            share, trials = 0.5 * share, trials + 1
+        raise _Stop("NoStep")
+
+    def _elastic_direction(self) -> QpStep:
+        """The elastic program with curvature of the objective alone, which rows cannot make indefinite."""
+        here, delta, share = self.point.pair, ELASTIC_DELTA, FIRST_SHARE
+        q = self.evaluator.program(self.point, np.zeros_like(self.point.lam_g))
+        best: QpStep | None = None
+        while share >= LEAST_SHARE and delta <= MOST_DELTA:
+            self._watch_time()
+            step = self._timed(partial(self.qp.elastic, q, delta, share, self._accuracy()))
+            if not step.solved:
+                delta *= 10
+                continue
+            best = step
+            if step.missed <= CONTENT * here.theta:
+                break
+            share /= 10
+        if best is None:
+            raise _Stop("NoStep")
+        return best
+
+    def _accuracy(self) -> float:
+        worst = max(self.errors.primal, self.errors.optimality)
+        return max(0.01 * self.settings.tolerance, min(LEAST_QP_ACCURACY, QP_SHARE * worst))
+
+    def _timed(self, solve: Callable[[], QpStep]) -> QpStep:
+        begun = time.perf_counter()
+        step = solve()
+        self.program_time += time.perf_counter() - begun
+        self.programs += 1
+        self.program_iterations += step.iterations
+        return step

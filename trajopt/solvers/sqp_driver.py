@@ -1,0 +1,72 @@
+"""The SQP as one of the solvers: its options, statuses and figures."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+
+import numpy as np
+
+from trajopt.nlp import Nlp
+from trajopt.solvers.result import FEASIBILITY_SHARE, Callback, Option, Result, Stop, Warm
+from trajopt.solvers.sqp_settings import SqpSettings
+from trajopt.solvers.status import Status
+
+_SQP_STATUS = {
+    "Solved": Status.SOLVED,
+    "Early": Status.EARLY,
+    "Infeasible": Status.INFEASIBLE,
+    "NoStep": Status.STEP_FAILED,
+    "IterationLimit": Status.ITERATION_LIMIT,
+    "TimeLimit": Status.TIME_LIMIT,
+    "Interrupted": Status.INTERRUPTED,
+    "NotFinite": Status.NOT_FINITE,
+}
+
+
+def solve_sqp(
+    nlp: Nlp,
+    x0: np.ndarray,
+    stop: Stop,
+    options: Mapping[str, Option],
+    callback: Callback,
+    warm: Warm | None,
+) -> Result:
+    """Solve from ``x0``, moved into its bounds, and the multipliers of ``warm``; raises ValueError for an option."""
+    from trajopt.solvers.sqp import Sqp  # PIQP takes long to load
+
+    settings = SqpSettings.create(
+        options,
+        tolerance=stop.tolerance,
+        feasibility=FEASIBILITY_SHARE * stop.tolerance,
+        max_iterations=stop.max_iterations,
+        max_time=stop.max_time,
+    )
+    lam_g, lam_x = np.zeros(nlp.transcription.n_rows), np.zeros_like(x0)
+    if warm is not None and warm.lam_g is not None and warm.lam_x is not None:
+        lam_g, lam_x = warm.lam_g, warm.lam_x
+    begun, before = time.perf_counter(), _function_seconds(nlp)
+    found = Sqp(nlp, settings, callback).run(x0, lam_g, lam_x)
+    return Result(
+        x=found.point.x,
+        lam_g=found.point.lam_g,
+        lam_x=found.point.lam_x,
+        status=_SQP_STATUS[found.status],
+        solver_status=found.status,
+        iterations=found.iterations,
+        objective=found.point.pair.f,
+        wall_time=time.perf_counter() - begun,
+        function_time=_function_seconds(nlp) - before,
+        primal=found.errors.primal,
+        dual=found.errors.dual,
+        complementarity=found.errors.complementarity,
+        figures={
+            "quadratic_programs": found.programs,
+            "quadratic_program_iterations": found.program_iterations,
+            "quadratic_program_time_s": found.program_time,
+        },
+    )
+
+
+def _function_seconds(nlp: Nlp) -> float:
+    return sum(seconds for seconds, _ in nlp.engine.timings().values())

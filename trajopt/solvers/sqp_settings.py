@@ -1,0 +1,66 @@
+"""When the SQP stops, and its options by name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+# Options with what they allow; a whole number is a number, too.
+ALLOWED = {
+    "early": "a number > 0, of violation in natural units",
+    "max_sqp": "a whole number of steps >= 0",
+    "regularization": "a number >= 0",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SqpSettings:
+    """When to stop, in scaled units: ``tolerance`` of optimality, ``feasibility`` of rows; s.
+
+    early: None, or the violation of rows at which to stop whatever the optimality, after one step at least.
+    regularization: what is added to the Hessian's diagonal to begin with.
+    """
+
+    tolerance: float
+    feasibility: float
+    max_iterations: int
+    max_time: float
+    early: float | None = None
+    regularization: float = 0.0
+
+    @classmethod
+    def create(
+        cls,
+        options: Mapping[str, object],
+        *,
+        tolerance: float,
+        feasibility: float,
+        max_iterations: int,
+        max_time: float,
+    ) -> SqpSettings:
+        """Settings with the solver's own options; raises ValueError for one unknown or not allowed."""
+        for name, value in options.items():
+            if name not in ALLOWED:
+                raise ValueError(f"option '{name}' is unknown; allowed: {', '.join(ALLOWED)}")
+            if not _is_allowed(name, value):
+                raise ValueError(f"option '{name}' is {value!r}; allowed: {ALLOWED[name]}")
+        given: dict[str, float] = {
+            name: value for name, value in options.items() if isinstance(value, (int, float))
+        }
+        return cls(
+            tolerance=tolerance,
+            feasibility=feasibility,
+            max_iterations=min(max_iterations, int(given.get("max_sqp", max_iterations))),
+            max_time=max_time,
+            early=given.get("early"),
+            regularization=float(given.get("regularization", 0.0)),
+        )
+
+
+def _is_allowed(name: str, value: object) -> bool:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        return False
+    if name == "max_sqp":
+        return isinstance(value, int) and value >= 0
+    return value > 0 if name == "early" else value >= 0
