@@ -46,6 +46,11 @@ const double* FatropAdapter::unknowns(const Vector& x) {
   return x_.data();
 }
 
+const double* FatropAdapter::point(const Vector& x) {
+  if (look) look();
+  return unknowns(x);
+}
+
 const Reals& FatropAdapter::watch(const Reals& values) {
   finite_derivatives = finite_derivatives && all_finite(values);
   return values;
@@ -62,7 +67,7 @@ Index FatropAdapter::eval_lag_hess(const StageInfo&, const Scalar scale, const V
   if (!called_back_ && tick) tick(true);
   called_back_ = false;
   read_multipliers(map_.from_rows, lambda.data(), lambda_);
-  const Reals& values = watch(nlp_.hessian(unknowns(x), scale, lambda_.data()));
+  const Reals& values = watch(nlp_.hessian(point(x), scale, lambda_.data()));
   clear(hessian.RSQrqt);
   put(hessian.RSQrqt, map_.hessian, values, 1.0);
   return 0;
@@ -70,7 +75,7 @@ Index FatropAdapter::eval_lag_hess(const StageInfo&, const Scalar scale, const V
 
 Index FatropAdapter::eval_constr_jac(const StageInfo&, const Vector& x, const Vector&,
                                      fatrop::Jacobian<OcpType>& jacobian) {
-  const Reals& values = watch(nlp_.jacobian(unknowns(x)));
+  const Reals& values = watch(nlp_.jacobian(point(x)));
   for (Matrices* matrices : {&jacobian.BAbt, &jacobian.Gg_eqt, &jacobian.Gg_ineqt}) clear(*matrices);
   put(jacobian.BAbt, map_.dynamics, values, -1.0);
   put(jacobian.Gg_eqt, map_.equality, values, 1.0);
@@ -82,7 +87,7 @@ Index FatropAdapter::eval_constr_jac(const StageInfo&, const Vector& x, const Ve
 
 Index FatropAdapter::eval_constraint_violation(const StageInfo& info, const Vector& x, const Vector& slack,
                                                Vector& result) {
-  const double* values = unknowns(x);
+  const double* values = point(x);
   Scalar* out = result.data();
   residuals(map_.from_rows, nlp_.g(values).data(), out);
   residuals(map_.from_unknowns, values, out);
@@ -92,7 +97,7 @@ Index FatropAdapter::eval_constraint_violation(const StageInfo& info, const Vect
 
 Index FatropAdapter::eval_objective_gradient(const StageInfo&, const Scalar scale, const Vector& x, const Vector&,
                                              Vector& gradient_x, Vector& gradient_s) {
-  const Reals& gradient = watch(nlp_.gradient(unknowns(x)));
+  const Reals& gradient = watch(nlp_.gradient(point(x)));
   Scalar* out = gradient_x.data();
   for (std::size_t i = 0; i < gradient.size(); ++i) out[map_.position[i]] = scale * gradient[i];
   gradient_s = 0.0;
@@ -101,7 +106,7 @@ Index FatropAdapter::eval_objective_gradient(const StageInfo&, const Scalar scal
 
 Index FatropAdapter::eval_objective(const StageInfo&, const Scalar scale, const Vector& x, const Vector&,
                                     Scalar& result) {
-  result = scale * nlp_.f(unknowns(x));
+  result = scale * nlp_.f(point(x));
   return 0;
 }
 

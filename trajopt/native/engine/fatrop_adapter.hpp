@@ -20,6 +20,7 @@ class FatropAdapter : public fatrop::Nlp<fatrop::OcpType> {
   FatropAdapter(trajopt::Nlp& nlp, const StageMap& map, const Reals& x0);
 
   std::function<void(bool restoration)> tick;  // at every iteration
+  std::function<void()> look;                  // before every evaluation and factorisation
   bool finite_derivatives = true;              // none was NaN or infinite so far
 
   // FATROP's vector in the NLP's order.
@@ -44,6 +45,7 @@ class FatropAdapter : public fatrop::Nlp<fatrop::OcpType> {
   void callback(const Data&) override;
 
  private:
+  const double* point(const Vector& x);
   const Reals& watch(const Reals& values);
 
   trajopt::Nlp& nlp_;

@@ -4,6 +4,7 @@
 #include <stdexcept>
 
 #include "fatrop_adapter.hpp"
+#include "fatrop_algorithm.hpp"
 
 namespace trajopt {
 
@@ -16,11 +17,6 @@ using fatrop::Scalar;
 using Data = fatrop::IpData<OcpType>;
 
 constexpr const char* kInvalidNumber = "InvalidNumber";
-
-// Thrown through FATROP, which has no other way to be stopped between iterations.
-struct Stop {
-  const char* status;
-};
 
 // FATROP writes to a stream of the process: silent while this lives.
 class Silence {
@@ -117,9 +113,9 @@ class Run {
  public:
   Run(trajopt::Nlp& nlp, const StageMap& map, const Reals& x0, const Options& options)
       : map_(map), adapter_(std::make_shared<FatropAdapter>(nlp, map, x0)) {
-    fatrop::IpAlgBuilder<OcpType> builder(adapter_);
-    algorithm_ = builder.with_options_registry(&registry_).build();
-    data_ = builder.get_ipdata();
+    const FatropAlgorithm built = build_fatrop(adapter_, registry_, [adapter = adapter_.get()] { adapter->look(); });
+    algorithm_ = built.algorithm;
+    data_ = built.data;
     for (const auto& [name, value] : options) set_option(registry_, name, value);
   }
 
@@ -129,16 +125,16 @@ class Run {
       if (reported < 0 && !lambda_g.empty()) set_multipliers(map_, lambda_g, *data_);
       reported = data_->iteration_number();
       if (callback && !callback(describe(*data_, restoration))) throw Stop{"UserRequestedStop"};
+    };
+    adapter_->look = [deadline] {
       if (Clock::now() > deadline) throw Stop{"MaxWallTimeExceeded"};
     };
-    try {
-      const std::string status = flag_name(algorithm_->optimize());
-      // FATROP calls back before every step, not after the last.
-      if (callback && reported != data_->iteration_number()) callback(describe(*data_, false));
-      return status == "Success" || adapter_->finite_derivatives ? status : kInvalidNumber;
-    } catch (const Stop& stop) {
-      return stop.status;
-    }
+    const std::string status = run();
+    adapter_->tick = nullptr;
+    adapter_->look = nullptr;
+    // FATROP calls back before every step, not after the last.
+    if (callback && reported != data_->iteration_number()) callback(describe(*data_, false));
+    return status;
   }
 
   void take_iterate(Outcome& outcome) {
@@ -154,6 +150,19 @@ class Run {
   }
 
  private:
+  std::string run() {
+    std::string status;
+    try {
+      status = flag_name(algorithm_->optimize());
+    } catch (const Stop& stop) {
+      if (stop.status != kNoStep) return stop.status;
+      status = kNoStep;
+    } catch (const FatropException&) {  // an assertion in its restoration phase or linear algebra
+      status = kNoStep;
+    }
+    return status == "Success" || adapter_->finite_derivatives ? status : kInvalidNumber;
+  }
+
   const StageMap& map_;
   std::shared_ptr<FatropAdapter> adapter_;
   fatrop::OptionRegistry registry_;
