@@ -1,0 +1,81 @@
+"""What one run gave, as one row of ``runs.csv``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+# Statuses besides the solver's: the settings do not fit the problem, or the process was lost.
+REFUSED = "refused"
+LOST = "lost"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One run to be made: a setting's name, the start (0 the own guess, k that of seed k), which attempt."""
+
+    setting: str
+    start: int
+    attempt: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """One solve and its times in s; what is not known is None.
+
+    setting, start, attempt: see `Job`. wall_time, function_time: the solver's. start_time: of the solve that
+    made a warm start. stage_two_time: torques after the motion. build_time, compile_time: graphs and
+    transcription, the C compiler. iterations: of all solves. objective: the problem's own, whatever was
+    solved in its place. calibration: time of the load beside the run (`calibration`), s. cpu_share: part of
+    the time, without the compiler's, in which the process had its core. disturbed: beyond the bounds of both.
+    detail: why it was refused, lost or not solved.
+    """
+
+    setting: str
+    start: int
+    attempt: int
+    status: str
+    success: bool = False
+    iterations: int | None = None
+    wall_time: float | None = None
+    start_time: float = 0.0
+    stage_two_time: float = 0.0
+    function_time: float | None = None
+    build_time: float | None = None
+    compile_time: float | None = None
+    functions_compiled: int | None = None
+    variables: int | None = None
+    constraints: int | None = None
+    objective: float | None = None
+    max_violation: float | None = None
+    calibration: float | None = None
+    cpu_share: float | None = None
+    disturbed: bool = False
+    detail: str = ""
+
+    @property
+    def job(self) -> Job:
+        """What it is the result of."""
+        return Job(setting=self.setting, start=self.start, attempt=self.attempt)
+
+    @property
+    def is_refused(self) -> bool:
+        """Whether the setting does not fit the problem: so it will be again."""
+        return self.status == REFUSED
+
+    @property
+    def time(self) -> float:
+        """What a user waits for each solve, s; infinite where there is no solution."""
+        if not self.success or self.wall_time is None:
+            return float("inf")
+        return self.wall_time + self.start_time + self.stage_two_time
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able values by name."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Run:
+        """The inverse of `to_dict`. Raises KeyError or TypeError for anything else."""
+        return cls(**{entry.name: values[entry.name] for entry in fields(cls)})

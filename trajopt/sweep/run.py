@@ -1,0 +1,140 @@
+"""One run, and the accuracy of one solution: what a worker's child process does."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from trajopt.cli_report import worst_block
+from trajopt.problem import Problem
+from trajopt.reduced.two_stage import recover_torques, without_torques
+from trajopt.reduced.wrench_distribution import redistributed
+from trajopt.solution import Solution
+from trajopt.solving import prepare, solve
+from trajopt.sweep.calibration import Load
+from trajopt.sweep.result import Job, Run
+from trajopt.sweep.setting import Setting
+from trajopt.sweep.variants import with_cone
+from trajopt.warm_start import warm_start
+
+# A warm start comes from the solution on this part of the intervals, in the same scheme.
+COARSER = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What a solve may take, and the noise (standard deviation, scaled units) of its perturbed starts."""
+
+    sigma: float
+    max_iterations: int
+    max_time: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Made:
+    """A solution and what it took besides its own solve, s."""
+
+    solution: Solution
+    coarse: Solution | None
+    stage_two_time: float
+
+
+def run(problem: Problem, setting: Setting, job: Job, limits: Limits, file: Path) -> Run:
+    """Solve once, timed between two calibrations, and write the solution where there is one.
+
+    Raises InputError where the setting does not fit the problem.
+    """
+    asked = with_cone(problem, setting.cone)
+    load = Load()
+    before = load.seconds()
+    begin, processor = time.perf_counter(), time.process_time()
+    made = _solve(asked, setting, job, limits)
+    elapsed, busy = time.perf_counter() - begin, time.process_time() - processor
+    after = load.seconds()
+    solution = made.solution
+    if setting.model == "two-stage" and solution.success:
+        objective = objective_of(asked, setting, solution)
+        solution = replace(solution, meta={**solution.meta, "objective": objective})
+    if solution.success:
+        solution.save(file)
+    compiling = sum(part.meta["compile_time_s"] for part in (solution, made.coarse) if part is not None)
+    return replace(
+        _figures(replace(made, solution=solution), job),
+        calibration=max(before, after),
+        cpu_share=min(1.0, busy / max(elapsed - compiling, busy)),
+    )
+
+
+def _solve(problem: Problem, setting: Setting, job: Job, limits: Limits) -> _Made:
+    """The solve of a setting with what it needs before and after."""
+    first = without_torques(problem) if setting.model == "two-stage" else problem
+    arguments: dict[str, Any] = {
+        "transcription": setting.transcription,
+        "solver": setting.solver,
+        "tolerance": setting.tolerance,
+        "compile": setting.compile,
+        "max_iterations": limits.max_iterations,
+        "max_time": limits.max_time,
+    }
+    if setting.hessian != "exact":
+        arguments["hessian"] = setting.hessian
+    noise: dict[str, Any] = {"seed": job.start, "perturb": limits.sigma if job.start else 0.0}
+    coarse: Solution | None = None
+    if setting.start == "warm":
+        least = len(problem.schedule.phases)
+        intervals = max(least, round(COARSER * setting.intervals))
+        coarse = solve(first, intervals=intervals, **noise, **arguments)
+        noise = {"start": coarse} if coarse.success else noise
+    solution = solve(first, intervals=setting.intervals, **noise, **arguments)
+    begin = time.perf_counter()
+    if first is not problem and solution.success:
+        solution = with_torques(problem, solution)
+    return _Made(solution=solution, coarse=coarse, stage_two_time=time.perf_counter() - begin)
+
+
+def with_torques(problem: Problem, solution: Solution) -> Solution:
+    """Stage two: torques of the motion; where they are beyond their limits, wrenches shared anew."""
+    torque, report = recover_torques(problem, solution)
+    if not report.within_limits:
+        return redistributed(problem, solution)
+    return replace(solution, tau=torque)
+
+
+def objective_of(problem: Problem, setting: Setting, solution: Solution) -> float:
+    """The problem's objective at a solution of another one with the same unknowns."""
+    prepared = prepare(
+        problem, transcription=setting.transcription, intervals=setting.intervals, compile="none"
+    )
+    return float(prepared.nlp.engine.f(warm_start(prepared.transcription, solution).x))
+
+
+def _figures(made: _Made, job: Job) -> Run:
+    meta = made.solution.meta
+    parts = [part.meta for part in (made.coarse, made.solution) if part is not None]
+
+    def total(name: str) -> Any:
+        return sum(part[name] for part in parts)
+
+    worst = "" if meta["success"] else f"{meta['status']}: {worst_block(meta['worst_blocks'][0])}"
+    return Run(
+        setting=job.setting,
+        start=job.start,
+        attempt=job.attempt,
+        status=meta["status"],
+        success=meta["success"],
+        iterations=total("iterations"),
+        wall_time=meta["wall_time_s"],
+        start_time=0.0 if made.coarse is None else made.coarse.meta["wall_time_s"],
+        stage_two_time=made.stage_two_time,
+        function_time=total("function_time_s"),
+        build_time=total("build_time_s"),
+        compile_time=total("compile_time_s"),
+        functions_compiled=total("functions_compiled"),
+        variables=meta["variables"],
+        constraints=meta["constraints"],
+        objective=meta["objective"],
+        max_violation=meta["max_violation"],
+        detail=worst,
+    )

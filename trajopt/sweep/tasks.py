@@ -1,0 +1,65 @@
+"""What a worker is asked to do: a run, the accuracy of a solution, a reference, a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from trajopt import accuracy
+from trajopt.catalogue import families as catalogue
+from trajopt.family import Family, choose
+from trajopt.problem import Problem
+from trajopt.sweep.calibration import Load
+from trajopt.sweep.figures import figures
+from trajopt.sweep.result import Job
+from trajopt.sweep.run import Limits, run
+from trajopt.sweep.setting import Setting
+
+Task = Mapping[str, Any]
+
+
+@lru_cache(maxsize=1)
+def families() -> dict[str, Family]:
+    """All families, found once a process."""
+    return catalogue()
+
+
+def _problem(task: Task) -> Problem:
+    return choose(families(), task["problem"]).load(task["values"])
+
+
+def _run(task: Task) -> dict[str, Any]:
+    found = run(
+        _problem(task),
+        Setting.from_dict(task["setting"]),
+        Job(**task["job"]),
+        Limits(**task["limits"]),
+        Path(task["file"]),
+    )
+    return {"run": found.to_dict()}
+
+
+def _accuracy(task: Task) -> dict[str, Any]:
+    reference = None if task["reference"] is None else Path(task["reference"])
+    return {"figures": figures(Path(task["file"]), reference)}
+
+
+def _reference(task: Task) -> dict[str, Any]:
+    found = accuracy.reference(_problem(task), max_time=task["max_time"])
+    found.solution.save(Path(task["file"]))
+    return {"text": str(found)}
+
+
+def _calibration(task: Task) -> dict[str, Any]:
+    load = Load()
+    return {"seconds": [load.seconds() for _ in range(task["count"])]}
+
+
+KINDS: dict[str, Callable[[Task], dict[str, Any]]] = {
+    "run": _run,
+    "accuracy": _accuracy,
+    "reference": _reference,
+    "calibration": _calibration,
+}
