@@ -25,6 +25,7 @@ from trajopt import cli_report
 from trajopt.cli_continue import continue_
 from trajopt.cli_input import COUNT, GRID, THREADS, check_output, options_of, values_of
 from trajopt.cli_suite import suite
+from trajopt.cli_sweep import sweep
 from trajopt.cli_warm import ladder_lines, solve_warm, warm_options
 from trajopt.errors import TrajoptError
 from trajopt.progress import CANCELLED
@@ -108,6 +109,7 @@ def main() -> None:
 
 
 main.add_command(suite)
+main.add_command(sweep)
 
 
 @main.command("list")
@@ -144,7 +146,14 @@ def list_problems(problems: tuple[str, ...], robot: str | None, brief: bool, as_
 @click.option(
     "--intervals", type=GRID, metavar="N", help="Over the whole schedule.  [default: the problem's]"
 )
-@click.option("--solver", default="ipopt", metavar="NAME", show_default=True, help="ipopt or fatrop.")
+@click.option("--solver", default="ipopt", metavar="NAME", show_default=True, help="ipopt, fatrop or sqp.")
+@click.option(
+    "--hessian",
+    default="exact",
+    metavar="NAME",
+    show_default=True,
+    help="exact, gauss-newton or limited-memory.",
+)
 @click.option(
     "--tol", "tolerance", type=float, default=1e-6, metavar="TOL", show_default=True, help="Tolerance."
 )
