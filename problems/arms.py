@@ -141,8 +141,8 @@ def least_duration(robot: Robot, postures: Sequence[np.ndarray]) -> float:
     gravity = np.abs([pin.computeGeneralizedGravity(model, data, q) for q in postures]).max(axis=0)
     # Postures that the motors do not hold leave the problem infeasible, and the guess as it may be.
     spare = np.maximum(robot.effort_limit - gravity, LEAST_SPARE * robot.effort_limit)
-    acceleration = spare / np.diag(pin.crba(model, data, postures[0]))
-    by_torque = np.sqrt(PEAK_ACCELERATION * travel / acceleration)
+    inertia = np.diag(pin.crba(model, data, postures[0]))
+    by_torque = np.sqrt(PEAK_ACCELERATION * travel * inertia / spare)
     return float(max(by_rate.max(), by_torque.max()))
 
 

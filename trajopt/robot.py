@@ -22,7 +22,7 @@ from trajopt.model_quantities import gravity_of, mass_of
 from trajopt.robot_building import Base
 from trajopt.robot_conversion import lock, on_virtual_base
 from trajopt.robot_data import VisualSource, package_directories
-from trajopt.robot_validation import require_contacts, require_limits, require_reference
+from trajopt.robot_validation import require_contacts, require_inertias, require_limits, require_reference
 
 # A base lower than this part of the reach does not stand on its contacts: it lies, or hangs.
 STANDING_PART = 0.05
@@ -85,6 +85,7 @@ class Robot:
             if getattr(self, field) is not None:
                 object.__setattr__(self, field, self._read_only(field, size))
         require_contacts(self)
+        require_inertias(self)
         require_limits(self)
         require_reference(self)
         if self.drives is not None:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 # A reference posture may touch its limit: rounding of degrees in description files, rad or m.
 LIMIT_SLACK = 1e-6
+# Eigenvalues of an inertia may be negative by this part of the largest: rounding of description files.
+INERTIA_SLACK = 1e-6
 # A unit quaternion or (cos, sin) pair of a reference is given with this many digits at least.
 UNIT_SLACK = 1e-6
 
@@ -28,6 +30,37 @@ def require_contacts(robot: Robot) -> None:
             raise InputError(f"robot '{robot.name}' has two contacts named '{name}'", "different names")
     for contact in robot.contacts:
         require_frame(robot.model, contact.frame, f"contact '{contact.name}'")
+
+
+def require_inertias(robot: Robot) -> None:
+    """Raise `InputError` for a mass, inertia, armature or gravity no body has, or a robot without mass.
+
+    One link without mass or inertia is allowed: inverse dynamics asks for no inverse of the mass matrix.
+    """
+    model = robot.model
+    for joint in range(1, model.njoints):
+        inertia, where = model.inertias[joint], f"moved by joint '{model.names[joint]}' of '{robot.name}'"
+        if not (np.isfinite(inertia.mass) and inertia.mass >= 0 and np.isfinite(inertia.lever).all()):
+            raise InputError(
+                f"the mass {where} is {inertia.mass:g} kg", "allowed: finite and >= 0, at a place"
+            )
+        if not np.isfinite(inertia.inertia).all():
+            raise InputError(f"the inertia of the body {where} is not finite", "allowed: finite, kg m^2")
+        principal = np.linalg.eigvalsh(inertia.inertia)
+        if principal[0] < -INERTIA_SLACK * np.abs(principal).max():
+            raise InputError(
+                f"the least principal inertia of the body {where} is {principal[0]:g} kg m^2", "allowed: >= 0"
+            )
+    if not (np.isfinite(model.armature).all() and (model.armature >= 0).all()):
+        raise InputError(f"armature of robot '{robot.name}' is negative or not finite", "allowed: >= 0")
+    if not np.isfinite(model.gravity.vector).all():
+        raise InputError(
+            f"gravity of robot '{robot.name}' is {model.gravity.linear}", "allowed: finite, m/s^2"
+        )
+    if not robot.mass > 0:
+        raise InputError(
+            f"robot '{robot.name}' has no mass", "allowed: a link with mass (<inertial> in a URDF file)"
+        )
 
 
 def require_limits(robot: Robot) -> None:
@@ -62,14 +95,19 @@ def require_reference(robot: Robot) -> None:
                 f"reference of robot '{robot.name}' is outside its limits at joint '{name}': {q[rows]}",
                 f"{robot.position_lower[rows]} to {robot.position_upper[rows]}",
             )
-    if not pin.isNormalized(robot.model, q, UNIT_SLACK):
-        raise InputError(
-            f"reference of robot '{robot.name}' has a quaternion or (cos, sin) pair that is not unit",
-            "norm 1",
-        )
+    require_configuration(robot.model, q, f"reference of robot '{robot.name}'")
     margin = gimbal_margin(robot.model, q)
     if margin is not None and margin < LEAST_MARGIN:
         raise InputError(
             f"reference of robot '{robot.name}' is in gimbal lock: margin {margin:.3f} < {LEAST_MARGIN}",
             "another order of the virtual joints, or base='freeflyer'",
         )
+
+
+def require_configuration(model: pin.Model, q: np.ndarray, what: str) -> None:
+    """Raise `InputError` for a configuration of wrong shape, not finite, or whose rotations are not unit."""
+    if q.shape != (model.nq,) or not np.isfinite(q).all():
+        found = "not finite" if q.shape == (model.nq,) else f"of shape {q.shape}"
+        raise InputError(f"{what} is {found}", f"allowed: ({model.nq},), finite")
+    if not pin.isNormalized(model, q, UNIT_SLACK):
+        raise InputError(f"{what} has a quaternion or (cos, sin) pair that is not unit", "allowed: norm 1")

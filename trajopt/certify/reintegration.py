@@ -12,6 +12,7 @@ manifold, q = q_k (+) delta, with the eighth-order method of Dormand and Prince.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -31,8 +32,13 @@ PhaseDynamics = ContactDynamics | SlidingDynamics
 # Far below what is measured (1e-6 at best), far above rounding.
 RELATIVE_ERROR = 1e-10
 ABSOLUTE_ERROR = 1e-12
-# An interval of a sane plan takes about five steps; one that needs so many has run away.
-MAX_STEPS = 300
+# An interval of a sane plan takes about five steps of a dozen evaluations; one that needs so many has run
+# away, or its accelerations are rounding: those of joints that move nothing.
+MAX_EVALUATIONS = 3600
+
+
+class _RunAwayError(Exception):
+    """An integration takes too many evaluations."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,17 +147,22 @@ def follow_rates(solution: Solution, rows: range, q: np.ndarray) -> tuple[np.nda
 
 
 def _run(rate: Callable[[float, np.ndarray], np.ndarray], state: np.ndarray) -> np.ndarray | None:
-    """Integrate from 0 to 1, or return None if that takes too many steps or is not finite."""
+    """Integrate from 0 to 1, or return None if that takes too many evaluations or is not finite."""
     from scipy.integrate import DOP853  # takes longer to load than all the rest
+
+    left = itertools.count(MAX_EVALUATIONS, -1)
+
+    def counted(fraction: float, state: np.ndarray) -> np.ndarray:
+        if not next(left):  # not between steps: one that is rejected again and again has no end of its own
+            raise _RunAwayError
+        return rate(fraction, state)
 
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            method = DOP853(rate, 0.0, state, 1.0, rtol=RELATIVE_ERROR, atol=ABSOLUTE_ERROR)
-            for _ in range(MAX_STEPS):
+            method = DOP853(counted, 0.0, state, 1.0, rtol=RELATIVE_ERROR, atol=ABSOLUTE_ERROR)
+            while method.status == "running":
                 method.step()
-                if method.status != "running":
-                    break
-    except (ValueError, np.linalg.LinAlgError):
+    except (ValueError, np.linalg.LinAlgError, _RunAwayError):
         return None
     return method.y if method.status == "finished" and np.isfinite(method.y).all() else None
 
