@@ -182,7 +182,7 @@ def test_all_corners_of_a_swinging_sole_stay_above_the_ground(name):
     for term in (SwingClearance(height=0.04, terrain=ground), arc):
         context = Context(robot, Coordinates(robot.model), node=True)
         rows = term.rows(context, Units(robot), place)
-        assert_allclose(rows.lower, 0.04 * 4 * 0.25 * 0.75)
+        assert_allclose(rows.lower, 0.04 * 16 * 0.25**2 * 0.75**2)
         frame = context.frame(contact.frame)
         inputs = [frame.position, frame.rotation, context.parameters]
         heights = ca.Function("rows", inputs, [rows.expression])(

@@ -183,7 +183,7 @@ def test_swing_clearance_is_the_height_over_smooth_ground():
         phase=Phase(name="flight", duration=0.2), index=1, fractions=equal_fractions(4), last=False
     )
     rows = SwingClearance(height=0.04, terrain=HILLS).rows(context, Units(hopper()), place)
-    assert_allclose(rows.lower, 0.04 * 4 * 0.25 * 0.75)
+    assert_allclose(rows.lower, 0.04 * 16 * 0.25**2 * 0.75**2)
     function = ca.Function("rows", [context.frame(FOOT).position, context.parameters], [rows.expression])
     assert float(function([0.2, 0.1, 0.9], context.parameter_values)) == pytest.approx(
         0.9 - HILLS.height(0.2, 0.1)

@@ -12,6 +12,7 @@ from trajopt.errors import InputError
 from trajopt.node_interfaces import NodeConstraint, NodePlace
 from trajopt.robot import Contact
 from trajopt.surface import Surface
+from trajopt.swing_profile import swing_profile
 from trajopt.term_interfaces import Rows
 from trajopt.terrain import CurvedSurface, FlatGround, Ground, Patch, SmoothTerrain, Terrain
 from trajopt.units import Units
@@ -134,8 +135,8 @@ def _tilting_axes(contact: Contact, held: tuple[int, ...]) -> list[int]:
 class SwingClearance(NodeConstraint):
     """Contacts that do not touch, of soles all four corners, stay above the terrain at nodes inside a phase.
 
-    The least distance from flat ground, or height over smooth ground, is ``height`` times 4 s (1 - s), s the
-    fraction of the phase, m. Piecewise ground has edges: see `trajopt.terrain.swing_terms`.
+    The least distance from flat ground, or height over smooth ground, is ``height`` times `swing_profile`
+    of the fraction of the phase, m. Piecewise ground has edges: see `trajopt.terrain.swing_terms`.
     """
 
     height: float
@@ -155,7 +156,7 @@ class SwingClearance(NodeConstraint):
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         swing = [c for c in context.robot.contacts if c.name not in place.phase.contacts]
-        least = self.height * 4 * place.fraction * (1 - place.fraction)
+        least = self.height * swing_profile(place.fraction)
         ground = self.terrain.surface
         positions = [point for contact in swing for point in contact_points(context, contact)]
         if isinstance(ground, CurvedSurface):

@@ -14,6 +14,7 @@ from trajopt.errors import InputError
 from trajopt.landing_terms import along_normal, contact_points
 from trajopt.node_interfaces import NodeConstraint, NodePlace
 from trajopt.schedule import Phase, Schedule
+from trajopt.swing_profile import swing_profile
 from trajopt.term_interfaces import Rows
 from trajopt.terrain import CurvedSurface, FlatGround, SmoothTerrain
 from trajopt.units import Units
@@ -30,7 +31,7 @@ class SwingPart:
 
 @dataclass(frozen=True, kw_only=True)
 class SwingArc(NodeConstraint):
-    """Swinging contacts are at least ``height`` times 4 s (1 - s) m over the ground, s the part of the swing.
+    """Swinging contacts are at least ``height`` times `swing_profile` m over the ground.
 
     Along the normal of flat ground; on smooth ground the height over what is under the contact. Of a sole
     all four corners.
@@ -61,7 +62,7 @@ class SwingArc(NodeConstraint):
         ground, heights, least = self.terrain.surface, [], []
         for part in self._acting(place.phase.name):
             s = part.begin + place.fraction * (part.end - part.begin)
-            lift = self.height * 4 * s * (1 - s)
+            lift = self.height * swing_profile(s)
             for point in contact_points(context, context.robot.contact(part.contact)):
                 if isinstance(ground, CurvedSurface):
                     heights.append(ground.symbolic_gap(point, context.parameter))

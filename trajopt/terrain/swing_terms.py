@@ -22,6 +22,7 @@ from trajopt.problem import Motion
 from trajopt.robot import Robot
 from trajopt.schedule import Schedule
 from trajopt.surface import UP, Surface
+from trajopt.swing_profile import swing_profile
 from trajopt.term_interfaces import Rows, Term
 from trajopt.terrain import Ground, PiecewiseTerrain, Terrain
 from trajopt.terrain.crossing import Crossing, Edge, crossing
@@ -68,10 +69,10 @@ class Swing:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SwingOver(NodeConstraint):
-    """Feet of ``swings`` stay above piecewise ground, by ``height`` times 4 s (1 - s) m, and cut no edge.
+    """Feet of ``swings`` stay above piecewise ground, by ``height`` times `swing_profile` m, and cut no edge.
 
-    s is the fraction of the swing. ``at_joints``: acts where one phase of a swing goes over into the next,
-    else at the nodes within phases. Of a sole all four corners. See `swing_clearance`.
+    ``at_joints``: acts where one phase of a swing goes over into the next, else at the nodes within phases.
+    Of a sole all four corners. See `swing_clearance`.
     """
 
     height: float
@@ -102,7 +103,7 @@ class SwingOver(NodeConstraint):
     def _planes(self, swing: Swing, place: NodePlace) -> list[tuple[np.ndarray, float]]:
         """Normals (3,) and offsets in m of the one or two half-spaces in which the foot is at a node."""
         ground, (s, step) = swing.ground, swing.fraction(place)
-        lift = self.height * 4 * s * (1 - s)
+        lift = self.height * swing_profile(s)
         if ground.top is None:
             planes = [ground.first, ground.last][: 1 + swing.has_two_rows]
             return [_above(plane, lift) for plane in planes]
