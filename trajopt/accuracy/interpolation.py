@@ -6,8 +6,8 @@ through its values at the collocation points; rates and positions are its integr
     xi'(s) = xi'_k + h int_0^s y,        xi(s) = xi_k + h s xi'_k + h^2 int_0^s int_0^r y,
 
 and torques and wrenches are the polynomials through theirs. Where these integrals do not end at the
-interval's planned end (the classic schemes integrate the velocity by the rule of the acceleration) a ramp over
-the interval takes up the difference, as in `solution_motion`.
+interval's planned end (the classic schemes integrate the velocity by the rule of the acceleration) a ramp
+over it takes up the difference, as in `solution_motion`.
 """
 
 from __future__ import annotations

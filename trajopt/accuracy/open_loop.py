@@ -1,7 +1,8 @@
 """What the planned torques do, integrated: over an interval, a phase, or the whole motion.
 
 All integrations are those of `certify.reintegration`: contact-constrained forward dynamics by numeric
-Pinocchio, without stabilisation, under the torque polynomials of the file. Impacts follow the law of `dynamics.impact`,
+Pinocchio, without stabilisation, under the torque polynomials of the file. Impacts follow the law of
+`dynamics.impact`,
 
     M (v+ - v-) = J^T Lambda,     J v+ = 0,
 
