@@ -15,8 +15,8 @@ import numpy as np
 ORDER = 200
 DOUBLES = 1_000_000
 COUNTS = 20_000
-# Loads of about 5 ms whose median is one calibration: short against a run, long against the clock's tick.
-LOADS = 7
+# Loads of about 1 ms whose median is one calibration: short against a run, long enough to meet disturbances.
+LOADS = 25
 
 
 class Load:

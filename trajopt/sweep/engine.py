@@ -6,6 +6,7 @@ run that was disturbed is made again at the end of the queue, at most `RETRIES` 
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter, deque
 from collections.abc import Mapping
@@ -25,6 +26,8 @@ DISTURBED_LOAD = 1.15
 # A timed process that has its core for less than this part of the time shares it.
 LEAST_SHARE = 0.95
 RETRIES = 2
+# All repeated runs are at most this part of the plan: on a machine that is never quiet nothing is gained.
+MOST_AGAIN = 0.25
 # After so many lost processes a setting is not run again.
 MOST_LOST = 2
 # s beyond the solvers' own limits that a run may take: graphs and the C compiler on a busy machine.
@@ -62,6 +65,7 @@ class Sweep:
         self._given_up: set[str] = set()
         self._seconds: dict[str, float] = {}
         self._told = False
+        self._again = math.ceil(MOST_AGAIN * len(plan.settings) * len(asked.starts))
 
     def run(self) -> None:
         """Everything that is not recorded yet."""
@@ -102,7 +106,8 @@ class Sweep:
             self._seconds.setdefault(job.setting, time.perf_counter() - begun[job])
             self._display.finished(f"{self._labels[job.setting]}, {_start_text(job)}: {run_text(run)}")
             self._estimate(waiting)
-            if run.disturbed and job.attempt < RETRIES:
+            if run.disturbed and job.attempt < RETRIES and self._again > 0:
+                self._again -= 1
                 waiting.append(replace(job, attempt=job.attempt + 1))
 
     def _missing(self) -> list[Job]:
@@ -115,7 +120,8 @@ class Sweep:
                     self._count(run)
                 if not tried:
                     jobs.append(Job(setting=name, start=start))
-                elif all(run.disturbed for run in tried) and tried[-1].attempt < RETRIES:
+                elif all(run.disturbed for run in tried) and tried[-1].attempt < RETRIES and self._again > 0:
+                    self._again -= 1
                     jobs.append(Job(setting=name, start=start, attempt=tried[-1].attempt + 1))
         return jobs
 

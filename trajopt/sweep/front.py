@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import math
+import statistics
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +30,8 @@ class Measured:
 
     density: intervals per natural time, sqrt(length / g). time: s, of the solver and of what made its start.
     relative_time: over that of the default setting. error: m, open loop, worst phase. relative_error: over
-    the robot's length. success_rate: part of the runs that were solved.
+    the robot's length. success_rate: part of the runs that were solved. variables: of the NLP. calibration:
+    time of the unchanging load beside its runs, s.
     """
 
     setting: Setting
@@ -39,6 +41,8 @@ class Measured:
     error: float
     relative_error: float
     success_rate: float
+    variables: float
+    calibration: float
 
     @property
     def objectives(self) -> tuple[float, float]:
@@ -50,19 +54,33 @@ class Measured:
 class Front:
     """The measured settings of one problem on one robot, in order of time; ``default`` is the problem's own.
 
-    natural_time: sqrt(length / g) of the robot, s. length: m.
+    kind: of `likeness.motion_kind`. n_velocities: nv. natural_time: sqrt(length / g) of the robot, s. length: m.
     """
 
     problem: str
     robot: str
+    kind: str
+    n_velocities: int
     natural_time: float
     length: float
     default: Measured
     points: tuple[Measured, ...]
 
-    def best(self, where: Filter | None = None) -> tuple[Measured, ...]:
-        """The settings that no other dominates, fastest first, among those that ``where`` accepts."""
-        chosen = [point for point in self.points if where is None or where(point.setting)]
+    @property
+    def calibration(self) -> float:
+        """Median time of the unchanging load over all settings, s: how fast the machine was."""
+        return statistics.median(point.calibration for point in self.points)
+
+    def best(self, where: Filter | None = None, least_success: float = 0.0) -> tuple[Measured, ...]:
+        """The settings that no other dominates, fastest first, among those that ``where`` accepts.
+
+        least_success: part of the runs that must have been solved.
+        """
+        chosen = [
+            point
+            for point in self.points
+            if point.success_rate >= least_success and (where is None or where(point.setting))
+        ]
         return tuple(chosen[i] for i in front([point.objectives for point in chosen]))
 
     def for_accuracy(self, relative_error: float, where: Filter | None = None) -> Measured | None:
@@ -107,6 +125,8 @@ def load_front(name: str | Path) -> Front:
     return Front(
         problem=head["problem"],
         robot=head["robot"],
+        kind=head["kind"],
+        n_velocities=int(_number(path, head, "n_velocities")),
         natural_time=_number(path, head, "natural_time_s"),
         length=_number(path, head, "length_m"),
         default=default,
@@ -130,6 +150,8 @@ def _measured(path: Path, row: Mapping[str, str]) -> Measured:
         "error": "error_m",
         "relative_error": "relative_error",
         "success_rate": "success_rate",
+        "variables": "variables",
+        "calibration": "calibration_s",
     }
     return Measured(
         setting=Setting.from_dict(row),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -79,7 +80,9 @@ def _labels(axes: Axes, rows: Sequence[Summary]) -> None:
     legend = axes.get_legend()
     if legend is not None:
         taken.append(legend.get_window_extent())
-    first = sorted((row for row in rows if row.on_front or row.is_default), key=lambda row: row.time)
+    best = sorted((row for row in rows if row.on_front), key=lambda row: row.time)
+    taken += _steps(axes, best)
+    first = [*best, *(row for row in rows if row.is_default and not row.on_front)]
     for row in first:
         _label(axes, row, taken, must=True)
     for row in rows:
@@ -93,6 +96,17 @@ def _around(axes: Axes, row: Summary, half: float = 4.0) -> Bbox:
     x, y = axes.transData.transform((row.time, row.error))
     pixels = half * DOTS / 72
     return Bbox([[x - pixels, y - pixels], [x + pixels, y + pixels]])
+
+
+def _steps(axes: Axes, best: Sequence[Summary]) -> list[Bbox]:
+    """Boxes of the line through the front."""
+    from matplotlib.transforms import Bbox
+
+    places = axes.transData.transform([(row.time, row.error) for row in best])
+    boxes = []
+    for (x, y), (x_next, y_next) in pairwise(places):
+        boxes += [Bbox([[x, y], [x_next, y + 1]]), Bbox([[x_next, y_next], [x_next + 1, y]])]
+    return boxes
 
 
 def _label(axes: Axes, row: Summary, taken: list[Bbox], *, must: bool) -> None:
@@ -112,6 +126,7 @@ def _label(axes: Axes, row: Summary, taken: list[Bbox], *, must: bool) -> None:
             va=("top", "center", "bottom")[direction[1] + 1],
             arrowprops=line if distance >= LINE_FROM else None,
         )  # fmt: skip
+        found.get_window_extent()  # puts the text where it belongs
         box = Text.get_window_extent(found)  # without the line to its marker
         inside = frame.x0 <= box.x0 and box.x1 <= frame.x1 and frame.y0 <= box.y0 and box.y1 <= frame.y1
         if (inside and not box.count_overlaps(taken)) or (must and last == 0):

@@ -38,7 +38,7 @@ class _Made:
 
     solution: Solution
     coarse: Solution | None
-    stage_two_time: float
+    stage_two_time: float = 0.0
 
 
 def run(problem: Problem, setting: Setting, job: Job, limits: Limits, file: Path) -> Run:
@@ -88,9 +88,10 @@ def _solve(problem: Problem, setting: Setting, job: Job, limits: Limits) -> _Mad
         coarse = solve(first, intervals=intervals, **noise, **arguments)
         noise = {"start": coarse} if coarse.success else noise
     solution = solve(first, intervals=setting.intervals, **noise, **arguments)
+    if first is problem or not solution.success:
+        return _Made(solution=solution, coarse=coarse)
     begin = time.perf_counter()
-    if first is not problem and solution.success:
-        solution = with_torques(problem, solution)
+    solution = with_torques(problem, solution)
     return _Made(solution=solution, coarse=coarse, stage_two_time=time.perf_counter() - begin)
 
 

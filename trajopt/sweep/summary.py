@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from trajopt.problem import Problem
+from trajopt.sweep.likeness import motion_kind
 from trajopt.sweep.pareto import dominators, front, is_measured
 from trajopt.sweep.plan import Plan
 from trajopt.sweep.records import Found
@@ -77,9 +78,14 @@ class Summary:
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
-    """What makes figures of one robot and motion those of others: m, s, and the motion's duration in s."""
+    """What makes figures of one robot and motion those of others: m, s, and the motion's duration in s.
+
+    kind: of `likeness.motion_kind`. n_velocities: nv.
+    """
 
     robot: str
+    kind: str
+    n_velocities: int
     length: float
     natural_time: float
     duration: float
@@ -90,6 +96,8 @@ class Scale:
         units = Units(problem.robot)
         return cls(
             robot=problem.robot.name,
+            kind=motion_kind(problem),
+            n_velocities=problem.robot.nv,
             length=units.length,
             natural_time=units.time,
             duration=problem.schedule.duration,

@@ -53,6 +53,8 @@ def _setting_row(problem: str, row: Summary, scale: Scale, default: float) -> Ro
     return {
         "problem": problem,
         "robot": scale.robot,
+        "kind": scale.kind,
+        "n_velocities": scale.n_velocities,
         "label": row.label,
         **setting.to_dict(),
         "is_default": row.is_default,
@@ -69,6 +71,7 @@ def _setting_row(problem: str, row: Summary, scale: Scale, default: float) -> Ro
         "iterations": row.median_of("iterations"),
         "time_s": row.time,
         "relative_time": row.time / default,
+        "calibration_s": row.median_of("calibration"),
         "time_least_s": min(times, default=None),
         "time_most_s": max(times, default=None),
         "time_own_guess_s": None if own is None else own.time,
