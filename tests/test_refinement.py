@@ -8,7 +8,7 @@ from problems_for_tests import hop, reach
 import problems
 from trajopt.accuracy import measure
 from trajopt.errors import InputError
-from trajopt.mesh import Mesh, PhaseMesh
+from trajopt.mesh import Mesh, PhaseMesh, mesh_of
 from trajopt.refinement import refine
 from trajopt.refinement.refine import phase_errors, tolerance_for
 from trajopt.refinement.remeshing import MOST_PARTS, PhaseErrors, error_constant, remeshed
@@ -129,6 +129,16 @@ def test_mesh_that_meets_the_target_is_left_alone():
     assert found.reached
     assert len(found.rounds) == 1
     assert found.rounds[0].mesh == mesh
+
+
+def test_solution_at_hand_is_measured_and_its_own_mesh_refined():
+    coarse = solve(hop(), intervals=6, compile="none")
+    found = refine(hop(), 1e-4, start=coarse, compile="none")
+    assert found.reached
+    assert found.rounds[0].mesh == mesh_of(coarse)
+    assert found.rounds[0].errors == phase_errors(measure(coarse))
+    enough = refine(hop(), 10 * found.error, start=found.solution, compile="none")
+    assert len(enough.rounds) == 1
 
 
 def test_target_below_rounding_is_not_reached_and_says_why():

@@ -7,7 +7,6 @@ from the phase's planned start), or the drift of its contacts where that is larg
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,11 +15,13 @@ import numpy as np
 
 from trajopt.accuracy import Accuracy, measure
 from trajopt.errors import InputError
-from trajopt.mesh import Mesh
+from trajopt.ladder import INTERRUPTED
+from trajopt.mesh import Mesh, mesh_of
 from trajopt.problem import Problem
 from trajopt.refinement.remeshing import PhaseErrors, remeshed
 from trajopt.solution import Solution
 from trajopt.solving import solve
+from trajopt.warm_start import solution_of
 
 # The first mesh has this part of the problem's own intervals, and two a phase at least: its solution takes
 # little time and tells where the error is.
@@ -129,9 +130,10 @@ def refine(
 ) -> Refinement:
     """Solve a problem to an accuracy of ``target`` m in every phase, on as few unknowns as that takes.
 
-    mesh: the first one; default: a fifth of the problem's own intervals. start: a solution, or its file, for
-    the first solve; a solved one on ``mesh`` is measured before anything is solved. raise_degree: False only
-    splits intervals. tolerance: the solver's; default: by the target. ``settings`` are `trajopt.solve`'s.
+    mesh: the first one; default: a fifth of the problem's own intervals. start: a solution, or its file, from
+    which the first solve starts; without a mesh it is measured itself, and its own mesh is refined.
+    raise_degree: False only splits intervals. tolerance: the solver's; default: by the target. ``settings``
+    are `trajopt.solve`'s.
 
     Returns what was reached: `Refinement.reached` and ``why`` say whether and, if not, what stopped it.
     Raises InputError for a target that is no length, and as `trajopt.solve` does.
@@ -140,7 +142,11 @@ def refine(
         raise InputError(f"accuracy is {target!r} m", "allowed: finite and > 0")
     tolerance = tolerance_for(target, problem.robot.length) if tolerance is None else tolerance
     loop = _Loop(problem, float(target), raise_degree, {**settings, "tolerance": tolerance})
-    loop.run(mesh or coarse_mesh(problem), start, max_rounds, max_variables)
+    known = None if start is None else solution_of(start)
+    if mesh is None and known is not None and known.success:
+        loop.take(known)
+        mesh, max_rounds = mesh_of(known), max_rounds + 1
+    loop.run(mesh or coarse_mesh(problem), known, max_rounds, max_variables)
     return loop.result()
 
 
@@ -151,14 +157,19 @@ class _Loop:
         self.rounds: list[Round] = []
         self.best: tuple[Solution, Accuracy] | None = None
         self.last: Solution | None = None
+        self.given: Solution | None = None
         self.why = ""
 
-    def run(
-        self, mesh: Mesh, start: Solution | str | Path | None, max_rounds: int, max_variables: int
-    ) -> None:
+    def take(self, solution: Solution) -> None:
+        """A solution that is there already, as the first round."""
+        self._record(mesh_of(solution), solution)
+        self.given = solution
+
+    def run(self, mesh: Mesh, start: Solution | None, max_rounds: int, max_variables: int) -> None:
         """Solve, measure, remesh, until the target is met or something says stop."""
         for _ in range(max_rounds):
-            solution = self._solve(mesh, start)
+            given, self.given = self.given, None
+            solution = given or self._solve(mesh, start)
             if solution is None:
                 return
             accuracy = measure(solution)
@@ -169,46 +180,43 @@ class _Loop:
             if max(errors) <= self.target:
                 self.why = "the target is met"
                 return
-            made = self._unknowns(solution, mesh)
+            made = unknowns_of(self.problem)
             found = [
                 PhaseErrors(local=accuracy.interval_errors[own], phase=error, unknowns=sizes)
                 for own, error, sizes in zip(_intervals(mesh), errors, made, strict=True)
             ]
             mesh = remeshed(mesh, found, self.target, self.problem.robot.length, self.raise_degree)
-            if _size(mesh, made) > max_variables:
+            if size_of(self.problem, mesh) > max_variables:
                 self.why = f"the next mesh would have more than {max_variables} unknowns"
                 return
             start = solution
         self.why = f"{max_rounds} rounds were not enough"
 
-    def _solve(self, mesh: Mesh, start: Solution | str | Path | None) -> Solution | None:
+    def _record(self, mesh: Mesh, solution: Solution) -> None:
+        meta = solution.meta
+        self.rounds.append(
+            Round(
+                mesh=mesh,
+                variables=meta["variables"],
+                iterations=meta["iterations"],
+                wall_time=meta["wall_time_s"],
+                status=meta["status"],
+                errors=None,
+            )
+        )
+        self.last = solution
+
+    def _solve(self, mesh: Mesh, start: Solution | None) -> Solution | None:
         """The solution on a mesh; from the problem's own guess where ``start`` does not lead to one."""
         for origin in (start, None) if start is not None else (None,):
             solution = solve(self.problem, mesh=mesh, start=origin, **self.settings)
-            meta = solution.meta
-            self.rounds.append(
-                Round(
-                    mesh=mesh,
-                    variables=meta["variables"],
-                    iterations=meta["iterations"],
-                    wall_time=meta["wall_time_s"],
-                    status=meta["status"],
-                    errors=None,
-                )
-            )
-            self.last = solution
+            self._record(mesh, solution)
             if solution.success:
                 return solution
-            if meta["status"] == "interrupted":
+            if solution.meta["status"] == INTERRUPTED:
                 break
         self.why = f"a mesh was not solved: {solution.meta['status'].replace('_', ' ')}"
         return None
-
-    def _unknowns(self, solution: Solution, mesh: Mesh) -> list[tuple[int, int]]:
-        """Unknowns of each phase per node and per point, about: states, accelerations and wrenches."""
-        nv = self.problem.robot.nv
-        active = [int(solution.active[rows.start].sum()) for rows in solution.phases]
-        return [(2 * nv, nv + 3 * contacts) for contacts in active]
 
     def result(self) -> Refinement:
         solution, accuracy = (self.last, None) if self.best is None else self.best
@@ -224,8 +232,18 @@ def _intervals(mesh: Mesh) -> list[slice]:
     return [slice(int(end - count), int(end)) for end, count in zip(ends, mesh.counts, strict=True)]
 
 
-def _size(mesh: Mesh, unknowns: Sequence[tuple[int, int]]) -> int:
+def unknowns_of(problem: Problem) -> list[tuple[int, int]]:
+    """Unknowns of each phase per node and per point, about: states, accelerations and wrenches."""
+    robot = problem.robot
+    wrenches = [
+        sum(robot.contact(name).dimension for name in phase.contacts) for phase in problem.schedule.phases
+    ]
+    return [(2 * robot.nv, robot.nv + size) for size in wrenches]
+
+
+def size_of(problem: Problem, mesh: Mesh) -> int:
+    """Number of unknowns of a problem on a mesh, about."""
     return sum(
         phase.count * (node + phase.method.s * point)
-        for phase, (node, point) in zip(mesh.phases, unknowns, strict=True)
+        for phase, (node, point) in zip(mesh.phases, unknowns_of(problem), strict=True)
     )

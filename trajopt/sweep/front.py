@@ -54,7 +54,8 @@ class Measured:
 class Front:
     """The measured settings of one problem on one robot, in order of time; ``default`` is the problem's own.
 
-    kind: of `likeness.motion_kind`. n_velocities: nv. natural_time: sqrt(length / g) of the robot, s. length: m.
+    kind: of `likeness.motion_kind`. n_velocities: nv. natural_time: sqrt(length / g) of the robot, s.
+    length: m.
     """
 
     problem: str
