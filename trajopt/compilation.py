@@ -22,7 +22,7 @@ import subprocess
 import tempfile
 import time
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -45,6 +45,12 @@ FLAGS = {
 LEVELS = tuple(FLAGS)
 DEFAULT_LEVEL = "quick"
 FUNCTION_NAMES = ("value", "first", "second")
+# Hessians that can be asked for; a solver makes the last one up from gradients.
+HESSIANS = ("exact", "gauss-newton", "limited-memory")
+DEFAULT_HESSIAN = "exact"
+# Functions of an entry, by its kind. What asks for another Hessian than the exact one takes value and first
+# from that one's entry if it is there: nothing is compiled that is not asked for, nor twice.
+ENTRIES = {"exact": FUNCTION_NAMES, "first-order": ("value", "first"), "gauss-newton": ("gauss_newton",)}
 # Functions whose intermediate values are C array entries instead of local variables: gcc's register
 # allocation then takes half the time on a Jacobian, at the same speed of the code. On a Hessian it
 # is the other way round.
@@ -56,6 +62,8 @@ ENTRY = "entry.json"
 @dataclass(frozen=True)
 class CompiledPoint:
     """Where the three functions of a point live, and the patterns of their derivatives.
+
+    The second is of the Hessian that was asked for; zero where the solver makes its own.
 
     ``sources`` maps value, first, second to serialised text (virtual machine) or to
     (library, name); ``c_bytes`` is the size of the generated C, 0 without.
@@ -124,31 +132,41 @@ def _processor() -> str:
     return next((line for line in lines if line.startswith(("flags", "Features"))), platform.processor())
 
 
-def entry_key(point: PointFunction, level: str) -> str:
-    """Name of a point function's cache entry at a level."""
+def entry_key(point: PointFunction, level: str, kind: str = "exact") -> str:
+    """Name of a point function's cache entry of a kind (see ``ENTRIES``) at a level."""
     flags = FLAGS[level]
     made_by = (
         "" if flags is None else "|".join([*flags, *_IN_MEMORY, *(compiler() or ()), platform.machine()])
     )
     if flags is not None and "-march=native" in flags:
         made_by += _processor()
-    text = "\n".join([point.text, _maker(), level, made_by])
+    text = "\n".join([point.text, _maker(), level, made_by, *([] if kind == "exact" else [kind])])
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def compile_points(
-    points: Iterable[PointFunction], level: str = DEFAULT_LEVEL
+    points: Iterable[PointFunction], level: str = DEFAULT_LEVEL, hessian: str = DEFAULT_HESSIAN
 ) -> tuple[dict[str, CompiledPoint], CompilationReport]:
-    """Derivatives of all points, by entry key, from the cache or made now."""
-    level = effective_level(level)
-    wanted = {entry_key(point, level): point for point in points}
-    folder = cache_directory()
-    missing = {key: point for key, point in wanted.items() if not _intact(folder / key)}
+    """Derivatives of all points, by the entry key of the exact Hessian, from the cache or made now.
+
+    Raises InputError for a level or a Hessian that is not known.
+    """
+    level, folder = effective_level(level), cache_directory()
+    if hessian not in HESSIANS:
+        raise InputError(f"unknown Hessian '{hessian}'", f"allowed: {', '.join(HESSIANS)}")
+    entries: dict[str, tuple[str, ...]] = {}
+    wanted: dict[str, tuple[PointFunction, str]] = {}
+    for point in points:
+        kinds = _kinds(point, level, hessian)
+        keys = {entry_key(point, level, kind): (point, kind) for kind in kinds}
+        entries[entry_key(point, level)] = tuple(keys)
+        wanted |= keys
+    missing = {key: made for key, made in wanted.items() if not _intact(folder / key)}
     start = time.perf_counter()
     jobs: list[_Job] = []
     try:
-        for key, point in missing.items():
-            jobs.append(_Job(key, point, level, folder))
+        for key, (point, kind) in missing.items():
+            jobs.append(_Job(key, point, kind, level, folder))
         built = time.perf_counter()
         for job in jobs:
             job.finish()
@@ -157,13 +175,22 @@ def compile_points(
             job.discard()
     done = time.perf_counter()
     report = CompilationReport(level, built - start, done - built, len(wanted) - len(missing), len(missing))
-    return {key: _load(folder / key, key) for key in wanted}, report
+    return {key: _load(key, [folder / name for name in names]) for key, names in entries.items()}, report
+
+
+def _kinds(point: PointFunction, level: str, hessian: str) -> tuple[str, ...]:
+    """Kinds of the entries that hold a point's functions for a Hessian."""
+    if hessian == "exact":
+        return ("exact",)
+    known = _intact(cache_directory() / entry_key(point, level))
+    first_order = "exact" if known else "first-order"
+    return (first_order, "gauss-newton") if hessian == "gauss-newton" else (first_order,)
 
 
 class _Job:
     """One entry in the making: graphs are built and C compilers started at once, joined in finish()."""
 
-    def __init__(self, key: str, point: PointFunction, level: str, folder: Path) -> None:
+    def __init__(self, key: str, point: PointFunction, kind: str, level: str, folder: Path) -> None:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             self.temporary = Path(tempfile.mkdtemp(prefix=f".{key}.", dir=folder))
@@ -177,7 +204,7 @@ class _Job:
         self.c_bytes = 0
         self.processes: list[subprocess.Popen[bytes]] = []
         made = derivatives(point)
-        for name in reversed(FUNCTION_NAMES):
+        for name in reversed(ENTRIES[kind]):
             function = getattr(made, name)
             if level == "none":
                 (self.temporary / f"{name}.casadi").write_text(function.serialize(), encoding="utf-8")
@@ -256,23 +283,35 @@ def _intact(entry: Path) -> bool:
         return False
 
 
-def _load(entry: Path, key: str) -> CompiledPoint:
-    description = json.loads((entry / ENTRY).read_text(encoding="utf-8"))
+def _load(key: str, entries: Sequence[Path]) -> CompiledPoint:
+    """A point's functions from its entries: the last one's Hessian, or none where none has one."""
     sources: dict[str, str | tuple[str, str]] = {}
-    functions = {}
-    for name in FUNCTION_NAMES:
-        library = entry / f"{name}.so"
-        if library.is_file():
-            sources[name] = (str(library), name)
-            functions[name] = ca.external(name, str(library))
-        else:
-            text = (entry / f"{name}.casadi").read_text(encoding="utf-8")
-            sources[name] = text
-            functions[name] = ca.Function.deserialize(text)
+    functions: dict[str, ca.Function] = {}
+    c_bytes = 0
+    for entry in entries:
+        c_bytes += int(json.loads((entry / ENTRY).read_text(encoding="utf-8"))["c_bytes"])
+        for name in (*FUNCTION_NAMES, "gauss_newton"):
+            library, text = entry / f"{name}.so", entry / f"{name}.casadi"
+            if library.is_file():
+                sources[name], functions[name] = (str(library), name), ca.external(name, str(library))
+            elif text.is_file():
+                sources[name] = text.read_text(encoding="utf-8")
+                functions[name] = ca.Function.deserialize(sources[name])
+    hessian = "gauss_newton" if "gauss_newton" in sources else "second"
+    if hessian not in sources:
+        functions[hessian] = _no_hessian(functions["first"])
+        sources[hessian] = functions[hessian].serialize()
     return CompiledPoint(
         key,
-        sources,
+        {"value": sources["value"], "first": sources["first"], "second": sources[hessian]},
         functions["first"].sparsity_out(3),
-        functions["second"].sparsity_out(0),
-        int(description["c_bytes"]),
+        functions[hessian].sparsity_out(0),
+        c_bytes,
     )
+
+
+def _no_hessian(first: ca.Function) -> ca.Function:
+    """Zero in place of a Hessian that no solver asks for."""
+    n_z, n_p, n_rows = first.numel_in(0), first.numel_in(1), first.numel_out(1)
+    inputs = [ca.SX.sym("z", n_z), ca.SX.sym("p", n_p), ca.SX.sym("sigma"), ca.SX.sym("lam", n_rows)]
+    return ca.Function("second", inputs, [ca.SX(n_z, n_z)])

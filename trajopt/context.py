@@ -81,6 +81,7 @@ class Context:
         self._frames: dict[str, FrameSymbols] = {}
         self._parameters: list[ca.SX] = []
         self._values: list[np.ndarray | Callable[[float], np.ndarray]] = []
+        self._squares: list[tuple[ca.SX, ca.SX]] = []
 
     @property
     def dxi(self) -> ca.SX:
@@ -254,6 +255,20 @@ class Context:
         self._parameters.append(ca.vec(symbol))
         self._values.append(array.flatten(order="F"))
         return symbol
+
+    def square(self, residual: ca.SX, weight: ca.SX) -> None:
+        """Tell Gauss-Newton of a cost: its curvature is that of sum weight residual^2, weights held fixed.
+
+        residual: (n,); weight: one, or (n,), and nowhere negative.
+        """
+        self._squares.append((residual, weight * ca.SX.ones(residual.numel())))
+
+    @property
+    def squares(self) -> tuple[ca.SX, ca.SX]:
+        """Residuals (n,) and weights (n,) of all costs here; a point's are of the rate in nominal time."""
+        rate = self.clock if self.place is Place.POINT else ca.SX(1)
+        residuals = ca.vertcat(ca.SX(0, 1), *[residual for residual, _ in self._squares])
+        return residuals, rate * ca.vertcat(ca.SX(0, 1), *[weight for _, weight in self._squares])
 
     def varying(self, value: Callable[[float], np.ndarray], size: int) -> ca.SX:
         """A parameter (size,) whose value depends on nominal time, s, from the schedule's start."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt import _engine
-from trajopt.compilation import CompiledPoint
+from trajopt.compilation import DEFAULT_HESSIAN, CompiledPoint
 from trajopt.errors import InputError
 from trajopt.sparse_maps import DerivativeMap, hessian_map, jacobian_map
 from trajopt.transcription import Group, Transcription
@@ -19,7 +19,8 @@ class Nlp:
     """The NLP ready to be solved, in scaled unknowns and rows.
 
     ``engine`` evaluates it; ``row``, ``column`` name the Jacobian's nonzeros, ``hessian_row``,
-    ``hessian_column`` those of the lower triangle of the Lagrangian's Hessian.
+    ``hessian_column`` those of the lower triangle of the Lagrangian's Hessian, or of what
+    stands for it: ``hessian`` is one of ``compilation.HESSIANS``.
     """
 
     transcription: Transcription
@@ -28,6 +29,7 @@ class Nlp:
     column: np.ndarray
     hessian_row: np.ndarray
     hessian_column: np.ndarray
+    hessian: str = DEFAULT_HESSIAN
 
 
 class _Pattern:
@@ -49,7 +51,12 @@ class _Pattern:
         return np.ascontiguousarray(np.searchsorted(self.sorted, key).astype(np.int32))
 
 
-def assemble(transcription: Transcription, compiled: Mapping[int, CompiledPoint], threads: int = 1) -> Nlp:
+def assemble(
+    transcription: Transcription,
+    compiled: Mapping[int, CompiledPoint],
+    threads: int = 1,
+    hessian: str = DEFAULT_HESSIAN,
+) -> Nlp:
     """Build the engine's NLP; ``compiled`` maps id(point function) to its compiled derivatives.
 
     Raises InputError unless ``threads`` is a whole number of at least 1.
@@ -57,7 +64,7 @@ def assemble(transcription: Transcription, compiled: Mapping[int, CompiledPoint]
     if not isinstance(threads, (int, np.integer)) or threads < 1:
         raise InputError(f"threads is {threads!r}", "allowed: 1 or more")
     n = transcription.layout.n_unknowns
-    jacobian, hessian = _Pattern(n), _Pattern(n)
+    jacobian, curvature = _Pattern(n), _Pattern(n)
     linear = transcription.linear.tocoo()
     linear_key = jacobian.add(linear.row, linear.col)
     prepared = []
@@ -67,16 +74,16 @@ def assemble(transcription: Transcription, compiled: Mapping[int, CompiledPoint]
         first = jacobian_map(point.jacobian, group.gather, group.row_scale)
         second = hessian_map(point.hessian, group.gather)
         first_key = jacobian.add(group.rows[:, first.row], offset[:, None] + first.column[None, :])
-        second_key = hessian.add(
+        second_key = curvature.add(
             offset[:, None] + second.row[None, :], offset[:, None] + second.column[None, :]
         )
         prepared.append((group, point, offset, first, first_key, second, second_key))
     row, column = jacobian.close()
-    hessian_row, hessian_column = hessian.close()
+    hessian_row, hessian_column = curvature.close()
     constant = np.zeros(len(row))
     np.add.at(constant, jacobian.places(linear_key), linear.data)
     groups = [
-        _engine_group(group, point, offset, first, jacobian.places(k1), second, hessian.places(k2))
+        _engine_group(group, point, offset, first, jacobian.places(k1), second, curvature.places(k2))
         for group, point, offset, first, k1, second, k2 in prepared
     ]
     csr = transcription.linear
@@ -101,6 +108,7 @@ def assemble(transcription: Transcription, compiled: Mapping[int, CompiledPoint]
         column=column,
         hessian_row=hessian_row,
         hessian_column=hessian_column,
+        hessian=hessian,
     )
 
 

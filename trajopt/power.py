@@ -71,16 +71,37 @@ class PowerCost(Cost):
 
     def residual(self, context: Context, units: Units) -> ca.SX:
         """Power of each joint (nu,), and then the heat of each drive, over the unit of power."""
-        unit, torque, robot = units.torque / units.time, context.torque, context.robot
-        power = torque * context.v[robot.n_unactuated :] / unit
-        rounded = ca.sqrt(power**2 + self.smoothing**2) - self.smoothing
-        drawn = (1 + self.recovered) / 2 * power + (1 - self.recovered) / 2 * rounded
-        heat = heat_coefficients(robot.drives, robot.nu)
-        return ca.vertcat(drawn, context.parameter(heat) * torque**2 / unit) if heat.any() else drawn
+        drawn = self._drawn(*self._power(context, units))
+        heat = self._heat(context, units)
+        return drawn if heat is None else ca.vertcat(drawn, heat * context.torque**2)
 
     def value(self, context: Context, units: Units) -> ca.SX:
-        """Weighted sum over the joints: no mean of squares, energies add up."""
-        return context.parameter(self.weight) * ca.sum1(self.residual(context, units))
+        """Weighted sum over the joints: no mean of squares, energies add up.
+
+        Gauss-Newton keeps the curvature of |p| as a function of p, and that of the heat in the torques.
+        """
+        weight = context.parameter(self.weight)
+        power, rounded = self._power(context, units)
+        bend = (1 - self.recovered) / 2 * self.smoothing**2 / rounded**3
+        context.square(power, weight * bend / 2)
+        drawn, heat = self._drawn(power, rounded), self._heat(context, units)
+        if heat is None:
+            return weight * ca.sum1(drawn)
+        context.square(context.torque, weight * heat)
+        return weight * (ca.sum1(drawn) + ca.dot(heat, context.torque**2))
+
+    def _power(self, context: Context, units: Units) -> tuple[ca.SX, ca.SX]:
+        """Power p of each joint over its unit, and sqrt(p^2 + smoothing^2)."""
+        power = context.torque * context.v[context.robot.n_unactuated :] * (units.time / units.torque)
+        return power, ca.sqrt(power**2 + self.smoothing**2)
+
+    def _drawn(self, power: ca.SX, rounded: ca.SX) -> ca.SX:
+        return (1 + self.recovered) / 2 * power + (1 - self.recovered) / 2 * (rounded - self.smoothing)
+
+    def _heat(self, context: Context, units: Units) -> ca.SX | None:
+        """Heat over squared torque of each drive, in the unit of power, or None."""
+        heat = heat_coefficients(context.robot.drives, context.robot.nu)
+        return context.parameter(heat) * (units.time / units.torque) if heat.any() else None
 
 
 def energy(solution: Solution, *, recovered: float = -1.0) -> float:

@@ -12,7 +12,13 @@ from typing import Any
 import numpy as np
 
 from trajopt.bases.virtual_base import LEAST_MARGIN, gimbal_margin_along
-from trajopt.compilation import DEFAULT_LEVEL, CompilationReport, compile_points, entry_key
+from trajopt.compilation import (
+    DEFAULT_HESSIAN,
+    DEFAULT_LEVEL,
+    CompilationReport,
+    compile_points,
+    entry_key,
+)
 from trajopt.errors import InputError
 from trajopt.extraction import extract
 from trajopt.guess import initial_guess, perturbed
@@ -22,7 +28,7 @@ from trajopt.nlp import Nlp, assemble
 from trajopt.problem import Problem
 from trajopt.solution import Solution
 from trajopt.solvers import Result, Status, run
-from trajopt.solvers.drivers import SOLVERS, Option, Stop, Warm
+from trajopt.solvers.drivers import SOLVERS, Option, Stop, Warm, check_hessian
 from trajopt.transcription import Transcription, transcribe
 from trajopt.violations import nonfinite_place, row_violations, worst_blocks
 from trajopt.warm_start import solution_of, warm_start
@@ -56,19 +62,20 @@ def prepare(
     intervals: int | None = None,
     mesh: Mesh | None = None,
     compile: str = DEFAULT_LEVEL,
+    hessian: str = DEFAULT_HESSIAN,
     threads: int = 1,
     start: Solution | str | Path | None = None,
 ) -> Prepared:
-    """Transcribe, compile (or fetch from the cache) and assemble.
+    """Transcribe, compile (or fetch from the cache) and assemble, with the Hessian of `solve`.
 
     The guess is the solution ``start``, resampled, or the problem's own. Raises InputError.
     """
     begun = time.perf_counter()
     transcribed = transcribe(problem, transcription, intervals, mesh)
     points = {id(group.point): group.point for group in transcribed.groups}
-    compiled, report = compile_points(points.values(), compile)
+    compiled, report = compile_points(points.values(), compile, hessian)
     by_point = {key: compiled[entry_key(point, report.level)] for key, point in points.items()}
-    nlp = assemble(transcribed, by_point, threads)
+    nlp = assemble(transcribed, by_point, threads, hessian)
     guess, warm = _guess(transcribed, start)
     build_time = time.perf_counter() - begun - report.compile_time
     return Prepared(
@@ -102,6 +109,7 @@ def solve(
     seed: int = 0,
     perturb: float = 0.0,
     compile: str = DEFAULT_LEVEL,
+    hessian: str = DEFAULT_HESSIAN,
     threads: int = 1,
     options: Mapping[str, Option] | None = None,
     progress: Progress | None = None,
@@ -113,7 +121,9 @@ def solve(
         default: the problem's.
     intervals: number over the whole schedule; default: the problem's.
     mesh: schemes and widths of intervals by phase, instead of both.
-    solver: ``ipopt`` or ``fatrop``; ``options`` are its own, refused when unknown.
+    solver: ``ipopt``, ``fatrop`` or ``sqp``; ``options`` are its own, refused when unknown.
+    hessian: ``exact``, ``gauss-newton`` (of costs that are squares, no curvature of rows), or with IPOPT
+        ``limited-memory`` (made up from gradients: nothing of second order is compiled).
     tolerance: on feasibility and optimality, in natural units (weight, length, sqrt(l/g)).
     seed, perturb: noise on the guess, standard deviation in scaled units.
     compile: ``none``, ``quick`` or ``fast``. threads: for evaluating functions.
@@ -124,13 +134,14 @@ def solve(
     Returns a Solution whose ``meta`` has status, success, advice, iterations, objective, times and the
     worst blocks of rows. Raises InputError for a value that is not allowed.
     """
-    check_settings(solver, tolerance, max_iterations, max_time, perturb, seed)
+    check_settings(solver, tolerance, max_iterations, max_time, perturb, seed, hessian)
     prepared = prepare(
         problem,
         transcription=transcription,
         intervals=intervals,
         mesh=mesh,
         compile=compile,
+        hessian=hessian,
         threads=threads,
         start=start,
     )
@@ -171,10 +182,17 @@ def _continue(_: dict[str, float]) -> bool:
 
 
 def check_settings(
-    solver: str, tolerance: float, max_iterations: int, max_time: float, perturb: float, seed: int
+    solver: str,
+    tolerance: float,
+    max_iterations: int,
+    max_time: float,
+    perturb: float,
+    seed: int,
+    hessian: str = DEFAULT_HESSIAN,
 ) -> None:
     if solver not in SOLVERS:
         raise InputError(f"unknown solver '{solver}'", f"allowed: {', '.join(SOLVERS)}")
+    check_hessian(solver, hessian)
     if not (math.isfinite(tolerance) and 0 < tolerance < 1):
         raise InputError(f"tolerance is {tolerance:g}", "allowed: between 0 and 1")
     if max_iterations < 0:
@@ -220,6 +238,7 @@ def _solution(
     success = status is Status.SOLVED
     meta = {
         "solver": solver,
+        "hessian": prepared.nlp.hessian,
         "status": status.word,
         "solver_status": result.solver_status,
         "success": success,
@@ -241,6 +260,7 @@ def _solution(
         "compile": report.level,
         "functions_compiled": report.built,
         "warm_start": prepared.warm is not None,
+        **result.figures,
         **origin,
     }
     found = extract(t, result.x, meta)

@@ -15,6 +15,9 @@ axes, rigid-body algorithm), differentiated one by one: with D_k the Jacobian of
 back from H = gamma_oo and mu = gamma_o,
 
     H <- D_k^T H D_k + sum_i mu_i R_k,i'',      mu <- D_k^T mu
+
+Gauss-Newton's Hessian of costs that are weighted squares, sum_i w_i r_i(z, o)^2, keeps the slopes of the
+residuals alone, whatever the rows: 2 sigma (r_z + r_o J)^T diag(w) (r_z + r_o J), which is nowhere negative.
 """
 
 from __future__ import annotations
@@ -28,18 +31,22 @@ import casadi as ca
 from trajopt.context import Context
 from trajopt.robot_layers import robot_layers
 
+_CSE = {"cse": True}
+
 
 @dataclass(frozen=True)
 class PointFunction:
     """Terms of one point as a graph in layers, not yet differentiated.
 
     ``layers`` map z to o, one after the other; ``terms`` maps (z, o, p) to (L, phi). All are small to
-    build, so their serialised text names the derivatives in the cache.
+    build, so their serialised text names the derivatives in the cache. ``squares`` maps (z, o, p) to the
+    residuals r and weights w of the costs that are squares; None where there are no costs.
     """
 
     name: str
     layers: tuple[ca.Function, ...]
     terms: ca.Function
+    squares: ca.Function | None = None
 
     @property
     def n_rows(self) -> int:
@@ -54,28 +61,17 @@ class PointFunction:
     @cached_property
     def text(self) -> str:
         """Serialised graph, equal for equal graphs."""
-        return "\n".join(function.serialize() for function in (*self.layers, self.terms))
+        functions = [*self.layers, self.terms, *([] if self.squares is None else [self.squares])]
+        return "\n".join(function.serialize() for function in functions)
 
 
 def point_function(name: str, context: Context, cost: ca.SX, rows: Sequence[ca.SX]) -> PointFunction:
     """Join terms written over a context's symbols with the robot's functions."""
     phi = ca.vertcat(*rows) if rows else ca.SX(0, 1)
     o, layers = robot_layers(context, ca.vertcat(cost, phi))
-    terms = ca.Function("terms", [context.z, o, context.parameters], [cost, ca.densify(phi)])
-    return PointFunction(name, layers, terms)
-
-
-@dataclass(frozen=True)
-class Derivatives:
-    """Functions of one point that the engine evaluates.
-
-    ``value``: (z, p) -> (L, phi); ``first``: (z, p) -> (L, phi, dL/dz, dphi/dz);
-    ``second``: (z, p, sigma, lambda) -> lower triangle of d2 gamma / dz2.
-    """
-
-    value: ca.Function
-    first: ca.Function
-    second: ca.Function
+    inputs = [context.z, o, context.parameters]
+    terms = ca.Function("terms", inputs, [cost, ca.densify(phi)])
+    return PointFunction(name, layers, terms, ca.Function("squares", inputs, list(context.squares)))
 
 
 class _Chain:
@@ -122,31 +118,68 @@ def _mirrored(symmetric: ca.SX) -> ca.SX:
     return ca.tril2symm(ca.tril(symmetric))
 
 
+class Derivatives:
+    """Functions of one point that the engine evaluates, each built when it is asked for."""
+
+    def __init__(self, point: PointFunction) -> None:
+        self._point = point
+        self._z, self._o = ca.SX.sym("z", point.n_z), ca.SX.sym("o", point.terms.numel_in(1))
+        self._p = ca.SX.sym("p", point.terms.numel_in(2))
+        self._sigma, self._lam = ca.SX.sym("sigma"), ca.SX.sym("lam", point.n_rows)
+
+    @cached_property
+    def value(self) -> ca.Function:
+        """(z, p) -> (L, phi)."""
+        cost, phi = self._point.terms(self._z, self._chain.output, self._p)
+        return ca.Function("value", [self._z, self._p], [cost, phi], _CSE)
+
+    @cached_property
+    def first(self) -> ca.Function:
+        """(z, p) -> (L, phi, dL/dz, dphi/dz)."""
+        z, o, p, output = self._z, self._o, self._p, self._chain.output
+        cost, phi = self._point.terms(z, o, p)
+        slopes = [ca.gradient(cost, z), ca.gradient(cost, o), ca.jacobian(phi, z), ca.jacobian(phi, o)]
+        cost_z, cost_o, phi_z, phi_o = ca.Function("terms_first", [z, o, p], slopes)(z, output, p)
+        values = self._point.terms(z, output, p)
+        gradient = ca.densify(cost_z + ca.mtimes(self._jacobian.T, cost_o))
+        rows = phi_z + ca.mtimes(phi_o, self._jacobian)
+        return ca.Function("first", [z, p], [*values, gradient, rows], _CSE)
+
+    @cached_property
+    def second(self) -> ca.Function:
+        """(z, p, sigma, lambda) -> lower triangle of d2 gamma / dz2."""
+        z, p, sigma, lam = self._z, self._p, self._sigma, self._lam
+        cost, phi = self._point.terms(z, self._o, p)
+        gamma, symbols = sigma * cost + ca.dot(lam, phi), (z, self._o, p, sigma, lam)
+        hessian = _lagrangian_hessian(gamma, symbols, self._chain, self._jacobian)
+        return ca.Function("second", [z, p, sigma, lam], [ca.tril(hessian)], _CSE)
+
+    @cached_property
+    def gauss_newton(self) -> ca.Function:
+        """(z, p, sigma, lambda) -> lower triangle of Gauss-Newton's Hessian, the same for all lambda."""
+        z, o, p = self._z, self._o, self._p
+        hessian = ca.SX(z.numel(), z.numel())
+        if self._point.squares is not None and self._point.squares.numel_out(0):
+            residuals, weights = self._point.squares(z, o, p)
+            parts = [ca.jacobian(residuals, z), ca.jacobian(residuals, o), weights]
+            r_z, r_o, w = ca.Function("squares_first", [z, o, p], parts)(z, self._chain.output, p)
+            slope = r_z + ca.mtimes(r_o, self._jacobian)
+            hessian = ca.mtimes(slope.T, ca.mtimes(ca.diag(2 * self._sigma * w), slope))
+        inputs = [z, p, self._sigma, self._lam]
+        return ca.Function("gauss_newton", inputs, [ca.tril(hessian)], _CSE)
+
+    @cached_property
+    def _chain(self) -> _Chain:
+        return _Chain(self._point.layers, self._z)
+
+    @cached_property
+    def _jacobian(self) -> ca.SX:
+        return self._chain.total_jacobian()
+
+
 def derivatives(point: PointFunction) -> Derivatives:
     """Differentiate a point function by the chain rule of this module."""
-    z, o = ca.SX.sym("z", point.n_z), ca.SX.sym("o", point.terms.numel_in(1))
-    p = ca.SX.sym("p", point.terms.numel_in(2))
-    sigma, lam = ca.SX.sym("sigma"), ca.SX.sym("lam", point.n_rows)
-    chain = _Chain(point.layers, z)
-    jacobian = chain.total_jacobian()
-
-    cost, phi = point.terms(z, o, p)
-    terms_first = ca.Function(
-        "terms_first",
-        [z, o, p],
-        [ca.gradient(cost, z), ca.gradient(cost, o), ca.jacobian(phi, z), ca.jacobian(phi, o)],
-    )
-    cost_z, cost_o, phi_z, phi_o = terms_first(z, chain.output, p)
-    cost_value, phi_value = point.terms(z, chain.output, p)
-    gradient = ca.densify(cost_z + ca.mtimes(jacobian.T, cost_o))
-    rows = phi_z + ca.mtimes(phi_o, jacobian)
-    hessian = _lagrangian_hessian(sigma * cost + ca.dot(lam, phi), (z, o, p, sigma, lam), chain, jacobian)
-    cse = {"cse": True}
-    return Derivatives(
-        ca.Function("value", [z, p], [cost_value, phi_value], cse),
-        ca.Function("first", [z, p], [cost_value, phi_value, gradient, rows], cse),
-        ca.Function("second", [z, p, sigma, lam], [ca.tril(hessian)], cse),
-    )
+    return Derivatives(point)
 
 
 def _lagrangian_hessian(gamma: ca.SX, symbols: tuple[ca.SX, ...], chain: _Chain, jacobian: ca.SX) -> ca.SX:

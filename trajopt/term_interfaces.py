@@ -66,7 +66,9 @@ class Cost(Term, ABC):
         residual = self.residual(context, units)
         if residual.numel() == 0:
             return ca.SX(0)
-        return context.parameter(self.weight) * ca.sumsqr(residual) / residual.numel()
+        weight = context.parameter(self.weight)
+        context.square(residual, weight / residual.numel())
+        return weight * ca.sumsqr(residual) / residual.numel()
 
 
 @dataclass(frozen=True)

@@ -128,6 +128,10 @@ class WholeView(Context):
         """A parameter of the small robot's context."""
         return self.small.parameter(value)
 
+    def square(self, residual: ca.SX, weight: ca.SX) -> None:
+        """Tell Gauss-Newton of a cost in the small robot's context."""
+        self.small.square(residual, weight)
+
     def varying(self, value: Callable[[float], np.ndarray], size: int) -> ca.SX:
         """A parameter of the small robot's context that varies in time."""
         return self.small.varying(value, size)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from trajopt import _engine
+from trajopt.compilation import HESSIANS
 from trajopt.errors import InputError
 from trajopt.nlp import Nlp
 from trajopt.solvers.result import FEASIBILITY_SHARE, Callback, Option, Result, Stop, Warm
@@ -91,6 +92,7 @@ def _ipopt(
     chosen = {
         **IPOPT_OPTIONS,
         **_ipopt_warm(warm),
+        **({"hessian_approximation": LIMITED_MEMORY} if nlp.hessian == LIMITED_MEMORY else {}),
         "tol": stop.tolerance,
         "constr_viol_tol": FEASIBILITY_SHARE * stop.tolerance,
         "max_iter": stop.max_iterations,
@@ -152,6 +154,8 @@ def _fatrop(
     return _result(raw, _FATROP_STATUS.get(raw["status"], Status.FAILED))
 
 
+# The Hessian that a solver makes up from gradients, and the solver that can.
+LIMITED_MEMORY, MAKES_HESSIANS = "limited-memory", "ipopt"
 SOLVERS = {"ipopt": _ipopt, "fatrop": _fatrop, "sqp": solve_sqp}
 
 
@@ -183,11 +187,21 @@ def run(
 ) -> Result:
     """Solve from ``x0`` with the solver of that name; ``warm`` where ``x0`` comes from another solution.
 
-    Raises InputError for an unknown solver or option.
+    Raises InputError for an unknown solver or option, and for a Hessian that the solver cannot do with.
     """
     if solver not in SOLVERS:
         raise InputError(f"unknown solver '{solver}'", f"allowed: {', '.join(SOLVERS)}")
+    check_hessian(solver, nlp.hessian)
     try:
         return SOLVERS[solver](nlp, x0, stop, options, callback, warm)
     except ValueError as error:
         raise InputError(f"{solver}: {error}") from None
+
+
+def check_hessian(solver: str, hessian: str) -> None:
+    """Raise InputError for an unknown Hessian, or one that the solver cannot do with."""
+    if hessian not in HESSIANS:
+        raise InputError(f"unknown Hessian '{hessian}'", f"allowed: {', '.join(HESSIANS)}")
+    if hessian == LIMITED_MEMORY and solver != MAKES_HESSIANS:
+        allowed = ", ".join(name for name in HESSIANS if name != LIMITED_MEMORY)
+        raise InputError(f"{solver} does not make up a Hessian from gradients", f"allowed: {allowed}")

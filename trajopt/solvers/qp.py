@@ -4,10 +4,11 @@
 
 PIQP (Schwan, Jiang, Kuhn, Jones, "PIQP: A Proximal Interior-Point Quadratic Programming Solver", CDC 2023)
 factorises H + rho 1 + J_e^T J_e / epsilon + J_i^T W J_i, with J_e the equations and J_i the inequalities, by
-a block Cholesky factorisation that follows the stages (Schwan, Kuhn, Jones, "Exploiting Multistage Optimization
-Structure in Proximal Solvers", 2025). So H must be positive on the directions that the equations leave free,
-not everywhere: the Hessian of the Lagrangian is given as it is, with no projection that would take
-Newton's rate of convergence away. Rows that depend on each other do no harm, nor do rows that join the ends.
+a block Cholesky factorisation that follows the stages (Schwan, Kuhn, Jones, "Exploiting Multistage
+Optimization Structure in Proximal Solvers", 2025). So H must be positive on the directions that the
+equations leave free, not everywhere: the Hessian of the Lagrangian is given as it is, with no projection
+that would take Newton's rate of convergence away. Rows that depend on each other do no harm, nor do rows
+that join the ends.
 
 The elastic program may miss every row at a price of one a unit, with the objective times ``share``:
 

@@ -32,7 +32,10 @@ def solve_sqp(
     callback: Callback,
     warm: Warm | None,
 ) -> Result:
-    """Solve from ``x0``, moved into its bounds, and the multipliers of ``warm``; raises ValueError for an option."""
+    """Solve from ``x0``, moved into its bounds, and the multipliers of ``warm``.
+
+    Raises ValueError for an option that is unknown or not allowed.
+    """
     from trajopt.solvers.sqp import Sqp  # PIQP takes long to load
 
     settings = SqpSettings.create(
