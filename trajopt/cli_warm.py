@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -14,6 +15,7 @@ from trajopt.progress import stdout_to_stderr, watched
 if TYPE_CHECKING:
     from trajopt.ladder import Ladder
     from trajopt.problem import Problem
+    from trajopt.solution import Solution
 
 LADDER_FORM = "allowed: SCHEME@INTERVALS,..., such as legendre:1@15,legendre:2@50"
 
@@ -35,9 +37,34 @@ def warm_options(command: Command) -> Command:
     return command
 
 
+@dataclass(frozen=True)
+class Climbed:
+    """The solves of a ladder, as the command reports them."""
+
+    ladder: Ladder
+
+    @property
+    def solution(self) -> Solution:
+        """The finest rung's."""
+        return self.ladder.solution
+
+    @property
+    def reached(self) -> bool:
+        """Whether it was solved."""
+        return self.solution.success
+
+    def lines(self) -> list[str]:
+        """What a summary says of the rungs."""
+        return ladder_lines(self.ladder)
+
+    def extra(self) -> dict[str, Any]:
+        """What the JSON has besides the solution's figures."""
+        return {"ladder": self.ladder.to_dict()} if self.lines() else {}
+
+
 def solve_warm(
     problem: Problem, *, start: Path | None, ladder: str | None, compare: bool, title: str, **settings: Any
-) -> Ladder:
+) -> Climbed:
     """Solve from a file, over a ladder, or neither (a ladder of one rung), with progress."""
     from trajopt.ladder import solve_ladder
     from trajopt.warm_start import solution_of
@@ -53,7 +80,9 @@ def solve_warm(
     known = None if start is None else solution_of(start)
     most = settings["max_time"] * (len(rungs) + compare)
     with stdout_to_stderr(), watched(title, most) as progress:
-        return solve_ladder(problem, rungs, start=known, compare=compare, progress=progress, **settings)
+        return Climbed(
+            solve_ladder(problem, rungs, start=known, compare=compare, progress=progress, **settings)
+        )
 
 
 def parse_ladder(text: str) -> list[tuple[str | None, int | None]]:
