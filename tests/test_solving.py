@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from problems_for_tests import REACH, REACH_TIME, SCHEME_ORDERS, hop, one_joint_arm, reach
 
 from trajopt.errors import InputError
+from trajopt.node_terms import TerminalState
 from trajopt.problem import Problem
 from trajopt.solvers import SOLVERS, Status
 from trajopt.solving import prepare, solve
@@ -86,14 +87,24 @@ def broken_after(problem: Problem, time: float) -> Problem:
     return replace(problem, guess=motion)
 
 
-def test_guess_that_is_not_finite_is_a_status_that_names_the_place():
+def test_guess_that_is_not_finite_is_refused_with_its_time():
     problem = broken_after(reach(gravity=True, terms=(TorqueCost(weight=1.0),)), 0.41)
-    solution = solve(problem, transcription="legendre:1", intervals=8, compile="none")
+    with pytest.raises(InputError, match=r"guess of problem 'reach' at t = 0\.4\d+ s is not finite"):
+        solve(problem, transcription="legendre:1", intervals=8, compile="none")
+
+
+def test_function_that_is_not_finite_is_a_status_that_names_the_place():
+    """The error of a rotation has a pole at half a turn: here the guess ends there, to the last digit."""
+    turned = hop().robot.reference.copy()
+    turned[3:7] = [0.0, 0.0, 1.0, 0.0]
+    problem = hop(terms=(TorqueCost(weight=1.0), TerminalState(q=turned)))
+    solution = solve(problem, transcription="legendre:1", compile="none")
     assert solution.meta["status"] == "not_finite"
     assert solution.meta["advice"].startswith(Status.NOT_FINITE.advice)
-    assert solution.meta["advice"].endswith("in phase 'reach', node 4")
-    assert (solution.meta["objective"], solution.meta["iterations"]) == (None, 0)
-    assert [block["violation"] for block in solution.meta["worst_blocks"]] == [None] * 3
+    assert solution.meta["advice"].endswith("rows of block 'terminal_state' in phase 'landing', node 8")
+    assert solution.meta["iterations"] == 0
+    assert solution.meta["worst_blocks"][0]["block"] == "terminal_state"
+    assert solution.meta["worst_blocks"][0]["violation"] is None
 
 
 def test_solution_knows_its_size_and_how_it_was_made():

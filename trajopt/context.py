@@ -20,6 +20,7 @@ from trajopt.errors import InputError
 from trajopt.manifold import Coordinates
 from trajopt.mode import Mode
 from trajopt.robot import Contact, Robot
+from trajopt.robot_validation import require_configuration
 from trajopt.surface import Surface
 from trajopt.terrain import Ground
 
@@ -142,6 +143,7 @@ class Context:
         given, whole = np.array(q, dtype=float), self.robot if self._mode is None else self._mode.whole
         if given.shape != (whole.nq,):
             raise InputError(f"a term's posture has shape {given.shape}", f"allowed: ({whole.nq},)")
+        require_configuration(whole.model, given, "a term's posture")
         return given if self._mode is None else self._mode.dropped(given, *np.zeros((2, whole.nv)))[0]
 
     @cached_property

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pinocchio as pin
 
 from trajopt.layout import Layout
 from trajopt.model_quantities import contact_jacobian
+from trajopt.problem_validation import guessed
 from trajopt.timeline import NodeForm, StageKind
 from trajopt.transcription import Transcription
 from trajopt.variable_bounds import start_of
@@ -100,7 +103,7 @@ def _state(transcription: Transcription, t: float, phase: int) -> State:
 
     A motion may have kinks between phases (a foot that leaves, a push that ends).
     """
-    layout, motion = transcription.layout, transcription.problem.guess
+    layout, motion = transcription.layout, partial(guessed, transcription.problem)
     model = layout.robot.model
     stages = layout.intervals_of(phase)
     low, high = layout.node_times[stages[0]], layout.node_times[stages[-1] + 1]

@@ -10,11 +10,13 @@ import casadi as ca
 import numpy as np
 
 from trajopt.context import Context
+from trajopt.errors import InputError
 from trajopt.landing_terms import ContactLanding, SwingClearance, along_normal
 from trajopt.manifold import Coordinates
 from trajopt.model_quantities import contact_jacobian
 from trajopt.node_interfaces import NodeConstraint, NodePlace, nearest_node
 from trajopt.robot import Robot
+from trajopt.robot_validation import UNIT_SLACK, require_configuration
 from trajopt.rotations import rotation_matrix
 from trajopt.term_interfaces import Rows
 from trajopt.units import Units
@@ -77,13 +79,23 @@ class FrameHeight(NodeConstraint):
 class FramePose(NodeConstraint):
     """A frame's pose at the end: ``position`` (3,) m and ``rotation`` (3, 3), world; either may be None.
 
-    ``phase``: a waypoint, where that phase begins, instead of the end of the schedule.
+    ``phase``: a waypoint, where that phase begins, instead of the end of the schedule. Raises InputError.
     """
 
     frame: str
     position: np.ndarray | None = None
     rotation: np.ndarray | None = None
     phase: str | None = None
+
+    def __post_init__(self) -> None:
+        position = np.zeros(3) if self.position is None else np.asarray(self.position, dtype=float)
+        if position.shape != (3,) or not np.all(np.isfinite(position)):
+            raise InputError(f"position of {self.name} is {position}", "allowed: 3 finite numbers, m, world")
+        turn = np.eye(3) if self.rotation is None else np.asarray(self.rotation, dtype=float)
+        if turn.shape != (3, 3) or not np.allclose(turn.T @ turn, np.eye(3), rtol=0, atol=UNIT_SLACK):
+            raise InputError(f"rotation of {self.name} is {turn.tolist()}", "allowed: (3, 3), orthonormal")
+        if np.linalg.det(turn) < 0:
+            raise InputError(f"rotation of {self.name} is a reflection", "allowed: determinant 1")
 
     def acts_at(self, place: NodePlace) -> bool:
         return _waypoint(place, self.phase)
@@ -173,6 +185,7 @@ class TerminalState(NodeConstraint):
 
 def free_rows(context: Context, place: NodePlace, q: np.ndarray, quantity: ca.SX) -> Rows:
     """A dimensionless quantity (nv,) vanishes in the directions that active contacts leave free at q."""
+    require_configuration(context.robot.model, np.asarray(q, dtype=float), "q")
     surfaces = {name: context.slides_on(context.robot.contact(name)) for name in place.phase.contacts}
     normals = {name: surface.normal for name, surface in surfaces.items() if surface is not None}
     basis = free_directions(context.robot, q, place.phase.contacts, normals)

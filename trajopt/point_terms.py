@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from trajopt.context import Context
+from trajopt.errors import InputError
 from trajopt.manifold import Coordinates
 from trajopt.robot import Robot
 from trajopt.term_interfaces import PointConstraint, Rows
@@ -20,6 +21,12 @@ class EffortLimits(PointConstraint):
     """Joint torques within ``limit`` (nu,) N m, joint side; default: the robot's limits."""
 
     limit: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        given = np.atleast_1d(np.asarray(0.0 if self.limit is None else self.limit, dtype=float))
+        if not np.all(given >= 0):
+            wrong = given[~(given >= 0)][0]
+            raise InputError(f"limit of {self.name} holds {wrong:g}", "allowed: numbers >= 0, or inf, N m")
 
     def rows(self, context: Context, units: Units) -> Rows | None:
         limit = context.robot.effort_limit if self.limit is None else context.actuated(self.limit)

@@ -20,6 +20,7 @@ from trajopt.node_terms import ContactLanding, NodeConstraint
 from trajopt.payload import Payload, loaded
 from trajopt.periodicity import Periodicity, UnitRotation, closing_map, landing_at_start
 from trajopt.point_terms import BaseDynamics, ContactAcceleration
+from trajopt.problem_validation import require_goals, require_reach, require_start
 from trajopt.robot import Robot
 from trajopt.schedule import Schedule
 from trajopt.sliding import SlidingFriction, require_sliding, sliding_surfaces
@@ -76,9 +77,8 @@ class Problem:
         for label, size in (("initial_q", self.robot.nq), ("initial_v", self.robot.nv)):
             array = np.array(getattr(self, label), dtype=float)
             if array.shape != (size,) or not np.all(np.isfinite(array)):
-                raise InputError(
-                    f"{label} of problem '{self.name}' has shape {array.shape}", f"allowed: ({size},), finite"
-                )
+                found = f"has shape {array.shape}" if array.shape != (size,) else "is not finite"
+                raise InputError(f"{label} of problem '{self.name}' {found}", f"allowed: ({size},), finite")
             array.setflags(write=False)
             object.__setattr__(self, label, array)
         object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
@@ -108,6 +108,9 @@ class Problem:
             for name in term.phases or ():
                 if name not in names:
                     raise InputError(f"{term.name} acts in phase '{name}'", f"allowed: {', '.join(names)}")
+        require_start(self)
+        require_goals(self)
+        require_reach(self)
 
     def _require_modes(self, names: list[str]) -> None:
         """A mode is of this robot and stands where its contact is: where it was at the start, or landed."""

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
 
 from trajopt.context import Context
 from trajopt.context_symbols import Place
+from trajopt.errors import InputError
 from trajopt.layout import Layout
 from trajopt.motion_terms import ImpactDynamics
 from trajopt.problem import Problem
+from trajopt.problem_validation import guessed
 from trajopt.redundancy import independent_rows
 from trajopt.stage_functions import PointFunction, point_function
-from trajopt.term_interfaces import Rows
+from trajopt.term_interfaces import Rows, Term
 from trajopt.timeline import NodeForm
 from trajopt.units import Units
+
+Built = TypeVar("Built")
 
 
 @dataclass(frozen=True)
@@ -46,22 +51,22 @@ class TermFunctions:
     def point(self, phase: int) -> Kind:
         """Function of a phase's collocation points."""
         form = self.layout.form_of(phase)
-        own, context = self.units[id(form.robot)], self._context(phase, form, Place.POINT)
+        own, context = self.units[id(form.robot)], self.context(phase, form, Place.POINT)
         name, problem = self.problem.schedule.phases[phase].name, self.problem
-        costs = [term.value(context, own) for term in problem.costs if term.acts_in(name)]
+        costs = [_of(t, name, t.value, context, own) for t in problem.costs if t.acts_in(name)]
         acting = [term for term in problem.point_constraints if term.acts_in(name)]
-        rows = [(term.name, term.rows(context, own)) for term in acting]
+        rows = [(t.name, _of(t, name, t.rows, context, own)) for t in acting]
         return _kind(name, context, context.clock * sum(costs, ca.SX(0)), rows)
 
     def impact(self, k: int) -> Kind:
         """Function of the impact that is stage k: its dynamics, and terms on contact forces."""
         phase, form = self.layout.stages[k].phase, self.layout.forms[k]
         own = self.units[id(form.robot)].impulsive()
-        context = self._context(phase, form, Place.IMPACT)
+        context = self.context(phase, form, Place.IMPACT)
         name, problem = self.problem.schedule.phases[phase].name, self.problem
-        costs = [term.value(context, own) for term in problem.impact_costs if term.acts_in(name)]
+        costs = [_of(t, name, t.value, context, own) for t in problem.impact_costs if t.acts_in(name)]
         acting = [t for t in problem.point_constraints if t.acts_in(name) and t.acts_at_impacts]
-        rows = [(t.name, t.rows(context, own)) for t in (ImpactDynamics(), *acting)]
+        rows = [(t.name, _of(t, name, t.rows, context, own)) for t in (ImpactDynamics(), *acting)]
         return _kind(f"impact_{name}", context, sum(costs, ca.SX(0)), rows)
 
     def nodes(self) -> dict[int, Kind]:
@@ -74,12 +79,13 @@ class TermFunctions:
             priced = [t for t in prices if place is not None and t.acts_at(place)]
             if place is None or not (acting or priced):
                 continue
-            context, own = self._context(phase, form, Place.NODE), self.units[id(form.robot)]
-            named = [(term.name, term.rows(context, own, place)) for term in acting]
-            cost = sum((term.value(context, own, place) for term in priced), ca.SX(0))
-            kind = _kind(f"node_{place.phase.name}", context, cost, named)
+            context, own = self.context(phase, form, Place.NODE), self.units[id(form.robot)]
+            name = place.phase.name
+            named = [(t.name, _of(t, name, t.rows, context, own, place)) for t in acting]
+            cost = sum((_of(t, name, t.value, context, own, place) for t in priced), ca.SX(0))
+            kind = _kind(f"node_{name}", context, cost, named)
             if kind.blocks or priced:
-                key = (id(form), place.phase.name, *(id(term) for term in (*acting, *priced)))
+                key = (id(form), name, *(id(term) for term in (*acting, *priced)))
                 shared = functions.setdefault(key, kind.function)
                 kinds[k] = replace(kind, function=shared)
         return kinds
@@ -98,7 +104,7 @@ class TermFunctions:
         """The next node's entries from those of node k: other coordinates, or rates in another clock."""
         before, after = self.layout.forms[k], self.layout.forms[k + 1]
         phase = self.layout.stages[k].phase
-        context = self._context(phase, before, Place.NODE)
+        context = self.context(phase, before, Place.NODE)
         clocks = context.z[before.clocks.tolist()] if before.n_clocks else ca.SX(0, 1)
         if after.coordinates is before.coordinates:
             n = len(before.rotations) + len(before.additive)
@@ -148,7 +154,7 @@ class TermFunctions:
         before = [contact for contact in contacts if contact.name in kept]
         after = [contact for contact in contacts if contact.name not in kept]
         first, last = layout.intervals_of(phase)[[0, -1]]
-        q = self.problem.guess(float(layout.node_times[first] + layout.node_times[last + 1]) / 2)
+        q = guessed(self.problem, float(layout.node_times[first] + layout.node_times[last + 1]) / 2)
         if form.robot is not layout.robot:
             still = np.zeros(layout.robot.nv)
             q = self.problem.modes[self.problem.schedule.phases[phase].name].dropped(q, still, still)[0]
@@ -156,7 +162,8 @@ class TermFunctions:
         places = {name: place for name, place in known.items() if place is not None}
         return independent_rows(form.robot, q, before, after, places)
 
-    def _context(self, phase: int, form: NodeForm, place: Place) -> Context:
+    def context(self, phase: int, form: NodeForm, place: Place) -> Context:
+        """Fresh symbols of a point, node or impact of a phase."""
         contacts = {Place.POINT: self.layout.contacts, Place.IMPACT: self.layout.touching}
         name = self.problem.schedule.phases[phase].name
         return Context(
@@ -170,6 +177,16 @@ class TermFunctions:
             kept_rows=self.kept_rows(phase),
             mode=self.problem.modes.get(name),
         )
+
+
+def _of(term: Term, phase: str, build: Callable[..., Built], *arguments: object) -> Built:
+    """What a term gives in a phase; what it refuses bears its name. Raises InputError."""
+    try:
+        return build(*arguments)
+    except InputError as error:
+        if type(error) is not InputError:
+            raise
+        raise InputError(f"{term.name} in phase '{phase}': {error.what}", error.allowed) from None
 
 
 def _kind(name: str, context: Context, cost: ca.SX, named: Sequence[tuple[str, Rows | None]]) -> Kind:

@@ -82,11 +82,21 @@ class Rows:
 
     @classmethod
     def create(cls, expression: ca.SX, lower: object, upper: object, unit: object) -> Rows:
-        """Rows with scalars broadcast to the expression's length."""
+        """Rows with scalars broadcast to the expression's length. Raises InputError for what bounds nothing.
+
+        Bounds are numbers, or infinite on the side that is free; the lower ones are not above the upper ones.
+        """
         n = expression.numel()
-        return cls(
-            expression, *(np.broadcast_to(np.asarray(b, dtype=float), n).copy() for b in (lower, upper, unit))
+        low, high, size = (
+            np.broadcast_to(np.asarray(given, dtype=float), n).copy() for given in (lower, upper, unit)
         )
+        wrong = ~((low <= high) & (low < np.inf) & (high > -np.inf))
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise InputError(
+                f"row {row} is bounded by {low[row]:g} and {high[row]:g}", "allowed: lower <= upper, no NaN"
+            )
+        return cls(expression, low, high, size)
 
 
 @dataclass(frozen=True, kw_only=True)
