@@ -2,5 +2,20 @@
 
 from trajopt.accuracy.comparison import Comparison, compare
 from trajopt.accuracy.measures import Accuracy, PhaseAccuracy, interval_errors, measure
+from trajopt.accuracy.reference import Agreement, NoReferenceError, Reference, Rung, reference
+from trajopt.accuracy.table import table
 
-__all__ = ["Accuracy", "Comparison", "PhaseAccuracy", "compare", "interval_errors", "measure"]
+__all__ = [
+    "Accuracy",
+    "Agreement",
+    "Comparison",
+    "NoReferenceError",
+    "PhaseAccuracy",
+    "Reference",
+    "Rung",
+    "compare",
+    "interval_errors",
+    "measure",
+    "reference",
+    "table",
+]
