@@ -19,7 +19,7 @@ from tests.scenes_for_tests import FEET, biped, drive, push, symmetrised, usual
 from trajopt import Contact, FlatGround, InputError, Phase, Problem, Robot, Schedule, Solution
 from trajopt.actuators.terms import DriveLimits, MotorTorqueCost
 from trajopt.context import Context
-from trajopt.node_terms import FrameHeight, FramePose, NodeConstraint, NodePlace
+from trajopt.node_terms import FrameHeight, FramePose, NodeConstraint, NodePlace, TerminalState
 from trajopt.robot_building import leaving_plane
 from trajopt.robot_data import robot_file
 from trajopt.scenes import scene, smallest
@@ -292,8 +292,9 @@ def asymmetric_tasks() -> dict[str, Problem]:
     goal = FramePose(frame="waist", position=np.array([0.0, 0.1, 0.6]))
     uneven = np.full(robot.nu, 50.0)
     uneven[0] = 20.0
+    endless = tuple(term for term in usual(robot) if not isinstance(term, TerminalState))
     return {
-        "level": push(robot, initial_q=rolled),
+        "level": push(robot, initial_q=rolled, terms=endless),
         "the start": push(robot, initial_v=sideways),
         "contact 'left_foot'": push(robot, schedule=one),
         "what 'left_foot' touches": push(robot, schedule=slope),

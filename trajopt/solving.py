@@ -39,6 +39,11 @@ Progress = Callable[[dict[str, float]], bool]
 TRUSTED_VIOLATION = 10.0
 # A solver that stops for want of a step this far from feasible (natural units) has found no feasible point.
 STILL_FEASIBLE = 1e-3
+# Why a solver does not end at a point that meets all rows: where they lose rank there are no multipliers.
+DEPENDENT = (
+    "; all rows hold at this iterate, so they may depend on each other there, as of a goal at a singular"
+    " posture or a place that is asked for twice: trajopt diagnose names them"
+)
 DEFAULT_SOLVER = "ipopt"
 MAX_PERTURBATION = 100.0
 
@@ -242,7 +247,7 @@ def _solution(
         "status": status.word,
         "solver_status": result.solver_status,
         "success": success,
-        "advice": status.advice if place is None else f"{status.advice}: {place}",
+        "advice": _advice(status, place, worst <= TRUSTED_VIOLATION * tolerance),
         "iterations": result.iterations,
         "objective": _number(result.objective),
         "tolerance": tolerance,
@@ -265,6 +270,13 @@ def _solution(
     }
     found = extract(t, result.x, meta)
     return _locks_reported(with_multipliers(found, t, result.lam_g, result.lam_x))
+
+
+def _advice(status: Status, place: str | None, feasible: bool) -> str:
+    if place is not None:
+        return f"{status.advice}: {place}"
+    stuck = feasible and status in (Status.STEP_FAILED, Status.ITERATION_LIMIT)
+    return f"{status.advice}{DEPENDENT}" if stuck else status.advice
 
 
 def _locks_reported(solution: Solution) -> Solution:
