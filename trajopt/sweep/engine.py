@@ -33,6 +33,8 @@ MOST_LOST = 2
 # s beyond the solvers' own limits that a run may take: graphs and the C compiler on a busy machine.
 BUILD_TIME = 600.0
 ACCURACY_TIME = 300.0
+# s that a run takes however small it is.
+LEAST_SECONDS = 0.3
 # Calibrations of the machine at rest, before anything is run.
 CALIBRATIONS = 20
 
@@ -63,7 +65,6 @@ class Sweep:
         self._labels = {name: setting.label(plan.base) for name, setting in self._settings.items()}
         self._lost: Counter[str] = Counter()
         self._given_up: set[str] = set()
-        self._seconds: dict[str, float] = {}
         self._told = False
         self._again = math.ceil(MOST_AGAIN * len(plan.settings) * len(asked.starts))
 
@@ -103,9 +104,8 @@ class Sweep:
             job, answer = self._pool.take()
             run = self._judged(job, answer)
             self._records.add_run(run)
-            self._seconds.setdefault(job.setting, time.perf_counter() - begun[job])
             self._display.finished(f"{self._labels[job.setting]}, {_start_text(job)}: {run_text(run)}")
-            self._estimate(waiting)
+            self._estimate(run, time.perf_counter() - begun[job], waiting)
             if run.disturbed and job.attempt < RETRIES and self._again > 0:
                 self._again -= 1
                 waiting.append(replace(job, attempt=job.attempt + 1))
@@ -158,15 +158,17 @@ class Sweep:
         if run.is_refused or self._lost[run.setting] >= MOST_LOST:
             self._given_up.add(run.setting)
 
-    def _estimate(self, waiting: deque[Job]) -> None:
-        """Say once, after the first run, how long the others will take."""
+    def _estimate(self, run: Run, seconds: float, waiting: deque[Job]) -> None:
+        """Say once, after the first run, how long the others will take: as long by collocation points."""
         if self._told or not waiting:
             return
         self._told = True
-        (known, seconds), *_ = self._seconds.items()
-        per_point = seconds / self._settings[known].points
-        total = sum(max(1.0, per_point * self._settings[job.setting].points) for job in waiting)
-        self._display.note(f"{len(waiting)} runs are left, about {total / 60:.1f} min, then their accuracy")
+        once = (run.compile_time or 0.0) + (run.build_time or 0.0) * bool(run.functions_compiled)
+        per_point = (seconds - once) / self._settings[run.setting].points
+        total = sum(LEAST_SECONDS + per_point * self._settings[job.setting].points for job in waiting)
+        self._display.note(
+            f"{len(waiting)} runs are left, about {total / 60:.1f} min without the compiler's; then accuracy"
+        )
 
     def _reference(self) -> None:
         """The converged reference, once; a failure is recorded: it tells why its figures are missing."""

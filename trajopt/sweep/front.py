@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from trajopt.errors import InputError
-from trajopt.sweep.pareto import front
+from trajopt.sweep.pareto import GAIN, front
 from trajopt.sweep.setting import Setting
 
 FOLDER = Path(__file__).parent / "fronts"
@@ -82,7 +82,7 @@ class Front:
             for point in self.points
             if point.success_rate >= least_success and (where is None or where(point.setting))
         ]
-        return tuple(chosen[i] for i in front([point.objectives for point in chosen]))
+        return tuple(chosen[i] for i in front([point.objectives for point in chosen], GAIN))
 
     def for_accuracy(self, relative_error: float, where: Filter | None = None) -> Measured | None:
         """The fastest setting with at most that error over the robot's length; None where there is none."""

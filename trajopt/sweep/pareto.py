@@ -1,51 +1,56 @@
-"""Which points are dominated: smaller is better in every objective."""
+"""Which points are worth having: nothing faster is as accurate. A point is a time and an error."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
-Point = Sequence[float]
+Point = tuple[float, float]
 
-
-def dominates(first: Point, second: Point) -> bool:
-    """Whether ``first`` is nowhere worse than ``second`` and better in one objective at least."""
-    pairs = list(zip(first, second, strict=True))
-    return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
+# A slower setting is worth its time where its error is less by this part: errors of one discretisation, found by
+# other solvers or tolerances, differ in the third digit.
+GAIN = 0.05
 
 
 def is_measured(point: Point) -> bool:
-    """Whether every objective is a finite number: anything else is never on a front."""
+    """Whether time and error are finite numbers: anything else is never on a front."""
     return all(math.isfinite(value) for value in point)
 
 
-def front(points: Sequence[Point]) -> list[int]:
-    """Indices of the points that no other dominates, in order of the first objective, then of the others.
+def front(points: Sequence[Point], gain: float = 0.0) -> list[int]:
+    """Indices of the points on the front, fastest first.
 
-    Equal points do not dominate each other: all of them are on the front, or none. Points with an objective
-    that is not finite are passed over.
+    Those whose error is less than that of every faster one by the part ``gain``; 0 gives the Pareto front.
+    Equal points are on it together. Points that are not measured are passed over.
     """
-    known = [i for i, point in enumerate(points) if is_measured(point)]
-    left = [i for i in known if not any(dominates(points[j], points[i]) for j in known)]
-    return sorted(left, key=lambda i: (tuple(points[i]), i))
+    kept: list[int] = []
+    for i in sorted(
+        (i for i, point in enumerate(points) if is_measured(point)), key=lambda i: (points[i], i)
+    ):
+        least = points[kept[-1]][1] if kept else math.inf
+        if points[i][1] < (1 - gain) * least or (kept and points[i] == points[kept[-1]]):
+            kept.append(i)
+    return kept
 
 
-def dominators(points: Sequence[Point]) -> list[int | None]:
+def dominators(points: Sequence[Point], gain: float = 0.0) -> list[int | None]:
     """For each point the one on the front that is ahead of it by most, None for points on the front.
 
-    Ahead by most is the largest product of ratios, for objectives that are positive. For a point that is not
-    measured there is None, too: it is on no front, and nothing can be said against it but that.
+    Ahead by most is the largest product of ratios among those that are no slower, and no less accurate but
+    for ``gain``. A point that is not measured has None, too: it is on no front, but nothing is known against
+    it.
     """
-    best = front(points)
+    best = front(points, gain)
     found: list[int | None] = []
-    for point in points:
-        over = [i for i in best if dominates(points[i], point)] if is_measured(point) else []
-        found.append(max(over, key=lambda i: _lead(points[i], point)) if over else None)
+    for i, (time, error) in enumerate(points):
+        over = [j for j in best if points[j][0] <= time and (1 - gain) * points[j][1] <= error]
+        on_it = i in best or not is_measured(points[i])
+        found.append(None if on_it else max(over, key=lambda j: _lead(points[j], (time, error))))
     return found
 
 
 def _lead(first: Point, second: Point) -> float:
-    """Logarithm of the product of ratios; an objective of zero is ahead of any other by infinity."""
+    """Logarithm of the product of ratios; zero is ahead of any other number by infinity."""
     return sum(_log(b) - _log(a) if a != b else 0.0 for a, b in zip(first, second, strict=True))
 
 

@@ -96,11 +96,12 @@ def _solve(problem: Problem, setting: Setting, job: Job, limits: Limits) -> _Mad
 
 
 def with_torques(problem: Problem, solution: Solution) -> Solution:
-    """Stage two: torques of the motion; where they are beyond their limits, wrenches shared anew."""
-    torque, report = recover_torques(problem, solution)
-    if not report.within_limits:
-        return redistributed(problem, solution)
-    return replace(solution, tau=torque)
+    """Stage two: torques read off the motion; where they are beyond their limits, wrenches shared anew.
+
+    A solution has the torques of its actuated rows already, whether its rows held them or not.
+    """
+    _, report = recover_torques(problem, solution)
+    return solution if report.within_limits else redistributed(problem, solution)
 
 
 def objective_of(problem: Problem, setting: Setting, solution: Solution) -> float:

@@ -10,7 +10,7 @@ from typing import Any
 
 from trajopt.problem import Problem
 from trajopt.sweep.likeness import motion_kind
-from trajopt.sweep.pareto import dominators, front, is_measured
+from trajopt.sweep.pareto import GAIN, dominators, front, is_measured
 from trajopt.sweep.plan import Plan
 from trajopt.sweep.records import Found
 from trajopt.sweep.result import Run
@@ -114,8 +114,8 @@ def summarize(plan: Plan, found: Found, starts: Sequence[int]) -> tuple[Summary,
     """All settings of a plan, in its order."""
     rows = [_summary(plan, found, starts, setting) for setting in plan.settings]
     points = [row.objectives for row in rows]
-    best = set(front(points))
-    over = dominators(points)
+    best = set(front(points, GAIN))
+    over = dominators(points, GAIN)
     return tuple(
         replace(row, on_front=i in best, dominated_by="" if by is None else rows[by].label)
         for i, (row, by) in enumerate(zip(rows, over, strict=True))
