@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pinocchio as pin
 
+from trajopt.certify.payloads import carrying_model
 from trajopt.certify.touched import Touched
 from trajopt.dynamics.contact_set import ContactSet, contact_kinematics
 from trajopt.dynamics.impact import cone_margins, momentum, total_wrench
@@ -42,7 +43,8 @@ def impact_figures(plan: Solution, surfaces: Touched) -> Figures:
 
 def _impact(plan: Solution, surfaces: Touched, number: int, row: int) -> Figures:
     assert plan.impulse is not None
-    model, q, before, after = plan.model, plan.q[row], plan.v[row - 1], plan.v[row]
+    q, before, after = plan.q[row], plan.v[row - 1], plan.v[row]
+    model = carrying_model(plan, int(plan.phase[row]))
     active = np.flatnonzero(plan.active[row])
     kinds = [plan.meta["contact_kinds"][index] for index in active]
     frames = [plan.contact_frames[index] for index in active]
@@ -65,20 +67,20 @@ def _impact(plan: Solution, surfaces: Touched, number: int, row: int) -> Figures
         ),
         "impact_velocity": float(np.abs(kinematics.velocity).max() / speed),
         "impact_friction_margin": float(margins.min() / unit) if margins.size else None,
-        "impact_momentum_error": _momentum_error(plan, row, contacts, impulses, unit),
+        "impact_momentum_error": _momentum_error(plan, model, row, contacts, impulses, unit),
         "impact_energy_gain": float((energies[1] - energies[0]) / (mass_of(model) * gravity_of(model))),
     }
 
 
 def _momentum_error(
-    plan: Solution, row: int, contacts: ContactSet, impulses: np.ndarray, unit: float
+    plan: Solution, model: pin.Model, row: int, contacts: ContactSet, impulses: np.ndarray, unit: float
 ) -> float | None:
     """Change of linear and angular momentum about the centre of mass against the impulses'.
 
     None for a fixed base, whose root gives an impulse of its own; in a plane only what it leaves free.
     """
-    model, q = plan.model, plan.q[row]
-    base = base_of(model)
+    q = plan.q[row]
+    base = base_of(plan.model)
     if base == "fixed":
         return None
     jump = momentum(model, q, plan.v[row]) - momentum(model, q, plan.v[row - 1])
