@@ -7,8 +7,9 @@ from problems_for_tests import hop, lean
 
 from trajopt.check import check
 from trajopt.errors import InputError
-from trajopt.mesh import Mesh, PhaseMesh, equal_fractions, mesh_of
+from trajopt.mesh import Mesh, PhaseMesh, equal_fractions, interpolated, mesh_of
 from trajopt.node_interfaces import NodePlace, nearest_node
+from trajopt.power import energy
 from trajopt.schedule import Phase
 from trajopt.solution import Solution
 from trajopt.solving import prepare, solve
@@ -18,6 +19,8 @@ from trajopt.transcription import transcribe
 STEP, DIFFERENCES = 1e-6, 1e-6
 # The solver's tolerance grows by what follows a point within its interval.
 CONSISTENT = 1e-5
+# Of sums of products.
+ROUNDING = 1e-12
 
 UNEVEN = Mesh(
     phases=(
@@ -151,3 +154,14 @@ def test_meshes_that_do_not_fit_are_refused():
         solve(hop(), mesh=UNEVEN, intervals=12)
     with pytest.raises(InputError, match="names 2 schemes for 3 phases"):
         transcribe(hop(), "legendre:2,legendre:3", 12)
+
+
+def test_energy_and_shared_wrenches_take_every_phases_own_scheme(uneven):
+    torque, rates = uneven.tau, uneven.v[:, uneven.n_unactuated :]
+    expected, methods = 0.0, [phase.method for phase in UNEVEN.phases for _ in phase.widths]
+    for method, rows, (start, end) in zip(methods, uneven.intervals, uneven.interval_t, strict=True):
+        points = [row for row in rows if uneven.collocation[row]]
+        expected += (end - start) * method.b1 @ np.abs(torque[points] * rates[points]).sum(axis=1)
+    # Energy given back counts as drawn when as much of it is lost as of what is drawn.
+    assert energy(uneven, recovered=-1.0) == pytest.approx(expected)
+    assert_allclose(interpolated(uneven, uneven.f), uneven.f, atol=ROUNDING * np.abs(uneven.f).max())

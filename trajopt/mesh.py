@@ -158,6 +158,21 @@ def mesh_of(solution: Solution) -> Mesh:
     return Mesh(phases=tuple(PhaseMesh(scheme=name, widths=phase) for phase in widths))
 
 
+def interval_schemes(solution: Solution) -> tuple[Scheme, ...]:
+    """Scheme of every interval of a solution."""
+    return tuple(phase.method for phase in mesh_of(solution).phases for _ in phase.widths)
+
+
+def interpolated(solution: Solution, values: np.ndarray) -> np.ndarray:
+    """Values (K, ...) at collocation points with the interpolants' values at the ends of every interval."""
+    found = values.copy()
+    for rows, method in zip(solution.intervals, interval_schemes(solution), strict=True):
+        inner = [k for k in rows if solution.collocation[k]]
+        ends = method.interpolation(np.array([0.0, 1.0]))
+        found[[rows[0], rows[-1]]] = np.tensordot(ends, values[inner], axes=1)
+    return found
+
+
 def _widths(solution: Solution, rows: range) -> tuple[float, ...]:
     first, last = solution.interval[rows.start], solution.interval[rows.stop - 1]
     steps = np.diff(solution.interval_t[first : last + 1], axis=1)[:, 0]

@@ -24,8 +24,8 @@ from trajopt.actuators.drive import Drive
 from trajopt.actuators.on_robot import drive_torque_values
 from trajopt.context import Context
 from trajopt.errors import InputError
+from trajopt.mesh import interval_schemes
 from trajopt.model_quantities import gravity_of, mass_of
-from trajopt.schemes import scheme
 from trajopt.solution import Solution
 from trajopt.term_interfaces import Cost
 from trajopt.units import Units
@@ -124,9 +124,9 @@ def energy(solution: Solution, *, recovered: float = -1.0) -> float:
 def _quadrature(solution: Solution) -> np.ndarray:
     """Weight of every sample (K,), s: zero at those that are no collocation points."""
     weights = np.zeros(solution.n_samples)
-    b1 = scheme(solution.meta["transcription"]).b1
-    for rows, (start, end) in zip(solution.intervals, solution.interval_t, strict=True):
-        weights[[row for row in rows if solution.collocation[row]]] = b1 * (end - start)
+    schemes = interval_schemes(solution)
+    for rows, (start, end), method in zip(solution.intervals, solution.interval_t, schemes, strict=True):
+        weights[[row for row in rows if solution.collocation[row]]] = method.b1 * (end - start)
     return weights
 
 

@@ -31,10 +31,10 @@ from trajopt.contact_terms import ContactConstraint, FrictionCone, FrictionPyram
 from trajopt.context import Context
 from trajopt.errors import InputError
 from trajopt.manifold import Coordinates
+from trajopt.mesh import interpolated
 from trajopt.model_quantities import contact_jacobian
 from trajopt.problem import Problem
 from trajopt.reduced.two_stage import TorqueBounds, effort_limit, torque_bounds
-from trajopt.schemes import scheme
 from trajopt.solution import Solution
 from trajopt.term_interfaces import PointConstraint
 from trajopt.units import Units
@@ -74,11 +74,7 @@ def redistributed(problem: Problem, solution: Solution) -> Solution:
         if found is not None:
             f[row], torque[row] = found
             changed += 1
-    interpolation = scheme(solution.meta["transcription"]).interpolation(np.array([0.0, 1.0]))
-    for rows in solution.intervals:
-        inner = slice(rows.start + 1, rows.stop - 1)
-        for values in (f, torque):
-            values[[rows.start, rows.stop - 1]] = np.tensordot(interpolation, values[inner], axes=1)
+    f, torque = interpolated(solution, f), interpolated(solution, torque)
     limit = np.asarray(actuated_row_limit(problem.robot, effort_limit(problem)))
     meta = {
         **solution.meta,

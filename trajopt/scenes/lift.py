@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from trajopt.extraction import robot_meta
+from trajopt.mesh import interpolated
 from trajopt.model_quantities import contact_jacobian, generalized_force
 from trajopt.problem import Problem
 from trajopt.robot import Robot
 from trajopt.scenes.reduction import Reduction
-from trajopt.schemes import scheme
 from trajopt.solution import Solution
 
 Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -84,13 +84,3 @@ def _torques(solution: Solution, robot: Robot, motion: Motion, f: np.ndarray) ->
         state = (motion[0][k], motion[1][k], motion[2][k])
         found[k] = generalized_force(model, data, state, frames, f[k])
     return interpolated(solution, found)[:, robot.n_unactuated :]
-
-
-def interpolated(solution: Solution, values: np.ndarray) -> np.ndarray:
-    """Values at collocation points with the interpolants' values at the ends of every interval."""
-    ends = scheme(solution.meta["transcription"]).interpolation(np.array([0.0, 1.0]))
-    found = values.copy()
-    for rows in solution.intervals:
-        inner = [k for k in rows if solution.collocation[k]]
-        found[[rows[0], rows[-1]]] = np.tensordot(ends, values[inner], axes=1)
-    return found

@@ -20,8 +20,8 @@ from scipy.optimize import nnls
 from trajopt.contact import Contact
 from trajopt.contact_terms import ContactConstraint, FrictionCone, FrictionPyramid, SoleCone
 from trajopt.extraction import robot_meta
+from trajopt.mesh import interpolated
 from trajopt.problem import Problem
-from trajopt.scenes.lift import interpolated
 from trajopt.scenes.report import CHOICE
 from trajopt.schedule import Phase, Schedule
 from trajopt.solution import Solution
