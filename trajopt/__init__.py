@@ -6,6 +6,7 @@ check_installation()
 
 from trajopt.check import check  # noqa: E402
 from trajopt.continuation import continuation  # noqa: E402
+from trajopt.diagnose import diagnose  # noqa: E402
 from trajopt.errors import InputError, TrajoptError  # noqa: E402
 from trajopt.ladder import solve_ladder  # noqa: E402
 from trajopt.problem import Problem  # noqa: E402
@@ -29,6 +30,7 @@ __all__ = [
     "TrajoptError",
     "check",
     "continuation",
+    "diagnose",
     "motion_of",
     "solve",
     "solve_ladder",

@@ -165,7 +165,10 @@ def summary(solution: Solution, report: Report | None, file: Path | None, notes:
     lines.append(_line("file", "none" if file is None else str(file)))
     if file is not None:
         name = shlex.quote(str(file))
-        lines += [_line("next", f"trajopt check {name}"), _line("", f"trajopt replay {name}")]
+        checks = [_line("next", f"trajopt check {name}"), _line("", f"trajopt replay {name}")]
+        lines += checks if meta["success"] else [_line("next", f"trajopt diagnose {name}")]
+    elif not meta["success"]:
+        lines.append(_line("next", "the same command with --diagnose"))
     return "\n".join(lines)
 
 

@@ -1,0 +1,250 @@
+"""What to try: one sentence for each finding, nothing without one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from trajopt.diagnose.activity import BOUNDS
+
+if TYPE_CHECKING:
+    from trajopt.diagnose.activity import ActiveLimit
+    from trajopt.diagnose.conflict import Party
+    from trajopt.diagnose.diagnosis import Diagnosis
+    from trajopt.diagnose.findings import DependentRows
+
+# Goals: rows that ask for something at a place, and what is done about them.
+GOALS = (
+    "frame_pose",
+    "frame_velocity",
+    "terminal_state",
+    "terminal_rest",
+    "terminal_velocity",
+    "terminal_posture",
+    "frame_height",
+    "swing_clearance",
+    "contact_landing",
+    "periodicity",
+)
+CONTACTS = ("contact_acceleration", "contact_velocity", "contact_landing", "impact_dynamics")
+# What stands against a goal, and the remedy.
+REMEDIES = {
+    "velocity_limits": "lengthen the phase, or raise the velocity limit",
+    "effort_limits": "lengthen the phase, raise the effort limit, or carry less",
+    "position_limits": "ask for what is within the joint's range, or start from another posture",
+    "friction_pyramid": "raise the friction, accelerate less, or use FrictionCone, which holds more",
+    "friction_cone": "raise the friction, or accelerate less",
+    "sole_limits": "move slower, or make the sole larger",
+    "sole_cone": "move slower, raise the friction, or make the sole larger",
+    "duration": "widen the bounds of the total duration",
+    BOUNDS: "widen that bound",
+}
+# A limit that holds for this part of its places decides the motion; so many of them are named.
+SATURATED, MOST_SATURATED = 0.5, 3
+# An interval that errs by more than this (m) is too wide: the tolerance of a check on drift.
+COARSE = 1e-3
+# Condition of active rows beyond which solvers lose half of their digits.
+ILL = 1e8
+# Costs that give a kind of unknown curvature.
+CURVING = {
+    "force": "WrenchCost",
+    "moment": "WrenchCost",
+    "impulse": "ImpulseCost",
+    "angular impulse": "ImpulseCost",
+    "acceleration": "AccelerationCost",
+    "jump": "VelocityCost",
+    "rate": "VelocityCost or AccelerationCost",
+    "position": "PostureCost",
+    "clock": "TimeCost, or bounds on the duration",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Advice:
+    """``finding``: what was seen; ``remedy``: what to try."""
+
+    finding: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.finding}: {self.remedy}"
+
+
+def advice(found: Diagnosis) -> Iterator[Advice]:
+    """All that follows from a diagnosis, the most urgent first."""
+    yield from _of_values(found)
+    yield from _of_conflict(found)
+    yield from _of_rows(found)
+    yield from _of_contacts(found)
+    yield from _of_curvature(found)
+    yield from _of_scaling(found)
+    yield from _of_mesh(found)
+    yield from _of_limits(found)
+    for text in found.start:
+        exactly = "exactly on" in text
+        remedy = "move it inside by a little" if exactly else "start within the limits"
+        if not exactly or not found.solved:
+            yield Advice(finding=text, remedy=remedy)
+
+
+def _of_values(found: Diagnosis) -> Iterator[Advice]:
+    wrong = found.nonfinite
+    if wrong is None:
+        return
+    finding = str(wrong)
+    if any(entry.value != entry.value for entry in wrong.inputs):
+        yield Advice(finding=finding, remedy="the guess itself is not finite there: mend the guess")
+    elif wrong.inputs:
+        yield Advice(
+            finding=finding,
+            remedy="keep that input where the term is defined: another guess, a bound, or a term that is "
+            "smooth there",
+        )
+    else:
+        yield Advice(finding=finding, remedy="give the term values and slopes there, or start elsewhere")
+
+
+def _of_rows(found: Diagnosis) -> Iterator[Advice]:
+    for group in found.dependent:
+        yield Advice(finding=str(group), remedy=_untangled(group))
+    for report in found.ranks:
+        if report.condition is not None and report.condition > ILL and report.full:
+            where = "all phases together" if report.phase is None else f"phase '{report.phase}'"
+            yield Advice(
+                finding=f"active rows of {where} are nearly dependent, condition {report.condition:.1e}",
+                remedy="look for goals that almost repeat contacts or limits, and for singular postures",
+            )
+
+
+def _untangled(group: DependentRows) -> str:
+    if group.fixed:
+        return "they ask of the fixed start what it has or has not: leave them out, or free the start"
+    goals = [block for block in group.blocks if block in GOALS and block != "contact_landing"]
+    others = [block for block in group.blocks if block not in (*GOALS, *CONTACTS, "defect")]
+    if all(block in CONTACTS for block in group.blocks):
+        return (
+            "contacts fix each other: hold fewer of their rows (redundancy elimination leaves such rows out)"
+        )
+    if goals and not others and any(block in CONTACTS for block in group.blocks):
+        return f"{' and '.join(goals)} ask what contacts fix already: ask only in directions they leave free"
+    if goals and not others and len(group.rows) > 1:
+        return f"goals repeat each other ({', '.join(goals)}): take one of them out"
+    if not group.equations:
+        return "limits at their bounds leave too little: raise one of them, or ask for less"
+    return "the same is said twice: take one of these rows out"
+
+
+def _of_conflict(found: Diagnosis) -> Iterator[Advice]:
+    clash = found.conflict
+    if not found.worst or found.nonfinite is not None:
+        return
+    if clash is None:
+        yield Advice(
+            finding=f"violated: {found.worst[0].row}", remedy="another start, or an easier goal first"
+        )
+        return
+    if not clash.stuck:
+        yield Advice(
+            finding=f"rows miss {clash.before:.2e} in sum, and small motions mend that to {clash.after:.2e}",
+            remedy="the iterate is early, not in conflict: more iterations, another solver or another start",
+        )
+        return
+    giving = ", ".join(f"{party.what} ({party.amount:.1e})" for party in clash.giving[:3])
+    giving += f" at {clash.giving[0].place}" if clash.giving else ""
+    goal = any(_block(party) in GOALS for party in clash.giving)
+    finding = f"{'goal out of reach' if goal else 'rows contradict each other'}, {giving}"
+    remedies = list(dict.fromkeys(_remedy(party) for party in clash.against[:3]))
+    if clash.against:
+        finding += f"; against it stand {', '.join(party.what for party in clash.against[:3])}"
+    yield Advice(finding=finding, remedy="; ".join(remedies) or "bring the goal nearer, or give it more time")
+
+
+def _block(party: Party) -> str:
+    return party.what.split(" [", 1)[0]
+
+
+def _remedy(party: Party) -> str:
+    block = _block(party)
+    return REMEDIES.get(block, f"ask less of {block}")
+
+
+def _of_contacts(found: Diagnosis) -> Iterator[Advice]:
+    for phase in found.contacts:
+        if phase.singular and not found.solved:
+            yield Advice(
+                finding=f"phase '{phase.phase}': {phase}",
+                remedy="postures there are singular, such as a straight leg: bend it in the guess and at the "
+                "start, or narrow the position limits",
+            )
+
+
+def _of_curvature(found: Diagnosis) -> Iterator[Advice]:
+    curved = found.curvature
+    if curved is None or curved.holds or not curved.smallest_along:
+        return
+    least = curved.smallest_along[0]
+    if curved.negative and found.feasible and curved.known:
+        yield Advice(
+            finding=f"the Lagrangian curves downwards, {least}: this is no minimum",
+            remedy="start from a perturbed guess (--perturb 0.1), or solve further from here",
+        )
+    elif not curved.negative:
+        costs = dict.fromkeys(CURVING.get(kind, "a cost on it") for kind in least.kinds[:2])
+        yield Advice(
+            finding=f"no cost has curvature, {least}",
+            remedy=f"add a small {' or '.join(costs)}: what nothing asks for is not unique",
+        )
+
+
+def _of_scaling(found: Diagnosis) -> Iterator[Advice]:
+    if found.scaling is None:
+        return
+    for block in found.scaling.worst_blocks[:2]:
+        much = block.multiplier is not None and block.multiplier.largest > max(1.0, block.row_norm.far)
+        if much and not found.feasible:  # then they only say how far the rows are from being met
+            continue
+        what = f"multipliers {block.multiplier}" if much else f"row norms {block.row_norm}"
+        yield Advice(
+            finding=f"{block.block} is far from scale one, {what}",
+            remedy="give its rows the unit of what they measure"
+            if not much
+            else "weights of costs far from one, or a constraint that is hardly to be met",
+        )
+    for kind in found.scaling.worst_kinds[:1]:
+        yield Advice(
+            finding=f"unknowns of kind {kind.kind} are far from scale one: values {kind.value}, "
+            f"columns {kind.column_norm}",
+            remedy="measure from a nearer origin, or look at masses and lengths of the robot",
+        )
+
+
+def _of_mesh(found: Diagnosis) -> Iterator[Advice]:
+    for phase, error in (found.local_error or {}).items():
+        if not error <= COARSE:
+            yield Advice(
+                finding=f"one interval of phase '{phase}' errs by {error:.1e} m",
+                remedy="the mesh is too coarse there: more intervals, or a scheme of higher order",
+            )
+
+
+def _of_limits(found: Diagnosis) -> Iterator[Advice]:
+    saturated = 0
+    for limit in found.limits:
+        clock = limit.about.endswith("duration") or limit.block == "duration"
+        if clock and not limit.weak:
+            yield Advice(
+                finding=f"{limit.about} is at its {limit.side} bound",
+                remedy="widen that bound if the motion should choose its time",
+            )
+        elif saturated < MOST_SATURATED and _decides(limit) and not found.solved:
+            saturated += 1
+            yield Advice(
+                finding=f"{limit.block} [{limit.about}] is at its {limit.side} bound for {limit.places} of "
+                f"{limit.of} places of phase '{limit.phase}'",
+                remedy=REMEDIES.get(limit.block, "raise it, or ask for less"),
+            )
+
+
+def _decides(limit: ActiveLimit) -> bool:
+    return limit.of > 1 and limit.places >= SATURATED * limit.of and not limit.weak

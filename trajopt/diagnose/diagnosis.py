@@ -1,0 +1,293 @@
+"""A diagnosis: the NLP of a solution rebuilt, looked at from every side, and put into words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajopt.diagnose.activity import ActiveLimit, active_limits
+from trajopt.diagnose.advice import Advice, advice
+from trajopt.diagnose.conflict import Conflict, conflict
+from trajopt.diagnose.contacts import PhaseContacts, phase_contacts
+from trajopt.diagnose.curvature import curvature
+from trajopt.diagnose.findings import (
+    CurvatureReport,
+    DependentRows,
+    RankReport,
+    curvature_report,
+    rank_report,
+    start_findings,
+)
+from trajopt.diagnose.nonfinite import NonFinite, first_nonfinite
+from trajopt.diagnose.scaling import Scaling, scaling
+from trajopt.diagnose.snapshot import Snapshot
+from trajopt.errors import InputError, TrajoptError
+from trajopt.extraction import extract
+from trajopt.mesh import mesh_of
+from trajopt.problem import Problem
+from trajopt.solution import Solution
+from trajopt.solving import STILL_FEASIBLE, Prepared, prepare
+from trajopt.transcription import Transcription
+from trajopt.warm_start import solution_of, warm_start
+
+# Rows are violated where they miss this, or ten times the solve's tolerance: as a solve itself judges.
+TRUSTED = 10.0
+WORST = 5
+# Objective and violation of a file are those of the problem rebuilt from it, up to this.
+SAME = 1e-4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Violation:
+    """A row or bound in words, and by how much it is violated, natural units; None where not finite."""
+
+    row: str
+    block: str
+    phase: str
+    amount: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnosis:
+    """All that was found at one iterate; parts that need finite values are None where they are not.
+
+    source: what was looked at. status: the solver's, None for a guess. free: number of free unknowns at the
+    iterate. local_error: per phase the largest error in m that one interval makes, of a solved motion.
+    """
+
+    problem: str
+    robot: str
+    source: str
+    status: str | None
+    solved: bool
+    variables: int
+    constraints: int
+    max_violation: float | None
+    stationarity: float | None
+    worst: tuple[Violation, ...]
+    nonfinite: NonFinite | None
+    ranks: tuple[RankReport, ...]
+    contacts: tuple[PhaseContacts, ...]
+    curvature: CurvatureReport | None
+    scaling: Scaling | None
+    limits: tuple[ActiveLimit, ...]
+    conflict: Conflict | None
+    local_error: dict[str, float] | None
+    start: tuple[str, ...]
+    notes: tuple[str, ...]
+    advice: tuple[Advice, ...] = ()
+
+    @property
+    def clean(self) -> bool:
+        """Whether nothing was found that should be changed."""
+        return not self.advice
+
+    @property
+    def dependent(self) -> tuple[DependentRows, ...]:
+        """Groups of dependent rows: those of single phases, then those that phases have together."""
+        own = [group for report in self.ranks[1:] for group in report.dependent]
+        known = {group.rows for group in own}
+        across = [group for report in self.ranks[:1] for group in report.dependent]
+        return (*own, *(group for group in across if group.rows not in known))
+
+    @property
+    def feasible(self) -> bool:
+        """Whether all rows and bounds hold as a solve would judge."""
+        return self.max_violation is not None and not self.worst
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able; numbers that are not finite are left to the writer."""
+        return {**asdict(self), "clean": self.clean, "feasible": self.feasible}
+
+    def __str__(self) -> str:
+        from trajopt.diagnose.text import lines
+
+        return "\n".join(lines(self))
+
+
+def diagnose(
+    what: Solution | Prepared | str | Path, problem: Problem | None = None, *, compile: str | None = None
+) -> Diagnosis:
+    """Say what is wrong, or well, with an NLP at an iterate.
+
+    what: a solution or its file, solved or not; or a prepared problem, looked at at its guess.
+    problem: of the solution; default: that of the catalogue which the file names, with its parameters.
+    compile: level at which functions are compiled; default: the file's, which is in the cache where it was
+    solved. Raises InputError where the problem is unknown, or of other joints or phases than the solution.
+    """
+    if isinstance(what, Prepared):
+        return _diagnosed(_at_guess(what), None, f"guess of {what.transcription.problem.name}")
+    solution = solution_of(what)
+    source = str(what) if isinstance(what, str | Path) else "solution"
+    rebuilt = problem_of(solution) if problem is None else problem
+    level = compile or solution.meta.get("compile") or "none"
+    prepared = prepare(rebuilt, mesh=mesh_of(solution), compile=level)
+    return _diagnosed(_at_solution(prepared, solution), solution, source)
+
+
+def problem_of(solution: Solution) -> Problem:
+    """The problem of the catalogue that a solution names, with its parameters. Raises InputError."""
+    from trajopt.catalogue import families
+
+    name, known = str(solution.meta["problem"]), families()
+    if name not in known:
+        raise InputError(
+            f"the file's problem '{name}' is not in the catalogue",
+            "allowed: trajopt.diagnose(solution, problem=...) in Python, or --problem NAME",
+        )
+    family = known[name]
+    own = {parameter.name: parameter for parameter in family.parameters}
+    given = solution.meta.get("parameters") or {}
+    values = {key: value for key, value in given.items() if key in own and value is not None}
+    try:
+        return family.load(values)
+    except InputError:  # a derived value need not be one that may be asked for
+        asked = {key: value for key, value in values.items() if own[key].default is not None}
+        return family.load(asked)
+
+
+def _at_guess(prepared: Prepared) -> Snapshot:
+    return Snapshot(nlp=prepared.nlp, x=prepared.guess)
+
+
+def _at_solution(prepared: Prepared, solution: Solution) -> Snapshot:
+    """The solution's own unknowns, and its multipliers where they are of the same rows."""
+    t = prepared.transcription
+    found = warm_start(t, solution)
+    known = _same_rows(t, solution)
+    return Snapshot(
+        nlp=prepared.nlp,
+        x=found.x,
+        row_multiplier=solution.row_multiplier if known else None,
+        bound_multiplier=solution.bound_multiplier if known else None,
+        tolerance=float(solution.meta["tolerance"]),
+    )
+
+
+def _same_rows(t: Transcription, solution: Solution) -> bool:
+    """Whether a solution's multipliers are of this transcription's rows, one by one, and are not all zero."""
+    if solution.row_multiplier is None or solution.bound_multiplier is None or solution.row_place is None:
+        return False
+    if not (solution.row_multiplier.any() or solution.bound_multiplier.any()):
+        return False
+    places = np.column_stack([t.rows.block, t.rows.stage, t.rows.point])
+    return (
+        list(solution.meta.get("row_names", ())) == list(t.rows.names)
+        and np.array_equal(solution.row_place, places)
+        and len(solution.bound_multiplier) == t.layout.n_unknowns
+    )
+
+
+def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Diagnosis:
+    t = snapshot.transcription
+    finite = snapshot.finite
+    near = bool(snapshot.violations.max(initial=0.0) <= STILL_FEASIBLE)
+    judged = snapshot if near else snapshot.structure
+    worst = _worst(snapshot, TRUSTED * snapshot.tolerance)
+    largest = float(snapshot.violations.max(initial=0.0)) if np.isfinite(snapshot.violations).all() else None
+    meta = {} if solution is None else solution.meta
+    motion = extract(t, snapshot.x, {"success": False}) if solution is None else solution
+    found = Diagnosis(
+        problem=t.problem.name,
+        robot=t.problem.robot.name,
+        source=source,
+        status=meta.get("status"),
+        solved=bool(meta.get("success", False)),
+        variables=t.layout.n_unknowns,
+        constraints=t.n_rows,
+        max_violation=largest,
+        stationarity=snapshot.stationarity if finite else None,
+        worst=tuple(worst),
+        nonfinite=None if finite else first_nonfinite(snapshot.nlp, snapshot.names, snapshot.x),
+        ranks=tuple(_ranks(judged)) if finite else (),
+        contacts=phase_contacts(t, motion),
+        curvature=_curvature(judged) if finite else None,
+        scaling=scaling(snapshot) if finite else None,
+        limits=tuple(active_limits(snapshot)) if finite else (),
+        conflict=conflict(snapshot) if finite and worst else None,
+        local_error=_local_errors(solution) if meta.get("success") else None,
+        start=tuple(start_findings(t.problem)),
+        notes=tuple(_notes(snapshot, solution, largest)),
+    )
+    return replace(found, advice=tuple(advice(found)))
+
+
+def _worst(snapshot: Snapshot, limit: float) -> list[Violation]:
+    """The worst violated rows and bounds, each block once."""
+    t, names = snapshot.transcription, snapshot.names
+    amounts = np.where(np.isfinite(snapshot.violations), snapshot.violations, np.inf)
+    found: dict[str, Violation] = {}
+    for index in np.argsort(-amounts, kind="stable").tolist():
+        if not amounts[index] > limit or len(found) == WORST:
+            break
+        bound = index >= t.n_rows
+        block = "bounds" if bound else names.block(index)
+        if block in found:
+            continue
+        site = names.unknown_sites[index - t.n_rows] if bound else names.row_sites[index]
+        text = f"bounds [{names.unknown(index - t.n_rows)}]" if bound else names.row_text(index)
+        amount = float(amounts[index])
+        found[block] = Violation(
+            row=text,
+            block=block,
+            phase=names.phase(site.stage),
+            amount=amount if math.isfinite(amount) else None,
+        )
+    return list(found.values())
+
+
+def _ranks(snapshot: Snapshot) -> Iterator[RankReport]:
+    """Of all rows, then of every phase where there are several."""
+    yield rank_report(snapshot, None)
+    count = len(snapshot.transcription.layout.schedule.phases)
+    if count > 1:
+        for phase in range(count):
+            yield rank_report(snapshot, phase)
+
+
+def _curvature(snapshot: Snapshot) -> CurvatureReport:
+    free, rows = snapshot.free, snapshot.active_rows
+    found = curvature(snapshot.hessian[free][:, free], snapshot.jacobian[rows][:, free])
+    return curvature_report(snapshot, found)
+
+
+def _local_errors(solution: Solution | None) -> dict[str, float] | None:
+    """Largest error of one interval by phase, m; None where re-integration fails."""
+    from trajopt.accuracy import interval_errors
+
+    if solution is None:
+        return None
+    try:
+        with np.errstate(all="ignore"):
+            errors = interval_errors(solution)
+    except (TrajoptError, ArithmeticError, ValueError):
+        return None
+    names = solution.meta.get("phase_names") or [str(i) for i in range(len(solution.phases))]
+    return {
+        str(name): float(np.max(errors[np.unique(solution.interval[list(rows)])]))
+        for name, rows in zip(names, solution.phases, strict=True)
+    }
+
+
+def _notes(snapshot: Snapshot, solution: Solution | None, largest: float | None) -> Iterator[str]:
+    """Where the rebuilt problem is not the one that the file was made from."""
+    if solution is None:
+        return
+    before, now = solution.meta.get("objective"), float(snapshot.nlp.engine.f(snapshot.x))
+    if before is not None and math.isfinite(now) and abs(now - before) > SAME * max(1.0, abs(before)):
+        yield f"the rebuilt problem's objective is {now:.6g} here, the file says {before:.6g}: they differ"
+    told = solution.meta.get("max_violation")
+    if told is not None and largest is not None and abs(largest - told) > SAME * max(1.0, told):
+        yield f"the rebuilt problem's rows miss {largest:.2e} here, the file says {told:.2e}: they differ"
+    if solution.success and snapshot.complementarity > SAME:
+        yield (
+            f"multipliers do not fit the slacks of the rebuilt problem's limits "
+            f"({snapshot.complementarity:.1e}): the problem has changed since the file was made"
+        )
+    if solution.success and snapshot.row_multiplier is None:
+        yield "the file has no multipliers of these rows: limits and curvature are judged without"

@@ -1,0 +1,188 @@
+"""Rank, condition and dependent rows of sparse constraint Jacobians.
+
+The smallest singular values of A (m, n) and their left vectors u, A^T u = sigma u', come from inverse
+subspace iteration with a sparse LU factor of
+
+    [alpha I   A^T  ]
+    [A       -beta I]
+
+whose Schur complement is -(A A^T / alpha + beta I): one factor, any number of vectors, no A A^T. With a small
+alpha the directions sigma^2 / alpha of independent rows stay apart from beta; the singular values themselves
+are then those of A^T U for the basis U found (Rayleigh-Ritz), accurate to rounding. Small matrices take a
+dense singular value decomposition. (Golub, Van Loan, "Matrix Computations", ch. 8 and 10.)
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import linalg as sparse_linalg
+
+# Singular values below this part of the largest are zero: rows scaled by their units depend on each other to
+# rounding, or to what an iterate at a solver's tolerance leaves of a dependence that holds on the motion.
+RANK_TOLERANCE = 1e-8
+# Up to this smaller dimension the decomposition is dense: exact, and a second at most.
+DENSE = 400
+ALPHA, BETA = 1e-6, 1e-13
+# Vectors of the first subspace; it doubles until it holds a singular value that is not zero.
+FIRST, MOST = 8, 256
+ITERATIONS, CONVERGED = 12, 1e-3
+# Entries of a projector on dependent rows: rows are dependent on each other where they are coupled.
+COUPLED = 1e-2
+# Shares that agree to so many digits are equal: which of two rows comes first is no matter of rounding.
+SHARE_DIGITS = 3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Spectrum:
+    """Singular values of a matrix with m rows.
+
+    largest, smallest: of those that are not zero (None where all are). nullity: rows too many, of which
+    ``vectors`` (m, k) is an orthonormal basis; with ``complete`` False there are more. small: the smallest
+    non-zero ones that were found.
+    """
+
+    rows: int
+    largest: float
+    smallest: float | None
+    nullity: int
+    vectors: np.ndarray
+    small: np.ndarray
+    complete: bool = True
+
+    @property
+    def rank(self) -> int:
+        """Number of independent rows."""
+        return self.rows - self.nullity
+
+    @property
+    def condition(self) -> float | None:
+        """Largest over smallest singular value that is not zero."""
+        return None if self.smallest is None else self.largest / self.smallest
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Dependency:
+    """Rows that depend on each other: their indices, each one's share (0 to 1), and how many are too many."""
+
+    rows: np.ndarray
+    share: np.ndarray
+    excess: int
+
+
+def spectrum(matrix: sparse.spmatrix) -> Spectrum:
+    """Smallest and largest singular values of the rows of a sparse matrix (m, n)."""
+    csr = sparse.csr_matrix(matrix)
+    m, n = csr.shape
+    if m == 0:
+        return Spectrum(
+            rows=0, largest=0.0, smallest=None, nullity=0, vectors=np.zeros((0, 0)), small=np.zeros(0)
+        )
+    return _dense(csr) if min(m, n) <= DENSE else _sparse(csr)
+
+
+def _dense(matrix: sparse.csr_matrix) -> Spectrum:
+    m, n = matrix.shape
+    left, values, _ = np.linalg.svd(matrix.toarray(), full_matrices=m > n)
+    values = np.concatenate([values, np.zeros(max(0, m - n))])
+    largest = float(values[0])
+    kept = values > RANK_TOLERANCE * largest
+    small = values[kept][::-1][:FIRST]
+    return Spectrum(
+        rows=m,
+        largest=largest,
+        smallest=float(small[0]) if len(small) else None,
+        nullity=int(np.sum(~kept)),
+        vectors=left[:, ~kept],
+        small=small,
+    )
+
+
+def _sparse(matrix: sparse.csr_matrix) -> Spectrum:
+    m, n = matrix.shape
+    csc = sparse.csc_matrix(matrix)
+    largest = float(sparse_linalg.svds(csc, k=1, return_singular_vectors=False, random_state=0)[0])
+    scaled = csc / largest
+    alpha, beta = sparse.eye(n) * ALPHA, sparse.eye(m) * BETA
+    factor = sparse_linalg.splu(sparse.bmat([[alpha, scaled.T], [scaled, -beta]], format="csc"))
+    size, limit = min(m, max(FIRST, m - n + FIRST)), min(m, max(MOST, m - n + FIRST))
+    basis = np.zeros((m, 0))
+    while True:
+        basis = _extended(basis, size, m)
+        values, basis = _iterated(factor, scaled, basis)
+        zero = values <= RANK_TOLERANCE
+        if not zero.all() or size >= limit:
+            break
+        size = min(2 * size, limit)
+    found = largest * values[~zero]
+    return Spectrum(
+        rows=m,
+        largest=largest,
+        smallest=float(found[0]) if len(found) else None,
+        nullity=int(zero.sum()),
+        vectors=basis[:, zero],
+        small=found[:FIRST],
+        complete=not zero.all() or size == m,
+    )
+
+
+def _extended(basis: np.ndarray, size: int, m: int) -> np.ndarray:
+    generator = np.random.default_rng(basis.shape[1])
+    fresh = generator.standard_normal((m, size - basis.shape[1]))
+    return np.linalg.qr(np.hstack([basis, fresh]))[0]
+
+
+def _iterated(
+    factor: sparse_linalg.SuperLU, matrix: sparse.csc_matrix, basis: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Ascending singular values of A^T on a subspace, and their left vectors, when the smallest settles."""
+    n = matrix.shape[1]
+    values = np.full(basis.shape[1], np.inf)
+    for _ in range(ITERATIONS):
+        solved = factor.solve(np.vstack([np.zeros((n, basis.shape[1])), basis]))[n:]
+        basis = np.linalg.qr(solved)[0]
+        _, found, right = np.linalg.svd(matrix.T @ basis, full_matrices=False)
+        basis, found = basis @ right[::-1].T, found[::-1]
+        first = int(np.argmax(found > RANK_TOLERANCE))
+        settled = abs(found[first] - values[first]) <= CONVERGED * found[first]
+        values = found
+        if settled or found[-1] <= RANK_TOLERANCE:
+            break
+    return values, basis
+
+
+def dependencies(vectors: np.ndarray) -> list[Dependency]:
+    """Groups of rows that depend on each other, from an orthonormal basis (m, k) of their left null space.
+
+    The projector V V^T on that space does not depend on the basis; rows of different groups are not coupled
+    in it, and its diagonal, which adds up to the rows too many, is each row's share.
+    """
+    if vectors.shape[1] == 0:
+        return []
+    share = np.einsum("ij,ij->i", vectors, vectors)
+    members = np.flatnonzero(share > COUPLED)
+    inner = vectors[members] @ vectors[members].T
+    scale = np.sqrt(np.outer(share[members], share[members]))
+    count, which = sparse.csgraph.connected_components(
+        sparse.csr_matrix(np.abs(inner) > COUPLED * scale), directed=False
+    )
+    found = []
+    for group in range(count):
+        rows = members[which == group]
+        order = np.lexsort((rows, -np.round(share[rows], SHARE_DIGITS)))
+        excess = max(1, round(float(share[rows].sum())))
+        found.append(Dependency(rows=rows[order], share=share[rows][order], excess=excess))
+    return found
+
+
+def quiet_factor(matrix: sparse.csc_matrix) -> sparse_linalg.SuperLU | None:
+    """Sparse LU factor, None where the matrix is singular to rounding."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            return sparse_linalg.splu(matrix)
+        except RuntimeError:
+            return None

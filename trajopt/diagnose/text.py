@@ -1,0 +1,108 @@
+"""A diagnosis as lines for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from trajopt.diagnose.activity import BOUNDS
+from trajopt.diagnose.diagnosis import Diagnosis
+
+# Entries of long lists that are shown; the JSON has all.
+SHOWN = 8
+LABEL = 10
+
+
+def lines(found: Diagnosis) -> Iterator[str]:
+    """Sections in the order in which to read them: what, why, what to try."""
+    state = "guess" if found.status is None else found.status.replace("_", " ")
+    yield f"{found.problem} on {found.robot}: {state} ({found.source})"
+    yield _line("size", f"{found.variables} unknowns, {found.constraints} rows")
+    yield from _listed("note", found.notes)
+    if found.nonfinite is not None:
+        yield _line("not finite", str(found.nonfinite))
+    yield _line("violation", _violation(found))
+    yield from _listed("worst", (f"{one.row}: {_amount(one.amount)}" for one in found.worst))
+    yield from _rank_lines(found)
+    yield from _listed("contacts", (f"phase '{one.phase}': {one}" for one in found.contacts))
+    if found.curvature is not None:
+        yield _line("curvature", str(found.curvature))
+        yield from _listed("", map(str, found.curvature.smallest_along))
+    yield from _scaling_lines(found)
+    yield from _limit_lines(found)
+    if found.conflict is not None:
+        yield from _conflict_lines(found)
+    if found.local_error:
+        worst = ", ".join(f"'{name}' {error:.1e} m" for name, error in found.local_error.items())
+        yield _line("intervals", f"largest error of one interval, from its own start: {worst}")
+    yield from _listed("start", found.start)
+    yield from _listed("try", map(str, found.advice), limit=None)
+    if found.clean:
+        yield _line("try", "nothing: rows are independent, curved and scaled as they should be")
+
+
+def _line(title: str, text: str) -> str:
+    return f"  {title:{LABEL}} {text}"
+
+
+def _listed(title: str, entries: Iterable[str], limit: int | None = SHOWN) -> Iterator[str]:
+    every = list(entries)
+    shown = every if limit is None else every[:limit]
+    for index, entry in enumerate(shown):
+        yield _line("" if index else title, entry)
+    if len(every) > len(shown):
+        yield _line("", f"and {len(every) - len(shown)} more (--json has all)")
+
+
+def _violation(found: Diagnosis) -> str:
+    steady = "" if found.stationarity is None else f"; gradient of the Lagrangian {found.stationarity:.1e}"
+    return f"{_amount(found.max_violation)}{steady}"
+
+
+def _amount(value: float | None) -> str:
+    return "not finite" if value is None else f"{value:.2e}"
+
+
+def _rank_lines(found: Diagnosis) -> Iterator[str]:
+    texts = []
+    for report in found.ranks:
+        texts.append(f"{'all' if report.phase is None else repr(report.phase)}: {report}")
+        told = {group.rows for one in found.ranks[1:] for group in one.dependent}
+        fresh = [g for g in report.dependent if report.phase is not None or g.rows not in told]
+        texts += [f"  {group}" for group in fresh[:SHOWN]]
+        if len(fresh) > SHOWN:
+            texts.append(f"  and {len(fresh) - SHOWN} more groups (--json has all)")
+    yield from _listed("rank", texts, limit=None)
+
+
+def _scaling_lines(found: Diagnosis) -> Iterator[str]:
+    if found.scaling is None:
+        return
+    scale = found.scaling
+    yield _line("scaling", f"Jacobian {scale.jacobian}, Hessian {scale.hessian}, gradient {scale.gradient}")
+    for block in scale.blocks[:3]:
+        paid = "" if block.multiplier is None else f", multipliers {block.multiplier}"
+        yield _line("", f"{block.block}: {block.rows} rows, norms {block.row_norm}{paid}")
+    for kind in scale.kinds[:2]:
+        yield _line("", f"{kind.kind}: values {kind.value}, columns {kind.column_norm}")
+
+
+def _limit_lines(found: Diagnosis) -> Iterator[str]:
+    if not found.scaling:
+        return
+    blocks: dict[str, int] = {}
+    for limit in found.limits:
+        blocks[limit.block] = blocks.get(limit.block, 0) + 1
+    counts = ", ".join(f"{name if name != BOUNDS else 'bounds of nodes'} {n}" for name, n in blocks.items())
+    yield _line("limits", f"active: {counts}" if counts else "none is active")
+    yield from _listed("", map(str, found.limits))
+
+
+def _conflict_lines(found: Diagnosis) -> Iterator[str]:
+    clash = found.conflict
+    assert clash is not None
+    text = (
+        f"rows miss {clash.before:.2e} in sum; linearised, at least {clash.after:.2e} within a natural unit"
+    )
+    yield _line("conflict", text)
+    yield from _listed("  gives", map(str, clash.giving))
+    yield from _listed("  against", map(str, clash.against))
