@@ -2,7 +2,14 @@
 
 from trajopt.accuracy.comparison import Comparison, compare
 from trajopt.accuracy.measures import Accuracy, PhaseAccuracy, interval_errors, measure
-from trajopt.accuracy.reference import Agreement, NoReferenceError, Reference, Rung, reference
+from trajopt.accuracy.optima import in_other_optimum
+from trajopt.accuracy.reference import (
+    Agreement,
+    NoReferenceError,
+    Reference,
+    Rung,
+    reference,
+)
 from trajopt.accuracy.table import table
 
 __all__ = [
@@ -14,6 +21,7 @@ __all__ = [
     "Reference",
     "Rung",
     "compare",
+    "in_other_optimum",
     "interval_errors",
     "measure",
     "reference",

@@ -16,6 +16,7 @@ from typing import Any
 
 from trajopt.accuracy.comparison import Comparison, compare
 from trajopt.accuracy.natural_units import NaturalUnits
+from trajopt.accuracy.optima import in_other_optimum
 from trajopt.compilation import DEFAULT_LEVEL
 from trajopt.errors import InputError, TrajoptError
 from trajopt.problem import Problem
@@ -36,8 +37,6 @@ DISTANCE = 1e-3
 APART = 0.02
 # So are those that are this many times as far apart as the two before them, which meshes alone make smaller.
 GREW = 2.0
-# A solution on the coarser mesh that is nearer to the finer one than this part of the gap is in its optimum.
-SAME_SIDE = 0.25
 MAX_UNKNOWNS = 200_000
 MAX_TIME = 600.0
 # A solver that is called just before the end has this long, s, to return.
@@ -252,16 +251,12 @@ def _mesh(run: _Solver, rungs: list[Rung]) -> tuple[str | None, int | None]:
 
 
 def _is_other(run: _Solver, coarser: Rung, coarse: Solution, fine: Solution, apart: Comparison) -> bool:
-    """Whether two rungs sit in different optima: both are found on the mesh of the coarser one.
-
-    Looked for where they are far apart, or further than the rungs before them.
-    """
+    """Whether two rungs sit in different optima: looked for where they are far apart, or ever further."""
     grew = coarser.apart is not None and apart.farthest > GREW * coarser.apart.farthest
     far = apart.farthest > APART * NaturalUnits.of(coarse.model).length
     if run.left() <= 0 or not (far or grew):
         return False
-    back = run(coarser.scheme, coarser.intervals, fine)
-    return back.success and compare(back, fine).farthest < SAME_SIDE * apart.farthest
+    return in_other_optimum(run.problem, coarse, fine, max_time=run.left(), **run.settings)
 
 
 def _described(found: Solution, seconds: float, apart: Comparison | None = None) -> Rung:
