@@ -105,6 +105,7 @@ class StageQp:
         self.equations, self.inequalities = (_Rows(nlp, which, self.n) for which in (self.equal, ~self.equal))
         self.curvature = _Curvature(nlp, self.n)
         self.slack = _slack(t.lower_g, t.upper_g)
+        self.factorisation = piqp.KKTSolver.sparse_multistage
         self.solver: piqp.SparseSolver | None = None
 
     def solve(self, q: Quadratic, delta: float, accuracy: float) -> QpStep:
@@ -120,7 +121,7 @@ class StageQp:
             "x_u": q.x_high,
         }
         if self.solver is None:
-            self.solver = _solver(piqp.KKTSolver.sparse_multistage)
+            self.solver = _solver(self.factorisation)
             _set_accuracy(self.solver, accuracy)
             self.solver.setup(p, q.gradient, **rows)
         else:
