@@ -36,7 +36,7 @@ def bar() -> Robot:
     model.name = "bar"
     joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "joint")
     model.appendBodyToJoint(joint, pin.Inertia.FromBox(1.0, 0.1, 0.1, 0.5), pin.SE3.Identity())
-    model.addFrame(pin.Frame("bar", joint, 0, pin.SE3.Identity(), pin.OP_FRAME))
+    model.addFrame(pin.Frame("bar", joint, 0, pin.SE3(np.eye(3), np.array([0, 0, 0.5])), pin.OP_FRAME))
     model.gravity = pin.Motion.Zero()
     return Robot.from_model(model, reference=np.zeros(1), name="bar")
 

@@ -47,7 +47,10 @@ Start = Solution | str | Path | None
 
 @dataclass(frozen=True, kw_only=True)
 class Agreement:
-    """How far two solutions may be apart: relative objective; part of the reach l (times: of sqrt(l / g))."""
+    """How far two solutions may be apart: relative objective; part of the reach l (times: of sqrt(l / g)).
+
+    Joints may differ by ``distance`` rad: they may turn without any named point moving.
+    """
 
     objective: float = OBJECTIVE
     distance: float = DISTANCE
@@ -64,6 +67,7 @@ class Agreement:
             apart.objective_gap is not None
             and abs(apart.objective_gap) <= self.objective
             and apart.farthest <= self.distance * units.length
+            and apart.joints <= self.distance * max(1.0, units.length)
             and apart.time <= self.distance * units.time
         )
 
