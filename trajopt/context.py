@@ -36,6 +36,7 @@ class Context:
     origin, N and N m (impulses in N s and N m s).
 
     ``clocks`` are the number of clocks in a node and the index of the own one (None in nominal time).
+    ``near`` (n_node,) is a state of the coordinates whose whole turns goals continue; None counts none.
     """
 
     def __init__(
@@ -51,8 +52,9 @@ class Context:
         surfaces: Mapping[str, Ground] = MappingProxyType({}),
         mode: Mode | None = None,
         kept_rows: Mapping[str, tuple[int, ...]] = MappingProxyType({}),
+        near: np.ndarray | None = None,
     ) -> None:
-        self.robot, self.coordinates, self.contacts = robot, coordinates, contacts
+        self.robot, self.coordinates, self.contacts, self.near = robot, coordinates, contacts, near
         self.place = place or (Place.NODE if node else Place.POINT)
         self.actuation, self._surfaces, self._kept_rows = actuation, surfaces, kept_rows
         own = ca.SX.sym("clock", 0 if clocks[1] is None else 1)

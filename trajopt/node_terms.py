@@ -193,9 +193,10 @@ def free_rows(context: Context, place: NodePlace, q: np.ndarray, quantity: ca.SX
 
 
 def configuration_difference(context: Context, q: np.ndarray) -> ca.SX:
-    """Local coordinates (nv,) of the context's configuration relative to q."""
+    """Local coordinates (nv,) of the context's configuration relative to q, the turn of it near the guess."""
     coordinates = context.coordinates
     goal = coordinates.node_from_pinocchio(q, np.zeros(coordinates.nv))
+    goal = goal if context.near is None else coordinates.continued(goal, context.near)
     n4, additive = 4 * coordinates.n_rotations, coordinates.additive_index
     error = context.xi - 0
     target = context.parameter(goal[n4 : n4 + len(additive)])

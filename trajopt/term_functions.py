@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TypeVar
 
 import casadi as ca
@@ -79,7 +80,8 @@ class TermFunctions:
             priced = [t for t in prices if place is not None and t.acts_at(place)]
             if place is None or not (acting or priced):
                 continue
-            context, own = self.context(phase, form, Place.NODE), self.units[id(form.robot)]
+            own, near = self.units[id(form.robot)], self._wound.get(k)
+            context = self.context(phase, form, Place.NODE, near)
             name = place.phase.name
             named = [(t.name, _of(t, name, t.rows, context, own, place)) for t in acting]
             cost = sum((_of(t, name, t.value, context, own, place) for t in priced), ca.SX(0))
@@ -155,14 +157,37 @@ class TermFunctions:
         after = [contact for contact in contacts if contact.name not in kept]
         first, last = layout.intervals_of(phase)[[0, -1]]
         q = guessed(self.problem, float(layout.node_times[first] + layout.node_times[last + 1]) / 2)
-        if form.robot is not layout.robot:
-            still = np.zeros(layout.robot.nv)
-            q = self.problem.modes[self.problem.schedule.phases[phase].name].dropped(q, still, still)[0]
+        q = self._in_form(form, q)
         known = {c.name: self.problem.contact_place(c.name, phase) for c in contacts}
         places = {name: place for name, place in known.items() if place is not None}
         return independent_rows(form.robot, q, before, after, places)
 
-    def context(self, phase: int, form: NodeForm, place: Place) -> Context:
+    def _in_form(self, form: NodeForm, q: np.ndarray) -> np.ndarray:
+        """A configuration (nq,) of the whole robot in the coordinates of a form."""
+        mode = next((mode for mode in self.problem.modes.values() if mode.robot is form.robot), None)
+        return q if mode is None else mode.dropped(q, *np.zeros((2, self.layout.robot.nv)))[0]
+
+    @cached_property
+    def _wound(self) -> dict[int, np.ndarray]:
+        """The guess at nodes of coordinates that count whole turns: goals mean the turn nearest to it.
+
+        A motion that is guessed to turn all around ends so, and one past the angle pi does not turn back.
+        """
+        found: dict[int, np.ndarray] = {}
+        before: dict[int, np.ndarray] = {}
+        for k, form in enumerate(self.layout.forms):
+            coordinates = form.coordinates
+            if not any(joint.kind in ("planar", "continuous") for joint in coordinates.joints):
+                continue
+            fixed = k == 0 and self.problem.periodicity is None
+            time = float(self.layout.node_times[k])
+            q = self._in_form(form, self.problem.initial_q if fixed else guessed(self.problem, time))
+            node = coordinates.node_from_pinocchio(q, np.zeros(coordinates.nv))
+            found[k] = coordinates.continued(node, before.get(id(coordinates), node))
+            before[id(coordinates)] = found[k]
+        return found
+
+    def context(self, phase: int, form: NodeForm, place: Place, near: np.ndarray | None = None) -> Context:
         """Fresh symbols of a point, node or impact of a phase."""
         contacts = {Place.POINT: self.layout.contacts, Place.IMPACT: self.layout.touching}
         name = self.problem.schedule.phases[phase].name
@@ -176,6 +201,7 @@ class TermFunctions:
             surfaces=self.problem.surfaces_of(phase),
             kept_rows=self.kept_rows(phase),
             mode=self.problem.modes.get(name),
+            near=near,
         )
 
 
