@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import casadi as ca
@@ -17,6 +17,10 @@ from trajopt.sole import friction_rows, pressure_rows, yaw_rows
 from trajopt.term_interfaces import PointConstraint, Rows
 from trajopt.terrain import CurvedSurface
 from trajopt.units import Units
+
+# Part of the weight below which a smooth cone of friction is rounded off: a violation of 1e-9, what solvers
+# leave, is then a force of 3e-7 at most, and the row's curvature stays below 2e4.
+APEX = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,37 +78,83 @@ def surface_force(context: Context, contact: Contact) -> ca.SX:
     return force if surface.is_level else ca.mtimes(context.parameter(surface.frame).T, force)
 
 
+@dataclass
+class _ConeRows:
+    """Rows that are >= 0, and what a contact without friction does not transmit, which is zero.
+
+    Without friction the sides of a pyramid are pairs of inequalities that leave no interior, and the smooth
+    cone has no gradient: solvers fail on both, where they do not on equations.
+    """
+
+    parts: list[ca.SX] = field(default_factory=list)
+    upper: list[float] = field(default_factory=list)
+    units: list[float] = field(default_factory=list)
+
+    def at_least_zero(self, expressions: Iterable[ca.SX], unit: float) -> None:
+        for expression in expressions:
+            self._add(expression, np.inf, unit)
+
+    def zero(self, expressions: Iterable[ca.SX], unit: float) -> None:
+        for expression in expressions:
+            if not expression.is_zero():
+                self._add(expression, 0.0, unit)
+
+    def _add(self, expression: ca.SX, upper: float, unit: float) -> None:
+        self.parts.append(expression)
+        self.upper.append(upper)
+        self.units.append(unit)
+
+    def rows(self) -> Rows | None:
+        if not self.parts:
+            return None
+        return Rows.create(ca.vertcat(*self.parts), 0, np.array(self.upper), np.array(self.units))
+
+
 @dataclass(frozen=True, kw_only=True)
 class FrictionPyramid(ContactConstraint):
     """Unilateral force inside a pyramid inscribed in the Coulomb cone: |f_1|, |f_2| <= mu f_n / sqrt 2.
 
-    Its sides stand along the surface's tangents 1 and 2, the world's x and y on level ground.
+    Its sides stand along the surface's tangents 1 and 2, the world's x and y on level ground. Without
+    friction f_1 = f_2 = 0.
     """
 
     def rows(self, context: Context, units: Units) -> Rows | None:
-        parts = []
+        found = _ConeRows()
         for contact in self._pressed(context):
-            mu = context.parameter(self._friction(context, contact) / math.sqrt(2))
-            f = surface_force(context, contact)
-            sides = friction_rows((f[0], f[1], f[2]), mu)
-            parts += [f[2], *(side for i, side in enumerate(sides) if not f[i // 2].is_zero())]
-        return Rows.create(ca.vertcat(*parts), 0, np.inf, units.force) if parts else None
+            friction, f = self._friction(context, contact), ca.vertsplit(surface_force(context, contact))
+            found.at_least_zero([f[2]], units.force)
+            if friction == 0.0:
+                found.zero(f[:2], units.force)
+                continue
+            sides = friction_rows(f, context.parameter(friction / math.sqrt(2)))
+            kept = [side for i, side in enumerate(sides) if not f[i // 2].is_zero()]
+            found.at_least_zero(kept, units.force)
+        return found.rows()
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrictionCone(ContactConstraint):
     """Unilateral force inside the smooth exact Coulomb cone: f_1^2 + f_2^2 <= (mu f_n)^2, f_n >= 0.
 
-    The squared form has no kink at the apex; the row is divided by the weight squared.
+    The squared form has no kink at the apex, but a solver's tolerance on it is the square of a force: it
+    lets small forces slip. The row is (N^2 - f_1^2 - f_2^2) / sqrt(N^2 + d^2) with N = mu f_n, forces over
+    the weight and d = `APEX`: the same set, and away from the apex about twice the distance from the cone's
+    side. Without friction f_1 = f_2 = 0.
     """
 
     def rows(self, context: Context, units: Units) -> Rows | None:
-        parts = []
+        found = _ConeRows()
         for contact in self._pressed(context):
-            mu = context.parameter(self._friction(context, contact))
-            f = surface_force(context, contact) / units.force
-            parts += [f[2], (mu * f[2]) ** 2 - f[0] ** 2 - f[1] ** 2]
-        return Rows.create(ca.vertcat(*parts), 0, np.inf, 1.0) if parts else None
+            friction = self._friction(context, contact)
+            f = ca.vertsplit(surface_force(context, contact) / units.force)
+            found.at_least_zero([f[2]], 1.0)
+            if friction == 0.0:
+                found.zero(f[:2], 1.0)
+                continue
+            largest = context.parameter(friction) * f[2]
+            inside = largest**2 - f[0] ** 2 - f[1] ** 2
+            found.at_least_zero([inside / ca.sqrt(largest**2 + APEX**2)], 1.0)
+        return found.rows()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,21 +166,22 @@ class SoleLimits(ContactConstraint):
     """
 
     def rows(self, context: Context, units: Units) -> Rows | None:
-        parts = []
+        found = _ConeRows()
         for contact in self._pressed(context):
             if contact.kind == "surface":
-                mu = context.parameter(self._friction(context, contact))
+                friction = self._friction(context, contact)
                 rotation = context.frame(contact.frame).rotation
                 moment = ca.mtimes(rotation.T, context.wrenches[contact.name][3:])
                 pressure = surface_force(context, contact)[2]
-                arm = (
-                    contact.half_width,
-                    contact.half_length,
-                    mu * (contact.half_width + contact.half_length) / 2,
-                )
+                half = (contact.half_width, contact.half_length)
+                arm = (*half, sum(half) / 2 * context.parameter(friction) if friction else 0.0)
                 for i in _turning(contact):
-                    parts += [arm[i] * pressure - moment[i], arm[i] * pressure + moment[i]]
-        return Rows.create(ca.vertcat(*parts), 0, np.inf, units.torque) if parts else None
+                    if i == 2 and friction == 0.0:
+                        found.zero([moment[i]], units.torque)
+                        continue
+                    sides = [arm[i] * pressure - moment[i], arm[i] * pressure + moment[i]]
+                    found.at_least_zero(sides, units.torque)
+        return found.rows()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,17 +194,23 @@ class SoleCone(ContactConstraint):
     """
 
     def rows(self, context: Context, units: Units) -> Rows | None:
-        parts, scales = [], []
+        found = _ConeRows()
         for contact in self._pressed(context):
             if contact.kind == "surface":
-                mu = context.parameter(self._friction(context, contact) / math.sqrt(2))
+                friction = self._friction(context, contact)
                 to_sole, wrench = context.frame(contact.frame).rotation.T, context.wrenches[contact.name]
                 force, moment = (ca.vertsplit(ca.mtimes(to_sole, part)) for part in (wrench[:3], wrench[3:]))
                 size = (contact.half_length, contact.half_width)
+                if friction == 0.0:
+                    found.at_least_zero(pressure_rows(force, moment, size), units.torque)
+                    found.zero(force[:2], units.force)
+                    found.zero([moment[2]], units.torque)
+                    continue
+                mu = context.parameter(friction / math.sqrt(2))
+                found.at_least_zero(friction_rows(force, mu), units.force)
                 moments = [*pressure_rows(force, moment, size), *yaw_rows(force, moment, size, mu)]
-                parts += [*friction_rows(force, mu), *moments]
-                scales += [units.force] * 4 + [units.torque] * len(moments)
-        return Rows.create(ca.vertcat(*parts), 0, np.inf, np.array(scales)) if parts else None
+                found.at_least_zero(moments, units.torque)
+        return found.rows()
 
 
 @dataclass(frozen=True, kw_only=True)

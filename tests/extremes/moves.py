@@ -1,0 +1,181 @@
+"""Motions between given configurations, for cells about postures, orientations, contacts, limits and goals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+
+from problems import common
+from trajopt.kinematics import contact_poses, contact_positions, frame_pose, inverse_kinematics
+from trajopt.node_terms import FramePose, SwingClearance, TerminalRest, TerminalState
+from trajopt.objectives import effort_costs
+from trajopt.problem import Problem
+from trajopt.robot import Robot
+from trajopt.robot_building import standing
+from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.terms import EffortLimits, PositionLimits, Term, TorqueCost, VelocityLimits
+
+# Duration of a phase on legs, s: long against what a step of a small quadruped takes at least.
+PHASE = 0.2
+
+Guess = Callable[[float], np.ndarray]
+
+
+def reach(
+    robot: Robot,
+    start: np.ndarray,
+    goal: np.ndarray,
+    *,
+    duration: float = 1.0,
+    end: Sequence[Term] | None = None,
+    guess: Guess | None = None,
+    velocity: np.ndarray | None = None,
+    intervals: int = 10,
+) -> Problem:
+    """An arm goes from ``start`` to ``goal`` (nq,), to rest, within its limits; ``end`` replaces the goal."""
+    return Problem(
+        name="reach",
+        robot=robot,
+        schedule=Schedule((Phase(name="reach", duration=duration),)),
+        terrain=FlatGround(),
+        initial_q=start,
+        initial_v=np.zeros(robot.nv) if velocity is None else velocity,
+        terms=(
+            *effort_costs(),
+            EffortLimits(),
+            PositionLimits(),
+            VelocityLimits(),
+            *((TerminalState(q=goal), TerminalRest(q=goal)) if end is None else end),
+        ),
+        guess=between(robot, start, goal, duration) if guess is None else guess,
+        default_intervals=intervals,
+    )
+
+
+def pose_goal(robot: Robot, q: np.ndarray, frame: str) -> tuple[Term, ...]:
+    """The pose that a frame has at ``q`` (nq,), at rest."""
+    pose = frame_pose(robot, q, frame)
+    return FramePose(frame=frame, position=pose.translation, rotation=pose.rotation), TerminalRest(q=q)
+
+
+def stance(
+    robot: Robot,
+    start: np.ndarray,
+    goal: np.ndarray | None = None,
+    *,
+    duration: float = 2 * PHASE,
+    guess: Guess | None = None,
+    extra: Sequence[Term] = (),
+    intervals: int = 10,
+) -> Problem:
+    """All contacts stay where ``start`` (nq,) has them; the robot ends at rest at ``goal``, default start."""
+    names = tuple(contact.name for contact in robot.contacts)
+    end = start if goal is None else goal
+    schedule = Schedule((Phase(name="stance", duration=duration, contacts=names),))
+    guess = between(robot, start, end, duration) if guess is None else guess
+    return legged(robot, schedule, start, end, guess, extra=extra, intervals=intervals)
+
+
+def steps(
+    robot: Robot,
+    sets: Sequence[Sequence[str]],
+    *,
+    duration: float = PHASE,
+    clearance: float = 0.02,
+    intervals: int = 10,
+    impact: bool = False,
+    footholds: bool = True,
+) -> Problem:
+    """Phases on these contacts, on the spot: whatever lifts lands where it was, by default at footholds."""
+    places, before, phases = contact_positions(robot, robot.reference), set(sets[0]), []
+    for index, names in enumerate(sets):
+        new = [name for name in names if name not in before]
+        phases.append(
+            Phase(
+                name=f"phase {index}",
+                duration=duration,
+                contacts=tuple(names),
+                footholds={name: places[name] for name in new} if footholds else {},
+                impact=impact and bool(new),
+            )
+        )
+        before = set(names)
+    ground = FlatGround(friction=0.7)
+    over = (SwingClearance(height=clearance, terrain=ground),) if clearance else ()
+    q = robot.reference
+    return legged(robot, Schedule(tuple(phases)), q, q, lambda t: q, extra=over, intervals=intervals)
+
+
+def legged(
+    robot: Robot,
+    schedule: Schedule,
+    start: np.ndarray,
+    goal: np.ndarray,
+    guess: Guess,
+    *,
+    extra: Sequence[Term] = (),
+    intervals: int = 10,
+) -> Problem:
+    """A legged robot from rest to rest on flat ground, with least effort, within its limits."""
+    return Problem(
+        name="legged",
+        robot=robot,
+        schedule=schedule,
+        terrain=FlatGround(friction=0.7),
+        initial_q=start,
+        initial_v=np.zeros(robot.nv),
+        terms=(
+            *effort_costs(),
+            EffortLimits(),
+            PositionLimits(),
+            VelocityLimits(),
+            *common.contact_cones(robot),
+            TerminalState(q=goal),
+            TerminalRest(q=goal),
+            *extra,
+        ),
+        guess=guess,
+        default_intervals=intervals,
+    )
+
+
+def between(robot: Robot, start: np.ndarray, goal: np.ndarray, duration: float) -> Guess:
+    """Along the geodesic from start to goal (nq,), at a constant rate, then still."""
+    return lambda t: np.asarray(
+        pin.interpolate(robot.model, start, goal, float(np.clip(t / duration, 0.0, 1.0)))
+    )
+
+
+def with_joints(robot: Robot, values: dict[str, float]) -> np.ndarray:
+    """The reference (nq,) with these joints (rad) changed and, on legs, the lowest contact on the ground."""
+    q = robot.reference.copy()
+    for name, value in values.items():
+        q[robot.model.joints[robot.model.getJointId(name)].idx_q] = value
+    return standing(robot.model, robot.base, [contact.frame for contact in robot.contacts], q)
+
+
+def lowered(robot: Robot, q: np.ndarray, depth: float) -> np.ndarray:
+    """The base ``depth`` m lower, all contacts where ``q`` (nq,) has them, legs bent as in the reference."""
+    feet = {
+        c.frame: pose if c.kind == "surface" else pose.translation
+        for c, pose in zip(robot.contacts, contact_poses(robot, q).values(), strict=True)
+    }
+    sunk = robot.reference.copy()
+    sunk[:7] = q[:7]
+    sunk[2] -= depth
+    found = inverse_kinematics(robot, sunk, feet)
+    assert found.error < 1e-9, found.error
+    return found.q
+
+
+def moved(problem: Problem, **changes: object) -> Problem:
+    """The problem with other parts."""
+    return replace(problem, **changes)
+
+
+def held(robot: Robot) -> TorqueCost:
+    """Least torque and nothing else."""
+    return TorqueCost(weight=1.0)
