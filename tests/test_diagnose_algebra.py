@@ -11,7 +11,7 @@ from trajopt.diagnose import rank
 from trajopt.diagnose.curvature import curvature, lanczos
 from trajopt.diagnose.rank import dependencies, spectrum
 
-# Singular values by Rayleigh-Ritz against LAPACK's, relative.
+# The largest singular value against LAPACK's, relative; the smallest is iterated as far as it is told to.
 SAME = 1e-6
 # Smallest curvature by Lanczos, relative: 40 steps of a well-separated spectrum.
 CURVATURE = 1e-4
@@ -43,8 +43,8 @@ def test_the_sparse_spectrum_is_that_of_lapack():
     values = np.linalg.svd(matrix.toarray(), compute_uv=False)
     assert (found.rank, found.nullity, found.complete) == (450, 0, True)
     assert found.largest == pytest.approx(values[0], rel=SAME)
-    assert found.smallest == pytest.approx(values[-1], rel=SAME)
-    assert found.condition == pytest.approx(values[0] / values[-1], rel=SAME)
+    assert found.smallest == pytest.approx(values[-1], rel=rank.CONVERGED)
+    assert found.condition == pytest.approx(values[0] / values[-1], rel=rank.CONVERGED)
 
 
 @pytest.mark.parametrize("method", [rank._sparse, rank._dense])
@@ -113,7 +113,7 @@ def test_curvature_of_a_quadratic_problem_is_the_one_it_was_made_with(method, va
 
 @pytest.mark.parametrize("lowest", [1e-3, -1e-3, -0.3])
 def test_curvature_by_lanczos_is_that_of_a_dense_decomposition(lowest):
-    n, m = 300, 120
+    n, m = 160, 60
     spread = np.concatenate([[lowest], np.geomspace(2e-3, 1.0, n - m - 1)])
     hessian, rows = quadratic(n, m, spread, 5)
     found = curving._sparse(sparse.csc_matrix(hessian), sparse.csc_matrix(rows))

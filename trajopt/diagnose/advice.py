@@ -181,18 +181,18 @@ def _of_contacts(found: Diagnosis) -> Iterator[Advice]:
 
 def _of_curvature(found: Diagnosis) -> Iterator[Advice]:
     curved = found.curvature
-    if curved is None or curved.holds or not curved.smallest_along:
+    if curved is None:
         return
-    least = curved.smallest_along[0]
-    if curved.negative and found.feasible and curved.known:
+    if curved.negative and curved.known:
         yield Advice(
-            finding=f"the Lagrangian curves downwards, {least}: this is no minimum",
+            finding=f"the Lagrangian curves downwards, {curved.smallest_along[0]}: this is no minimum",
             remedy="start from a perturbed guess (--perturb 0.1), or solve further from here",
         )
-    elif not curved.negative:
-        costs = dict.fromkeys(CURVING.get(kind, "a cost on it") for kind in least.kinds[:2])
+    if curved.flat_along:
+        flat = curved.flat_along[0]
+        costs = dict.fromkeys(CURVING.get(kind, "a cost on it") for kind in flat.kinds[:2])
         yield Advice(
-            finding=f"no cost has curvature, {least}",
+            finding=f"no cost has curvature, {flat}",
             remedy=f"add a small {' or '.join(costs)}: what nothing asks for is not unique",
         )
 

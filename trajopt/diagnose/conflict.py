@@ -2,9 +2,10 @@
 
 About an iterate, within a box of natural units, the least sum of violations of the linearised rows,
 
-    min sum(s+ + s-)    lower <= g + J p + s+ - s- <= upper,    |p| <= box,  bounds of unknowns
+    min sum w (s+ + s-)    lower <= g + J p + s+ - s- <= upper,    |p| <= box,  bounds of unknowns
 
-Rows with s > 0 have to give way. Its multipliers y, at most one in magnitude, are a certificate of Farkas'
+w is 1, and large for the motion itself (defects and dynamics): nature does not give way, goals and limits do.
+Rows with s > 0 have to give way. Its multipliers y, at most w in magnitude, are a certificate of Farkas'
 kind: rows weighted with y add up to a contradiction, so that the rows and bounds with large ones are those
 that stand against the rows that give way. (Gill, Murray, Saunders, "SNOPT", SIAM Review 2005, elastic mode.)
 """
@@ -28,8 +29,9 @@ NEAREST = 1e-6
 # Multipliers below the noise are an interior-point method's; sums of them below this part of the largest take
 # no part, and violations below that part of the largest need no give.
 NOISE, PART, GIVES = 1e-4, 0.1, 1e-3
-# Rows that pass a conflict on from place to place instead of causing one.
+# Rows that make it a motion: they pass a conflict on from place to place, and give way last.
 TRANSMITTING = ("defect", "base_dynamics", "contact_acceleration", "contact_velocity", "impact_dynamics")
+LAST = 1e3
 NAMED = 6
 
 
@@ -55,7 +57,7 @@ class Party:
 
 @dataclass(frozen=True, kw_only=True)
 class Conflict:
-    """before, after: sum of violations at the iterate, and the least within the box.
+    """before, after: sum of violations at the iterate, and what of it has to give way within the box.
 
     giving: rows that have to give way; against: limits, bounds and goals that stand against them; edge: part
     of the unknowns that would move further than the box allows.
@@ -108,12 +110,14 @@ def _elastic(
     low = np.concatenate([np.clip(lower_room, -BOX, 0.0), np.zeros(2 * m)])
     high = np.concatenate([np.clip(upper_room, 0.0, BOX), np.full(2 * m, np.inf)])
     price = np.concatenate([np.full(n, NEAREST), np.full(2 * m, NEAREST)])
+    motion = np.isin(t.rows.block, [i for i, name in enumerate(t.rows.names) if name in TRANSMITTING])
+    elastic = np.where(motion, LAST, 1.0)
     solver = piqp.SparseSolver()
     solver.settings.verbose = False
     solver.settings.eps_abs, solver.settings.eps_rel, solver.settings.max_iter = 1e-7, 1e-8, 100
     solver.setup(
         sparse.diags(price, format="csc"),
-        np.concatenate([np.zeros(n), np.ones(2 * m)]),
+        np.concatenate([np.zeros(n), elastic, elastic]),
         rows[equal].tocsc(),
         (t.lower_g - snapshot.g)[equal],
         rows[~equal].tocsc(),

@@ -17,7 +17,7 @@ Problem", ch. 13.)
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg, sparse
@@ -43,7 +43,7 @@ class Curvature:
 
     directions: number of free directions. smallest, largest: None where there is no free direction.
     values (k,), vectors (n, k): the smallest found, ascending, with unit directions over the free unknowns.
-    exact: by a dense decomposition.
+    nearest (k,), nearest_vectors (n, k): those nearest to zero. exact: by a dense decomposition.
     """
 
     directions: int
@@ -51,6 +51,8 @@ class Curvature:
     largest: float | None
     values: np.ndarray
     vectors: np.ndarray
+    nearest: np.ndarray
+    nearest_vectors: np.ndarray
     exact: bool
 
     @property
@@ -88,20 +90,26 @@ def _dense(hessian: np.ndarray, active: np.ndarray) -> Curvature:
     if basis.shape[1] == 0:
         return _none(n, exact=True)
     values, vectors = linalg.eigh(basis.T @ hessian @ basis)
+    return _found(basis.shape[1], values, basis @ vectors, exact=True)
+
+
+def _found(directions: int, values: np.ndarray, vectors: np.ndarray, *, exact: bool) -> Curvature:
+    """From eigenvalues (k,), ascending, and their directions (n, k)."""
+    nearest = np.argsort(np.abs(values), kind="stable")[:NAMED]
     return Curvature(
-        directions=basis.shape[1],
-        smallest=float(values[0]),
-        largest=float(values[-1]),
+        directions=directions,
+        smallest=float(values[0]) if len(values) else None,
+        largest=float(values[-1]) if len(values) else None,
         values=values[:NAMED],
-        vectors=basis @ vectors[:, :NAMED],
-        exact=True,
+        vectors=vectors[:, :NAMED],
+        nearest=values[nearest],
+        nearest_vectors=vectors[:, nearest],
+        exact=exact,
     )
 
 
 def _none(n: int, *, exact: bool) -> Curvature:
-    return Curvature(
-        directions=0, smallest=None, largest=None, values=np.zeros(0), vectors=np.zeros((n, 0)), exact=exact
-    )
+    return _found(0, np.zeros(0), np.zeros((n, 0)), exact=exact)
 
 
 Operator = Callable[[np.ndarray], np.ndarray]
@@ -113,14 +121,7 @@ def _sparse(hessian: sparse.csc_matrix, active: sparse.csc_matrix) -> Curvature:
     scaled = hessian / unit
     project = _operator(sparse.eye(n, format="csc"), active)
     if project is None:  # the rows' own factor fails: nothing can be said
-        return Curvature(
-            directions=max(0, n - m),
-            smallest=np.nan,
-            largest=np.nan,
-            values=np.zeros(0),
-            vectors=np.zeros((n, 0)),
-            exact=False,
-        )
+        return replace(_none(n, exact=False), directions=max(0, n - m), smallest=np.nan, largest=np.nan)
     start = project(np.random.default_rng(0).standard_normal(n))
     if np.linalg.norm(start) < np.sqrt(np.finfo(float).eps) * np.sqrt(n):
         return _none(n, exact=False)
@@ -185,15 +186,7 @@ def _from_vectors(
     basis = _orthonormal(_orthonormal(vectors, project), project)
     small = basis.T @ (hessian @ basis)
     values, rotation = np.linalg.eigh((small + small.T) / 2)
-    directions = basis @ rotation[:, :NAMED]
-    return Curvature(
-        directions=max(0, n - m),
-        smallest=float(values[0]) * unit,
-        largest=float(values[-1]) * unit,
-        values=values[:NAMED] * unit,
-        vectors=directions,
-        exact=False,
-    )
+    return _found(max(0, n - m), values * unit, basis @ rotation, exact=False)
 
 
 def _orthonormal(vectors: np.ndarray, project: Operator) -> np.ndarray:

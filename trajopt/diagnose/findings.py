@@ -172,7 +172,8 @@ class CurvatureReport:
     """Curvature of the Lagrangian on the null space of the active rows, directions named, see `Curvature`.
 
     directions: number of free directions. holds: the second-order sufficient condition; negative: some
-    direction curves downwards. known: whether multipliers were known.
+    direction curves downwards. known: whether multipliers were known. smallest_along: directions of the least
+    curvature; flat_along: some of those without any.
     """
 
     directions: int
@@ -184,6 +185,7 @@ class CurvatureReport:
     exact: bool
     known: bool
     smallest_along: tuple[Direction, ...]
+    flat_along: tuple[Direction, ...]
 
     def __str__(self) -> str:
         if self.smallest is None or self.largest is None:
@@ -200,6 +202,8 @@ class CurvatureReport:
 def curvature_report(snapshot: Snapshot, found: Curvature) -> CurvatureReport:
     """Name the directions of least curvature; ``found`` is over the free unknowns."""
     pairs = zip(found.values.tolist(), found.vectors.T, strict=True)
+    flat = np.abs(found.nearest) <= found.flat
+    flat_pairs = zip(found.nearest[flat].tolist(), found.nearest_vectors.T[flat], strict=True)
     return CurvatureReport(
         directions=found.directions,
         smallest=found.smallest,
@@ -210,6 +214,7 @@ def curvature_report(snapshot: Snapshot, found: Curvature) -> CurvatureReport:
         exact=found.exact,
         known=snapshot.row_multiplier is not None,
         smallest_along=tuple(_direction(snapshot, value, vector) for value, vector in pairs),
+        flat_along=tuple(_direction(snapshot, value, vector) for value, vector in flat_pairs),
     )
 
 

@@ -26,7 +26,9 @@ def lines(found: Diagnosis) -> Iterator[str]:
     yield from _listed("contacts", (f"phase '{one.phase}': {one}" for one in found.contacts))
     if found.curvature is not None:
         yield _line("curvature", str(found.curvature))
-        yield from _listed("", map(str, found.curvature.smallest_along))
+        flat = found.curvature.flat_along
+        along = (*found.curvature.smallest_along, *(one for one in flat if found.curvature.negative))
+        yield from _listed("", map(str, along))
     yield from _scaling_lines(found)
     yield from _limit_lines(found)
     if found.conflict is not None:
