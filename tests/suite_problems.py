@@ -14,6 +14,7 @@ from problems_for_tests import hop, reach
 
 from trajopt.errors import InputError
 from trajopt.family import Family
+from trajopt.node_terms import TerminalState
 from trajopt.problem import Problem
 from trajopt.suite import run
 from trajopt.terms import AccelerationCost, EffortLimits
@@ -29,7 +30,10 @@ def infeasible() -> Problem:
 
 
 def not_finite() -> Problem:
-    return replace(reach(), guess=lambda t: np.full(1, np.nan if t > 0 else 0.0))
+    """The error of a rotation has a pole at half a turn, where the guess ends."""
+    turned = hop().initial_q.copy()
+    turned[3:7] = [0.0, 0.0, 1.0, 0.0]
+    return hop(terms=(AccelerationCost(weight=1.0), TerminalState(q=turned)))
 
 
 def coarse() -> Problem:
