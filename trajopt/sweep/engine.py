@@ -30,8 +30,7 @@ RETRIES = 2
 MOST_AGAIN = 0.25
 # After so many lost processes a setting is not run again.
 MOST_LOST = 2
-# s beyond the solvers' own limits that a run may take: graphs and the C compiler on a busy machine.
-BUILD_TIME = 600.0
+# s that measuring one solution may take.
 ACCURACY_TIME = 300.0
 # s that a run takes however small it is.
 LEAST_SECONDS = 0.3
@@ -66,7 +65,8 @@ class Sweep:
         self._lost: Counter[str] = Counter()
         self._given_up: set[str] = set()
         self._told = False
-        self._again = math.ceil(MOST_AGAIN * len(plan.settings) * len(asked.starts))
+        repeated = sum(run.attempt > 0 for run in records.found.runs.values())
+        self._again = math.ceil(MOST_AGAIN * len(plan.settings) * len(asked.starts)) - repeated
 
     def run(self) -> None:
         """Everything that is not recorded yet."""
@@ -135,7 +135,7 @@ class Sweep:
             "job": asdict(job),
             "limits": {name: getattr(asked, name) for name in ("sigma", "max_iterations", "max_time")},
             "file": str(self._records.solution_file(setting, job)),
-            "limit": solves * (asked.max_time + GRACE) + BUILD_TIME,
+            "limit": solves * asked.max_time + asked.build_time,
         }
 
     def _problem_of_task(self) -> dict[str, Any]:
@@ -182,8 +182,9 @@ class Sweep:
                 **self._problem_of_task(),
                 "task": "reference",
                 "file": str(self._records.reference_file),
+                "compile": self._plan.base.compile,
                 "max_time": limit,
-                "limit": limit + BUILD_TIME + GRACE,
+                "limit": limit + self._asked.build_time,
             }
         )
         ok = answer["kind"] == "done"

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 Point = tuple[float, float]
 
-# A slower setting is worth its time where its error is less by this part: errors of one discretisation, found by
-# other solvers or tolerances, differ in the third digit.
+# A slower setting is worth its time where its error is less by this part: errors of one discretisation, found
+# by other solvers or tolerances, differ in the third digit.
 GAIN = 0.05
 
 

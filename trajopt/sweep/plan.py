@@ -8,9 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from trajopt.compilation import HESSIANS
 from trajopt.errors import InputError
 from trajopt.problem import Problem
-from trajopt.sweep.setting import HESSIANS, STARTS, WORDS, Setting
+from trajopt.sweep.setting import STARTS, WORDS, Setting
 from trajopt.sweep.variants import cone_of
 
 # Parts of the problem's own number of intervals that are tried.

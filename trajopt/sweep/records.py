@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from trajopt.errors import InputError
+from trajopt.solvers.drivers import Stop
+from trajopt.solving import DEFAULT_SOLVER, check_settings
+from trajopt.suite.settings import MOST_STARTS
 from trajopt.sweep.plan import Plan
 from trajopt.sweep.result import Job, Run
 from trajopt.sweep.setting import Setting
@@ -25,6 +29,7 @@ HEAD = {
     "sigma": "other noise",
     "max_iterations": "another iteration limit",
     "max_time": "another time limit",
+    "build_time": "another time limit",
     "versions": "other versions of the libraries",
 }
 
@@ -34,8 +39,9 @@ class Asked:
     """What is swept: the problem by name with values of its parameters, and how its settings are run.
 
     repeats: perturbed starts besides the own guess, with seeds 1 to repeats: the same ones for every setting.
-    sigma: their noise in scaled units. max_iterations, max_time (s): of one solve. reference_time: s that the
-    reference may take, 0 for none.
+    sigma: their noise in scaled units. max_iterations, max_time (s): of one solve. build_time: s beyond that
+    time, for graphs, transcription and the C compiler on a busy machine, after which a run is ended.
+    reference_time: s that the reference may take, 0 for none. Raises InputError for values that are none.
     """
 
     problem: str
@@ -44,7 +50,17 @@ class Asked:
     sigma: float = 0.1
     max_iterations: int = 500
     max_time: float = 60.0
+    build_time: float = 600.0
     reference_time: float = 300.0
+
+    def __post_init__(self) -> None:
+        check_settings(DEFAULT_SOLVER, Stop().tolerance, self.max_iterations, self.max_time, self.sigma, 0)
+        if not 0 <= self.repeats <= MOST_STARTS:
+            raise InputError(f"repeats is {self.repeats}", f"allowed: 0 to {MOST_STARTS}")
+        if self.repeats and not self.sigma > 0:
+            raise InputError(f"perturb is {self.sigma:g}: all starts are the same", "allowed: > 0")
+        if not (math.isfinite(self.reference_time) and self.reference_time >= 0):
+            raise InputError(f"reference is {self.reference_time:g} s", "allowed: 0 (none) or more")
 
     @property
     def starts(self) -> tuple[int, ...]:

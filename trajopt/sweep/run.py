@@ -74,12 +74,11 @@ def _solve(problem: Problem, setting: Setting, job: Job, limits: Limits) -> _Mad
         "transcription": setting.transcription,
         "solver": setting.solver,
         "tolerance": setting.tolerance,
+        "hessian": setting.hessian,
         "compile": setting.compile,
         "max_iterations": limits.max_iterations,
         "max_time": limits.max_time,
     }
-    if setting.hessian != "exact":
-        arguments["hessian"] = setting.hessian
     noise: dict[str, Any] = {"seed": job.start, "perturb": limits.sigma if job.start else 0.0}
     coarse: Solution | None = None
     if setting.start == "warm":

@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
-from trajopt.compilation import LEVELS
+from trajopt.compilation import DEFAULT_HESSIAN, DEFAULT_LEVEL, HESSIANS, LEVELS
 from trajopt.errors import InputError
 from trajopt.schemes import SCHEME_NAMES, scheme
 from trajopt.solvers.drivers import SOLVERS
+from trajopt.solving import DEFAULT_SOLVER
 
-HESSIANS = ("exact", "gauss-newton", "limited-memory")
 # ``own``: the problem's friction terms are of both kinds, or there are none.
 CONES = ("own", "smooth", "pyramid")
 MODELS = ("full", "two-stage")
@@ -45,10 +45,10 @@ class Setting:
 
     transcription: str
     intervals: int
-    solver: str = "ipopt"
+    solver: str = DEFAULT_SOLVER
     tolerance: float = 1e-6
-    hessian: str = "exact"
-    compile: str = "quick"
+    hessian: str = DEFAULT_HESSIAN
+    compile: str = DEFAULT_LEVEL
     cone: str = "own"
     model: str = "full"
     start: str = "cold"

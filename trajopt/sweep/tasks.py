@@ -7,7 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from trajopt import accuracy
+from trajopt.accuracy import reference
 from trajopt.catalogue import families as catalogue
 from trajopt.family import Family, choose
 from trajopt.problem import Problem
@@ -42,12 +42,12 @@ def _run(task: Task) -> dict[str, Any]:
 
 
 def _accuracy(task: Task) -> dict[str, Any]:
-    reference = None if task["reference"] is None else Path(task["reference"])
-    return {"figures": figures(Path(task["file"]), reference)}
+    known = None if task["reference"] is None else Path(task["reference"])
+    return {"figures": figures(Path(task["file"]), known)}
 
 
 def _reference(task: Task) -> dict[str, Any]:
-    found = accuracy.reference(_problem(task), max_time=task["max_time"])
+    found = reference(_problem(task), max_time=task["max_time"], compile=task["compile"])
     found.solution.save(Path(task["file"]))
     return {"text": str(found)}
 

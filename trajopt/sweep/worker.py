@@ -3,7 +3,8 @@
 It is pinned to one core, loads the library once, and then reads one task a line (JSON) on stdin. Each task
 is done by a child made by fork, so that none inherits memory, caches or a crash from another, and answered by
 one line: what was found, or how the child was lost. A child that exceeds its time is ended by the kernel
-(SIGALRM), in whatever library it is. What libraries print goes to stderr. It ends when stdin is closed.
+(SIGALRM), in whatever library it is. What libraries print goes to stderr. Worker and child end when stdin is
+closed: none outlives the sweep that started it.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import gc
 import json
 import math
 import os
+import select
 import signal
 import sys
 import warnings
@@ -60,8 +62,7 @@ def _in_child(task: Mapping[str, Any], tasks: Mapping[str, Callable[[Mapping[str
         os.close(read)
         _child(task, tasks, write)
     os.close(write)
-    with os.fdopen(read, "rb", BLOCK) as stream:
-        told = stream.read()
+    told = _told(read, child)
     _, status = os.waitpid(child, 0)
     if os.WIFSIGNALED(status):
         return {"kind": LOST, "detail": _signal_text(os.WTERMSIG(status), float(task["limit"]))}
@@ -69,6 +70,21 @@ def _in_child(task: Mapping[str, Any], tasks: Mapping[str, Callable[[Mapping[str
         return {"kind": LOST, "detail": f"crash: exit status {os.waitstatus_to_exitcode(status)}"}
     answer: Answer = json.loads(told)
     return answer
+
+
+def _told(read: int, child: int) -> bytes:
+    """All that the child writes; the end of both where stdin ends first, for no task is sent meanwhile."""
+    told = b""
+    while True:
+        ready, _, _ = select.select([read, sys.stdin], [], [])
+        if sys.stdin in ready:
+            os.kill(child, signal.SIGKILL)
+            os._exit(1)
+        block = os.read(read, BLOCK)
+        if not block:
+            os.close(read)
+            return told
+        told += block
 
 
 def _signal_text(number: int, limit: float) -> str:
@@ -82,8 +98,8 @@ def _child(
     task: Mapping[str, Any], tasks: Mapping[str, Callable[[Mapping[str, Any]], Answer]], write: int
 ) -> None:
     """Do the task, write its answer, and leave: nothing returns from here."""
-    signal.alarm(max(1, math.ceil(task["limit"])))
     try:
+        signal.alarm(max(1, math.ceil(task["limit"])))
         answer = {"kind": "done", **tasks[task["task"]](task)}
     except TrajoptError as error:
         answer = {"kind": REFUSED, "detail": str(error)}

@@ -1,0 +1,86 @@
+"""A package of families for the tests of sweeps: small ones, and one that is lost on some grids."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from problems_for_tests import REACH_TIME, reach
+
+from trajopt.errors import InputError
+from trajopt.family import Family, Parameter
+from trajopt.problem import Problem
+
+# Times of nodes agree to rounding, s.
+SAME_TIME = 1e-9
+
+
+def _raises() -> None:
+    raise RuntimeError("first line\nsecond line")
+
+
+def _refuses() -> None:
+    raise InputError("a seventh of the way is not allowed", "allowed: the rest")
+
+
+# Numbers of intervals, primes to each other and to 4 and 10, and how a solve on that grid is lost.
+LOST = {
+    3: lambda: os.kill(os.getpid(), signal.SIGSEGV),
+    7: _refuses,
+    11: _raises,
+    13: lambda: time.sleep(3600),
+}
+
+
+def losing() -> Problem:
+    """A reach whose guess is never given at the first node of some grids."""
+    problem = reach(gravity=True)
+
+    def guess(t: float) -> np.ndarray:
+        for count, lose in LOST.items():
+            if abs(t - REACH_TIME / count) < SAME_TIME:
+                lose()
+        return problem.guess(t)
+
+    return replace(problem, guess=guess)
+
+
+def parricidal() -> Problem:
+    """Built in a worker's child it ends the worker."""
+    os.kill(os.getppid(), signal.SIGKILL)
+    return reach()
+
+
+def weighed(*, gravity: float) -> Problem:
+    return replace(reach(gravity=gravity > 0), name="s-reach")
+
+
+def families() -> dict[str, Family]:
+    """The families by name; one of them has a parameter."""
+    builders = {
+        "s-losing": losing,
+        "s-parricidal": parricidal,
+    }
+    found = {
+        name: Family(name=name, phases=("only",), summary="", parameters=(), build=build, robot="arm")
+        for name, build in builders.items()
+    }
+    gravity = Parameter(
+        name="gravity", default=1.0, unit="", lower=0.0, upper=1.0, meaning="1 with, 0 without"
+    )
+    found["s-reach"] = Family(
+        name="s-reach", phases=("reach",), summary="", parameters=(gravity,), build=weighed, robot="arm"
+    )
+    return found
+
+
+def install(folder: Path) -> None:
+    """The metadata that make this module a package of problems, as pip writes them."""
+    information = folder / "sweep_problems-1.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: sweep-problems\nVersion: 1\n")
+    (information / "entry_points.txt").write_text("[trajopt.problems]\ntests = sweep_problems\n")
