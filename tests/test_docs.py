@@ -13,6 +13,7 @@ DOCUMENTS = (
     "docs/robots.md",
     "docs/warm-starts.md",
     "docs/suite.md",
+    "docs/accuracy.md",
     "docs/modelling/bases.md",
     "docs/modelling/coordinates.md",
     "docs/modelling/actuators.md",
