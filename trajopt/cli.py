@@ -22,11 +22,15 @@ import click
 from rich.console import Console
 
 from trajopt import cli_report
+from trajopt.cli_aim import aim_options, solve_aimed, wants_aim
+from trajopt.cli_check import check
 from trajopt.cli_continue import continue_
+from trajopt.cli_diagnose import diagnose, diagnose_option, diagnosis_of
 from trajopt.cli_input import COUNT, GRID, THREADS, check_output, options_of, values_of
+from trajopt.cli_reference import reference
 from trajopt.cli_suite import suite
 from trajopt.cli_sweep import sweep
-from trajopt.cli_warm import ladder_lines, solve_warm, warm_options
+from trajopt.cli_warm import solve_warm, warm_options
 from trajopt.errors import TrajoptError
 from trajopt.progress import CANCELLED
 
@@ -181,6 +185,8 @@ def list_problems(problems: tuple[str, ...], robot: str | None, brief: bool, as_
 @click.option("--explain", is_flag=True, help="The same; first say what is modelled, left out, and why.")
 @click.option("--keep", multiple=True, metavar="JOINT", help="A joint that --smallest must not lock.")
 @warm_options
+@aim_options
+@diagnose_option
 @click.option("--output", type=Path, metavar="FILE", help="Solution file.  [default: PROBLEM.npz]")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def solve(
@@ -190,6 +196,7 @@ def solve(
     smallest: bool,
     explain: bool,
     keep: tuple[str, ...],
+    diagnosed: bool,
     output: Path | None,
     as_json: bool,
     **arguments: Any,
@@ -198,8 +205,11 @@ def solve(
 
     PROBLEM is solved as it is built. With --smallest or --explain joints that nothing needs are locked and a
     symmetric task is solved in the plane; the file holds the motion of the whole robot all the same.
+    With --accuracy or --budget scheme, grid and solver are chosen from measured fronts, what is reached is
+    measured, and the mesh is refined where it falls short of the accuracy.
 
-    Exit status 0 when the solver has solved it, 1 when not: the file then holds its last iterate, and
+    Exit status 0 when the solver has solved it, and to the accuracy or in the time that was asked for, 1 when
+    not: the file then holds its last iterate, and
     its status and worst rows are printed. Ctrl-C stops the solver, keeps that iterate and ends with 1.
     """
     from trajopt.catalogue import families
@@ -213,18 +223,22 @@ def solve(
         click.echo(str(scene.report))
     # The check's integrator takes long to load: let it load while the solver holds no Python lock.
     threading.Thread(target=importlib.import_module, args=("scipy.integrate",), daemon=True).start()
-    ladder = solve_warm(scene.problem if scene else loaded, title=problem, options=options, **arguments)
-    solution = scene.lift(ladder.solution) if scene else ladder.solution
+    solve_chosen = solve_aimed if wants_aim(arguments) else solve_warm
+    found = solve_chosen(scene.problem if scene else loaded, title=problem, options=options, **arguments)
+    solution = scene.lift(found.solution) if scene else found.solution
     file, notes = _saved(solution, target)
-    rungs = ladder_lines(ladder)
     report = _checked(solution, notes, "" if scene is None or scene.report.is_exact else " or no --smallest")
+    said = diagnosis_of(found.solution, scene.problem if scene else loaded) if diagnosed else None
     if as_json:
         explained: dict[str, Any] = {"scene": scene.report.to_dict()} if scene else {}
-        explained |= {"ladder": ladder.to_dict()} if rungs else {}
+        explained |= {"diagnosis": said[0]} if said else {}
+        explained |= found.extra()
         click.echo(cli_report.to_json(cli_report.solve_dict(solution, report, file) | explained))
     else:
-        click.echo(cli_report.summary(solution, report, file, rungs + notes))
-    return 0 if solution.success else NOT_REACHED
+        click.echo(cli_report.summary(solution, report, file, found.lines() + notes))
+        if said:
+            click.echo(said[1])
+    return 0 if found.reached else NOT_REACHED
 
 
 def _scene(problem: Problem, keep: tuple[str, ...], arguments: dict[str, Any]) -> Scene:
@@ -266,21 +280,11 @@ def _checked(solution: Solution, notes: list[str], advice: str) -> Report | None
 
 
 main.add_command(continue_)
+main.add_command(diagnose)
 
 
-@main.command()
-@click.argument("file", type=Path)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def check(file: Path, as_json: bool) -> int:
-    """Recompute all figures of FILE with numeric Pinocchio alone.
-
-    Exit status 1 when a figure is beyond its tolerance.
-    """
-    from trajopt.check import check as run
-
-    report = run(file)
-    click.echo(cli_report.to_json(report.to_dict()) if as_json else report.table())
-    return 0 if report.ok else NOT_REACHED
+main.add_command(check)
+main.add_command(reference)
 
 
 @main.command()
