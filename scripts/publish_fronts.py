@@ -1,14 +1,18 @@
-"""The published fronts: four sweeps, their tables into the package and the docs.
+"""The published fronts: four sweeps, their tables into the package, tables and plots into the docs.
 
 uv run python -m scripts.publish_fronts              # all, about 20 minutes on one core of a quiet machine
 uv run python -m scripts.publish_fronts solo12-jump  # one of them
 uv run python -m scripts.publish_fronts --resume     # go on after an interruption
 
-Tables go to trajopt/sweep/fronts and docs/front, plots to docs/front.
+Tables go to trajopt/sweep/fronts and docs/front, plots to docs/front, and the section between the markers of
+docs/front.md is written anew from the tables.
 """
 
 from __future__ import annotations
 
+import csv
+import math
+import re
 import shutil
 import subprocess
 import sys
@@ -17,52 +21,134 @@ from pathlib import Path
 
 import click
 
-from trajopt.sweep.front import FOLDER
+from trajopt.sweep.front import FOLDER, load_front
 from trajopt.sweep.tables import SETTINGS
 
-DOCS = Path(__file__).parent.parent / "docs" / "front"
+DOCUMENT = Path(__file__).parent.parent / "docs" / "front.md"
+DOCS = DOCUMENT.parent / "front"
 WORK = Path("fronts-work")
+SECTION = re.compile(r"(?<=<!-- fronts -->\n).*?(?=<!-- end of fronts -->)", re.DOTALL)
+# What the front of every problem is asked for: so much faster, and so much more accurate, than the default.
+FASTER, MORE_ACCURATE = 5, 100
 
 
 @dataclass(frozen=True)
 class Published:
-    """A front: its name, and the arguments of its sweep."""
+    """A front: its name, what it is, and the arguments of its sweep."""
 
     name: str
+    what: str
     arguments: tuple[str, ...]
+
+    @property
+    def table(self) -> Path:
+        """Its rows in the docs."""
+        return DOCS / f"{self.name}.csv"
 
 
 PUBLISHED = (
-    Published("ur5-reach", ("ur5-reach",)),
-    Published("solo12-jump", ("solo12-jump",)),
-    Published("quadruped-trot", ("quadruped-trot",)),
-    Published("biped-squat", ("biped-squat",)),
+    Published("ur5-reach", "an arm", ("ur5-reach",)),
+    Published("solo12-jump", "a quadruped's jump", ("solo12-jump",)),
+    Published("quadruped-trot", "a gait, periodic", ("quadruped-trot",)),
+    Published("biped-squat", "a biped", ("biped-squat",)),
 )
 
 
 @click.command()
 @click.argument("names", nargs=-1)
 @click.option("--resume", is_flag=True, help="Go on where an interrupted sweep ended.")
-def main(names: tuple[str, ...], resume: bool) -> None:
+@click.option("--only-document", is_flag=True, help="Run nothing: write the section from the tables.")
+def main(names: tuple[str, ...], resume: bool, only_document: bool) -> None:
     """Run the sweeps and put their tables and plots where they are read."""
-    chosen = [front for front in PUBLISHED if not names or front.name in names]
-    if not chosen:
+    unknown = set(names) - {front.name for front in PUBLISHED}
+    if unknown:
         raise click.BadParameter(f"allowed: {', '.join(front.name for front in PUBLISHED)}")
-    for target in (DOCS, FOLDER):
-        target.mkdir(parents=True, exist_ok=True)
-    for front in chosen:
-        folder = WORK / front.name
-        command = ["sweep", *front.arguments, "--output-dir", str(folder)] + ["--resume"] * resume
-        click.echo(f"trajopt {' '.join(command)}")
-        with (DOCS / f"{front.name}.txt").open("w", encoding="utf-8") as table:
-            status = subprocess.run(
-                [sys.executable, "-m", "trajopt", *command], stdout=table, check=False
-            ).returncode
-        if status:
-            raise click.ClickException(f"the sweep ended with exit status {status}")
-        shutil.copyfile(folder / SETTINGS, FOLDER / f"{front.name}.csv")
-        shutil.copyfile(folder / SETTINGS, DOCS / f"{front.name}.csv")
-        shutil.copyfile(folder / "front.png", DOCS / f"{front.name}.png")
+    DOCS.mkdir(exist_ok=True)
+    FOLDER.mkdir(exist_ok=True)
+    for front in PUBLISHED:
+        if not only_document and (not names or front.name in names):
+            publish(front, resume)
+    text = DOCUMENT.read_text(encoding="utf-8")
+    parts = "\n".join(section(front) for front in PUBLISHED if front.table.exists())
+    DOCUMENT.write_text(SECTION.sub(lambda _: f"\n{parts}\n", text), encoding="utf-8")
+
+
+def publish(front: Published, resume: bool) -> None:
+    """Run one sweep and copy what it wrote."""
+    folder = WORK / front.name
+    command = ["sweep", *front.arguments, "--output-dir", str(folder)] + ["--resume"] * resume
+    click.echo(f"trajopt {' '.join(command)}", err=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "trajopt", *command], stdout=subprocess.PIPE, text=True, check=False
+    )
+    click.echo(done.stdout)
+    if done.returncode:
+        raise click.ClickException(f"the sweep ended with exit status {done.returncode}")
+    (DOCS / f"{front.name}.txt").write_text(done.stdout, encoding="utf-8")
+    shutil.copyfile(folder / SETTINGS, FOLDER / f"{front.name}.csv")
+    shutil.copyfile(folder / SETTINGS, front.table)
+    shutil.copyfile(folder / "runs.csv", DOCS / f"{front.name}-runs.csv")
+    shutil.copyfile(folder / "front.png", DOCS / f"{front.name}.png")
+
+
+def section(front: Published) -> str:
+    """What the document says of a front: the settings on it, and what it offers beside the default."""
+    with front.table.open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    best = sorted((row for row in rows if row["on_front"] == "1"), key=lambda row: float(row["time_s"]))
+    default = next(row for row in rows if row["is_default"] == "1")
+    lines = [
+        f"### {front.name}, {front.what}",
+        "",
+        f"    uv run trajopt sweep {' '.join(front.arguments)}",
+        "",
+        f"![{front.name}](front/{front.name}.png)",
+        "",
+        "| setting | time, s | over the default's | solved | error, m | objective gap |",
+        "|---|---|---|---|---|---|",
+        *(_row(row) for row in [*best, *([default] if default not in best else [])]),
+        "",
+        f"{_offer(front)} {len(rows)} settings were tried; all of them, and what dominates each, are in "
+        f"[{front.name}.txt](front/{front.name}.txt) and [{front.name}.csv](front/{front.name}.csv).",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _row(row: dict[str, str]) -> str:
+    name = f"`{row['label']}`" + (" (default)" if row["is_default"] == "1" else "")
+    below = "" if row["on_front"] == "1" else f", dominated by `{row['dominated_by']}`"
+    gap = f"{float(row['objective_gap']):+.1e}" if row["objective_gap"] else ""
+    return (
+        f"| {name}{below} | {float(row['time_s']):.3g} | {float(row['relative_time']):.2f} "
+        f"| {row['solved']} of {row['runs']} | {float(row['error_m']):.1e} | {gap} |"
+    )
+
+
+def _offer(front: Published) -> str:
+    """What the front has that is much faster, and much more accurate, than the default."""
+    known = load_front(front.table)
+    best, default = known.best(), known.default
+    fast = max((default.time / point.time for point in best), default=math.nan)
+    fine = max((default.error / max(point.error, 1e-300) for point in best), default=math.nan)
+    faster = [point for point in best if default.time >= FASTER * point.time]
+    finer = [point for point in best if default.error >= MORE_ACCURATE * point.error]
+    parts = [
+        f"The fastest setting is {fast:.0f} times faster than the default, the finest {fine:.0e} times more"
+    ]
+    parts[0] += " accurate."
+    if faster:
+        point = faster[-1]
+        parts.append(
+            f"At least {FASTER} times faster: `{point.setting.label(default.setting)}`, {point.error:.1e} m."
+        )
+    if finer:
+        point = finer[0]
+        parts.append(
+            f"At least {MORE_ACCURATE} times more accurate: `{point.setting.label(default.setting)}`, "
+            f"{point.relative_time:.2f} times the default's time."
+        )
+    return " ".join(parts)
 
 
 if __name__ == "__main__":

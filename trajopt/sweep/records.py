@@ -114,7 +114,8 @@ class Records:
                 self._read()
             else:
                 self._file.write_text(json.dumps({"head": self._head}) + "\n", encoding="utf-8")
-                self.reference_file.unlink(missing_ok=True)
+                for stale in (self.reference_file, *(self.folder / SOLUTIONS).glob("*.npz")):
+                    stale.unlink(missing_ok=True)
         except OSError as error:
             raise InputError(
                 f"cannot write {self._file}: {error.strerror or error}",

@@ -19,6 +19,9 @@ CONES = ("own", "smooth", "pyramid")
 MODELS = ("full", "two-stage")
 STARTS = ("cold", "warm")
 
+# A finer grid takes tens of gigabytes before anything is solved.
+MOST_INTERVALS = 100_000
+
 # Axis -> the words it takes; a word belongs to one axis only, so that a setting can be written in words.
 WORDS = {
     "solver": tuple(SOLVERS),
@@ -55,8 +58,8 @@ class Setting:
 
     def __post_init__(self) -> None:
         scheme(self.transcription)
-        if self.intervals < 1:
-            raise InputError(f"intervals is {self.intervals}", "allowed: 1 or more")
+        if not 1 <= self.intervals <= MOST_INTERVALS:
+            raise InputError(f"intervals is {self.intervals}", f"allowed: 1 to {MOST_INTERVALS}")
         if not (math.isfinite(self.tolerance) and 0 < self.tolerance < 1):
             raise InputError(f"tolerance is {self.tolerance:g}", "allowed: between 0 and 1")
         for axis, words in WORDS.items():

@@ -138,9 +138,14 @@ def table(summaries: Iterable[Summary]) -> Table:
     found.add_column("dominated by", overflow="fold")
     rows = list(summaries)
     default = next((row.time for row in rows if row.is_default), math.nan)
-    for row in sorted(rows, key=lambda row: (not row.on_front, not row.is_measured, row.time)):
+    for row in sorted(rows, key=lambda row: (not row.on_front, not row.is_measured, _last(row.time))):
         found.add_row(*_cells(row, default))
     return found
+
+
+def _last(time: float) -> float:
+    """A time to sort by: what is not known comes last."""
+    return time if math.isfinite(time) else math.inf
 
 
 def _cells(row: Summary, default: float) -> list[str]:
