@@ -28,12 +28,12 @@ from trajopt.nlp import Nlp
 
 # Interior-point iterations of one program: those that can be solved take 10 to 30, and to find out that
 # there is no feasible point takes 30 to 40.
-MOST_ITERATIONS = 50
+MOST_ITERATIONS = 40
 
 
 @dataclass(frozen=True, kw_only=True)
 class Quadratic:
-    """Numbers of one program: nonzeros of H (lower triangle) and of J in the NLP's order, c, and bounds."""
+    """Numbers of one program: nonzeros of H (lower triangle) and of J in their patterns' order, c, bounds."""
 
     hessian: np.ndarray
     gradient: np.ndarray
@@ -78,9 +78,9 @@ class _Rows:
 class _Curvature:
     """Upper triangle of H + delta 1 with its whole diagonal, filled from the lower one's nonzeros."""
 
-    def __init__(self, nlp: Nlp, n_unknowns: int) -> None:
+    def __init__(self, pattern: tuple[np.ndarray, np.ndarray], n_unknowns: int) -> None:
         n, diagonal = n_unknowns, np.arange(n_unknowns, dtype=np.int64)
-        row, column = nlp.hessian_row.astype(np.int64), nlp.hessian_column.astype(np.int64)
+        row, column = (index.astype(np.int64) for index in pattern)
         keys = np.unique(np.concatenate([row * n + column, diagonal * (n + 1)]))
         starts = np.searchsorted(keys, np.arange(n + 1, dtype=np.int64) * n)
         self.matrix = sparse.csc_matrix((np.zeros(len(keys)), keys % n, starts), shape=(n, n))
@@ -96,14 +96,17 @@ class _Curvature:
 
 
 class StageQp:
-    """Programs of one NLP: patterns are set up once, every further program only brings its numbers."""
+    """Programs of one NLP: patterns are set up once, every further program only brings its numbers.
 
-    def __init__(self, nlp: Nlp) -> None:
+    ``pattern``: row and column of the nonzeros of H, if they are not those of the NLP's Hessian.
+    """
+
+    def __init__(self, nlp: Nlp, pattern: tuple[np.ndarray, np.ndarray] | None = None) -> None:
         t = nlp.transcription
         self.n = len(t.lower_x)
         self.equal = t.lower_g == t.upper_g
         self.equations, self.inequalities = (_Rows(nlp, which, self.n) for which in (self.equal, ~self.equal))
-        self.curvature = _Curvature(nlp, self.n)
+        self.curvature = _Curvature(pattern or (nlp.hessian_row, nlp.hessian_column), self.n)
         self.slack = _slack(t.lower_g, t.upper_g)
         self.factorisation = piqp.KKTSolver.sparse_multistage
         self.solver: piqp.SparseSolver | None = None

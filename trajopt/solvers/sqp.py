@@ -15,13 +15,14 @@ which the objective rises, a short step.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 
 import numpy as np
 
 from trajopt.nlp import Nlp
+from trajopt.solvers.convexification import Convexified
 from trajopt.solvers.qp import QpStep, Quadratic, StageQp
 from trajopt.solvers.sqp_filter import Filter
 from trajopt.solvers.sqp_point import Errors, Evaluator, Point
@@ -31,6 +32,11 @@ from trajopt.solvers.sqp_settings import SqpSettings
 # for a program that is not solved.
 FIRST_DELTA, DELTA_GROWTH, SHORT_STEP_DELTA, MOST_DELTA = 1e-4, 4.0, 1.0, 1e4
 UNSOLVED_DELTA = 1e-2
+# Share of the Hessian's negative curvature that is taken away: the least, by which factors it grows until a
+# program is solved and shrinks from step to step, and what the diagonal gets then. After n shares in a row
+# that were too small it is kept for 2^n - 1 steps.
+LEAST_CONVEX, MORE_CONVEX, LESS_CONVEX, CONVEX_DELTA = 1e-2, 4.0, 2.0, 1e-4
+MOST_FAILURES = 3
 # Steps shorter than this share of their direction call for curvature; the shortest that are tried.
 SHORT, SHORTEST, SHORTEST_ELASTIC = 0.2, 1e-3, 1e-6
 # The elastic program: its first and least share of the objective, the part of the violation that it must
@@ -76,6 +82,10 @@ class Sqp:
     programs: int = field(default=0, init=False)
     program_iterations: int = field(default=0, init=False)
     program_time: float = field(default=0.0, init=False)
+    convexity: float = field(default=0.0, init=False)
+    patience: int = field(default=0, init=False)
+    lowering: bool = field(default=False, init=False)
+    failures: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
         self.evaluator = Evaluator(self.nlp)
@@ -155,20 +165,56 @@ class Sqp:
         return self._elastic_step()
 
     def _direction(self, q: Quadratic) -> QpStep | None:
-        """The program's solution, with more curvature until it is one; None where rows contradict."""
-        here = self.point.pair
-        for attempt in range(6):
-            step = self._timed(partial(self.qp.solve, q, self.delta, self._accuracy()))
-            if step.infeasible:
-                return None
-            rises = float(q.gradient @ step.d) >= 0 and here.theta <= self.filter.negligible
-            if step.solved and not (rises and np.abs(step.d).max() > TINY):
-                return step
-            if attempt == 2 and here.theta > self.settings.feasibility:
-                return None
-            if not self._more_curvature(UNSOLVED_DELTA if not step.solved else FIRST_DELTA, MOST_DELTA):
-                return None
+        """The program's solution: with the Hessian as it is, or without its negative curvature.
+
+        None where rows contradict each other, or no program can be solved.
+        """
+        for share in self._shares():
+            self.convexity = share
+            step = self._program(q)
+            if step.infeasible or self._leads_on(q, step):
+                self.failures = 0 if self.lowering else self.failures
+                return None if step.infeasible else step
+            self._watch_time()
         return None
+
+    def _shares(self) -> Iterator[float]:
+        """Shares of the negative curvature to take away: a bit less than it took last, then more.
+
+        After one that was too small the last is kept for a while: a program without a solution is dear.
+        """
+        share, self.lowering = self.convexity, self.patience == 0
+        if self.lowering:
+            less = share / LESS_CONVEX
+            yield less if less >= LEAST_CONVEX else 0.0
+            self.lowering = False
+            self.failures = min(self.failures + 1, MOST_FAILURES)
+            self.patience = 2**self.failures
+        self.patience -= 1
+        if share > 0:
+            yield share
+        while share < 1.0:
+            share = min(1.0, max(LEAST_CONVEX, MORE_CONVEX * share))
+            yield share
+
+    def _leads_on(self, q: Quadratic, step: QpStep) -> bool:
+        """Whether a step is one, and not uphill from where the rows hold."""
+        holds = self.point.pair.theta <= self.filter.negligible
+        uphill = holds and float(q.gradient @ step.d) >= 0 and np.abs(step.d).max() > TINY
+        return step.solved and not uphill
+
+    def _program(self, q: Quadratic) -> QpStep:
+        """Solve a program without the present share of its Hessian's negative curvature."""
+        if self.convexity == 0:
+            return self._timed(partial(self.qp.solve, q, self.delta, self._accuracy()))
+        known, qp = self._convex
+        own = replace(q, hessian=known.values(q.hessian, self.convexity))
+        return self._timed(partial(qp.solve, own, max(self.delta, CONVEX_DELTA), self._accuracy()))
+
+    @cached_property
+    def _convex(self) -> tuple[Convexified, StageQp]:
+        known = Convexified(self.nlp)
+        return known, StageQp(self.nlp, (known.row, known.column))
 
     def _more_curvature(self, least: float, most: float) -> bool:
         """Raise delta, up to ``most``; False where it was there."""
@@ -198,7 +244,7 @@ class Sqp:
     def _corrected(self, q: Quadratic, step: QpStep) -> QpStep | None:
         """The direction with the rows' curvature along the first one: with their values at its end."""
         bent = self.evaluator.bent(self.point, q, step.d)
-        found = self._timed(partial(self.qp.solve, bent, self.delta, self._accuracy()))
+        found = self._program(bent)
         return found if found.solved else None
 
     def _taken(self, x: np.ndarray, step: QpStep, slope: float, share: float, trials: int) -> Point:

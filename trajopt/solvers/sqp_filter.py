@@ -19,7 +19,7 @@ ARMIJO = 1e-4
 SLOPE_POWER, THETA_POWER = 2.3, 1.1
 # Points are never let further off than this multiple of where the solve began; steps about the objective
 # are taken nearer than that one.
-FURTHEST, NEAR = 1e4, 1e-4
+FURTHEST, NEAR = 10.0, 1e-4
 # Relative rounding error of an objective that is a sum of thousands of terms.
 ROUNDING = 1e-11
 
