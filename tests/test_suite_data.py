@@ -17,7 +17,7 @@ from trajopt import check, solve
 from trajopt.errors import InputError
 from trajopt.suite import data
 from trajopt.suite.cases import Case
-from trajopt.suite.outcome import Attempt, Checked, Grid, Outcome, distinct, quantile
+from trajopt.suite.outcome import Attempt, Checked, Grid, Outcome, quantile
 from trajopt.suite.records import Records, left
 from trajopt.suite.run import worst_figure
 from trajopt.suite.settings import Settings
@@ -36,14 +36,6 @@ def test_the_worst_figure_is_beyond_where_the_check_fails():
         name, used = worst_figure(report)
         assert (used > 1) == (not report.ok)
         assert report.ok or name in report.failures()
-
-
-def test_optima_are_told_apart_by_their_objectives():
-    assert distinct([]) == 0
-    assert distinct([1.0, 1.0 + 1e-6, 1.0005]) == 1
-    assert distinct([2.0, 1.0, 1.002, 2.0001]) == 3
-    assert distinct([0.0, 0.0]) == 1
-    assert distinct([-1.0, -1.002, 1.0]) == 3
 
 
 @pytest.mark.parametrize("part", [0.1, 0.5, 0.9, 1.0])

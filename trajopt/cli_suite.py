@@ -145,7 +145,7 @@ def _run(
     cases: Sequence[Case], settings: Settings, records: Records, resume: bool, jobs: int
 ) -> tuple[list[Outcome], bool]:
     """Outcomes sorted by pair, and whether they are all: Ctrl-C leaves those that are done."""
-    from trajopt.suite.display import display
+    from trajopt.suite.display import Recorded, display
     from trajopt.suite.pool import run_all
     from trajopt.suite.records import left
 
@@ -155,11 +155,21 @@ def _run(
     try:
         with (
             display(len(cases), len(known), jobs, settings.perturbed) as shown,
-            closing(run_all(missing, settings, jobs=jobs, display=shown, folder=records.folder)) as running,
+            closing(
+                run_all(
+                    missing,
+                    settings,
+                    jobs=jobs,
+                    display=Recorded(shown, records),
+                    folder=records.folder,
+                    known=records.unfinished(),
+                )
+            ) as running,
         ):
             for outcome in running:
                 records.add(outcome)
                 outcomes.append(outcome)
+        records.close()
     except KeyboardInterrupt:
         complete = False
         show_cursor()

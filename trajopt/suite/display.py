@@ -11,6 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from trajopt.suite.cases import Case
 from trajopt.suite.outcome import Outcome
+from trajopt.suite.records import Records
 from trajopt.suite.table import line
 
 STAGES = {"build": "building and compiling", "own": "own guess", "check": "checking", "start": "start"}
@@ -87,6 +88,22 @@ class Bars:
         self._progress.update(self._slots[slot], visible=False)
         self._progress.advance(self._all)
         self._progress.console.print(line(outcome), markup=False, highlight=False, soft_wrap=True)
+
+
+class Recorded:
+    """A display that has every event recorded first, so that Ctrl-C loses no solve that has ended."""
+
+    def __init__(self, shown: Lines | Bars, records: Records) -> None:
+        self._shown, self._records = shown, records
+
+    def event(self, slot: int, case: Case, event: dict[str, Any]) -> None:
+        """Record and show."""
+        self._records.told(case, event)
+        self._shown.event(slot, case, event)
+
+    def finished(self, slot: int, outcome: Outcome) -> None:
+        """Show the pair's line."""
+        self._shown.finished(slot, outcome)
 
 
 def display(count: int, done: int, jobs: int, starts: int) -> Lines | Bars:

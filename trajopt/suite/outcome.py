@@ -10,16 +10,15 @@ from typing import Any
 
 from trajopt.suite.cases import Case
 from trajopt.suite.failure import CHECK, ERROR, SOLVED
-
-# Objectives that differ by more than this part of the larger one are distinct optima.
-SAME_OPTIMUM = 1e-3
+from trajopt.suite.optima import counted
 
 
 @dataclass(frozen=True, kw_only=True)
 class Attempt:
     """One solve from one start; ``seed`` is None for the own guess, ``mode`` empty when solved.
 
-    wall_time: the solver's, s. detail: status, and the worst block of rows when not solved.
+    wall_time: the solver's, s. detail: status, and the worst block of rows when not solved. motion: of a
+    solved run, see `trajopt.suite.optima`.
     """
 
     seed: int | None
@@ -32,6 +31,7 @@ class Attempt:
     dual: float | None = None
     complementarity: float | None = None
     detail: str = ""
+    motion: str = ""
 
     @property
     def solved(self) -> bool:
@@ -65,13 +65,19 @@ class Grid:
 
 @dataclass(frozen=True, kw_only=True)
 class Starts:
-    """Figures over the perturbed starts; iterations and optima over those solved."""
+    """Figures over the perturbed starts; iterations, optima and motions over those solved.
+
+    optima, motions: see `trajopt.suite.optima`. median_time: s, of the solver.
+    """
 
     count: int
     solved: int
     median_iterations: float | None
     iterations_90: int | None
     optima: int
+    motions: int = 0
+    most_iterations: int | None = None
+    median_time: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,12 +133,18 @@ class Outcome:
         """Figures over the perturbed starts."""
         solved = [attempt for attempt in self.starts if attempt.solved]
         iterations = sorted(attempt.iterations for attempt in solved)
+        known = [attempt for attempt in solved if attempt.objective is not None]
+        objectives = [attempt.objective for attempt in known if attempt.objective is not None]
+        optima, motions = counted(objectives, [attempt.motion for attempt in known])
         return Starts(
             count=len(self.starts),
             solved=len(solved),
             median_iterations=statistics.median(iterations) if iterations else None,
             iterations_90=quantile(iterations, 0.9) if iterations else None,
-            optima=distinct([attempt.objective for attempt in solved if attempt.objective is not None]),
+            optima=optima,
+            motions=motions,
+            most_iterations=iterations[-1] if iterations else None,
+            median_time=statistics.median(attempt.wall_time for attempt in solved) if solved else None,
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -163,15 +175,6 @@ def quantile(ordered: Sequence[int], part: float) -> int:
     return ordered[max(0, math.ceil(part * len(ordered)) - 1)]
 
 
-def distinct(objectives: Sequence[float]) -> int:
-    """Number of optima: in ascending order, a new one where an objective leaves the last one's first."""
-    count, first = 0, -math.inf
-    for value in sorted(objectives):
-        if count == 0 or value - first > SAME_OPTIMUM * max(abs(value), abs(first)):
-            count, first = count + 1, value
-    return count
-
-
 class Ledger:
     """Collects the events of a pair, in whatever process they arise, into an `Outcome`."""
 
@@ -200,6 +203,11 @@ class Ledger:
         """Take one perturbed start."""
         assert start.seed is not None
         self._starts[start.seed] = start
+
+    @property
+    def own_known(self) -> bool:
+        """Whether the solve from the own guess and its check are known."""
+        return "own" in self._found and "check" in self._found
 
     @property
     def seeds(self) -> frozenset[int]:

@@ -9,10 +9,11 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Protocol
 
 from trajopt.suite.cases import Case
@@ -66,8 +67,12 @@ def run_all(
     display: Display,
     limits: Limits | None = None,
     folder: Path | None = None,
+    known: Mapping[str, Sequence[Mapping[str, Any]]] = MappingProxyType({}),
 ) -> Generator[Outcome, None, None]:
-    """Yield the outcome of each pair as it ends. Closing the iterator kills all processes."""
+    """Yield the outcome of each pair as it ends. Closing the iterator kills all processes.
+
+    known: events of an earlier run by pair; what they tell is not run again.
+    """
     pending, told = Pending(cases), queue.Queue[tuple[int, Case, Any]]()
     cancelled = threading.Event()
 
@@ -79,6 +84,8 @@ def run_all(
             tell(slot, case, {"event": "stage", "stage": "build"})
             try:
                 pair = _Pair(case, settings, limits or Limits(), folder, cancelled)
+                for event in known.get(case.name, ()):
+                    pair.ledger.add(event)
                 outcome: Any = pair.run(partial(tell, slot, case))
             except BaseException as error:  # of the suite itself: raised where it can be seen
                 outcome = error
@@ -121,8 +128,9 @@ class _Pair:
     def run(self, tell: Callable[[dict[str, Any]], None]) -> Outcome:
         """Run to the end, or until cancelled."""
         begin = time.perf_counter()
-        own, seeds, lost = True, list(self.settings.seeds), 0
-        while True:
+        own, lost = not self.ledger.own_known, 0
+        seeds = [seed for seed in self.settings.seeds if seed not in self.ledger.seeds]
+        while own or seeds:
             error = self._process(own, seeds, tell)
             if error is None:
                 break

@@ -5,13 +5,17 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from trajopt.errors import InputError
 from trajopt.suite.cases import Case
-from trajopt.suite.outcome import Outcome
+from trajopt.suite.outcome import Ledger, Outcome
 from trajopt.suite.settings import Settings
 
 FILE = "results.jsonl"
+# What is known of pairs that have not ended: their events as they come.
+EVENTS = "events.jsonl"
+LASTING = ("grid", "own", "check", "start")
 
 
 class Records:
@@ -25,6 +29,7 @@ class Records:
         self._head = {"settings": settings.to_dict(), "versions": dict(versions)}
         self.folder = folder
         self._file = None if folder is None else folder / FILE
+        self._events = None if folder is None else folder / EVENTS
 
     def open(self, *, resume: bool) -> tuple[Outcome, ...]:
         """Make the folder; return what is known from before when resumed, otherwise begin anew.
@@ -37,6 +42,7 @@ class Records:
             self.folder.mkdir(parents=True, exist_ok=True)
             if not resume:
                 self._file.write_text("", encoding="utf-8")
+                self.close()
             with self._file.open("a+", encoding="utf-8") as stream:
                 stream.seek(0)
                 text = stream.read()
@@ -48,6 +54,33 @@ class Records:
                 "allowed: a folder that can be written",
             ) from None
         return tuple(self._matching(text).values())
+
+    def told(self, case: Case, event: Mapping[str, Any]) -> None:
+        """Append one event of a pair that is running; those without figures are passed over."""
+        if self._events is not None and event["event"] in LASTING:
+            with self._events.open("a", encoding="utf-8") as stream:
+                stream.write(json.dumps({**self._head, "pair": case.name, "told": dict(event)}) + "\n")
+
+    def close(self) -> None:
+        """All pairs have ended: their events are in their results."""
+        if self._events is not None:
+            self._events.unlink(missing_ok=True)
+
+    def unfinished(self) -> dict[str, list[Mapping[str, Any]]]:
+        """Events of this suite's settings and versions by pair; what is no event is passed over."""
+        found: dict[str, list[Mapping[str, Any]]] = {}
+        if self._events is None or not self._events.is_file():
+            return found
+        for line in self._events.read_text(encoding="utf-8").splitlines():
+            try:
+                entry = json.loads(line)
+                pair, event = entry["pair"], entry["told"]
+                Ledger(Case(problem="", robot="", takes_robot=False)).add(event)
+            except (ValueError, KeyError, TypeError):
+                continue
+            if {key: entry.get(key) for key in self._head} == self._head:
+                found.setdefault(pair, []).append(event)
+        return found
 
     def add(self, outcome: Outcome) -> None:
         """Append one result."""

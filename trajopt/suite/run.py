@@ -26,6 +26,7 @@ from trajopt.solvers.drivers import Stop
 from trajopt.solving import Prepared, Progress, prepare, solve_prepared
 from trajopt.suite.cases import Case
 from trajopt.suite.failure import mode_of
+from trajopt.suite.optima import described
 from trajopt.suite.outcome import Attempt, Checked, Grid, Ledger, Outcome
 from trajopt.suite.settings import Settings
 
@@ -120,6 +121,7 @@ def attempt(solution: Solution, seed: int | None) -> Attempt:
         dual=meta["dual_infeasibility"],
         complementarity=meta["complementarity"],
         detail=worst,
+        motion="" if mode else described(solution),
     )
 
 

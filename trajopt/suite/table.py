@@ -33,8 +33,8 @@ def line(outcome: Outcome) -> str:
 def table(outcomes: Sequence[Outcome], width: int) -> Table:
     """The pairs, sorted, in ``width`` columns: without room the worst figure of the check has no name.
 
-    ``check`` is the part of its tolerance that this figure uses. Columns on perturbed starts (median and 90 %
-    of their iterations among them) only where there are some.
+    ``check`` is the part of its tolerance that this figure uses. Columns on perturbed starts (median, 90 %
+    and worst of their iterations among them) only where there are some.
     """
     perturbed = any(outcome.starts for outcome in outcomes)
     found = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
@@ -49,7 +49,7 @@ def table(outcomes: Sequence[Outcome], width: int) -> Table:
         found.add_column("by its figure", no_wrap=True)
     found.add_column("failure", no_wrap=True)
     if perturbed:
-        for title in ("starts", "50 %", "90 %", "optima"):
+        for title in ("starts", "50 %", "90 %", "worst", "optima", "motions"):
             found.add_column(title, justify="right", no_wrap=True)
     for outcome in sorted(outcomes, key=lambda one: (one.problem, one.robot)):
         found.add_row(*_cells(outcome, named), *(_start_cells(outcome) if perturbed else ()))
@@ -74,10 +74,11 @@ def _cells(outcome: Outcome, named: bool) -> list[str]:
 def _start_cells(outcome: Outcome) -> list[str]:
     starts = outcome.perturbed()
     if not starts.count:
-        return ["", "", "", ""]
-    median = "" if starts.median_iterations is None else f"{starts.median_iterations:g}"
-    ninety = "" if starts.iterations_90 is None else str(starts.iterations_90)
-    return [f"{starts.solved}/{starts.count}", median, ninety, str(starts.optima) if starts.solved else ""]
+        return [""] * 6
+    figures = (starts.median_iterations, starts.iterations_90, starts.most_iterations)
+    found = [str(starts.optima), str(starts.motions)] if starts.solved else ["", ""]
+    cells = ["" if figure is None else f"{figure:g}" for figure in figures]
+    return [f"{starts.solved}/{starts.count}", *cells, *found]
 
 
 def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:

@@ -1,0 +1,135 @@
+"""Robustness: four problems from many perturbed starts with every solver, as the table of docs/robustness.md.
+
+uv run python -m scripts.robustness                        # 200 starts
+uv run python -m scripts.robustness --starts 5 --page -    # a trial; the table to stdout
+uv run python -m scripts.robustness --solver ipopt         # one of the solvers; may be repeated
+uv run python -m scripts.robustness --only-table           # write the table from what is there
+
+Interrupted, the same command goes on where it was: every start that has ended is kept in the work folder.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from trajopt.errors import InputError
+from trajopt.solvers.drivers import SOLVERS
+from trajopt.suite.outcome import Outcome, quantile
+from trajopt.suite.records import FILE
+
+# Problem and robot; of the biped the one whose solves are fastest.
+PAIRS = {"ur5-reach": "ur5", "solo12-jump": "solo12", "hopper-hop": "hopper", "biped-squat": "bolt"}
+WORK = Path("robustness-work")
+PAGE = Path(__file__).parent.parent / "docs" / "robustness.md"
+BEGIN, END = "<!-- table -->", "<!-- end of table -->"
+TITLES = (
+    "problem", "solver", "solved", "iterations: median", "90 %", "worst", "median time", "optima", "motions",
+    "not solved",
+)  # fmt: skip
+# s: several times what any of these solves takes where it comes to an end.
+MOST_TIME = 60.0
+
+
+def run(solver: str, starts: int, work: Path) -> None:
+    """All pairs with one solver, one at a time so that times are its own, going on from before."""
+    command = [sys.executable, "-m", "trajopt", "suite", "--resume", "--jobs", "1"]
+    command += ["--problems", *PAIRS, "--robots", *PAIRS.values(), "--perturbed", str(starts)]
+    command += ["--solver", solver, "--max-time", f"{MOST_TIME:g}", "--output-dir", str(work / solver)]
+    status = subprocess.run(command, check=False).returncode
+    if status not in (0, 1):  # 1: some start was not solved, which is what is being counted
+        sys.exit(status)
+
+
+def outcomes(work: Path, solver: str, starts: int) -> dict[str, Outcome]:
+    """Results by problem, the last ones of each; those of other numbers of starts are passed over."""
+    file, found = work / solver / FILE, {}
+    if not file.is_file():
+        return {}
+    for line in file.read_text(encoding="utf-8").splitlines():
+        try:
+            outcome = Outcome.from_dict(json.loads(line)["outcome"])
+        except (ValueError, KeyError, TypeError):
+            continue
+        if len(outcome.starts) == starts:
+            found[outcome.problem] = outcome
+    return found
+
+
+def cells(outcome: Outcome, solver: str) -> list[str]:
+    """One line of the table."""
+    figures, own = outcome.perturbed(), outcome.own
+    iterations = sorted(attempt.iterations for attempt in outcome.starts if attempt.solved)
+    lost = Counter(attempt.mode for attempt in outcome.starts if not attempt.solved)
+    shown: list[Any] = ["", "", ""]
+    if iterations:
+        shown = [f"{figures.median_iterations:g}", quantile(iterations, 0.9), figures.most_iterations]
+    refused = own is None and outcome.error
+    return [
+        outcome.problem,
+        solver,
+        "refused" if refused else f"{figures.solved} / {figures.count}",
+        *map(str, shown),
+        "" if figures.median_time is None else f"{figures.median_time:.2f} s",
+        *([str(figures.optima), str(figures.motions)] if figures.solved else ["", ""]),
+        ", ".join(f"{mode} {count}" for mode, count in lost.most_common()),
+    ]
+
+
+def table(work: Path, solvers: Sequence[str], starts: int) -> str:
+    """The table as Markdown, problems one after the other, solvers within."""
+    found = {solver: outcomes(work, solver, starts) for solver in solvers}
+    rows = [
+        cells(found[solver][problem], solver)
+        for problem in PAIRS
+        for solver in solvers
+        if problem in found[solver]
+    ]
+    if not rows:
+        raise InputError(f"no results of {starts} starts in {work}", "allowed: run it without --only-table")
+    return "\n".join(_lines([list(TITLES), ["---"] * len(TITLES), *rows]))
+
+
+def _lines(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    for row in rows:
+        yield f"| {' | '.join(row)} |"
+
+
+def written(page: str, new: str) -> str:
+    """The page with the table between its marks. Raises InputError where it has none."""
+    before, begin, rest = page.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not (begin and end):
+        raise InputError(f"the page has no {BEGIN} ... {END}", "allowed: a page with both marks")
+    return f"{before}{BEGIN}\n{new}\n{END}{after}"
+
+
+@click.command()
+@click.option("--starts", type=click.IntRange(1), default=200, show_default=True)
+@click.option("--solver", "solvers", multiple=True, type=click.Choice(list(SOLVERS)), help="[default: all]")
+@click.option("--work", type=Path, default=WORK, show_default=True, help="Folder of the results.")
+@click.option("--page", default=str(PAGE), help="Where the table goes; - for stdout.  [default: docs]")
+@click.option("--only-table", is_flag=True, help="Run nothing.")
+def main(starts: int, solvers: tuple[str, ...], work: Path, page: str, only_table: bool) -> None:
+    """Run what is missing, and write the table."""
+    chosen = solvers or tuple(SOLVERS)
+    if not only_table:
+        for solver in chosen:
+            run(solver, starts, work)
+    new = table(work, chosen, starts)
+    if page == "-":
+        click.echo(new)
+        return
+    target = Path(page)
+    target.write_text(written(target.read_text(encoding="utf-8"), new), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
