@@ -92,10 +92,10 @@ def test_the_rank_of_all_rows_is_that_of_a_dense_decomposition():
 
 
 def snapshot_of(problem: Problem, solution: Solution) -> Snapshot:
-    from trajopt.diagnose.diagnosis import _at_solution
+    from trajopt.diagnose.sources import at_solution
     from trajopt.mesh import mesh_of
 
-    return _at_solution(prepare(problem, mesh=mesh_of(solution), compile="none"), solution)
+    return at_solution(prepare(problem, mesh=mesh_of(solution), compile="none"), solution)
 
 
 def test_a_solutions_own_unknowns_and_multipliers_are_stationary():

@@ -23,7 +23,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 @click.argument("file", type=Path)
 @click.option("--problem", metavar="NAME", help="The problem of FILE.  [default: the one that it names]")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A parameter of --problem.")
-@click.option("--compile", metavar="LEVEL", help="none, quick or fast.  [default: as FILE was solved]")
+@click.option("--compile", metavar="LEVEL", help="none, quick or fast.  [default: as FILE was solved if that is cached]")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def diagnose(
     file: Path, problem: str | None, settings: tuple[str, ...], compile: str | None, as_json: bool

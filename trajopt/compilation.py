@@ -178,6 +178,12 @@ def compile_points(
     return {key: _load(key, [folder / name for name in names]) for key, names in entries.items()}, report
 
 
+def in_cache(points: Iterable[PointFunction], level: str) -> bool:
+    """Whether the exact derivatives of all points are in the cache at a level. Raises InputError."""
+    level, folder = effective_level(level), cache_directory()
+    return all(_intact(folder / entry_key(point, level)) for point in points)
+
+
 def _kinds(point: PointFunction, level: str, hessian: str) -> tuple[str, ...]:
     """Kinds of the entries that hold a point's functions for a Hessian."""
     if hessian == "exact":

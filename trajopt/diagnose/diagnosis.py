@@ -26,14 +26,14 @@ from trajopt.diagnose.findings import (
 from trajopt.diagnose.nonfinite import NonFinite, first_nonfinite
 from trajopt.diagnose.scaling import Scaling, scaling
 from trajopt.diagnose.snapshot import Snapshot
-from trajopt.errors import InputError, TrajoptError
+from trajopt.diagnose.sources import at_guess, at_solution, cached_level, problem_of
+from trajopt.errors import TrajoptError
 from trajopt.extraction import extract
 from trajopt.mesh import mesh_of
 from trajopt.problem import Problem
 from trajopt.solution import Solution
 from trajopt.solving import STILL_FEASIBLE, Prepared, prepare
-from trajopt.transcription import Transcription
-from trajopt.warm_start import solution_of, warm_start
+from trajopt.warm_start import solution_of
 
 # Rows are violated where they miss this, or ten times the solve's tolerance: as a solve itself judges.
 TRUSTED = 10.0
@@ -117,70 +117,19 @@ def diagnose(
 
     what: a solution or its file, solved or not; or a prepared problem, looked at at its guess.
     problem: of the solution; default: that of the catalogue which the file names, with its parameters.
-    compile: level at which functions are compiled; default: the file's, which is in the cache where it was
-    solved. Raises InputError where the problem is unknown, or of other joints or phases than the solution.
+    compile: level at which functions are compiled; default: the file's if it is in the cache, as where it was
+    solved, else none. Raises InputError where the problem is unknown, or of other joints or phases than the
+    solution.
     """
     if isinstance(what, Prepared):
-        return _diagnosed(_at_guess(what), None, f"guess of {what.transcription.problem.name}")
+        return _diagnosed(at_guess(what), None, f"guess of {what.transcription.problem.name}")
     solution = solution_of(what)
     source = str(what) if isinstance(what, str | Path) else "solution"
     rebuilt = problem_of(solution) if problem is None else problem
-    level = compile or solution.meta.get("compile") or "none"
-    prepared = prepare(rebuilt, mesh=mesh_of(solution), compile=level)
-    return _diagnosed(_at_solution(prepared, solution), solution, source)
-
-
-def problem_of(solution: Solution) -> Problem:
-    """The problem of the catalogue that a solution names, with its parameters. Raises InputError."""
-    from trajopt.catalogue import families
-
-    name, known = str(solution.meta["problem"]), families()
-    if name not in known:
-        raise InputError(
-            f"the file's problem '{name}' is not in the catalogue",
-            "allowed: trajopt.diagnose(solution, problem=...) in Python, or --problem NAME",
-        )
-    family = known[name]
-    own = {parameter.name: parameter for parameter in family.parameters}
-    given = solution.meta.get("parameters") or {}
-    values = {key: value for key, value in given.items() if key in own and value is not None}
-    try:
-        return family.load(values)
-    except InputError:  # a derived value need not be one that may be asked for
-        asked = {key: value for key, value in values.items() if own[key].default is not None}
-        return family.load(asked)
-
-
-def _at_guess(prepared: Prepared) -> Snapshot:
-    return Snapshot(nlp=prepared.nlp, x=prepared.guess)
-
-
-def _at_solution(prepared: Prepared, solution: Solution) -> Snapshot:
-    """The solution's own unknowns, and its multipliers where they are of the same rows."""
-    t = prepared.transcription
-    found = warm_start(t, solution)
-    known = _same_rows(t, solution)
-    return Snapshot(
-        nlp=prepared.nlp,
-        x=found.x,
-        row_multiplier=solution.row_multiplier if known else None,
-        bound_multiplier=solution.bound_multiplier if known else None,
-        tolerance=float(solution.meta["tolerance"]),
-    )
-
-
-def _same_rows(t: Transcription, solution: Solution) -> bool:
-    """Whether a solution's multipliers are of this transcription's rows, one by one, and are not all zero."""
-    if solution.row_multiplier is None or solution.bound_multiplier is None or solution.row_place is None:
-        return False
-    if not (solution.row_multiplier.any() or solution.bound_multiplier.any()):
-        return False
-    places = np.column_stack([t.rows.block, t.rows.stage, t.rows.point])
-    return (
-        list(solution.meta.get("row_names", ())) == list(t.rows.names)
-        and np.array_equal(solution.row_place, places)
-        and len(solution.bound_multiplier) == t.layout.n_unknowns
-    )
+    mesh = mesh_of(solution)
+    level = compile or cached_level(rebuilt, mesh, str(solution.meta.get("compile", "none")))
+    prepared = prepare(rebuilt, mesh=mesh, compile=level)
+    return _diagnosed(at_solution(prepared, solution), solution, source)
 
 
 def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Diagnosis:
