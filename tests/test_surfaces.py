@@ -149,8 +149,36 @@ def test_friction_cone_is_coulombs_law_on_any_normal():
         force = generator.normal(size=3) * units.force
         along = force @ normal
         across = np.linalg.norm(force - along * normal)
-        expected = np.array([along / units.force, ((0.4 * along) ** 2 - across**2) / units.force**2])
-        assert_allclose(rows_of(FrictionCone(), surface, force), expected, atol=ROUNDING)
+        pressure, inside = rows_of(FrictionCone(), surface, force)
+        assert_allclose(pressure, along / units.force, atol=ROUNDING)
+        assert (inside >= 0) == (across <= 0.4 * abs(along))
+        if across < 0.4 * abs(along):  # about twice the distance from the side, as forces over the weight
+            assert inside * units.force <= 2 * (0.4 * abs(along) - across) + ROUNDING
+
+
+@pytest.mark.parametrize("term", [FrictionCone(), FrictionPyramid()], ids=["cone", "pyramid"])
+def test_contact_without_friction_transmits_nothing_along_its_surface(term):
+    robot, surface = hopper(), replace(WALL, friction=0.0)
+    context = Context(robot, Coordinates(robot.model), (robot.contact(FOOT),), surfaces={FOOT: surface})
+    rows = term.rows(context, Units(robot))
+    assert rows.lower.tolist() == [0.0, 0.0, 0.0]
+    assert rows.upper.tolist() == [np.inf, 0.0, 0.0]
+    force = 2.0 * surface.normal + 0.3 * surface.tangents[0] - 0.4 * surface.tangents[1]
+    values = rows_of(term, surface, force) / rows_of(term, surface, surface.normal)[0]
+    assert_allclose(values, [2.0, 0.3, -0.4], atol=ROUNDING)
+
+
+@pytest.mark.parametrize("term", [SoleCone(), SoleLimits()], ids=["cone", "limits"])
+def test_sole_without_friction_transmits_no_yaw_moment(term):
+    robot = hopper("surface")
+    surfaces = {FOOT: Surface(point=np.zeros(3), normal=[0, 0, 1], friction=0.0)}
+    context = Context(robot, Coordinates(robot.model), (robot.contact(FOOT),), surfaces=surfaces)
+    rows = term.rows(context, Units(robot))
+    equations = np.flatnonzero(rows.upper == 0.0)
+    assert len(equations) == (3 if isinstance(term, SoleCone) else 1)
+    wrench = np.array([0.0, 0.0, 2.0, 0.0, 0.0, 0.5])
+    values = rows_of(term, surfaces[FOOT], wrench, "surface")
+    assert_allclose(values[equations], [*[0.0] * (len(equations) - 1), 0.5], atol=ROUNDING)
 
 
 def test_friction_pyramid_is_inscribed_in_the_cone():
