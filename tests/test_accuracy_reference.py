@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +24,8 @@ from trajopt.schedule import FlatGround, Phase, Schedule
 from trajopt.terms import AccelerationCost, PostureCost, TorqueCost
 
 TURN = 1.2  # rad
+# On a busy machine a solve, or what comes after it, is what the time ends.
+TIME = r"no reference: (the time is up|.* is not solved \(time limit\))"
 
 
 def swing() -> Problem:
@@ -101,7 +104,7 @@ def test_budget_ends_the_climb_and_names_the_agreement():
     with pytest.raises(NoReferenceError, match=words) as caught:
         reference(swing(), compile="none", agreement=strict, max_unknowns=600)
     assert len(caught.value.rungs) > 2
-    with pytest.raises(NoReferenceError, match="the time is up"):
+    with pytest.raises(NoReferenceError, match=TIME):
         reference(swing(), compile="none", agreement=strict, max_time=0.2)
 
 
@@ -164,5 +167,5 @@ def test_command_that_finds_none_writes_no_file(tmp_path):
     arguments = ["reference", "ur5-reach", "--compile", "none", "--distance", "1e-15", "--max-time", "0.5"]
     result = CliRunner().invoke(main, [*arguments, "--output", str(made)])
     assert result.exit_code == 1
-    assert "no reference: the time is up" in result.stderr
+    assert re.search(TIME, result.stderr)
     assert not made.exists()
