@@ -45,7 +45,7 @@ VARY_FORM = "allowed: NAME=START:STOP:COUNT, such as distance=0.2:0.4:5"
 )
 @click.option("--transcription", metavar="NAME", help="Scheme.  [default: the problem's]")
 @click.option("--intervals", type=GRID, metavar="N", help="Over the schedule.  [default: the problem's]")
-@click.option("--solver", default="ipopt", metavar="NAME", show_default=True, help="ipopt or fatrop.")
+@click.option("--solver", default="ipopt", metavar="NAME", show_default=True, help="ipopt, fatrop or sqp.")
 @click.option("--tol", "tolerance", type=float, default=1e-6, metavar="TOL", show_default=True)
 @click.option(
     "--max-iterations", type=COUNT, default=500, metavar="N", show_default=True, help="Of each solve."

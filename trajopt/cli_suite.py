@@ -72,7 +72,7 @@ def _each(option: str, words: str) -> list[str]:
     "--sigma", type=float, default=0.1, metavar="SIGMA", show_default=True, help="Their noise, scaled units."
 )
 @click.option("--jobs", type=THREADS, metavar="N", help="Processes at a time.  [default: the processors]")
-@click.option("--solver", default="ipopt", metavar="NAME", show_default=True, help="ipopt or fatrop.")
+@click.option("--solver", default="ipopt", metavar="NAME", show_default=True, help="ipopt, fatrop or sqp.")
 @click.option(
     "--max-iterations", type=COUNT, default=500, metavar="N", show_default=True, help="Iteration limit."
 )

@@ -30,11 +30,14 @@ IPOPT_OPTIONS: dict[str, Option] = {
 }
 # Slacks start further inside their bounds than FATROP's own 1e-2: a guess sits on limits it will leave. The
 # pivot tolerance calls a stage's rows dependent early enough that its linear algebra seldom repeats a step.
+# Curvature in proportion to a short step is positive all the same: FATROP's own least pivot, 1e-6, takes it for
+# negative on fine meshes and regularises every step (docs/scaling.md).
 FATROP_OPTIONS: dict[str, Option] = {
     "print_level": 0,
     "bound_push": 0.1,
     "bound_frac": 0.1,
     "linsol_lu_fact_tol": 1e-4,
+    "linsol_pivot_tol": 1e-10,
 }
 
 # A start from another solution (docs/warm-starts.md). IPOPT's own distance from bounds, 1e-2, and its own
@@ -128,6 +131,14 @@ _FATROP_STATUS = {
 }
 
 
+def mesh_weight(t: Transcription) -> float:
+    """Mean weight of a collocation point in the objective: its share of the duration, over sqrt(length / g)."""
+    layout = t.layout
+    phases = range(len(layout.intervals))
+    points = sum(len(layout.intervals_of(phase)) * layout.scheme_of(phase).s for phase in phases)
+    return float(layout.node_times[-1]) / Units(t.problem.robot).time / points
+
+
 def _fatrop(
     nlp: Nlp,
     x0: np.ndarray,
@@ -145,6 +156,9 @@ def _fatrop(
         "tolerance": stop.tolerance,
         "max_iter": stop.max_iterations,
         "max_wall_time": stop.max_time,
+        # A barrier acts at every point alike: the objective, whose points weigh less on a finer mesh, is scaled so
+        # that the mean point weighs one. Else the first barrier is stronger and the last less accurate there.
+        "objective_scale": 1.0 / mesh_weight(t),
         **options,
     }
     nx, nu, ng = (np.array(part, dtype=np.int32) for part in t.stage_sizes())

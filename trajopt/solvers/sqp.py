@@ -47,7 +47,7 @@ STATIONARY = 1e-6
 # Multipliers beyond say nothing but that rows contradict each other: the Hessian does without.
 LARGEST_MULTIPLIER = 1e6
 # Programs are solved to this part of the errors so far, and never less well than that.
-QP_SHARE, LEAST_QP_ACCURACY = 1e-3, 1e-5
+QP_SHARE, LEAST_QP_ACCURACY = 1e-2, 1e-4
 # A direction so short is at the limit of rounding: nothing can be told from values along it.
 TINY = 1e-9
 

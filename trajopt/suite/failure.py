@@ -43,7 +43,7 @@ def mode_of(meta: Mapping[str, Any]) -> str:
     status = Status[meta["status"].upper()]
     if status in _OF_STATUS:
         return _OF_STATUS[status]
-    share = FEASIBILITY_SHARE if meta["solver"] == "ipopt" else 1.0
+    share = FEASIBILITY_SHARE if meta["solver"] in ("ipopt", "sqp") else 1.0
     return worst_condition(
         meta["primal_infeasibility"],
         meta["dual_infeasibility"],
