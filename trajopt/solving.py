@@ -176,7 +176,8 @@ def solve_prepared(
     stop = stop or Stop()
     place = nonfinite_place(prepared.nlp, start)
     if place is None:
-        result = run(prepared.nlp, start, solver, stop, options or {}, progress or _continue, prepared.warm)
+        told = _in_weights(progress or _continue, prepared.transcription.objective_unit)
+        result = run(prepared.nlp, start, solver, stop, options or {}, told, prepared.warm)
     else:
         result = _not_finite(prepared, start)
     return _solution(prepared, result, solver, stop.tolerance, place, origin)
@@ -184,6 +185,11 @@ def solve_prepared(
 
 def _continue(_: dict[str, float]) -> bool:
     return True
+
+
+def _in_weights(progress: Progress, unit: float) -> Progress:
+    """``progress`` told the objective in the problem's weights."""
+    return lambda figures: progress({**figures, "objective": unit * figures["objective"]})
 
 
 def check_settings(
@@ -249,7 +255,7 @@ def _solution(
         "success": success,
         "advice": _advice(status, place, worst <= TRUSTED_VIOLATION * tolerance),
         "iterations": result.iterations,
-        "objective": _number(result.objective),
+        "objective": _number(result.objective * t.objective_unit),
         "tolerance": tolerance,
         "variables": t.layout.n_unknowns,
         "constraints": t.n_rows,

@@ -8,7 +8,7 @@ its natural unit, every unknown is measured in its own, so that one tolerance me
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -52,6 +52,7 @@ class Transcription:
     ``gap_rows`` (one array a stage) and ``linear`` (n_rows, n_unknowns) are the defects' rows and the part
     of all rows that is linear in the unknowns. ``scale`` (n_unknowns,) turns a scaled unknown into SI.
     ``redundant`` names, by phase, rows of contacts that others say already (see ``redundancy``).
+    ``objective_unit``: the groups' costs are over it, see `objective_unit`.
     """
 
     problem: Problem
@@ -67,6 +68,7 @@ class Transcription:
     scale: np.ndarray
     gap_rows: tuple[np.ndarray, ...]
     redundant: Mapping[str, list[str]]
+    objective_unit: float
 
     def stage_sizes(self) -> tuple[list[int], list[int], list[int]]:
         """Numbers of states, controls and path rows of each stage, as structured solvers want them."""
@@ -130,7 +132,10 @@ class Transcriber:
         return Transcription(
             problem=self.problem,
             layout=self.layout,
-            groups=tuple(self.groups),
+            groups=tuple(
+                replace(group, cost_weight=group.cost_weight / objective_unit(self.problem))
+                for group in self.groups
+            ),
             rows=self.rows.info(),
             n_rows=self.rows.count,
             linear=self.collocation.linear_part(numbers.gap, self.linear_rows, self.rows.count),
@@ -141,6 +146,7 @@ class Transcriber:
             scale=self.collocation.scale,
             gap_rows=tuple(numbers.gap),
             redundant=self.functions.redundant(),
+            objective_unit=objective_unit(self.problem),
         )
 
     # Rows
@@ -261,6 +267,16 @@ class Transcriber:
                     cost_weight=np.ones(len(members)),
                 )
             )
+
+
+def objective_unit(problem: Problem) -> float:
+    """The largest weight of a cost, 1 without any: what a solver sees is the objective over it.
+
+    Only ratios of weights mean something. A solver's tolerance is absolute: with weights of 1e-9 it would
+    call any feasible point optimal, and with 1e9 none.
+    """
+    terms = (*problem.costs, *problem.impact_costs, *problem.node_costs)
+    return max((term.weight for term in terms), default=0.0) or 1.0
 
 
 def _gap_group(
