@@ -92,7 +92,10 @@ class Problem:
         names = [phase.name for phase in self.schedule.phases]
         self._require_actuation()
         if len(set(names)) != len(names):
-            raise InputError(f"problem '{self.name}' has two phases of one name: {', '.join(names)}")
+            raise InputError(
+                f"problem '{self.name}' has two phases of one name: {', '.join(names)}",
+                "allowed: a name each",
+            )
         for phase in self.schedule.phases:
             for contact in phase.contacts:
                 self.robot.contact(contact)

@@ -49,7 +49,10 @@ class Phase:
         if self.duration_bounds is not None:
             self._require_bounds(self.duration_bounds)
         if len(set(self.contacts)) != len(self.contacts):
-            raise InputError(f"phase '{self.name}' names a contact twice: {', '.join(self.contacts)}")
+            raise InputError(
+                f"phase '{self.name}' names a contact twice: {', '.join(self.contacts)}",
+                "allowed: each contact once",
+            )
         self._require_active("foothold", self.footholds)
         self._require_active("surface", self.surfaces)
         self._require_active("patch", self.patches)

@@ -1,9 +1,8 @@
-"""Motions between given configurations, for cells about postures, orientations, contacts, limits and goals."""
+"""Motions between given configurations, for cells about postures, contacts, limits and goals."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -16,7 +15,7 @@ from trajopt.problem import Problem
 from trajopt.robot import Robot
 from trajopt.robot_building import standing
 from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.terms import EffortLimits, PositionLimits, Term, TorqueCost, VelocityLimits
+from trajopt.terms import EffortLimits, PositionLimits, Term, VelocityLimits
 
 # Duration of a phase on legs, s: long against what a step of a small quadruped takes at least.
 PHASE = 0.2
@@ -33,9 +32,10 @@ def reach(
     end: Sequence[Term] | None = None,
     guess: Guess | None = None,
     velocity: np.ndarray | None = None,
+    limits: Sequence[Term] = (EffortLimits(), PositionLimits(), VelocityLimits()),
     intervals: int = 10,
 ) -> Problem:
-    """An arm goes from ``start`` to ``goal`` (nq,), to rest, within its limits; ``end`` replaces the goal."""
+    """An arm goes from ``start`` to ``goal`` (nq,), to rest, within limits; ``end`` replaces the goal."""
     return Problem(
         name="reach",
         robot=robot,
@@ -45,9 +45,7 @@ def reach(
         initial_v=np.zeros(robot.nv) if velocity is None else velocity,
         terms=(
             *effort_costs(),
-            EffortLimits(),
-            PositionLimits(),
-            VelocityLimits(),
+            *limits,
             *((TerminalState(q=goal), TerminalRest(q=goal)) if end is None else end),
         ),
         guess=between(robot, start, goal, duration) if guess is None else guess,
@@ -169,13 +167,3 @@ def lowered(robot: Robot, q: np.ndarray, depth: float) -> np.ndarray:
     found = inverse_kinematics(robot, sunk, feet)
     assert found.error < 1e-9, found.error
     return found.q
-
-
-def moved(problem: Problem, **changes: object) -> Problem:
-    """The problem with other parts."""
-    return replace(problem, **changes)
-
-
-def held(robot: Robot) -> TorqueCost:
-    """Least torque and nothing else."""
-    return TorqueCost(weight=1.0)

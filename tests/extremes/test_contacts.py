@@ -1,0 +1,269 @@
+"""Contacts that switch at once, swings to nowhere, single intervals, contacts that repeat each other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose
+
+import robots
+from tests.extremes.moves import legged, stance, steps, with_joints
+from tests.extremes.outcomes import Failed, Refused, Solved, in_process, run
+from tests.problems_for_tests import hopper
+from trajopt.diagnose import diagnose
+from trajopt.kinematics import contact_positions
+from trajopt.model_quantities import contact_jacobian
+from trajopt.node_terms import TerminalRest, TerminalState
+from trajopt.problem import Problem
+from trajopt.robot import Contact, Robot
+from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.solvers import SOLVERS, Status
+from trajopt.terms import (
+    AccelerationCost,
+    EffortLimits,
+    FrictionPyramid,
+    PostureCost,
+    TorqueCost,
+    WrenchCost,
+)
+
+# Open-loop error of phases of 0.05 to 0.2 s on three intervals each, over the robot's length or rad; measured
+# up to 2.3e-3.
+STEP = 1e-2
+# Of standing still for 0.4 s, measured up to 1.2e-4.
+STILL = 1e-3
+# Forces of two ways to write the same contact, over the weight: what solvers leave.
+SAME = 1e-4
+CAUSE = "depend on each other there"
+
+FL, FR, HL, HR = SOLO = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
+DIAGONALS = ((FL, HR), (FR, HL))
+
+# Contacts of each phase, and a phase's duration, s.
+SWITCHES = {
+    "a foot lifts and lands where it was": ((SOLO, (FR, HL, HR), SOLO), 0.2),
+    "one lands as another lifts": ((SOLO, (FL, FR, HL), (FL, FR, HR), SOLO), 0.15),
+    "one diagonal lands as the other lifts": ((SOLO, *DIAGONALS, SOLO), 0.2),
+    "all four swap each time": ((*DIAGONALS, *DIAGONALS), 0.2),
+    "the front lands as the back lifts": ((SOLO, (HL, HR), (FL, FR), SOLO), 0.1),
+    "three land as the last one lifts": ((SOLO, (FL,), (FR, HL, HR), SOLO), 0.06),
+}
+
+
+@pytest.mark.parametrize("what", SWITCHES)
+def test_contacts_switch_at_once(what):
+    sets, duration = SWITCHES[what]
+    height = min(0.02, 0.2 * duration)
+    make = lambda: steps(robots.load("solo12"), sets, duration=duration, clearance=height)  # noqa: E731
+    solution = run(Solved(STEP), make, intervals=3 * len(sets))
+    steps_of_feet = np.abs(np.diff(solution.q[:, :3], axis=0)).max()
+    assert steps_of_feet < 0.05  # m: nothing jumps
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_every_solver_swaps_diagonals_at_once(solver):
+    sets = SWITCHES["one diagonal lands as the other lifts"][0]
+    run(Solved(STEP), lambda: steps(robots.load("solo12"), sets), intervals=12, solver=solver)
+
+
+@pytest.mark.slow
+def test_a_larger_quadruped_swaps_diagonals_at_once():
+    feet = [contact.name for contact in robots.load("go2").contacts]
+    sets = (feet, (feet[0], feet[3]), (feet[1], feet[2]), feet)
+    run(Solved(STEP), lambda: steps(robots.load("go2"), sets), intervals=12)
+
+
+def test_contacts_land_by_an_impact_as_others_lift():
+    sets = SWITCHES["one diagonal lands as the other lifts"][0]
+    run(Solved(STEP), lambda: steps(robots.load("solo12"), sets, impact=True), intervals=12)
+
+
+def test_a_swing_without_foothold_lands_anywhere():
+    sets = SWITCHES["a foot lifts and lands where it was"][0]
+    make = lambda: steps(robots.load("solo12"), sets, footholds=False)  # noqa: E731
+    run(Solved(STEP), make, intervals=9)
+
+
+# One interval a phase
+
+
+@pytest.mark.parametrize("scheme", ["legendre:2", "radau:3", "hermite-simpson"])
+def test_a_phase_of_one_interval_is_enough(scheme):
+    sets = (SOLO, *DIAGONALS, SOLO)
+    make = lambda: steps(robots.load("solo12"), sets, duration=0.1, clearance=0.0)  # noqa: E731
+    run(Solved(STEP), make, transcription=scheme, intervals=4)
+
+
+def test_one_interval_of_degree_one_says_too_much_of_a_swing():
+    """A constant acceleration cannot lift a foot and put it down at rest: nine rows for it, all zero, three
+    unknowns."""
+    sets = (SOLO, *DIAGONALS, SOLO)
+    make = lambda: steps(robots.load("solo12"), sets, duration=0.1, clearance=0.0)  # noqa: E731
+    failed = Failed(Status.ITERATION_LIMIT, Status.STEP_FAILED, advice=CAUSE)
+    solution = run(failed, make, transcription="legendre:1", intervals=4, max_iterations=60)
+    found = in_process(lambda: str(diagnose(solution, make(), compile="none")))
+    assert "contact_landing" in found
+
+
+def test_fewer_intervals_than_phases_are_refused():
+    make = lambda: steps(robots.load("solo12"), (SOLO, *DIAGONALS, SOLO))  # noqa: E731
+    run(Refused("3 intervals for 4 phases"), make, intervals=3)
+
+
+@pytest.mark.parametrize("brief", [1e-3, 1e-4])
+def test_a_phase_of_a_blink_is_solved(brief):
+    """Between two stances a diagonal is off the ground for no time at all."""
+    robot = robots.load("solo12")
+    places = contact_positions(robot, robot.reference)
+    phases = (
+        Phase(name="before", duration=0.2, contacts=SOLO),
+        Phase(name="blink", duration=brief, contacts=DIAGONALS[0]),
+        Phase(
+            name="after", duration=0.2, contacts=SOLO, footholds={name: places[name] for name in DIAGONALS[1]}
+        ),
+    )
+    q = robot.reference
+    run(Solved(STEP), lambda: legged(robot, Schedule(phases), q, q, lambda t: q), intervals=7)
+
+
+# Contacts that repeat each other
+
+
+def corners(count: int) -> Robot:
+    """The hopper with a foot of that many corners (of four), or of the whole sole for none, at its ankle."""
+    sole = hopper("surface")
+    model, foot = sole.model.copy(), sole.model.frames[sole.model.getFrameId("foot")]
+    names = []
+    for x, y in ((-0.08, -0.05), (-0.08, 0.05), (0.08, -0.05), (0.08, 0.05))[:count]:
+        names.append(f"corner{len(names)}")
+        place = foot.placement * pin.SE3(np.eye(3), np.array([x, y, 0.0]))
+        model.addFrame(pin.Frame(names[-1], foot.parentJoint, 0, place, pin.FrameType.OP_FRAME))
+    return replace(sole, model=model, contacts=tuple(Contact(frame=name) for name in names))
+
+
+def standing_hopper(robot: Robot, names: tuple[str, ...] | None = None, wrench: float = 1e-2) -> Problem:
+    """At rest on its contacts, or those named, and at rest at the end."""
+    q, every = robot.reference, tuple(contact.name for contact in robot.contacts)
+    return Problem(
+        name="standing",
+        robot=robot,
+        schedule=Schedule((Phase(name="stance", duration=0.4, contacts=names or every),)),
+        terrain=FlatGround(friction=0.7),
+        initial_q=q,
+        initial_v=np.zeros(robot.nv),
+        terms=(
+            TorqueCost(weight=1.0),
+            PostureCost(weight=1.0),
+            *((WrenchCost(weight=wrench),) if wrench else ()),
+            EffortLimits(),
+            FrictionPyramid(),
+            TerminalState(q=q),
+            TerminalRest(q=q),
+        ),
+        guess=lambda t: q,
+    )
+
+
+def total_force(solution) -> np.ndarray:  # type: ignore[no-untyped-def]
+    return solution.f[:, :, :3].sum(axis=1)
+
+
+@pytest.mark.parametrize("wrench", [1e-2, 0.0], ids=["forces have a price", "forces have none"])
+def test_a_foot_of_four_corners_stands_still(wrench):
+    """Twelve rows of rank six, and forces that no row tells apart."""
+    robot = corners(4)
+    places = [(contact.frame, contact.rows) for contact in robot.contacts]
+    assert np.linalg.matrix_rank(contact_jacobian(robot.model, robot.reference, places)) == 6
+    solution = run(Solved(STILL), lambda: standing_hopper(robot, wrench=wrench), intervals=6)
+    assert len(solution.meta["redundant_contact_rows"]["stance"]) == 6
+    assert_allclose(total_force(solution)[solution.collocation].mean(axis=0)[2], robot.weight, rtol=1e-2)
+
+
+def test_two_points_on_a_line_leave_the_turn_about_it():
+    """Six rows of rank five; the foot tips about its edge, as nothing holds it."""
+    robot = corners(4)
+    names = ("corner0", "corner1")
+    problem = standing_hopper(robot, names)
+    costs = (TorqueCost(weight=1.0), AccelerationCost(weight=1e-2), WrenchCost(weight=1e-2))
+    schedule = Schedule((Phase(name="stance", duration=0.1, contacts=names),))
+    solution = run(Solved(STILL), lambda: replace(problem, schedule=schedule, terms=costs), intervals=6)
+    assert solution.meta["redundant_contact_rows"] == {"stance": ["corner1 y"]}
+
+
+def test_four_coplanar_feet_at_rest_keep_all_their_rows():
+    robot = robots.load("solo12")
+    solution = run(Solved(STILL), lambda: stance(robot, robot.reference), transcription="legendre:3")
+    assert solution.meta["redundant_contact_rows"] == {}
+    assert_allclose(solution.q, np.tile(robot.reference, (len(solution.t), 1)), atol=5e-2)
+
+
+def repeated(robot: Robot) -> Robot:
+    """The robot with its first contact a second time, under another name."""
+    return replace(robot, contacts=(*robot.contacts, Contact(frame=robot.contacts[0].frame, name="again")))
+
+
+@pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
+def test_a_contact_given_twice_shares_its_force(solver):
+    robot = robots.load("solo12")
+    twice = run(Solved(STILL), lambda: stance(repeated(robot), robot.reference, intervals=6), solver=solver)
+    once = run(Solved(STILL), lambda: stance(robot, robot.reference, intervals=6), solver=solver)
+    assert twice.meta["redundant_contact_rows"] == {"stance": ["again x", "again y", "again z"]}
+    assert_allclose(total_force(twice), total_force(once), atol=1e-2 * robot.weight)
+    shared = twice.f[:, [0, 4], :3]
+    assert_allclose(shared[:, 0], shared[:, 1], atol=SAME * robot.weight)
+
+
+def test_a_contact_given_twice_lands_once():
+    robot = repeated(robots.load("solo12"))
+    names = tuple(contact.name for contact in robot.contacts)
+    sets = (names, (FR, HL, HR), names)
+    make = lambda: steps(robot, sets, duration=0.15)  # noqa: E731
+    solution = run(Solved(STEP), make, intervals=9)
+    assert solution.meta["redundant_contact_rows"]["phase 2"] == ["again x", "again y", "again z"]
+
+
+def test_a_point_within_a_sole_adds_nothing():
+    robot = hopper("surface")
+    both = replace(robot, contacts=(*robot.contacts, Contact(frame="foot", name="point")))
+    problem = standing_hopper(both)
+    terms = tuple(term for term in problem.terms if not isinstance(term, FrictionPyramid))
+    solution = run(Solved(STILL), lambda: replace(problem, terms=terms), intervals=6)
+    assert solution.meta["redundant_contact_rows"] == {"stance": ["point x", "point y", "point z"]}
+
+
+def test_two_contacts_of_one_name_and_one_named_twice_are_refused():
+    robot = robots.load("solo12")
+    run(Refused("two contacts named"), lambda: replace(robot, contacts=(*robot.contacts, robot.contacts[0])))
+    run(Refused("names a contact twice"), lambda: steps(robot, ((FL, FL),)))
+
+
+def test_a_foothold_further_than_the_links_is_refused():
+    """Two feet that stand at once are never further apart than all links between them."""
+    robot = robots.load("solo12")
+    place = contact_positions(robot, robot.reference)[FL] + [2.0, 0.0, 0.0]
+    phases = (
+        Phase(name="before", duration=0.2, contacts=(FR, HL, HR)),
+        Phase(name="after", duration=0.2, contacts=SOLO, footholds={FL: place}),
+    )
+    problem = stance(robot, robot.reference)
+    endless = tuple(term for term in problem.terms if not term.name.startswith("terminal"))
+    refused = Refused(r"'FL_FOOT' and '\w+' stand in phase 'after' .* apart; allowed: up to")
+    run(refused, lambda: replace(problem, schedule=Schedule(phases), terms=endless))
+
+
+def test_the_longest_stretch_of_two_feet_is_allowed():
+    """The bound is no lower than what postures reach: legs spread along one line."""
+    robot = robots.load("solo12")
+    spread = with_joints(
+        robot, {f"{leg}_HFE": -np.pi / 2 if leg[0] == "F" else np.pi / 2 for leg in ("FL", "HL")}
+        | {f"{leg}_KFE": 0.0 for leg in ("FL", "HL")},
+    )  # fmt: skip
+    places = contact_positions(robot, spread)
+    assert np.linalg.norm(places[FL] - places[HL]) > 0.9
+    problem = stance(robot, robot.reference)
+    endless = tuple(term for term in problem.terms if not term.name.startswith("terminal"))
+    phase = Phase(name="spread", duration=0.2, contacts=(FL, HL))
+    assert replace(problem, schedule=Schedule((phase,)), terms=endless, initial_q=spread).robot is robot

@@ -1,0 +1,155 @@
+"""Singular postures at start, goal and guess: straight and folded legs, stretched arms, wrists in line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import robots
+from tests.extremes.moves import lowered, pose_goal, reach, stance, with_joints
+from tests.extremes.outcomes import Failed, Solved, in_process, run
+from trajopt.diagnose import diagnose
+from trajopt.kinematics import contact_positions
+from trajopt.model_quantities import contact_jacobian
+from trajopt.robot import Robot
+from trajopt.solvers import Status
+
+# Open-loop error (rad) of an arm's second of motion on ten intervals of degree three, measured up to 1e-4.
+ARM = 5e-4
+# The same of a stance, over the robot's length: measured up to 7e-4.
+STANCE = 3e-3
+# Of legs that start exactly straight and stay: with nothing to tell a bend this way from one that way, the
+# error of an open loop grows e-fold every sqrt(l / g); measured 4e-4 after 0.2 s.
+STRAIGHT = 3e-3
+# A singular value this small is zero.
+ZERO = 1e-12
+
+CAUSE = "depend on each other there"
+
+
+def ur5() -> dict[str, np.ndarray]:
+    """Postures of the UR5 by name: all but the usual one singular."""
+    arm, down = robots.load("ur5"), -np.pi / 2
+    return {
+        "usual": arm.reference,
+        "stretched": with_joints(
+            arm, {"shoulder_lift_joint": -0.6, "elbow_joint": 0.0, "wrist_1_joint": -0.5}
+        ),
+        "wrist in line": with_joints(arm, {"wrist_2_joint": 0.0}),
+        "upright": with_joints(
+            arm,
+            {"shoulder_lift_joint": down, "elbow_joint": 0.0, "wrist_1_joint": down, "wrist_2_joint": 0.0},
+        ),
+    }
+
+
+@pytest.mark.parametrize("singular", ["stretched", "wrist in line", "upright"])
+@pytest.mark.parametrize("end", ["start", "goal", "guess"])
+def test_arm_reaches_from_to_and_through_singular_postures(singular, end):
+    postures, arm = ur5(), robots.load("ur5")
+    start, goal = postures["usual"], postures["usual"] + 0.2
+    start, goal = (postures[singular] if end == name else q for name, q in (("start", start), ("goal", goal)))
+    guess = (lambda t: postures[singular]) if end == "guess" else None
+    run(Solved(ARM), lambda: reach(arm, start, goal, guess=guess), transcription="legendre:3")
+
+
+def test_pose_at_which_a_wrist_is_in_line_is_reached():
+    postures, arm = ur5(), robots.load("ur5")
+    end = pose_goal(arm, postures["wrist in line"], "tool0")
+    make = lambda: reach(arm, postures["usual"], postures["wrist in line"], end=end)  # noqa: E731
+    run(Solved(ARM), make, transcription="legendre:3")
+
+
+def test_pose_at_full_stretch_stops_at_it_and_names_its_rows():
+    """The pose is on the edge of what the arm reaches: there its rows lose rank and have no multipliers."""
+    postures, arm = ur5(), robots.load("ur5")
+    end = pose_goal(arm, postures["stretched"], "tool0")
+
+    def make():
+        return reach(arm, postures["usual"], postures["stretched"], end=end)
+
+    stuck = Failed(Status.STEP_FAILED, Status.ITERATION_LIMIT, advice=CAUSE)
+    solution = run(stuck, make, transcription="legendre:3", max_iterations=100)
+    np.testing.assert_allclose(solution.q[-1][2], 0.0, atol=1e-5)  # the elbow is straight, all the same
+    found = in_process(lambda: str(diagnose(solution, make(), compile="none")))
+    assert "frame_pose" in found
+
+
+def test_panda_reaches_from_a_wrist_in_line():
+    arm = robots.load("panda")
+    start = with_joints(arm, {"panda_joint6": 0.0})
+    run(Solved(ARM), lambda: reach(arm, start, arm.reference), transcription="legendre:3")
+
+
+def straight(robot: Robot) -> np.ndarray:
+    return with_joints(robot, dict.fromkeys(list(robot.model.names)[2:], 0.0))
+
+
+def folded(robot: Robot, open_by: float = 0.0) -> np.ndarray:
+    """Solo12's shanks along its thighs, which lie level: the feet are at the hips."""
+    values = {}
+    for name in list(robot.model.names)[2:]:
+        side = 1.0 if name.startswith("F") else -1.0
+        values[name] = {"HAA": 0.0, "HFE": side * np.pi / 2, "KFE": side * (open_by - np.pi)}[name[-3:]]
+    return with_joints(robot, values)
+
+
+def test_straight_legs_lose_rank_at_their_knees():
+    """What is singular about them: feet cannot move along the legs."""
+    robot = robots.load("solo12")
+    leg = contact_jacobian(robot.model, straight(robot), [("FL_FOOT", (0, 1, 2))])[:, 6:9]
+    assert np.linalg.svd(leg)[1][-1] < ZERO
+
+
+def test_quadruped_stands_on_straight_legs():
+    robot = robots.load("solo12")
+    make = lambda: stance(robot, straight(robot), duration=0.2, intervals=6)  # noqa: E731
+    run(Solved(STRAIGHT), make, transcription="legendre:3")
+
+
+@pytest.mark.parametrize("name", ["solo12", pytest.param("g1", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("end", ["start", "goal", "guess"])
+def test_legs_bend_from_and_stretch_to_straight(name, end):
+    robot = robots.load(name)
+    stretched = straight(robot)
+    low = lowered(robot, stretched, 0.2 * robot.length)
+    start, goal = (stretched if end == which else low for which in ("start", "goal"))
+    guess = (lambda t: stretched) if end == "guess" else None
+    duration = 2 * np.sqrt(robot.length / 9.81)
+    make = lambda: stance(robot, start, goal, duration=duration, guess=guess)  # noqa: E731
+    run(Solved(STANCE), make, transcription="legendre:3")
+
+
+def test_quadruped_rises_from_nearly_folded_legs():
+    robot = robots.load("solo12")
+    start = folded(robot, 0.25)
+    run(Solved(STANCE), lambda: stance(robot, start, lowered(robot, start, -0.1)), transcription="legendre:3")
+
+
+def test_feet_at_the_hips_fail_with_their_rows_named():
+    """Five of the twelve rows that hold the feet say nothing new at the start, and all others nearby."""
+    robot = robots.load("solo12")
+    start = folded(robot)
+    places = [(contact.frame, contact.rows) for contact in robot.contacts]
+    singular = np.linalg.svd(contact_jacobian(robot.model, start, places))[1]
+    assert int(np.sum(singular < ZERO)) == 5
+    make = lambda: stance(robot, start, intervals=3)  # noqa: E731
+    stuck = Failed(Status.ITERATION_LIMIT, Status.STEP_FAILED, block="contact_acceleration")
+    solution = run(stuck, make, max_iterations=30)
+    found = in_process(lambda: str(diagnose(solution, make(), compile="none")))
+    assert "postures there are singular" in found
+
+
+def test_knee_at_its_limit_is_a_start():
+    """The hopper's knee ends 0.05 rad before it is straight: a start on the limit, nearly singular."""
+    robot = robots.load("hopper")
+    knee = list(robot.model.names)[-1]
+    start = with_joints(robot, {knee: float(robot.position_lower[-1])})
+    start[: robot.nq - robot.nu] = robot.reference[: robot.nq - robot.nu]
+    start[1] -= contact_positions(robot, start)["foot"][2]
+    assert start[-1] == robot.position_lower[-1]
+    problem = stance(robot, start, duration=0.1)
+    free = tuple(term for term in problem.terms if not term.name.startswith("terminal"))
+    run(Solved(STANCE), lambda: replace(problem, terms=free), transcription="legendre:3")
