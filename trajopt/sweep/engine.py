@@ -17,7 +17,7 @@ from trajopt.progress import GRACE
 from trajopt.sweep.plan import Plan
 from trajopt.sweep.process import Pool
 from trajopt.sweep.records import Asked, Records
-from trajopt.sweep.result import LOST, Job, Run
+from trajopt.sweep.result import LOST, NOT_COMPILED, Job, Run
 from trajopt.sweep.summary import median_run
 
 # Beyond this multiple of the fastest calibration the machine is not what it was; on an idle machine they
@@ -70,11 +70,32 @@ class Sweep:
 
     def run(self) -> None:
         """Everything that is not recorded yet."""
+        self._compile()
         self._calibrate()
         self._runs()
         if self._asked.reference_time > 0:
             self._reference()
         self._accuracy()
+
+    def _compile(self) -> None:
+        """Functions of all settings, before anything is timed, by compilers on all cores.
+
+        Settings whose functions cannot be had are given up: a run that says so is recorded.
+        """
+        asked, found = self._asked, self._records.found
+        for name, setting in self._settings.items():
+            if setting.functions not in found.compiled and not found.attempts(name, 0):
+                self._display.started(f"{self._labels[name]}: compiling")
+                task = {"task": "compile", "setting": setting.to_dict(), "limit": asked.build_time}
+                answer = self._pool.ask({**self._problem_of_task(), **task})
+                self._records.add_compiled(setting.functions, answer)
+                if answer.get("functions_compiled"):
+                    self._display.finished(f"{setting.functions}: compiled in {answer['compile_time']:.1f} s")
+            answer = found.compiled.get(setting.functions, {"kind": "done"})
+            if answer["kind"] != "done" and not found.attempts(name, 0):
+                job = Job(setting=name, start=0)
+                self._records.add_run(Run(**asdict(job), status=NOT_COMPILED, detail=answer["detail"]))
+                self._display.finished(f"{self._labels[name]}: not compiled ({answer['detail']})")
 
     def _calibrate(self) -> None:
         if not self._records.found.calibrations:
@@ -155,7 +176,7 @@ class Sweep:
     def _count(self, run: Run) -> None:
         """A setting that is refused, or lost too often, is given up."""
         self._lost[run.setting] += run.status == LOST
-        if run.is_refused or self._lost[run.setting] >= MOST_LOST:
+        if run.is_final or self._lost[run.setting] >= MOST_LOST:
             self._given_up.add(run.setting)
 
     def _estimate(self, run: Run, seconds: float, waiting: deque[Job]) -> None:

@@ -78,6 +78,8 @@ class Asked:
 class Found:
     """All that is known: runs by job, accuracy by setting, s of calibrations, the reference's text.
 
+    ``compiled`` are times and counts of what was compiled before the runs, by `Setting.functions`.
+
     ``accuracy`` holds for each setting the job whose solution was measured, whether against the reference,
     and the figures by column, None where they could not be had.
     """
@@ -86,6 +88,7 @@ class Found:
     accuracy: dict[str, tuple[Job, bool, dict[str, float | None]]] = field(default_factory=dict)
     calibrations: list[float] = field(default_factory=list)
     reference: dict[str, Any] | None = None
+    compiled: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def attempts(self, setting: str, start: int) -> list[Run]:
         """Runs of one setting from one start, in order."""
@@ -143,6 +146,10 @@ class Records:
         """Keep what is known of the reference: ``ok`` and a ``text``."""
         self._take({"reference": dict(values)})
 
+    def add_compiled(self, functions: str, values: Mapping[str, Any]) -> None:
+        """Keep what compiling some functions took."""
+        self._take({"compiled": [functions, dict(values)]})
+
     def add_calibrations(self, seconds: list[float]) -> None:
         """Keep calibrations of a machine at rest."""
         self._take({"calibrations": seconds})
@@ -161,6 +168,9 @@ class Records:
             self.found.accuracy[job["setting"]] = (Job(**job), bool(against_reference), dict(figures))
         elif "reference" in entry:
             self.found.reference = dict(entry["reference"])
+        elif "compiled" in entry:
+            functions, values = entry["compiled"]
+            self.found.compiled[functions] = dict(values)
         elif "calibrations" in entry:
             self.found.calibrations += [float(value) for value in entry["calibrations"]]
 

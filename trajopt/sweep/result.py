@@ -9,6 +9,7 @@ from typing import Any
 # Statuses besides the solver's: the settings do not fit the problem, or the process was lost.
 REFUSED = "refused"
 LOST = "lost"
+NOT_COMPILED = "not_compiled"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,9 +61,9 @@ class Run:
         return Job(setting=self.setting, start=self.start, attempt=self.attempt)
 
     @property
-    def is_refused(self) -> bool:
-        """Whether the setting does not fit the problem: so it will be again."""
-        return self.status == REFUSED
+    def is_final(self) -> bool:
+        """Whether it will be the same again: the setting does not fit, or its functions cannot be had."""
+        return self.status in (REFUSED, NOT_COMPILED)
 
     @property
     def time(self) -> float:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from trajopt.cli_report import worst_block
+from trajopt.compilation import compile_points
 from trajopt.problem import Problem
 from trajopt.reduced.two_stage import recover_torques, without_torques
 from trajopt.reduced.wrench_distribution import redistributed
@@ -17,6 +18,7 @@ from trajopt.sweep.calibration import Load
 from trajopt.sweep.result import Job, Run
 from trajopt.sweep.setting import Setting
 from trajopt.sweep.variants import with_cone
+from trajopt.transcription import transcribe
 from trajopt.warm_start import warm_start
 
 # A warm start comes from the solution on this part of the intervals, in the same scheme.
@@ -79,6 +81,20 @@ def run(problem: Problem, setting: Setting, job: Job, limits: Limits, file: Path
         calibration=max(before, after),
         cpu_share=min(1.0, busy / max(elapsed - once["compile_time"], busy)),
     )
+
+
+def compiled(problem: Problem, setting: Setting) -> dict[str, Any]:
+    """Compile what a setting needs, where it is not in the cache: times in s, and how many functions."""
+    asked = with_cone(problem, setting.cone)
+    first = without_torques(asked) if setting.model == "two-stage" else asked
+    groups = transcribe(first, setting.transcription, setting.intervals).groups
+    points = {id(group.point): group.point for group in groups}
+    _, report = compile_points(points.values(), setting.compile, setting.hessian)
+    return {
+        "build_time": report.build_time,
+        "compile_time": report.compile_time,
+        "functions_compiled": report.built,
+    }
 
 
 def _repeated(problem: Problem, setting: Setting, job: Job, limits: Limits) -> list[_Made]:

@@ -71,6 +71,11 @@ class Setting:
         """Collocation points over the whole schedule."""
         return self.intervals * scheme(self.transcription).s
 
+    @property
+    def functions(self) -> str:
+        """What its compiled functions depend on, in words: no scheme, step or number of intervals."""
+        return " ".join((self.compile, self.hessian, self.cone, self.model))
+
     def words(self) -> dict[str, str]:
         """Each axis in a word; the grid is one."""
         grid = f"{self.transcription}@{self.intervals}"

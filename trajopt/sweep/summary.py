@@ -25,8 +25,9 @@ class Summary:
     """A setting and what was found on it.
 
     runs: the best attempt from each start. median: the run of the median time, a failed one counting as the
-    slowest; None before the first. accuracy: of its solution, by column of `figures.COLUMNS`. dominated_by:
-    the setting on the front that is ahead of it by most.
+    slowest; None before the first. accuracy: of its solution, by column of `figures.COLUMNS`. compiled: what
+    compiling its functions took, shared by all settings with the same ones. dominated_by: the setting on the
+    front that is ahead of it by most.
     """
 
     setting: Setting
@@ -35,6 +36,7 @@ class Summary:
     runs: tuple[Run, ...]
     median: Run | None
     accuracy: Figures = field(default_factory=dict)
+    compiled: dict[str, Any] = field(default_factory=dict)
     on_front: bool = False
     dominated_by: str = ""
 
@@ -134,6 +136,7 @@ def _summary(plan: Plan, found: Found, starts: Sequence[int], setting: Setting) 
         runs=tuple(run for start in starts if (run := found.best(name, start)) is not None),
         median=median,
         accuracy=dict(figures) if known else {},
+        compiled=found.compiled.get(setting.functions, {}),
     )
 
 

@@ -12,9 +12,10 @@ from trajopt.catalogue import families as catalogue
 from trajopt.family import Family, choose
 from trajopt.problem import Problem
 from trajopt.sweep.calibration import Load
+from trajopt.sweep.cores import unpin
 from trajopt.sweep.figures import figures
 from trajopt.sweep.result import Job
-from trajopt.sweep.run import Limits, run
+from trajopt.sweep.run import Limits, compiled, run
 from trajopt.sweep.setting import Setting
 
 Task = Mapping[str, Any]
@@ -41,6 +42,11 @@ def _run(task: Task) -> dict[str, Any]:
     return {"run": found.to_dict()}
 
 
+def _compile(task: Task) -> dict[str, Any]:
+    unpin()
+    return compiled(_problem(task), Setting.from_dict(task["setting"]))
+
+
 def _accuracy(task: Task) -> dict[str, Any]:
     known = None if task["reference"] is None else Path(task["reference"])
     return {"figures": figures(Path(task["file"]), known)}
@@ -58,6 +64,7 @@ def _calibration(task: Task) -> dict[str, Any]:
 
 
 KINDS: dict[str, Callable[[Task], dict[str, Any]]] = {
+    "compile": _compile,
     "run": _run,
     "accuracy": _accuracy,
     "reference": _reference,
