@@ -1,8 +1,8 @@
 """Robustness: four problems from many perturbed starts with every solver, as the table of docs/robustness.md.
 
-uv run python -m scripts.robustness                        # 200 starts
+uv run python -m scripts.robustness                        # 200 starts at two noises, one core
 uv run python -m scripts.robustness --starts 5 --page -    # a trial; the table to stdout
-uv run python -m scripts.robustness --solver ipopt         # one of the solvers; may be repeated
+uv run python -m scripts.robustness --solver ipopt --sigma 0.1   # one of each; may be repeated
 uv run python -m scripts.robustness --only-table           # write the table from what is there
 
 Interrupted, the same command goes on where it was: every start that has ended is kept in the work folder.
@@ -31,26 +31,34 @@ WORK = Path("robustness-work")
 PAGE = Path(__file__).parent.parent / "docs" / "robustness.md"
 BEGIN, END = "<!-- table -->", "<!-- end of table -->"
 TITLES = (
-    "problem", "solver", "solved", "iterations: median", "90 %", "worst", "median time", "optima", "motions",
-    "not solved",
+    "problem", "noise", "solver", "solved", "iterations: median", "90 %", "worst", "median time", "optima",
+    "motions", "not solved",
 )  # fmt: skip
+# Scaled units: a tenth is metres of leg or half a dozen degrees; three tenths are far from any motion.
+NOISES = (0.1, 0.3)
 # s: several times what any of these solves takes where it comes to an end.
 MOST_TIME = 60.0
 
 
-def run(solver: str, starts: int, work: Path) -> None:
+def folder(work: Path, solver: str, sigma: float) -> Path:
+    """Where the results of a solver are at a noise."""
+    return work / f"{solver}-{sigma:g}"
+
+
+def run(solver: str, starts: int, sigma: float, work: Path) -> None:
     """All pairs with one solver, one at a time so that times are its own, going on from before."""
     command = [sys.executable, "-m", "trajopt", "suite", "--resume", "--jobs", "1"]
     command += ["--problems", *PAIRS, "--robots", *PAIRS.values(), "--perturbed", str(starts)]
-    command += ["--solver", solver, "--max-time", f"{MOST_TIME:g}", "--output-dir", str(work / solver)]
+    command += ["--sigma", f"{sigma:g}", "--solver", solver, "--max-time", f"{MOST_TIME:g}"]
+    command += ["--output-dir", str(folder(work, solver, sigma))]
     status = subprocess.run(command, check=False).returncode
     if status not in (0, 1):  # 1: some start was not solved, which is what is being counted
         sys.exit(status)
 
 
-def outcomes(work: Path, solver: str, starts: int) -> dict[str, Outcome]:
+def outcomes(results: Path, starts: int) -> dict[str, Outcome]:
     """Results by problem, the last ones of each; those of other numbers of starts are passed over."""
-    file, found = work / solver / FILE, {}
+    file, found = results / FILE, {}
     if not file.is_file():
         return {}
     for line in file.read_text(encoding="utf-8").splitlines():
@@ -63,7 +71,7 @@ def outcomes(work: Path, solver: str, starts: int) -> dict[str, Outcome]:
     return found
 
 
-def cells(outcome: Outcome, solver: str) -> list[str]:
+def cells(outcome: Outcome, solver: str, sigma: float) -> list[str]:
     """One line of the table."""
     figures, own = outcome.perturbed(), outcome.own
     iterations = sorted(attempt.iterations for attempt in outcome.starts if attempt.solved)
@@ -74,6 +82,7 @@ def cells(outcome: Outcome, solver: str) -> list[str]:
     refused = own is None and outcome.error
     return [
         outcome.problem,
+        f"{sigma:g}",
         solver,
         "refused" if refused else f"{figures.solved} / {figures.count}",
         *map(str, shown),
@@ -83,14 +92,15 @@ def cells(outcome: Outcome, solver: str) -> list[str]:
     ]
 
 
-def table(work: Path, solvers: Sequence[str], starts: int) -> str:
-    """The table as Markdown, problems one after the other, solvers within."""
-    found = {solver: outcomes(work, solver, starts) for solver in solvers}
+def table(work: Path, solvers: Sequence[str], sigmas: Sequence[float], starts: int) -> str:
+    """The table as Markdown, problems one after the other, noises and solvers within."""
+    keys = [(sigma, solver) for sigma in sigmas for solver in solvers]
+    found = {(s, solver): outcomes(folder(work, solver, s), starts) for s, solver in keys}
     rows = [
-        cells(found[solver][problem], solver)
+        cells(found[key][problem], key[1], key[0])
         for problem in PAIRS
-        for solver in solvers
-        if problem in found[solver]
+        for key in keys
+        if problem in found[key]
     ]
     if not rows:
         raise InputError(f"no results of {starts} starts in {work}", "allowed: run it without --only-table")
@@ -114,16 +124,27 @@ def written(page: str, new: str) -> str:
 @click.command()
 @click.option("--starts", type=click.IntRange(1), default=200, show_default=True)
 @click.option("--solver", "solvers", multiple=True, type=click.Choice(list(SOLVERS)), help="[default: all]")
+@click.option(
+    "--sigma", "sigmas", multiple=True, type=click.FloatRange(0, min_open=True), help="[default: 0.1, 0.3]"
+)
 @click.option("--work", type=Path, default=WORK, show_default=True, help="Folder of the results.")
 @click.option("--page", default=str(PAGE), help="Where the table goes; - for stdout.  [default: docs]")
 @click.option("--only-table", is_flag=True, help="Run nothing.")
-def main(starts: int, solvers: tuple[str, ...], work: Path, page: str, only_table: bool) -> None:
+def main(
+    starts: int,
+    solvers: tuple[str, ...],
+    sigmas: tuple[float, ...],
+    work: Path,
+    page: str,
+    only_table: bool,
+) -> None:
     """Run what is missing, and write the table."""
-    chosen = solvers or tuple(SOLVERS)
+    chosen, noises = solvers or tuple(SOLVERS), sigmas or NOISES
     if not only_table:
-        for solver in chosen:
-            run(solver, starts, work)
-    new = table(work, chosen, starts)
+        for sigma in noises:
+            for solver in chosen:
+                run(solver, starts, sigma, work)
+    new = table(work, chosen, noises, starts)
     if page == "-":
         click.echo(new)
         return

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -14,6 +14,7 @@ from test_redundancy import corners, solo_hop
 import trajopt
 import trajopt.term_functions as term_functions
 from trajopt import Problem, Robot, Solution
+from trajopt.context import Context
 from trajopt.diagnose import Diagnosis, diagnose
 from trajopt.diagnose.conflict import BOX
 from trajopt.diagnose.contacts import _rank
@@ -22,6 +23,7 @@ from trajopt.errors import InputError
 from trajopt.extraction import extract
 from trajopt.node_terms import TerminalState
 from trajopt.solving import Prepared, prepare
+from trajopt.term_interfaces import PointConstraint, Rows
 from trajopt.terms import AccelerationCost, EffortLimits, PositionLimits, TorqueCost
 from trajopt.units import Units
 
@@ -314,11 +316,22 @@ def test_a_problem_without_a_cost_has_directions_without_curvature():
     assert any("AccelerationCost" in advice.remedy for advice in found.advice)
 
 
-def test_a_weight_of_a_billion_is_seen_in_the_multipliers():
-    problem = reach(terms=(AccelerationCost(weight=1e9),))
-    found = diagnose(trajopt.solve(problem, compile="none", max_iterations=50), problem)
+@dataclass(frozen=True, kw_only=True)
+class Badly(PointConstraint):
+    """A limit of the joint's rate, in rad/s, over a unit of a millionth."""
+
+    def rows(self, context: Context, units: Units) -> Rows:
+        return Rows.create(context.dxi[0], -1e3, 1e3, 1e-6)
+
+
+def test_rows_over_a_wrong_unit_are_told():
+    problem = reach(terms=(AccelerationCost(weight=1.0), Badly()))
+    found = diagnose(prepare(problem, compile="none"))
     assert found.scaling is not None
-    assert found.scaling.worst_blocks or not found.feasible
+    (block,) = found.scaling.worst_blocks
+    assert block.block == "badly"
+    assert block.row_norm.largest > 1e5
+    assert any("badly is far from scale one" in advice.finding for advice in found.advice)
 
 
 def test_a_start_on_a_limit_is_told():

@@ -170,15 +170,15 @@ def result(problem: str, iterations: list[int | None]) -> str:
 
 
 def test_the_table_has_a_line_for_every_problem_and_solver(tmp_path):
-    (tmp_path / "ipopt").mkdir()
-    file = tmp_path / "ipopt" / robustness.FILE
+    file = robustness.folder(tmp_path, "ipopt", 0.1) / robustness.FILE
+    file.parent.mkdir()
     file.write_text("damaged\n" + result("hopper-hop", [10, 20, None]) + result("ur5-reach", [5, 5]))
     page = tmp_path / "page.md"
     page.write_text(f"before\n{robustness.BEGIN}\nold\n{robustness.END}\nafter\n")
     words = ["--only-table", "--work", str(tmp_path), "--starts", "3", "--page"]
     assert CliRunner().invoke(robustness.main, [*words, str(page)]).exit_code == 0
     text = page.read_text()
-    line = "| hopper-hop | ipopt | 2 / 3 | 15 | 20 | 20 | 0.50 s | 1 | 1 | primal 1 |"
+    line = "| hopper-hop | 0.1 | ipopt | 2 / 3 | 15 | 20 | 20 | 0.50 s | 1 | 1 | primal 1 |"
     assert line in text.splitlines()
     assert "ur5-reach" not in text  # another number of starts
     assert "old" not in text
@@ -189,6 +189,6 @@ def test_the_table_has_a_line_for_every_problem_and_solver(tmp_path):
 
 def test_a_table_of_nothing_and_a_page_without_marks_are_refused(tmp_path):
     with pytest.raises(InputError, match="no results of 200 starts"):
-        robustness.table(tmp_path, ["ipopt"], 200)
+        robustness.table(tmp_path, ["ipopt"], [0.1], 200)
     with pytest.raises(InputError, match="the page has no"):
         robustness.written("a page", "table")

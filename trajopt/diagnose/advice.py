@@ -10,7 +10,7 @@ from trajopt.diagnose.activity import BOUNDS
 
 if TYPE_CHECKING:
     from trajopt.diagnose.activity import ActiveLimit
-    from trajopt.diagnose.conflict import Party
+    from trajopt.diagnose.conflict import Conflict, Party
     from trajopt.diagnose.diagnosis import Diagnosis
     from trajopt.diagnose.findings import DependentRows
 
@@ -144,20 +144,28 @@ def _of_conflict(found: Diagnosis) -> Iterator[Advice]:
             finding=f"violated: {found.worst[0].row}", remedy="another start, or an easier goal first"
         )
         return
-    if not clash.stuck:
+    misses = f"rows miss {clash.before:.2e} in sum, and small motions mend that to {clash.after:.2e}"
+    if clash.mended:
         yield Advice(
-            finding=f"rows miss {clash.before:.2e} in sum, and small motions mend that to {clash.after:.2e}",
+            finding=misses,
             remedy="the iterate is early, not in conflict: more iterations, another solver or another start",
         )
         return
-    giving = ", ".join(f"{party.what} ({party.amount:.1e})" for party in clash.giving[:3])
-    giving += f" at {clash.giving[0].place}" if clash.giving else ""
     goal = any(_block(party) in GOALS for party in clash.giving)
-    finding = f"{'goal out of reach' if goal else 'rows contradict each other'}, {giving}"
+    kind = "goal out of reach" if goal else "rows contradict each other"
     remedies = list(dict.fromkeys(_remedy(party) for party in clash.against[:3]))
-    if clash.against:
-        finding += f"; against it stand {', '.join(party.what for party in clash.against[:3])}"
+    if not clash.stuck:
+        kind = f"{misses}; left are"
+        remedies = ["more iterations, or an easier goal first and its solution as the start", *remedies]
+    finding = f"{kind}: {_parties(clash)}"
     yield Advice(finding=finding, remedy="; ".join(remedies) or "bring the goal nearer, or give it more time")
+
+
+def _parties(clash: Conflict) -> str:
+    giving = ", ".join(f"{party.what} ({party.amount:.1e})" for party in clash.giving[:3])
+    where = f" at {clash.giving[0].place}" if clash.giving else ""
+    against = ", ".join(party.what for party in clash.against[:3])
+    return f"{giving}{where}" + (f"; against it stand {against}" if against else "")
 
 
 def _block(party: Party) -> str:

@@ -32,6 +32,8 @@ NOISE, PART, GIVES = 1e-4, 0.1, 1e-3
 # Rows that make it a motion: they pass a conflict on from place to place, and give way last.
 TRANSMITTING = ("defect", "base_dynamics", "contact_acceleration", "contact_velocity", "impact_dynamics")
 LAST = 1e3
+# Parts of the violation that are left after the best small motion: of a conflict, and of an early iterate.
+STUCK, MENDED = 0.5, 0.01
 NAMED = 6
 
 
@@ -72,7 +74,12 @@ class Conflict:
     @property
     def stuck(self) -> bool:
         """Whether no small motion mends half of what is violated: a conflict, not merely an early iterate."""
-        return self.after > 0.5 * self.before
+        return self.after > STUCK * self.before
+
+    @property
+    def mended(self) -> bool:
+        """Whether a small motion mends all but little of what is violated: an early iterate."""
+        return self.after <= MENDED * self.before
 
 
 def conflict(snapshot: Snapshot) -> Conflict | None:

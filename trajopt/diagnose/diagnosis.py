@@ -227,7 +227,8 @@ def _notes(snapshot: Snapshot, solution: Solution | None, largest: float | None)
     """Where the rebuilt problem is not the one that the file was made from."""
     if solution is None:
         return
-    before, now = solution.meta.get("objective"), float(snapshot.nlp.engine.f(snapshot.x))
+    unit = snapshot.transcription.objective_unit
+    before, now = solution.meta.get("objective"), unit * float(snapshot.nlp.engine.f(snapshot.x))
     if before is not None and math.isfinite(now) and abs(now - before) > SAME * max(1.0, abs(before)):
         yield f"the rebuilt problem's objective is {now:.6g} here, the file says {before:.6g}: they differ"
     told = solution.meta.get("max_violation")
