@@ -14,6 +14,8 @@ from trajopt.nlp import Nlp
 from trajopt.solvers.result import FEASIBILITY_SHARE, Callback, Option, Result, Stop, Warm
 from trajopt.solvers.sqp_driver import solve_sqp
 from trajopt.solvers.status import Status
+from trajopt.transcription import Transcription
+from trajopt.units import Units
 
 # The NLP comes scaled by units, so the solvers' own scaling is off; a solution "to an
 # acceptable level" is no solution. The bound relaxation is far below the tolerance. Multipliers
@@ -30,8 +32,8 @@ IPOPT_OPTIONS: dict[str, Option] = {
 }
 # Slacks start further inside their bounds than FATROP's own 1e-2: a guess sits on limits it will leave. The
 # pivot tolerance calls a stage's rows dependent early enough that its linear algebra seldom repeats a step.
-# Curvature in proportion to a short step is positive all the same: FATROP's own least pivot, 1e-6, takes it for
-# negative on fine meshes and regularises every step (docs/scaling.md).
+# Curvature in proportion to a short step is positive all the same: FATROP's own least pivot, 1e-6, takes it
+# for negative on fine meshes and regularises every step (docs/scaling.md).
 FATROP_OPTIONS: dict[str, Option] = {
     "print_level": 0,
     "bound_push": 0.1,
@@ -132,7 +134,7 @@ _FATROP_STATUS = {
 
 
 def mesh_weight(t: Transcription) -> float:
-    """Mean weight of a collocation point in the objective: its share of the duration, over sqrt(length / g)."""
+    """Mean weight of a collocation point in the objective: its part of the duration over sqrt(length / g)."""
     layout = t.layout
     phases = range(len(layout.intervals))
     points = sum(len(layout.intervals_of(phase)) * layout.scheme_of(phase).s for phase in phases)
@@ -156,8 +158,8 @@ def _fatrop(
         "tolerance": stop.tolerance,
         "max_iter": stop.max_iterations,
         "max_wall_time": stop.max_time,
-        # A barrier acts at every point alike: the objective, whose points weigh less on a finer mesh, is scaled so
-        # that the mean point weighs one. Else the first barrier is stronger and the last less accurate there.
+        # A barrier acts at every point alike: the objective, whose points weigh less on finer meshes, is scaled
+        # so that the mean point weighs one. Else the first barrier is stronger, the last less accurate there.
         "objective_scale": 1.0 / mesh_weight(t),
         **options,
     }

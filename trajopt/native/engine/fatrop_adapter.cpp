@@ -67,7 +67,7 @@ Index FatropAdapter::eval_lag_hess(const StageInfo&, const Scalar scale, const V
   if (!called_back_ && tick) tick(true);
   called_back_ = false;
   read_multipliers(map_.from_rows, lambda.data(), lambda_);
-  const Reals& values = watch(nlp_.hessian(point(x), scale, lambda_.data()));
+  const Reals& values = watch(nlp_.hessian(point(x), scale * objective_scale, lambda_.data()));
   clear(hessian.RSQrqt);
   put(hessian.RSQrqt, map_.hessian, values, 1.0);
   return 0;
@@ -99,14 +99,14 @@ Index FatropAdapter::eval_objective_gradient(const StageInfo&, const Scalar scal
                                              Vector& gradient_x, Vector& gradient_s) {
   const Reals& gradient = watch(nlp_.gradient(point(x)));
   Scalar* out = gradient_x.data();
-  for (std::size_t i = 0; i < gradient.size(); ++i) out[map_.position[i]] = scale * gradient[i];
+  for (std::size_t i = 0; i < gradient.size(); ++i) out[map_.position[i]] = scale * objective_scale * gradient[i];
   gradient_s = 0.0;
   return 0;
 }
 
 Index FatropAdapter::eval_objective(const StageInfo&, const Scalar scale, const Vector& x, const Vector&,
                                     Scalar& result) {
-  result = scale * nlp_.f(point(x));
+  result = scale * objective_scale * nlp_.f(point(x));
   return 0;
 }
 

@@ -21,6 +21,7 @@ class FatropAdapter : public fatrop::Nlp<fatrop::OcpType> {
 
   std::function<void(bool restoration)> tick;  // at every iteration
   std::function<void()> look;                  // before every evaluation and factorisation
+  double objective_scale = 1.0;                // FATROP minimises the objective times this
   bool finite_derivatives = true;              // none was NaN or infinite so far
 
   // FATROP's vector in the NLP's order.

@@ -55,15 +55,17 @@ void set_option(fatrop::OptionRegistry& registry, const std::string& name, const
   }
 }
 
-// Takes the option that is ours out of FATROP's; infinite when it is not given.
-double take_max_wall_time(Options& options) {
-  const auto found = options.find("max_wall_time");
-  if (found == options.end()) return HUGE_VAL;
+// Takes an option that is ours, a positive number, out of FATROP's.
+double take_number(Options& options, const std::string& name, double otherwise) {
+  const auto found = options.find(name);
+  if (found == options.end()) return otherwise;
   const Option value = found->second;
   options.erase(found);
-  if (const long* integer = std::get_if<long>(&value)) return static_cast<double>(*integer);
-  if (const double* number = std::get_if<double>(&value)) return *number;
-  throw std::invalid_argument("the value of option 'max_wall_time' is not allowed");
+  const long* integer = std::get_if<long>(&value);
+  const double* real = std::get_if<double>(&value);
+  const double number = integer ? static_cast<double>(*integer) : real ? *real : 0.0;
+  if (!(number > 0)) throw std::invalid_argument("the value of option '" + name + "' is not allowed");
+  return number;
 }
 
 const char* flag_name(fatrop::IpSolverReturnFlag flag) {
@@ -86,11 +88,11 @@ double dual_infeasibility(fatrop::IpIterate<OcpType>& iterate) {
   return std::max(iterate.dual_infeasibility_x_inf(), iterate.dual_infeasibility_s_inf());
 }
 
-Iteration describe(Data& data, bool restoration) {
+Iteration describe(Data& data, bool restoration, double scale) {
   auto& iterate = data.current_iterate();
   const auto& step = iterate.step_info();
-  return {data.iteration_number(), step.ls_iter + 1, iterate.obj_value(), iterate.constr_viol_inf(),
-          dual_infeasibility(iterate), iterate.mu(), step.alpha_primal, step.inertia_correction_primal, restoration};
+  return {data.iteration_number(), step.ls_iter + 1, iterate.obj_value() / scale, iterate.constr_viol_inf(),
+          dual_infeasibility(iterate) / scale, iterate.mu() / scale, step.alpha_primal, step.inertia_correction_primal, restoration};
 }
 
 void require_identity(const StageMap& map, const Reals& jacobian) {
@@ -102,29 +104,30 @@ void require_identity(const StageMap& map, const Reals& jacobian) {
                                   std::to_string(jacobian[e.nonzero]));
 }
 
-void set_multipliers(const StageMap& map, const Reals& lambda, Data& data) {
+void set_multipliers(const StageMap& map, const Reals& lambda, double scale, Data& data) {
   fatrop::VecRealAllocated dual(map.info.number_of_eq_constraints);
-  for (const Link& link : map.from_rows) dual(link.position) = link.sign * lambda[link.index];
+  for (const Link& link : map.from_rows) dual(link.position) = scale * link.sign * lambda[link.index];
   data.current_iterate().set_dual_eq(dual);
 }
 
 // FATROP's algorithm on the NLP, built and with its options set.
 class Run {
  public:
-  Run(trajopt::Nlp& nlp, const StageMap& map, const Reals& x0, const Options& options)
-      : map_(map), adapter_(std::make_shared<FatropAdapter>(nlp, map, x0)) {
+  Run(trajopt::Nlp& nlp, const StageMap& map, const Reals& x0, double scale, const Options& options)
+      : map_(map), scale_(scale), adapter_(std::make_shared<FatropAdapter>(nlp, map, x0)) {
     const FatropAlgorithm built = build_fatrop(adapter_, registry_, [adapter = adapter_.get()] { adapter->look(); });
     algorithm_ = built.algorithm;
     data_ = built.data;
+    adapter_->objective_scale = scale;
     for (const auto& [name, value] : options) set_option(registry_, name, value);
   }
 
   std::string optimize(const Callback& callback, const Reals& lambda_g, Clock::time_point deadline) {
     int reported = -1;
     adapter_->tick = [&](bool restoration) {
-      if (reported < 0 && !lambda_g.empty()) set_multipliers(map_, lambda_g, *data_);
+      if (reported < 0 && !lambda_g.empty()) set_multipliers(map_, lambda_g, scale_, *data_);
       reported = data_->iteration_number();
-      if (callback && !callback(describe(*data_, restoration))) throw Stop{"UserRequestedStop"};
+      if (callback && !callback(describe(*data_, restoration, scale_))) throw Stop{"UserRequestedStop"};
     };
     adapter_->look = [deadline] {
       if (Clock::now() > deadline) throw Stop{"MaxWallTimeExceeded"};
@@ -133,7 +136,7 @@ class Run {
     adapter_->tick = nullptr;
     adapter_->look = nullptr;
     // FATROP calls back before every step, not after the last.
-    if (callback && reported != data_->iteration_number()) callback(describe(*data_, false));
+    if (callback && reported != data_->iteration_number()) callback(describe(*data_, false, scale_));
     return status;
   }
 
@@ -143,9 +146,12 @@ class Run {
     outcome.x.assign(x, x + map_.position.size());
     read_multipliers(map_.from_rows, iterate.dual_eq().data(), outcome.lambda_g);
     read_multipliers(map_.from_unknowns, iterate.dual_eq().data(), outcome.lambda_x);
+    for (Reals* multipliers : {&outcome.lambda_g, &outcome.lambda_x})
+      for (double& value : *multipliers) value /= scale_;
     outcome.primal = iterate.constr_viol_inf();
-    outcome.dual = dual_infeasibility(iterate);
-    outcome.complementarity = std::max(norm_inf(iterate.complementarity_l()), norm_inf(iterate.complementarity_u()));
+    outcome.dual = dual_infeasibility(iterate) / scale_;
+    const double mismatch = std::max(norm_inf(iterate.complementarity_l()), norm_inf(iterate.complementarity_u()));
+    outcome.complementarity = mismatch / scale_;
     outcome.iterations = data_->iteration_number();
   }
 
@@ -164,6 +170,7 @@ class Run {
   }
 
   const StageMap& map_;
+  const double scale_;  // of the objective, hence of all multipliers
   std::shared_ptr<FatropAdapter> adapter_;
   fatrop::OptionRegistry registry_;
   std::shared_ptr<fatrop::IpAlgorithm<OcpType>> algorithm_;
@@ -180,10 +187,11 @@ Outcome solve_fatrop(trajopt::Nlp& nlp, const Stages& stages, const Reals& x0, c
   require_identity(map, nlp.jacobian(x0.data()));
   const Silence silence;
   Options own = options;
-  const double max_wall_time = std::min(take_max_wall_time(own), 1e9);  // s; what a clock can count
+  const double max_wall_time = std::min(take_number(own, "max_wall_time", HUGE_VAL), 1e9);  // s; what a clock can count
+  const double scale = take_number(own, "objective_scale", 1.0);
   const std::chrono::duration<double> allowed(max_wall_time);
   const auto deadline = start + std::chrono::duration_cast<Clock::duration>(allowed);
-  Run run(nlp, map, x0, own);
+  Run run(nlp, map, x0, scale, own);
   Outcome outcome;
   outcome.x = x0;
   outcome.lambda_g.resize(nlp.problem().n_g);

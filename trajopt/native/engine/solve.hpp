@@ -54,7 +54,8 @@ struct Stages {
   Indices n_state, n_control, n_path;
 };
 
-// Besides FATROP's own, the option max_wall_time (s) is known.
+// Besides FATROP's own, the options max_wall_time (s) and objective_scale are known: FATROP minimises the
+// objective times that scale; all that is given back is of the objective itself.
 Outcome solve_fatrop(Nlp& nlp, const Stages& stages, const Reals& x0, const Bounds& bounds, const Options& options,
                      const Callback& callback, const Reals& lambda_g);
 
