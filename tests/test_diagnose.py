@@ -11,6 +11,7 @@ from problems_for_tests import REACH, REACH_TIME, hop, lean, one_joint_arm, reac
 from scipy.optimize import linprog
 from test_redundancy import corners, solo_hop
 
+import problems
 import trajopt
 import trajopt.term_functions as term_functions
 from trajopt import Problem, Robot, Solution
@@ -164,6 +165,50 @@ def test_rows_are_named_by_contact_axis_and_state():
     assert "frame_height [foot position z]" in texts
     assert "defect [hip rate]" in texts
     assert "velocity_limits [shank rate]" in texts
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "expected"),
+    [
+        ("hopper-hop", {"touchdown": "impact"}, {"jump", "impulse", "force"}),
+        ("hopper-hop", {"coordinates": "minimal"}, {"position", "rate", "acceleration"}),
+        ("hopper-hop", {"goal": "time"}, {"clock"}),
+        ("hopper-gait", {}, {"position", "rate"}),
+        ("ur5-reach", {"actuation": "velocity"}, {"position", "rate"}),
+        ("arm-pick-place", {}, {"position"}),
+    ],
+)
+def test_every_unknown_and_row_has_a_name(name, values, expected):
+    prepared = prepare(problems.load(name, **values), intervals=8, compile="none")
+    snapshot = Snapshot(nlp=prepared.nlp, x=prepared.guess)
+    names = snapshot.names
+    assert all(label.owner and label.quantity for label in names.unknown_labels)
+    assert expected <= {label.kind for label in names.unknown_labels}
+    pairs = list(zip(names.unknown_labels, names.unknown_sites, strict=True))
+    assert len(set(pairs)) == len(pairs)
+    rows = [names.row(row) for row in range(prepared.transcription.n_rows)]
+    assert len(set(rows)) == len(rows)
+    assert not [row for row in rows if row.about.startswith("row ") and "mostly" not in row.about]
+
+
+@pytest.mark.slow
+def test_the_jump_at_its_defaults_is_clean():
+    problem = problems.load("solo12-jump")
+    solution = trajopt.solve(problem)
+    found = diagnose(solution)  # its problem from the catalogue
+    assert found.variables == 4575
+    assert found.clean, [str(advice) for advice in found.advice]
+    snapshot = snapshot_of(problem, solution)
+    matrix = snapshot.jacobian[snapshot.active_rows][:, snapshot.free]
+    flight = [i for i, row in enumerate(snapshot.active_rows) if names_phase(snapshot, int(row)) == "flight"]
+    values = np.linalg.svd(matrix[flight].toarray(), compute_uv=False)
+    report = next(report for report in found.ranks if report.phase == "flight")
+    assert (report.rows, report.rank) == (len(flight), len(flight))
+    assert report.condition == pytest.approx(values[0] / values[-1], rel=1e-3)
+
+
+def names_phase(snapshot: Snapshot, row: int) -> str:
+    return snapshot.names.phase(snapshot.names.row_sites[row].stage)
 
 
 # Dependent rows

@@ -23,7 +23,9 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 @click.argument("file", type=Path)
 @click.option("--problem", metavar="NAME", help="The problem of FILE.  [default: the one that it names]")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A parameter of --problem.")
-@click.option("--compile", metavar="LEVEL", help="none, quick or fast.  [default: as FILE was solved if that is cached]")
+@click.option(
+    "--compile", metavar="LEVEL", help="none, quick or fast.  [default: as FILE was solved if that is cached]"
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def diagnose(
     file: Path, problem: str | None, settings: tuple[str, ...], compile: str | None, as_json: bool
@@ -56,12 +58,12 @@ def diagnose_option(command: Command) -> Command:
     )
 
 
-def diagnosis_of(solution: Solution, problem: Problem) -> tuple[dict[str, Any] | None, str]:
-    """A diagnosis of what a solve has found, as JSON and as text; None and the reason where there is none."""
+def diagnosis_of(solution: Solution, problem: Problem) -> tuple[dict[str, Any], str]:
+    """A diagnosis of what a solve has found, as JSON and as text; where there is none, the reason."""
     from trajopt.diagnose import diagnose as run
 
     try:
         found = run(solution, problem)
     except (TrajoptError, ArithmeticError, ValueError) as error:
-        return None, f"cannot be diagnosed: {error}"
+        return {"error": str(error)}, f"cannot be diagnosed: {error}"
     return found.to_dict(), str(found)

@@ -154,7 +154,7 @@ def _of_conflict(found: Diagnosis) -> Iterator[Advice]:
     goal = any(_block(party) in GOALS for party in clash.giving)
     kind = "goal out of reach" if goal else "rows contradict each other"
     remedies = list(dict.fromkeys(_remedy(party) for party in clash.against[:3]))
-    if not clash.stuck:
+    if not clash.stuck or found.status is None:  # of a guess the linearisation says little
         kind = f"{misses}; left are"
         remedies = ["more iterations, or an easier goal first and its solution as the start", *remedies]
     finding = f"{kind}: {_parties(clash)}"
@@ -245,13 +245,18 @@ def _of_limits(found: Diagnosis) -> Iterator[Advice]:
                 finding=f"{limit.about} is at its {limit.side} bound",
                 remedy="widen that bound if the motion should choose its time",
             )
-        elif saturated < MOST_SATURATED and _decides(limit) and not found.solved:
+        elif saturated < MOST_SATURATED and _decides(limit) and _tried(found):
             saturated += 1
             yield Advice(
                 finding=f"{limit.block} [{limit.about}] is at its {limit.side} bound for {limit.places} of "
                 f"{limit.of} places of phase '{limit.phase}'",
                 remedy=REMEDIES.get(limit.block, "raise it, or ask for less"),
             )
+
+
+def _tried(found: Diagnosis) -> bool:
+    """Whether a solver has tried: limits at a guess say nothing."""
+    return found.status is not None and not found.solved
 
 
 def _decides(limit: ActiveLimit) -> bool:

@@ -183,8 +183,10 @@ class Names:
             about = str(node_labels(self.layout.forms[site.stage + 1], self.clocks)[number])
         else:
             subjects = self._subjects_at(site).get(block, [])
-            about = (subjects[number] if number < len(subjects) else "") or self._by_weight(index)
-        return RowName(block=block, about=about or f"row {number}", site=site)
+            about = subjects[number] if number < len(subjects) else ""
+        if not about:
+            about = ", ".join(part for part in (f"row {number}", self._by_weight(index)) if part)
+        return RowName(block=block, about=about, site=site)
 
     def row_text(self, index: int) -> str:
         """A row in words, with its place."""

@@ -12,6 +12,8 @@ from trajopt.diagnose.snapshot import Snapshot
 # Row or column norms this far from one, either way, slow a solver down: its tolerances then mean different
 # things in different rows.
 FAR = 1e4
+# Entries below this are rounding: those of scaled functions are of order one.
+ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +27,7 @@ class Range:
     def of(cls, values: np.ndarray) -> Range:
         """Range of an array."""
         magnitudes = np.abs(values)
-        magnitudes = magnitudes[magnitudes > np.finfo(float).eps * magnitudes.max(initial=0.0)]
+        magnitudes = magnitudes[magnitudes > ROUNDING * max(1.0, magnitudes.max(initial=0.0))]
         if not len(magnitudes):
             return cls(smallest=0.0, largest=0.0)
         return cls(smallest=float(magnitudes.min()), largest=float(magnitudes.max()))
