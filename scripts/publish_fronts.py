@@ -1,11 +1,11 @@
 """The published fronts: four sweeps, their tables into the package, tables and plots into the docs.
 
-uv run python -m scripts.publish_fronts              # all, about 20 minutes on one core of a quiet machine
+uv run python -m scripts.publish_fronts              # all, about 25 minutes on a quiet machine
 uv run python -m scripts.publish_fronts solo12-jump  # one of them
 uv run python -m scripts.publish_fronts --resume     # go on after an interruption
 
-Tables go to trajopt/sweep/fronts and docs/front, plots to docs/front, and the section between the markers of
-docs/front.md is written anew from the tables.
+Tables go to trajopt/sweep/fronts and docs/front, plots to docs/front, and the sections between the markers of
+docs/front.md are written anew: the fronts, and how much pinned workers disturb each other.
 """
 
 from __future__ import annotations
@@ -21,15 +21,17 @@ from pathlib import Path
 
 import click
 
+from scripts import pinned_workers
 from trajopt.sweep.front import FOLDER, load_front
 from trajopt.sweep.tables import SETTINGS
 
 DOCUMENT = Path(__file__).parent.parent / "docs" / "front.md"
 DOCS = DOCUMENT.parent / "front"
 WORK = Path("fronts-work")
-SECTION = re.compile(r"(?<=<!-- fronts -->\n).*?(?=<!-- end of fronts -->)", re.DOTALL)
 # What the front of every problem is asked for: so much faster, and so much more accurate, than the default.
 FASTER, MORE_ACCURATE = 5, 100
+# Runs of one solve alone and on all cores.
+REPEATS = 15
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ PUBLISHED = (
     Published("ur5-reach", "an arm", ("ur5-reach",)),
     Published("solo12-jump", "a quadruped's jump", ("solo12-jump",)),
     Published("quadruped-trot", "a gait, periodic", ("quadruped-trot",)),
-    Published("biped-squat", "a biped", ("biped-squat",)),
+    Published("biped-walk", "a biped", ("biped-walk", "--repeats", "1")),
 )
 
 
@@ -70,7 +72,17 @@ def main(names: tuple[str, ...], resume: bool, only_document: bool) -> None:
             publish(front, resume)
     text = DOCUMENT.read_text(encoding="utf-8")
     parts = "\n".join(section(front) for front in PUBLISHED if front.table.exists())
-    DOCUMENT.write_text(SECTION.sub(lambda _: f"\n{parts}\n", text), encoding="utf-8")
+    text = written(text, "fronts", parts)
+    if not names and not only_document:
+        found = pinned_workers.measure("solo12-jump", REPEATS).lines()
+        text = written(text, "pinned", "\n".join(f"    {line}" for line in found) + "\n")
+    DOCUMENT.write_text(text, encoding="utf-8")
+
+
+def written(text: str, marker: str, lines: str) -> str:
+    """The text with ``lines`` between the two comments of a marker."""
+    between = re.compile(rf"(?<=<!-- {marker} -->\n).*?(?=<!-- end of {marker} -->)", re.DOTALL)
+    return between.sub(lambda _: f"\n{lines}\n", text)
 
 
 def publish(front: Published, resume: bool) -> None:
