@@ -158,8 +158,8 @@ def _fatrop(
         "tolerance": stop.tolerance,
         "max_iter": stop.max_iterations,
         "max_wall_time": stop.max_time,
-        # A barrier acts at every point alike: the objective, whose points weigh less on finer meshes, is scaled
-        # so that the mean point weighs one. Else the first barrier is stronger, the last less accurate there.
+        # A barrier acts at every point alike: the objective, whose points weigh less on finer meshes, is
+        # scaled to a mean weight of one. Else the first barrier is stronger, the last less accurate there.
         "objective_scale": 1.0 / mesh_weight(t),
         **options,
     }
