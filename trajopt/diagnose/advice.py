@@ -40,6 +40,7 @@ REMEDIES = {
     "duration": "widen the bounds of the total duration",
     BOUNDS: "widen that bound",
 }
+BOUND_OF = {"rate": "velocity_limits", "position": "position_limits"}
 # A limit that holds for this part of its places decides the motion; so many of them are named.
 SATURATED, MOST_SATURATED = 0.5, 3
 # An interval that errs by more than this (m) is too wide: the tolerance of a check on drift.
@@ -173,8 +174,14 @@ def _block(party: Party) -> str:
 
 
 def _remedy(party: Party) -> str:
-    block = _block(party)
-    return REMEDIES.get(block, f"ask less of {block}")
+    return _remedy_of(_block(party), party.what, f"ask less of {_block(party)}")
+
+
+def _remedy_of(block: str, what: str, otherwise: str) -> str:
+    """A bound of a node's rate or position is what the limits at points are."""
+    if block == BOUNDS:
+        block = next((limits for word, limits in BOUND_OF.items() if word in what), block)
+    return REMEDIES.get(block, otherwise)
 
 
 def _of_contacts(found: Diagnosis) -> Iterator[Advice]:
@@ -250,7 +257,7 @@ def _of_limits(found: Diagnosis) -> Iterator[Advice]:
             yield Advice(
                 finding=f"{limit.block} [{limit.about}] is at its {limit.side} bound for {limit.places} of "
                 f"{limit.of} places of phase '{limit.phase}'",
-                remedy=REMEDIES.get(limit.block, "raise it, or ask for less"),
+                remedy=_remedy_of(limit.block, limit.about, "raise it, or ask for less"),
             )
 
 
