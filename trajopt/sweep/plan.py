@@ -23,13 +23,15 @@ TOLERANCES = (1e-4, 1e-8)
 # Ends of the front lie where several factors come together: fast ones on coarse grids, and the other way
 # round. Share of the intervals, and words of a setting.
 JOINED = (
-    (0.1, "legendre:2 1e-3"),
-    (0.2, "legendre:2 1e-3"),
-    (0.2, "legendre:2 1e-3 fatrop"),
-    (0.2, "legendre:2 1e-3 sqp"),
+    (0.1, "legendre:3 1e-2"),
+    (0.1, "legendre:4 1e-3"),
+    (0.1, "legendre:4 1e-2 sqp"),
+    (0.2, "legendre:3 1e-2"),
+    (0.2, "legendre:3 1e-3 sqp"),
+    (0.2, "legendre:3 1e-3 fatrop"),
     (0.2, "legendre:2 1e-3 sqp gauss-newton"),
-    (0.5, "legendre:3 1e-4 sqp"),
-    (2.0, "legendre:4 1e-8"),
+    (0.5, "legendre:3 1e-4"),
+    (1.0, "legendre:4 1e-8"),
 )
 # A level that is tried by itself only on robots without a free base.
 SLOW_COMPILER = "fast"

@@ -78,6 +78,7 @@ def _setting_row(problem: str, row: Summary, scale: Scale, default: float) -> Ro
         **{f"{name}_s": row.median_of(name) for name in SECONDS},
         "compile_time_s": row.compiled.get("compile_time"),
         "functions_compiled": row.compiled.get("functions_compiled"),
+        "max_violation": None if row.median is None else row.median.max_violation,
         "objective": None if row.median is None else row.median.objective,
         **{column: row.accuracy.get(column) for column in COLUMNS.values()},
         "error_m": row.error,
