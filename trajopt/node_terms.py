@@ -92,7 +92,8 @@ class FramePose(NodeConstraint):
         if position.shape != (3,) or not np.all(np.isfinite(position)):
             raise InputError(f"position of {self.name} is {position}", "allowed: 3 finite numbers, m, world")
         turn = np.eye(3) if self.rotation is None else np.asarray(self.rotation, dtype=float)
-        if turn.shape != (3, 3) or not np.allclose(turn.T @ turn, np.eye(3), rtol=0, atol=UNIT_SLACK):
+        known = turn.shape == (3, 3) and bool(np.all(np.isfinite(turn)))
+        if not known or not np.allclose(turn.T @ turn, np.eye(3), rtol=0, atol=UNIT_SLACK):
             raise InputError(f"rotation of {self.name} is {turn.tolist()}", "allowed: (3, 3), orthonormal")
         if np.linalg.det(turn) < 0:
             raise InputError(f"rotation of {self.name} is a reflection", "allowed: determinant 1")

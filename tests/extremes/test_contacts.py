@@ -53,7 +53,13 @@ SWITCHES = {
 }
 
 
-@pytest.mark.parametrize("what", SWITCHES)
+# Some build more functions to say the same.
+LONG = ("one lands as another lifts", "the front lands as the back lifts", "three land as the last one lifts")
+
+
+@pytest.mark.parametrize(
+    "what", [pytest.param(what, marks=pytest.mark.slow if what in LONG else ()) for what in SWITCHES]
+)
 def test_contacts_switch_at_once(what):
     sets, duration = SWITCHES[what]
     height = min(0.02, 0.2 * duration)
@@ -63,7 +69,10 @@ def test_contacts_switch_at_once(what):
     assert steps_of_feet < 0.05  # m: nothing jumps
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize(
+    "solver",
+    ["fatrop", *(pytest.param(name, marks=pytest.mark.slow) for name in SOLVERS if name != "fatrop")],
+)
 def test_every_solver_swaps_diagonals_at_once(solver):
     sets = SWITCHES["one diagonal lands as the other lifts"][0]
     run(Solved(STEP), lambda: steps(robots.load("solo12"), sets), intervals=12, solver=solver)
@@ -76,11 +85,13 @@ def test_a_larger_quadruped_swaps_diagonals_at_once():
     run(Solved(STEP), lambda: steps(robots.load("go2"), sets), intervals=12)
 
 
+@pytest.mark.slow
 def test_contacts_land_by_an_impact_as_others_lift():
     sets = SWITCHES["one diagonal lands as the other lifts"][0]
     run(Solved(STEP), lambda: steps(robots.load("solo12"), sets, impact=True), intervals=12)
 
 
+@pytest.mark.slow
 def test_a_swing_without_foothold_lands_anywhere():
     sets = SWITCHES["a foot lifts and lands where it was"][0]
     make = lambda: steps(robots.load("solo12"), sets, footholds=False)  # noqa: E731
@@ -90,7 +101,7 @@ def test_a_swing_without_foothold_lands_anywhere():
 # One interval a phase
 
 
-@pytest.mark.parametrize("scheme", ["legendre:2", "radau:3", "hermite-simpson"])
+@pytest.mark.parametrize("scheme", ["legendre:2", pytest.param("hermite-simpson", marks=pytest.mark.slow)])
 def test_a_phase_of_one_interval_is_enough(scheme):
     sets = (SOLO, *DIAGONALS, SOLO)
     make = lambda: steps(robots.load("solo12"), sets, duration=0.1, clearance=0.0)  # noqa: E731
@@ -113,7 +124,7 @@ def test_fewer_intervals_than_phases_are_refused():
     run(Refused("3 intervals for 4 phases"), make, intervals=3)
 
 
-@pytest.mark.parametrize("brief", [1e-3, 1e-4])
+@pytest.mark.parametrize("brief", [pytest.param(1e-3, marks=pytest.mark.slow), 1e-4])
 def test_a_phase_of_a_blink_is_solved(brief):
     """Between two stances a diagonal is off the ground for no time at all."""
     robot = robots.load("solo12")
@@ -205,7 +216,7 @@ def repeated(robot: Robot) -> Robot:
     return replace(robot, contacts=(*robot.contacts, Contact(frame=robot.contacts[0].frame, name="again")))
 
 
-@pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
+@pytest.mark.parametrize("solver", ["ipopt", pytest.param("fatrop", marks=pytest.mark.slow)])
 def test_a_contact_given_twice_shares_its_force(solver):
     robot = robots.load("solo12")
     twice = run(Solved(STILL), lambda: stance(repeated(robot), robot.reference, intervals=6), solver=solver)
@@ -216,6 +227,7 @@ def test_a_contact_given_twice_shares_its_force(solver):
     assert_allclose(shared[:, 0], shared[:, 1], atol=SAME * robot.weight)
 
 
+@pytest.mark.slow
 def test_a_contact_given_twice_lands_once():
     robot = repeated(robots.load("solo12"))
     names = tuple(contact.name for contact in robot.contacts)

@@ -110,7 +110,7 @@ def test_quadruped_stands_on_straight_legs():
 
 
 @pytest.mark.parametrize("name", ["solo12", pytest.param("g1", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("end", ["start", "goal", "guess"])
+@pytest.mark.parametrize("end", ["start", "goal", pytest.param("guess", marks=pytest.mark.slow)])
 def test_legs_bend_from_and_stretch_to_straight(name, end):
     robot = robots.load(name)
     stretched = straight(robot)
