@@ -16,6 +16,7 @@ import pinocchio as pin
 
 import robots
 from problems import common
+from trajopt.errors import InputError
 from trajopt.family import Parameter
 from trajopt.frame_terms import FramesAbove, leg_joints
 from trajopt.kinematics import (
@@ -129,7 +130,13 @@ def takeoff(robot: Robot, effort: float | None = None) -> Takeoff:
     the fastest.
 
     Forces are taken to be vertical and the same at all feet, the base level. effort: N m, for all joints.
+    Raises InputError for a robot without gravity.
     """
+    if not robot.model.gravity.linear.any():
+        raise InputError(
+            f"'{robot.name}' is without gravity: what leaps does not come down",
+            "allowed: a model with gravity",
+        )
     limit = robot.effort_limit if effort is None else np.full(robot.nu, effort)
     gravity, sink = gravity_of(robot.model), sink_of(robot)
     heights = np.linspace(-sink, EXTENSION_PART * extension_left(robot), PUSH_SAMPLES)

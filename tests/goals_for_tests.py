@@ -20,7 +20,8 @@ from trajopt.term_interfaces import Cost
 def objective(problem: Problem, x: np.ndarray | None = None, **settings: object) -> float:
     """The NLP's objective at its guess, or at scaled unknowns."""
     prepared = prepare(problem, intervals=6, compile="none", **settings)
-    return float(prepared.nlp.engine.f(prepared.guess if x is None else x))
+    value = prepared.nlp.engine.f(prepared.guess if x is None else x)
+    return float(value) * prepared.transcription.objective_unit
 
 
 def with_terms(problem: Problem, *terms: object) -> Problem:

@@ -33,7 +33,7 @@ def similar(robot: Robot, *, mass: float = 1.0, length: float = 1.0, gravity: fl
     model.gravity = pin.Motion(gravity * robot.model.gravity.linear, np.zeros(3))
     effort = None
     if robot.effort_limit is not None:
-        effort = force * (np.where(linear, 1.0, length) * 1.0)[robot.n_unactuated :] * robot.effort_limit
+        effort = force * np.where(linear, 1.0, length)[robot.n_unactuated :] * robot.effort_limit
     soles = tuple(
         replace(contact, half_length=length * contact.half_length, half_width=length * contact.half_width)
         if contact.kind == "surface"
@@ -82,6 +82,13 @@ def with_gravity(robot: Robot, gravity: float) -> Robot:
     """The robot where gravity pulls down with so many m/s^2."""
     model = pin.Model(robot.model)
     model.gravity = pin.Motion(np.array([0.0, 0.0, -gravity]), np.zeros(3))
+    return replace(robot, model=model)
+
+
+def with_armature(robot: Robot, armature: float) -> Robot:
+    """The robot with this rotor inertia on every actuated joint, kg m^2."""
+    model = pin.Model(robot.model)
+    model.armature = np.where(np.arange(robot.nv) < robot.n_unactuated, 0.0, armature)
     return replace(robot, model=model)
 
 

@@ -1,12 +1,10 @@
-"""Motions of any robot whose outcome is known beforehand: standing, standing pushed, free floating, reaching."""
+"""Motions of any robot whose outcome is known beforehand: standing, standing pushed, floating."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-import pinocchio as pin
 
 from problems import common, leaping
 from trajopt.contact_terms import FrictionCone
@@ -17,6 +15,9 @@ from trajopt.problem import Problem
 from trajopt.robot import Robot
 from trajopt.schedule import FlatGround, Phase, Schedule
 from trajopt.terms import EffortLimits, PositionLimits, Term, VelocityLimits
+
+# A robot that floats is this many lengths higher than it stands, so that no leg meets the ground.
+FLOATING = 4.0
 
 
 def stand(
@@ -70,33 +71,26 @@ def _still(q: np.ndarray, t: float) -> np.ndarray:
     return q
 
 
-def float_free(robot: Robot, *, turn: float, duration: float) -> Problem:
-    """Without contacts joints swing there and back in flight; the base ends turned by what they give it.
+def turn_over(robot: Robot, *, yaw: float, duration: float) -> Problem:
+    """Float without contacts and turn about the vertical by moving the legs alone, from rest to rest.
 
-    Joints go by ``turn`` rad in ``duration`` s, all that can: the base follows by conservation of momentum.
+    yaw: rad. As a cat does: no momentum, and yet another orientation with the same posture.
     """
-    start, end = robot.reference, bent(robot, turn)
+    up = (0.0, 0.0, FLOATING * robot.length)
+    start, end = leaping.displaced(robot, up), leaping.displaced(robot, up, yaw)
     return Problem(
-        name="float",
+        name="turn-over",
         robot=robot,
         schedule=Schedule((Phase(name="float", duration=duration),)),
         terrain=FlatGround(),
         initial_q=start,
         initial_v=np.zeros(robot.nv),
-        guess=_moving(robot.model, start, end, duration),
-        default_intervals=10,
+        terms=(*effort_costs(), EffortLimits(), VelocityLimits(), TerminalState(q=end), TerminalRest(q=end)),
+        guess=partial(_turning, robot, yaw, duration),
+        default_intervals=12,
     )
 
 
-def bent(robot: Robot, turn: float) -> np.ndarray:
-    """The reference with every actuated joint turned, within its limits."""
-    v = np.zeros(robot.nv)
-    v[robot.n_unactuated :] = turn
-    q = pin.integrate(robot.model, robot.reference, v)
-    return np.clip(q, robot.position_lower, robot.position_upper)
-
-
-def _moving(
-    model: pin.Model, start: np.ndarray, end: np.ndarray, duration: float
-) -> Callable[[float], np.ndarray]:
-    return lambda t: np.asarray(pin.interpolate(model, start, end, min(max(t / duration, 0.0), 1.0)))
+def _turning(robot: Robot, yaw: float, duration: float, t: float) -> np.ndarray:
+    up = (0.0, 0.0, FLOATING * robot.length)
+    return leaping.displaced(robot, up, yaw * min(max(t / duration, 0.0), 1.0))

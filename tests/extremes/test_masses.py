@@ -1,0 +1,154 @@
+"""Robots a thousand times lighter and heavier, mass ratios of 1e4 and more, links without inertia."""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import problems
+import robots
+from extremes.changed_robots import longer
+from extremes.outcomes import Failed, Refused, Solved, run
+from trajopt.certify.report import Tolerances
+from trajopt.check import check
+from trajopt.solution import Solution
+from trajopt.solvers import Status
+
+# Motions of similar robots agree up to rounding, which iterations of a solver multiply.
+SIMILAR = 1e-6
+ARM, HOP, JUMP = "arm-reach", "hopper-hop", "quadruped-jump-up"
+# Family, its robot, kind, intervals, open loop, feet (m).
+MOTIONS = {
+    ARM: ("ur5", "arm", 10, 0.05, None),
+    HOP: ("hopper", "hopper", 40, 0.1, None),
+    JUMP: ("solo12", "quadruped", 15, 2.0, 0.05),
+}
+SHORT = [ARM, HOP, pytest.param(JUMP, marks=pytest.mark.slow)]
+
+
+def robot_file(folder: Path, kind: str, robot: str) -> str:
+    """A file that builds a robot, as a user gives one: ``robot`` is an expression over ``own(name)``."""
+    path = folder / "robot.py"
+    tool = "TOOL = 'tool0'\n" if kind == "arm" else ""
+    path.write_text(
+        "import numpy as np\nimport pinocchio as pin\nfrom robots import load as own\n"
+        f"from extremes.changed_robots import *\nKIND = {kind!r}\n{tool}"
+        f"def build():\n    return {robot}\n"
+    )
+    return str(path)
+
+
+def made(name: str, path: str):
+    """The problem on the robot of a file."""
+    return problems.load(name, robot=path)
+
+
+@lru_cache
+def on_its_own_robot(name: str) -> Solution:
+    """The solution on the robot as it is."""
+    robot, _, intervals, open_loop, coarse = MOTIONS[name]
+    make = partial(problems.load, name, robot=robot)
+    return run(Solved(open_loop=open_loop, coarse=coarse), make, intervals=intervals)
+
+
+@pytest.mark.parametrize("mass", [1e-3, 1e3])
+@pytest.mark.parametrize("name", SHORT)
+def test_motion_of_a_similar_robot_is_the_same_and_forces_scale_with_its_mass(name, mass, tmp_path):
+    robot, kind, intervals, open_loop, coarse = MOTIONS[name]
+    path = robot_file(tmp_path, kind, f"similar(own({robot!r}), mass={mass})")
+    found = run(Solved(open_loop=open_loop, coarse=coarse), partial(made, name, path), intervals=intervals)
+    own = on_its_own_robot(name)
+    assert_allclose(found.t, own.t, rtol=SIMILAR)
+    assert_allclose(found.q, own.q, atol=SIMILAR)
+    assert_allclose(found.tau / mass, own.tau, atol=SIMILAR * np.abs(own.tau).max())
+    assert_allclose(found.f / mass, own.f, atol=SIMILAR * max(np.abs(own.f).max(initial=0.0), 1.0))
+    assert found.meta["iterations"] == own.meta["iterations"]
+
+
+@pytest.mark.parametrize(("length", "gravity"), [(0.1, 1.0), (10.0, 1.0), (1.0, 2.0)])
+def test_arm_of_another_size_or_gravity_moves_alike(length, gravity, tmp_path):
+    path = robot_file(tmp_path, "arm", f"similar(own('ur5'), length={length}, gravity={gravity})")
+    found, own = run(Solved(open_loop=0.05), partial(made, ARM, path), intervals=10), on_its_own_robot(ARM)
+    assert_allclose(found.t, own.t * np.sqrt(length / gravity), rtol=SIMILAR)
+    assert_allclose(found.q, longer(robots.load("ur5"), own.q, length), atol=SIMILAR)
+    torque = own.tau * length * gravity
+    assert_allclose(found.tau, torque, atol=SIMILAR * np.abs(torque).max())
+
+
+LIGHT_WRIST = "with_inertias(own('ur5'), lambda n, i: heavier(i, 1e-4 if 'wrist' in n else 1.0))"
+POINT_MASSES = "with_inertias(own('{}'), lambda n, i: pin.Inertia(i.mass, i.lever, 1e-12 * np.eye(3)))"
+LIGHT_SHANKS = "with_inertias(own('solo12'), lambda n, i: heavier(i, 1e-3 if 'KFE' in n else 1.0))"
+HEAVY_BASE = "with_inertias(own('solo12'), lambda n, i: heavier(i, 320.0 if 'root' in n else 1.0))"
+
+
+@pytest.mark.parametrize(
+    ("robot", "open_loop"),
+    [(LIGHT_WRIST, 0.05), (POINT_MASSES.format("ur5"), 0.1)],
+    ids=["mass ratio 4e5", "inertias 1e-12"],
+)
+def test_arm_with_extreme_links_reaches(robot, open_loop, tmp_path):
+    path = robot_file(tmp_path, "arm", robot)
+    run(Solved(open_loop=open_loop), partial(made, ARM, path), intervals=10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("robot", "open_loop"),
+    [(LIGHT_SHANKS, 2.0), (HEAVY_BASE, 4.0), (POINT_MASSES.format("solo12"), 10.0)],
+    ids=["mass ratio 3e4", "base 1e4 times a shank", "inertias 1e-12"],
+)
+def test_quadruped_with_extreme_links_jumps(robot, open_loop, tmp_path):
+    path = robot_file(tmp_path, "quadruped", robot)
+    run(Solved(open_loop=open_loop, coarse=0.1), partial(made, JUMP, path), intervals=15)
+
+
+def test_tool_too_heavy_to_lift_is_infeasible_by_its_torques(tmp_path):
+    heavy = "with_inertias(own('ur5'), lambda n, i: heavier(i, 1e4 if n == 'wrist_3_joint' else 1.0))"
+    path = robot_file(tmp_path, "arm", heavy)
+    run(Failed(Status.INFEASIBLE, block="effort_limits"), partial(made, ARM, path), intervals=10)
+
+
+MASSLESS_WRIST = "with_inertias(own('ur5'), lambda n, i: pin.Inertia.Zero() if n == 'wrist_3_joint' else i)"
+MASSLESS_SHANKS = "with_inertias(own('solo12'), lambda n, i: pin.Inertia.Zero() if 'KFE' in n else i)"
+
+
+@pytest.mark.parametrize(
+    ("name", "robot"),
+    [(ARM, MASSLESS_WRIST), pytest.param(JUMP, MASSLESS_SHANKS, marks=pytest.mark.slow)],
+    ids=["wrist", "shanks"],
+)
+def test_joint_that_moves_no_mass_is_planned_and_its_open_loop_is_none(name, robot, tmp_path):
+    """Inverse dynamics needs no inverse of M: the plan holds. Its torques do not decide its motion."""
+    _, kind, intervals, _, coarse = MOTIONS[name]
+    path = robot_file(tmp_path, kind, robot)
+    found = run(Solved(open_loop=None, coarse=coarse), partial(made, name, path), intervals=intervals)
+    report = check(found)
+    assert not report.failures(Tolerances(foot_drift=coarse))
+    assert np.isinf(report.open_loop_joints)
+    assert report.to_dict()["open_loop_joints"] is None
+
+
+OF_UR5 = "with_inertias(own('ur5'), lambda n, i: {})"
+IMPOSSIBLE = {
+    "no mass": (OF_UR5.format("pin.Inertia.Zero()"), "has no mass"),
+    "negative mass": (
+        OF_UR5.format("pin.Inertia(-i.mass, i.lever, i.inertia)"),
+        "the mass moved by joint '.*' of 'ur5' is -",
+    ),
+    "mass NaN": (
+        OF_UR5.format("pin.Inertia(np.nan, i.lever, i.inertia)"),
+        "the mass moved by joint '.*' of 'ur5' is nan",
+    ),
+    "gravity NaN": ("with_gravity(own('ur5'), np.nan)", "gravity of robot 'ur5' is .*allowed: finite"),
+    "armature negative": ("with_armature(own('ur5'), -1.0)", "armature of robot 'ur5' is negative"),
+}
+
+
+@pytest.mark.parametrize(("robot", "cause"), IMPOSSIBLE.values(), ids=IMPOSSIBLE)
+def test_inertia_that_no_body_has_is_refused(robot, cause, tmp_path):
+    path = robot_file(tmp_path, "arm", robot)
+    run(Refused(cause), partial(made, ARM, path))

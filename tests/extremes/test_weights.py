@@ -1,0 +1,90 @@
+"""Weights of 1e-9 and 1e9: of all costs, which changes nothing, and of one among the others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache, partial
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import problems
+from extremes.outcomes import Refused, Solved, run
+from trajopt.node_costs import NodeCost
+from trajopt.problem import Problem
+from trajopt.solution import Solution
+from trajopt.term_interfaces import Cost
+
+# Rounding, which iterations of a solver multiply.
+SAME = 1e-9
+# What a weight of 1e-9 leaves of a cost beside others of about one: as good as none, and the same the other
+# way round. Both optima are flat: objectives agree to the solver's tolerance, motions to its square root.
+NEXT_TO_NONE, FLAT = 1e-4, 5e-2
+# Family, intervals, open loop, rad and parts of the length.
+MOTIONS = {
+    "ur5-reach": (10, 0.5),
+    "hopper-hop": (40, 0.3),
+    "solo12-jump": (15, 3.0),
+}
+WILD = 20.0  # times that, where nothing holds accelerations or torques back on such grids
+COARSE = 0.05  # m, between the points of these grids
+SHORT = ["ur5-reach", "hopper-hop", pytest.param("solo12-jump", marks=pytest.mark.slow)]
+
+
+def weighed(name: str, factor: float, cost: str | None = None) -> Problem:
+    """The problem with the weight of one cost, or of all, multiplied."""
+    problem = problems.load(name)
+    terms = tuple(
+        replace(term, weight=factor * term.weight)
+        if isinstance(term, Cost | NodeCost) and cost in (None, term.name)
+        else term
+        for term in problem.terms
+    )
+    return replace(problem, terms=terms)
+
+
+@lru_cache
+def solved(name: str, factor: float = 1.0, cost: str | None = None) -> Solution:
+    intervals, open_loop = MOTIONS[name]
+    expected = Solved(open_loop=open_loop if cost is None else WILD * open_loop, coarse=COARSE)
+    return run(expected, partial(weighed, name, factor, cost), intervals=intervals)
+
+
+@pytest.mark.parametrize("factor", [1e-9, 1e9])
+@pytest.mark.parametrize("name", SHORT)
+def test_weights_all_multiplied_change_the_objective_alone(name, factor):
+    own, found = solved(name), solved(name, factor)
+    assert_allclose(found.meta["objective"] / factor, own.meta["objective"], rtol=SAME)
+    assert_allclose(found.q, own.q, atol=SAME)
+    assert_allclose(found.tau, own.tau, atol=SAME * np.abs(own.tau).max())
+    assert found.meta["iterations"] == own.meta["iterations"]
+
+
+@pytest.mark.parametrize("cost", ["torque_cost", "acceleration_cost"])
+@pytest.mark.parametrize("name", ["ur5-reach", pytest.param("hopper-hop", marks=pytest.mark.slow)])
+def test_one_weight_next_to_none_is_none(name, cost):
+    none, found = solved(name, 0.0, cost), solved(name, 1e-9, cost)
+    assert_allclose(found.meta["objective"], none.meta["objective"], rtol=NEXT_TO_NONE)
+    assert_allclose(found.q, none.q, atol=FLAT)
+
+
+@pytest.mark.parametrize("cost", ["torque_cost", "acceleration_cost"])
+@pytest.mark.parametrize("name", ["ur5-reach", pytest.param("hopper-hop", marks=pytest.mark.slow)])
+def test_one_enormous_weight_decides(name, cost):
+    """The others are a billionth of it: this cost is no more than it is beside them."""
+    found, own = solved(name, 1e9, cost), solved(name)
+    assert found.meta["objective"] > 0
+    assert cost_of(found, cost) <= cost_of(own, cost) * (1 + NEXT_TO_NONE)
+
+
+def cost_of(solution: Solution, cost: str) -> float:
+    """Sum of squares that the cost is about, by Gauss' weights of two points, up to its unit."""
+    points = solution.collocation
+    values = {"torque_cost": solution.tau, "acceleration_cost": solution.a}[cost][points]
+    return float((values**2).sum())
+
+
+@pytest.mark.parametrize("weight", [-1.0, float("nan"), float("inf")])
+def test_weight_that_is_none_is_refused(weight):
+    run(Refused("weight of torque_cost is"), partial(weighed, "ur5-reach", weight, "torque_cost"))
