@@ -1,13 +1,13 @@
 """A Hessian without negative curvature, for programs that cannot be solved with the exact one.
 
-The Hessian is block diagonal: no function of the NLP depends on unknowns of two stages. Every block's
-eigenvalues are replaced by their magnitudes, so that a direction of negative curvature is left at the
-speed of one as strongly curved upwards (Dauphin et al., "Identifying and attacking the saddle point problem
-in high-dimensional non-convex optimization", NeurIPS 2014).
+The Hessian is block diagonal: no function of the NLP depends on unknowns of two stages. A share of every
+block's negative eigenvalues is taken away. Replacing them by their magnitudes makes steps far too short: what
+is bilinear, such as a force times its lever, has eigenvalues in pairs of both signs.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,11 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from trajopt.nlp import Nlp
+
+# The least share of negative curvature that is taken away; by which factors it grows until a program is
+# solved, and shrinks from step to step. After n smaller ones in a row that failed it stays for 2^n - 1 steps.
+LEAST, MORE, LESS = 1e-2, 8.0, 2.0
+MOST_FAILURES = 3
 
 
 @dataclass(frozen=True)
@@ -33,7 +38,7 @@ class _Blocks:
 
 
 class Convexified:
-    """The Hessian's blocks with the magnitudes of their eigenvalues; ``row``, ``column`` of all nonzeros."""
+    """The Hessian with less negative curvature; ``row``, ``column`` of its blocks' lower triangles."""
 
     def __init__(self, nlp: Nlp) -> None:
         n = len(nlp.transcription.lower_x)
@@ -74,3 +79,38 @@ class Convexified:
             found = (vectors * value[:, None, :]) @ vectors.transpose(0, 2, 1)
             parts.append(found[:, blocks.lower[0], blocks.lower[1]].ravel())
         return np.concatenate(parts)
+
+
+class Convexity:
+    """The share of negative curvature to take away from step to step: as little as programs ask for."""
+
+    def __init__(self) -> None:
+        self.share = 0.0
+        self._patience = self._failures = 0
+        self._lowering = False
+
+    def shares(self) -> Iterator[float]:
+        """Shares to try in turn for one step: a bit less than it took last, then more, up to all.
+
+        After one that was too small the last is kept for a while: a program without a solution is dear.
+        """
+        last, self._lowering = self.share, self._patience == 0
+        if self._lowering:
+            less = last / LESS
+            self.share = less if less >= LEAST else 0.0
+            yield self.share
+            self._lowering = False
+            self._failures = min(self._failures + 1, MOST_FAILURES)
+            self._patience = 2**self._failures
+        self._patience -= 1
+        self.share = last
+        if last > 0:
+            yield last
+        while self.share < 1.0:
+            self.share = min(1.0, max(LEAST, MORE * self.share))
+            yield self.share
+
+    def was_enough(self) -> None:
+        """The present share led to a step: if it was a smaller one, try one again next time."""
+        if self._lowering:
+            self._failures = 0

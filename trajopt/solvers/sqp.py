@@ -15,14 +15,14 @@ which the objective rises, a short step.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
 
 from trajopt.nlp import Nlp
-from trajopt.solvers.convexification import Convexified
+from trajopt.solvers.convexification import Convexified, Convexity
 from trajopt.solvers.qp import QpStep, Quadratic, StageQp
 from trajopt.solvers.sqp_filter import Filter
 from trajopt.solvers.sqp_point import Errors, Evaluator, Point
@@ -32,11 +32,8 @@ from trajopt.solvers.sqp_settings import SqpSettings
 # for a program that is not solved.
 FIRST_DELTA, DELTA_GROWTH, SHORT_STEP_DELTA, MOST_DELTA = 1e-4, 4.0, 1.0, 1e4
 UNSOLVED_DELTA = 1e-2
-# Share of the Hessian's negative curvature that is taken away: the least, by which factors it grows until a
-# program is solved and shrinks from step to step, and what the diagonal gets then. After n shares in a row
-# that were too small it is kept for 2^n - 1 steps.
-LEAST_CONVEX, MORE_CONVEX, LESS_CONVEX, CONVEX_DELTA = 1e-2, 4.0, 2.0, 1e-4
-MOST_FAILURES = 3
+# What the diagonal gets where negative curvature is taken away.
+CONVEX_DELTA = 1e-4
 # Steps shorter than this share of their direction call for curvature; the shortest that are tried.
 SHORT, SHORTEST, SHORTEST_ELASTIC = 0.2, 1e-3, 1e-6
 # The elastic program: its first and least share of the objective, the part of the violation that it must
@@ -82,10 +79,8 @@ class Sqp:
     programs: int = field(default=0, init=False)
     program_iterations: int = field(default=0, init=False)
     program_time: float = field(default=0.0, init=False)
-    convexity: float = field(default=0.0, init=False)
-    patience: int = field(default=0, init=False)
-    lowering: bool = field(default=False, init=False)
-    failures: int = field(default=0, init=False)
+    correcting: bool = field(default=True, init=False)
+    convexity: Convexity = field(default_factory=Convexity, init=False)
 
     def __post_init__(self) -> None:
         self.evaluator = Evaluator(self.nlp)
@@ -169,33 +164,13 @@ class Sqp:
 
         None where rows contradict each other, or no program can be solved.
         """
-        for share in self._shares():
-            self.convexity = share
+        for _ in self.convexity.shares():
             step = self._program(q)
             if step.infeasible or self._leads_on(q, step):
-                self.failures = 0 if self.lowering else self.failures
+                self.convexity.was_enough()
                 return None if step.infeasible else step
             self._watch_time()
         return None
-
-    def _shares(self) -> Iterator[float]:
-        """Shares of the negative curvature to take away: a bit less than it took last, then more.
-
-        After one that was too small the last is kept for a while: a program without a solution is dear.
-        """
-        share, self.lowering = self.convexity, self.patience == 0
-        if self.lowering:
-            less = share / LESS_CONVEX
-            yield less if less >= LEAST_CONVEX else 0.0
-            self.lowering = False
-            self.failures = min(self.failures + 1, MOST_FAILURES)
-            self.patience = 2**self.failures
-        self.patience -= 1
-        if share > 0:
-            yield share
-        while share < 1.0:
-            share = min(1.0, max(LEAST_CONVEX, MORE_CONVEX * share))
-            yield share
 
     def _leads_on(self, q: Quadratic, step: QpStep) -> bool:
         """Whether a step is one, and not uphill from where the rows hold."""
@@ -205,10 +180,10 @@ class Sqp:
 
     def _program(self, q: Quadratic) -> QpStep:
         """Solve a program without the present share of its Hessian's negative curvature."""
-        if self.convexity == 0:
+        if self.convexity.share == 0:
             return self._timed(partial(self.qp.solve, q, self.delta, self._accuracy()))
         known, qp = self._convex
-        own = replace(q, hessian=known.values(q.hessian, self.convexity))
+        own = replace(q, hessian=known.values(q.hessian, self.convexity.share))
         return self._timed(partial(qp.solve, own, max(self.delta, CONVEX_DELTA), self._accuracy()))
 
     @cached_property
@@ -231,21 +206,26 @@ class Sqp:
             there, trials = self.evaluator.pair(x), trials + 1
             if self.filter.takes(here, there, slope, share) or np.abs(step.d).max() <= TINY:
                 return self._taken(x, step, slope, share, trials)
-            if trials == 1 and np.isfinite(there.theta) and there.theta >= 0.5 * here.theta:
-                corrected = self._corrected(q, step)
+            if trials == 1 and self.correcting and here.theta <= there.theta < np.inf:
+                corrected = self._corrected(q, step, slope)
                 if corrected is not None:
-                    x = self.evaluator.inside(self.point.x + corrected.d)
-                    if self.filter.takes(here, self.evaluator.pair(x), slope, 1.0):
-                        return self._taken(x, corrected, slope, 1.0, 2)
+                    return corrected
             share *= 0.5
             self._watch_time()
         return None
 
-    def _corrected(self, q: Quadratic, step: QpStep) -> QpStep | None:
-        """The direction with the rows' curvature along the first one: with their values at its end."""
-        bent = self.evaluator.bent(self.point, q, step.d)
-        found = self._program(bent)
-        return found if found.solved else None
+    def _corrected(self, q: Quadratic, step: QpStep, slope: float) -> Point | None:
+        """The point after a direction with the rows' curvature, if the filter takes it.
+
+        Rows have their values at the first direction's end. After one that is not taken none is tried until
+        a whole step is: far from a solution they seldom help.
+        """
+        found = self._program(self.evaluator.bent(self.point, q, step.d))
+        x = self.evaluator.inside(self.point.x + found.d)
+        if found.solved and self.filter.takes(self.point.pair, self.evaluator.pair(x), slope, 1.0):
+            return self._taken(x, found, slope, 1.0, 2)
+        self.correcting = False
+        return None
 
     def _taken(self, x: np.ndarray, step: QpStep, slope: float, share: float, trials: int) -> Point:
         """Go to ``x``; the filter, the multipliers and delta follow."""
@@ -256,6 +236,7 @@ class Sqp:
         if share < SHORT:
             self._more_curvature(FIRST_DELTA, SHORT_STEP_DELTA)
         elif share == 1.0:
+            self.correcting = True
             self.delta = self.delta / DELTA_GROWTH if self.delta > FIRST_DELTA / DELTA_GROWTH else 0.0
         lam_g = point.lam_g + share * (step.lam_g - point.lam_g)
         lam_x = point.lam_x + share * (step.lam_x - point.lam_x)
@@ -291,7 +272,7 @@ class Sqp:
         best: QpStep | None = None
         while share >= LEAST_SHARE and delta <= MOST_DELTA:
             self._watch_time()
-            step = self._timed(partial(self.qp.elastic, q, delta, share, self._accuracy()))
+            step = self._timed(partial(self.qp.elastic, q, delta, share, self._finest))
             if not step.solved:
                 delta *= 10
                 continue
@@ -305,7 +286,11 @@ class Sqp:
 
     def _accuracy(self) -> float:
         worst = max(self.errors.primal, self.errors.optimality)
-        return max(0.01 * self.settings.tolerance, min(LEAST_QP_ACCURACY, QP_SHARE * worst))
+        return max(self._finest, min(LEAST_QP_ACCURACY, QP_SHARE * worst))
+
+    @property
+    def _finest(self) -> float:
+        return QP_SHARE * self.settings.tolerance
 
     def _timed(self, solve: Callable[[], QpStep]) -> QpStep:
         begun = time.perf_counter()
