@@ -151,7 +151,9 @@ def _fatrop(
 ) -> Result:
     t = nlp.transcription
     if t.problem.periodicity is not None:
-        raise ValueError("rows that join the first and the last stage have no place in it; allowed: ipopt")
+        raise ValueError(
+            "rows that join the first and the last stage have no place in it; allowed: ipopt, sqp"
+        )
     chosen = {
         **FATROP_OPTIONS,
         **({} if warm is None else FATROP_WARM),
