@@ -275,8 +275,9 @@ def objective_unit(problem: Problem) -> float:
     Only ratios of weights mean something. A solver's tolerance is absolute: with weights of 1e-9 it would
     call any feasible point optimal, and with 1e9 none.
     """
-    terms = (*problem.costs, *problem.impact_costs, *problem.node_costs)
-    return max((term.weight for term in terms), default=0.0) or 1.0
+    weights = [term.weight for term in (*problem.costs, *problem.impact_costs)]
+    weights += [term.weight for term in problem.node_costs]
+    return max(weights, default=0.0) or 1.0
 
 
 def _gap_group(

@@ -16,8 +16,8 @@ from extremes.outcomes import Failed, Refused, Solved, run
 from extremes.test_masses import made, robot_file
 from trajopt.solvers import Status
 
-# Momenta over mass times length (squared) over duration: what collocation leaves between its points.
-MOMENTUM = 1e-3
+# Momenta over mass times length (squared) over duration, and carried weight: what collocation leaves.
+MOMENTUM, CARRIED = 5e-3, 1e-3
 # A turn of the base and the time for it.
 YAW, DURATION = 0.2, 1.0
 
@@ -33,7 +33,7 @@ def test_quadruped_stands_in_any_gravity(gravity):
     solution = run(Solved(open_loop=1e-3), lambda: stand(with_gravity(robots.load("solo12"), gravity)))
     carried = solution.f[solution.collocation][..., 2].sum(axis=1)
     weight = robots.load("solo12").mass * gravity
-    assert_allclose(carried.mean(), weight, atol=MOMENTUM * weight)  # from rest to rest: no momentum is left
+    assert_allclose(carried.mean(), weight, atol=CARRIED * max(weight, 1.0))  # from rest to rest
 
 
 def test_floating_quadruped_turns_by_its_legs_alone():

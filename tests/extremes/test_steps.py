@@ -112,7 +112,7 @@ def test_horizon_that_is_no_time_is_refused(duration):
 
 def test_reach_faster_than_the_motors_is_infeasible():
     run(
-        Failed(Status.INFEASIBLE, block="effort_limits"),
+        Failed(Status.INFEASIBLE, block="frame_pose"),
         partial(problems.load, "ur5-reach", duration=0.05),
         intervals=10,
     )
