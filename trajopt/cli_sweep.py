@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,10 +17,9 @@ from trajopt.cli_report import to_json
 from trajopt.progress import CANCELLED, show_cursor
 
 if TYPE_CHECKING:
-    from trajopt.problem import Problem
     from trajopt.sweep.plan import Plan
     from trajopt.sweep.records import Asked, Records
-    from trajopt.sweep.summary import Summary
+    from trajopt.sweep.summary import Scale, Summary
 
 NOT_REACHED = 1
 # Columns of the table where it goes to a file or a pipe, which tells no width: no column is folded.
@@ -129,14 +129,14 @@ def sweep(
         return 0
     folder = output_dir or Path(f"{problem}-sweep")
     records = Records(folder, asked.head(plan, versions()), resume=resume)
-    output = Output(problem, loaded, plan, asked, records, Scale.of(loaded))
+    output = Output(problem, plan, asked, records, Scale.of(loaded))
     complete = _run(output, cores)
     rows = output.write()
     output.print(rows, complete, as_json)
     if not complete:
         click.echo(f"trajopt: cancelled; --resume --output-dir {folder} goes on", err=True)
         return CANCELLED
-    return 0 if any(row.is_default and row.solved for row in rows) else NOT_REACHED
+    return 0 if any(row.is_default and math.isfinite(row.time) for row in rows) else NOT_REACHED
 
 
 @dataclass(frozen=True)
@@ -144,11 +144,10 @@ class Output:
     """What is written and printed at the end of a sweep, complete or not."""
 
     problem: str
-    loaded: Problem
     plan: Plan
     asked: Asked
     records: Records
-    scale: Any
+    scale: Scale
 
     def write(self) -> tuple[Summary, ...]:
         """The tables and the plot, from what is recorded."""
@@ -220,7 +219,8 @@ def _run(output: Output, cores: Sequence[int]) -> bool:
         with Lines(f"sweep of {output.problem}") as shown, Pool(cores) as pool:
             shown.note(
                 f"{count} settings, {len(output.asked.starts)} starts each: "
-                f"{count * len(output.asked.starts)} runs, one at a time on core {', '.join(map(str, cores))}"
+                f"{count * len(output.asked.starts)} runs, {len(cores)} at a time, "
+                f"on core {', '.join(map(str, cores))}"
             )
             Sweep(output.asked, output.plan, output.records, pool, shown).run()
     except KeyboardInterrupt:
