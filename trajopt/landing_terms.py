@@ -162,5 +162,7 @@ class SwingClearance(NodeConstraint):
         if isinstance(ground, CurvedSurface):
             heights = [ground.symbolic_gap(position, context.parameter) for position in positions]
         else:
-            heights, least = [along_normal(context, ground, p) for p in positions], least + ground.height
+            # Over the ground, not the origin: solvers relax a bound in proportion to its size.
+            level = context.parameter(ground.height) if ground.height else ca.SX(0)
+            heights = [along_normal(context, ground, p) - level for p in positions]
         return Rows.create(ca.vertcat(*heights), least, np.inf, units.length)
