@@ -84,8 +84,9 @@ def swing() -> Problem:
 
 @pytest.mark.parametrize("name", [*SCHEME_ORDERS, "legendre:4", "radau:4"])
 def test_the_same_grid_gives_back_the_solvers_unknowns(name):
-    case = solved(hop(), name, 6)
-    assert_start_is_exact(case)
+    # On six intervals a scheme of order one turns the hopper by most of half a turn in one of them.
+    intervals = 12 if SCHEME_ORDERS.get(name) == 1 else 6
+    assert_start_is_exact(solved(hop(), name, intervals))
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ ARM = {
     "trapezoidal": 14.0, "hermite-simpson": 0.3, "semi-implicit-euler": 9.0,
 }  # fmt: skip
 HOPPER = {
-    "legendre:1": 7.0, "legendre:2": 0.1, "legendre:3": 4e-4, "legendre:4": 2e-6,
+    "legendre:1": 7.0, "legendre:2": 0.1, "legendre:3": 4e-4, "legendre:4": 1e-5,
     "radau:1": 9.0, "radau:2": 2.0, "radau:3": 3e-3, "radau:4": 2e-5,
     "trapezoidal": 2.0, "hermite-simpson": 0.2, "semi-implicit-euler": 9.0,
 }  # fmt: skip
