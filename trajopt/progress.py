@@ -82,8 +82,9 @@ class Interruption:
 class Deadline:
     """Ends the program when a solver has not returned ``GRACE`` seconds after its time limit.
 
-    A solver checks its limit between steps; FATROP's linear algebra can repeat one step for ever. A
-    solver in another thread cannot be stopped from outside, so the program ends, with nothing written.
+    The last resort: solvers look at their limit between steps, FATROP inside them too, and one factorisation
+    of a large problem may take long. A solver in another thread cannot be stopped from outside, so the
+    program ends, with nothing written.
     """
 
     def __init__(self, max_time: float) -> None:
