@@ -16,6 +16,7 @@ import re
 import shutil
 import subprocess
 import sys
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,11 +28,12 @@ from trajopt.sweep.tables import SETTINGS
 
 DOCUMENT = Path(__file__).parent.parent / "docs" / "front.md"
 DOCS = DOCUMENT.parent / "front"
-WORK = Path("fronts-work")
+WORK = Path("build") / "fronts"
 # What the front of every problem is asked for: so much faster, and so much more accurate, than the default.
 FASTER, MORE_ACCURATE = 5, 100
 # Runs of one solve alone and on all cores.
 REPEATS = 15
+WIDTH = 120
 
 
 @dataclass(frozen=True)
@@ -120,8 +122,11 @@ def section(front: Published) -> str:
         "|---|---|---|---|---|---|",
         *(_row(row) for row in [*best, *([default] if default not in best else [])]),
         "",
-        f"{_offer(front)} {len(rows)} settings were tried; all of them, and what dominates each, are in "
-        f"[{front.name}.txt](front/{front.name}.txt) and [{front.name}.csv](front/{front.name}.csv).",
+        *textwrap.wrap(
+            f"{_offer(front)} {len(rows)} settings were tried; all of them, and what dominates each, are in "
+            f"[{front.name}.txt](front/{front.name}.txt) and [{front.name}.csv](front/{front.name}.csv).",
+            WIDTH,
+        ),
         "",
     ]
     return "\n".join(lines)
