@@ -126,6 +126,7 @@ def section(front: Published) -> str:
             f"{_offer(front)} {len(rows)} settings were tried; all of them, and what dominates each, are in "
             f"[{front.name}.txt](front/{front.name}.txt) and [{front.name}.csv](front/{front.name}.csv).",
             WIDTH,
+            break_on_hyphens=False,
         ),
         "",
     ]
