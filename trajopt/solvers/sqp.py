@@ -43,8 +43,9 @@ FIRST_SHARE, LEAST_SHARE, CONTENT, ELASTIC_DELTA = 0.1, 1e-4, 0.9, 1e-2
 STATIONARY = 1e-6
 # Multipliers beyond say nothing but that rows contradict each other: the Hessian does without.
 LARGEST_MULTIPLIER = 1e6
-# Programs are solved to this part of the errors so far, and never less well than that.
-QP_SHARE, LEAST_QP_ACCURACY = 1e-2, 1e-4
+# Programs are solved to this part of the errors so far, never less well than that, nor better than to this
+# part of the tolerance.
+QP_SHARE, LEAST_QP_ACCURACY, FINEST_QP = 1e-3, 1e-4, 1e-2
 # A direction so short is at the limit of rounding: nothing can be told from values along it.
 TINY = 1e-9
 
@@ -290,7 +291,7 @@ class Sqp:
 
     @property
     def _finest(self) -> float:
-        return QP_SHARE * self.settings.tolerance
+        return FINEST_QP * self.settings.tolerance
 
     def _timed(self, solve: Callable[[], QpStep]) -> QpStep:
         begun = time.perf_counter()
