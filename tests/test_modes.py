@@ -133,8 +133,9 @@ def test_embedded_contacts_have_neither_forces_nor_rows():
 
 
 def test_hop_in_space_agrees_in_both_coordinates():
-    minimal = trajopt.solve(standing_hop(), compile="none", intervals=16)
-    excess = trajopt.solve(replace(standing_hop(), modes={}), compile="none", intervals=16)
+    # On 16 intervals excess coordinates have an optimum more, whose foot drifts by 4 mm.
+    minimal = trajopt.solve(standing_hop(), compile="none", intervals=24)
+    excess = trajopt.solve(replace(standing_hop(), modes={}), compile="none", intervals=24)
     assert [minimal.success, excess.success] == [True, True]
     for solution in (minimal, excess):
         assert trajopt.check(solution).ok
