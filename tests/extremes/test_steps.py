@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from itertools import product
 
 import numpy as np
 import pytest
@@ -72,8 +73,14 @@ def timed_reach(duration: float):
     )
 
 
-@pytest.mark.parametrize("duration", [0.05, 1.0, 60.0])
-@pytest.mark.parametrize("intervals", [5, 50, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("duration", "intervals"),
+    [
+        *product([0.05, 1.0, 60.0], [5, 50]),
+        pytest.param(0.05, 2000, marks=pytest.mark.slow),
+        pytest.param(60.0, 2000, marks=pytest.mark.slow),
+    ],
+)
 def test_least_acceleration_is_the_cubic_on_any_horizon_and_grid(duration, intervals):
     """The minimum of the integral of q''^2 from rest to rest is 3 s^2 - 2 s^3; steps of 25 us to 12 s."""
     solution = run(Solved(open_loop=CUBIC), partial(timed_reach, duration), intervals=intervals)
