@@ -40,7 +40,7 @@ def test_floating_quadruped_turns_by_its_legs_alone():
     """No gravity, no contact, no momentum: it ends turned all the same, at rest where it was."""
     robot = with_gravity(robots.load("solo12"), 0.0)
     make = partial(turn_over, robot, yaw=YAW, duration=DURATION)
-    solution = run(Solved(open_loop=5e-2), make, intervals=12)
+    solution = run(Solved(open_loop=5e-2), make, intervals=20)
     model, data = solution.model, solution.model.createData()
     unit = robot.mass * robot.length / DURATION
     for q, v in zip(solution.q, solution.v, strict=True):
