@@ -188,7 +188,10 @@ def test_impossible_goal_ends_with_one_and_names_rows_phase_and_time(tmp_path: P
 
 BAD = {
     "no command": ((), ["Missing command"]),
-    "unknown command": (("sole",), ["sole", "allowed: check, continue, diagnose, list, reference, replay, solve"]),
+    "unknown command": (
+        ("sole",),
+        ["sole", "allowed: check, continue, diagnose, list, reference, replay, solve"],
+    ),
     "no problem": (("solve",), ["PROBLEM"]),
     "unknown problem": (("solve", "solo12-jmp"), ["did you mean solo12-jump?"]),
     "unknown option": ((*HOP, "--sovler", "ipopt"), ["--sovler"]),

@@ -281,7 +281,7 @@ def test_continue_prints_one_json_object():
 
 
 def test_continue_ends_with_1_where_a_value_is_not_solved():
-    result = command("continue", "ur5-reach", *ARM, "--vary", "x=0.3:4:2", "--max-halvings", 0,
+    result = command("continue", "ur5-reach", *ARM, "--vary", "duration=1:0.1:2", "--max-halvings", 0,
                      "--max-iterations", 8)  # fmt: skip
     assert result.exit_code == 1
     assert "1 of 2 values solved" in result.stdout

@@ -228,7 +228,8 @@ def test_soft_and_hard_landings_start_from_each_other():
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_solve_started_at_its_solution_ends_there(solver):
-    first = trajopt.solve(hop(), compile="none", solver=solver)
+    # The SQP does not find this hop from a guess that stands.
+    first = trajopt.solve(hop(), compile="none", solver="ipopt" if solver == "sqp" else solver)
     again = trajopt.solve(hop(), compile="none", solver=solver, start=first)
     assert again.success
     assert again.meta["warm_start"] is True

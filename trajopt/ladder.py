@@ -12,6 +12,7 @@ from trajopt.problem import Problem
 from trajopt.schemes import scheme
 from trajopt.solution import Solution
 from trajopt.solving import solve
+from trajopt.verdicts import is_start
 
 # A rung is a scheme and a number of intervals; None is the problem's own.
 Rung = tuple[str | None, int | None]
@@ -80,7 +81,7 @@ def solve_ladder(
         found.append(solve(problem, **grid, start=start, perturb=noise, **settings))
         if found[-1].meta["status"] == INTERRUPTED:
             break
-        start = found[-1] if found[-1].success else start
+        start = found[-1] if is_start(found[-1]) else start
     compared = compare and found[-1].meta["status"] != INTERRUPTED
     cold = solve(problem, **rungs[-1], **settings) if compared else None
     return Ladder(rungs=tuple(found), cold=cold)

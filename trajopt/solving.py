@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from trajopt.bases.virtual_base import LEAST_MARGIN, gimbal_margin_along
 from trajopt.compilation import (
     DEFAULT_HESSIAN,
     DEFAULT_LEVEL,
@@ -30,20 +29,12 @@ from trajopt.solution import Solution
 from trajopt.solvers import Result, Status, run
 from trajopt.solvers.drivers import SOLVERS, Option, Stop, Warm, check_hessian
 from trajopt.transcription import Transcription, transcribe
+from trajopt.verdicts import TRUSTED_VIOLATION, advice_for, creep_reported, finite, judged, locks_reported
 from trajopt.violations import nonfinite_place, row_violations, worst_blocks
 from trajopt.warm_start import solution_of, warm_start
 
 Progress = Callable[[dict[str, float]], bool]
 
-# A solver's "solved" is believed up to this multiple of its tolerance, measured anew on all rows.
-TRUSTED_VIOLATION = 10.0
-# A solver that stops for want of a step this far from feasible (natural units) has found no feasible point.
-STILL_FEASIBLE = 1e-3
-# Why a solver does not end at a point that meets all rows: where they lose rank there are no multipliers.
-DEPENDENT = (
-    "; all rows hold at this iterate, so they may depend on each other there, as of a goal at a singular"
-    " posture or a place that is asked for twice: trajopt diagnose names them"
-)
 DEFAULT_SOLVER = "ipopt"
 MAX_PERTURBATION = 100.0
 
@@ -241,11 +232,7 @@ def _solution(
     t, report = prepared.transcription, prepared.compilation
     violations = row_violations(prepared.nlp, result.x)
     worst = float(violations.max()) if np.all(np.isfinite(violations)) else math.nan
-    status = result.status
-    if status is Status.SOLVED and not worst <= TRUSTED_VIOLATION * tolerance:
-        status = Status.INACCURATE
-    if status is Status.STEP_FAILED and not worst <= STILL_FEASIBLE:
-        status = Status.INFEASIBLE
+    status = judged(result.status, worst, tolerance)
     success = status is Status.SOLVED
     meta = {
         "solver": solver,
@@ -253,16 +240,16 @@ def _solution(
         "status": status.word,
         "solver_status": result.solver_status,
         "success": success,
-        "advice": _advice(status, place, worst <= TRUSTED_VIOLATION * tolerance),
+        "advice": advice_for(status, place, worst <= TRUSTED_VIOLATION * tolerance),
         "iterations": result.iterations,
-        "objective": _number(result.objective * t.objective_unit),
+        "objective": finite(result.objective * t.objective_unit),
         "tolerance": tolerance,
         "variables": t.layout.n_unknowns,
         "constraints": t.n_rows,
-        "max_violation": _number(worst),
-        "primal_infeasibility": _number(result.primal),
-        "dual_infeasibility": _number(result.dual),
-        "complementarity": _number(result.complementarity),
+        "max_violation": finite(worst),
+        "primal_infeasibility": finite(result.primal),
+        "dual_infeasibility": finite(result.dual),
+        "complementarity": finite(result.complementarity),
         "worst_blocks": worst_blocks(t, result.x, violations, 3),
         "wall_time_s": result.wall_time,
         "function_time_s": result.function_time,
@@ -274,32 +261,5 @@ def _solution(
         **result.figures,
         **origin,
     }
-    found = extract(t, result.x, meta)
-    return _locks_reported(with_multipliers(found, t, result.lam_g, result.lam_x))
-
-
-def _advice(status: Status, place: str | None, feasible: bool) -> str:
-    if place is not None:
-        return f"{status.advice}: {place}"
-    stuck = feasible and status in (Status.STEP_FAILED, Status.ITERATION_LIMIT)
-    return f"{status.advice}{DEPENDENT}" if stuck else status.advice
-
-
-def _locks_reported(solution: Solution) -> Solution:
-    """A plan whose virtual base comes to gimbal lock is no success, whatever the solver says."""
-    margin = gimbal_margin_along(solution.model, solution.t, solution.q, solution.v)
-    if margin is None:
-        return solution
-    found: dict[str, Any] = {"gimbal_margin": _number(margin)}
-    if not margin >= LEAST_MARGIN:
-        status = Status.SINGULAR_BASE
-        found["advice"] = f"{status.advice} (margin {margin:.3f}, least {LEAST_MARGIN:g})"
-        if solution.success:
-            found |= {"status": status.word, "success": False}
-        else:
-            found["advice"] = f"{solution.meta['advice']}; {found['advice']}"
-    return replace(solution, meta={**solution.meta, **found})
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+    found = with_multipliers(extract(t, result.x, meta), t, result.lam_g, result.lam_x)
+    return creep_reported(locks_reported(found), t.problem.robot.length)

@@ -17,6 +17,7 @@ from trajopt.refinement.refine import Refinement, Round, phase_errors, refine
 from trajopt.solution import Solution
 from trajopt.solving import solve
 from trajopt.sweep.front import Filter
+from trajopt.verdicts import is_start
 
 # A fast solution comes first where it is predicted to take at most this part of the budget: it is there if
 # the accurate one does not end in time, and it is what that starts from.
@@ -99,9 +100,11 @@ def solve_to_accuracy(
         )
     else:
         further = {name: value for name, value in solver.items() if name != "tolerance"}
-        origin: dict[str, Any] = {"start": first} if first.success else {"mesh": choice.mesh, "start": start}
+        origin: dict[str, Any] = {"start": first}
+        if not is_start(first):
+            origin = {"mesh": choice.mesh, "start": start}
         made = refine(problem, accuracy, **origin, **further, **settings)
-        if not first.success:
+        if not is_start(first):
             made = replace(made, rounds=(_round(choice, first), *made.rounds))
     return _finished(
         Aimed(

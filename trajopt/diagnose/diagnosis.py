@@ -32,7 +32,8 @@ from trajopt.extraction import extract
 from trajopt.mesh import mesh_of
 from trajopt.problem import Problem
 from trajopt.solution import Solution
-from trajopt.solving import STILL_FEASIBLE, Prepared, prepare
+from trajopt.solving import Prepared, prepare
+from trajopt.verdicts import STILL_FEASIBLE
 from trajopt.warm_start import solution_of
 
 # Rows are violated where they miss this, or ten times the solve's tolerance: as a solve itself judges.

@@ -21,6 +21,7 @@ from trajopt.problem import Problem
 from trajopt.refinement.remeshing import PhaseErrors, remeshed
 from trajopt.solution import Solution
 from trajopt.solving import solve
+from trajopt.verdicts import is_start
 from trajopt.warm_start import solution_of
 
 # The first mesh has this part of the problem's own intervals, and two a phase at least: its solution takes
@@ -143,7 +144,7 @@ def refine(
     tolerance = tolerance_for(target, problem.robot.length) if tolerance is None else tolerance
     loop = _Loop(problem, float(target), raise_degree, {**settings, "tolerance": tolerance})
     known = None if start is None else solution_of(start)
-    if mesh is None and known is not None and known.success:
+    if mesh is None and known is not None and is_start(known):
         loop.take(known)
         mesh, max_rounds = mesh_of(known), max_rounds + 1
     loop.run(mesh or coarse_mesh(problem), known, max_rounds, max_variables)
@@ -211,7 +212,7 @@ class _Loop:
         for origin in (start, None) if start is not None else (None,):
             solution = solve(self.problem, mesh=mesh, start=origin, **self.settings)
             self._record(mesh, solution)
-            if solution.success:
+            if is_start(solution):
                 return solution
             if solution.meta["status"] == INTERRUPTED:
                 break

@@ -24,6 +24,10 @@ class Status(Enum):
     INACCURATE = (
         "the solver says solved but rows are violated beyond tolerance: tighten --tol or change the solver"
     )
+    COARSE_GRID = (
+        "the rows hold at the points, but between them contacts move further than a plan may err: use more "
+        "intervals or a higher degree"
+    )
     SINGULAR_BASE = (
         "the virtual joints of the base pass gimbal lock, where their rates have no bound: use "
         "base='freeflyer', or another order of the angles' axes"

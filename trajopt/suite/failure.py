@@ -8,7 +8,7 @@ from typing import Any
 
 from trajopt.solvers.drivers import FEASIBILITY_SHARE
 from trajopt.solvers.status import Status
-from trajopt.solving import STILL_FEASIBLE
+from trajopt.verdicts import STILL_FEASIBLE
 
 SOLVED = ""
 PRIMAL = "primal"
