@@ -62,6 +62,15 @@ def test_quadruped_jumps_straight_up_on_ice(friction):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.01])
+def test_quadruped_gets_nowhere_on_ice(friction):
+    """Rows at the points of a coarse grid hold for feet that slide between them: no success either."""
+    make = partial(problems.load, "solo12-jump", friction=friction)
+    wrong = Failed(Status.COARSE_GRID, Status.INFEASIBLE, Status.ITERATION_LIMIT, Status.STEP_FAILED)
+    run(wrong, make, intervals=15, max_iterations=GIVEN_UP)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("friction", [0.0, 0.01])
 def test_hopper_gets_nowhere_on_ice(friction):
     """Friction too small for the way: no feasible point, in the push where it would have to be made."""
     solution = run(

@@ -31,9 +31,10 @@ HOPPER = {
 }  # fmt: skip
 JUMP = {
     "legendre:1": 12.0, "legendre:2": 0.5, "legendre:3": 1e-2, "legendre:4": 1e-3,
-    "radau:1": 30.0, "radau:2": 8.0, "radau:3": 6e-2, "radau:4": 5e-3,
-    "trapezoidal": 13.0, "hermite-simpson": 0.4, "semi-implicit-euler": 14.0,
+    "radau:2": 8.0, "radau:3": 6e-2, "radau:4": 5e-3, "hermite-simpson": 0.4,
 }  # fmt: skip
+# On the grid of the jump these let feet slide by more than a quarter of a leg.
+TOO_COARSE = ("radau:1", "trapezoidal", "semi-implicit-euler")
 # Where feet may be off between the points of these coarse grids, m: order one drifts by half a leg.
 COARSE = {
     "legendre:1": 0.2, "legendre:2": 1e-2, "legendre:3": 1e-3, "legendre:4": 1e-3, "radau:1": 0.5,
@@ -58,9 +59,10 @@ def test_hopper_hops_by_every_scheme(scheme):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scheme", JUMP)
+@pytest.mark.parametrize("scheme", [*JUMP, *TOO_COARSE])
 def test_quadruped_jumps_by_every_scheme(scheme):
-    expected = Solved(open_loop=JUMP[scheme], coarse=COARSE[scheme])
+    known = scheme in JUMP
+    expected = Solved(JUMP[scheme], coarse=COARSE[scheme]) if known else Failed(Status.COARSE_GRID)
     run(expected, partial(problems.load, "solo12-jump"), transcription=scheme, intervals=20)
 
 
