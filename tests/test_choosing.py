@@ -16,7 +16,7 @@ from trajopt.cli import main
 from trajopt.cli_aim import Seconds
 from trajopt.errors import InputError
 from trajopt.refinement.refine import phase_errors, size_of
-from trajopt.sweep import packaged_fronts
+from trajopt.sweep import load_front, packaged_fronts
 from trajopt.sweep.calibration import Load
 from trajopt.sweep.likeness import motion_kind
 from trajopt.units import Units
@@ -31,8 +31,6 @@ POINTS = (
     ("legendre:3", 8.0, "ipopt", "exact", 0.20, 1e-6, 1.0),
 )
 VARIABLES = 100.0
-# What speeds of the machine measured twice may differ by.
-SPEED = 10.0
 
 
 @pytest.fixture
@@ -93,11 +91,11 @@ def test_intervals_follow_the_natural_time_of_the_robot(front):
     assert sum(choice.mesh.counts) == max(expected, 3)
 
 
-def test_time_is_predicted_by_unknowns_and_the_speed_of_the_machine(front):
+def test_time_is_predicted_by_unknowns_and_the_speed_of_the_machine(front, monkeypatch):
     problem = reach()
+    monkeypatch.setattr(Load, "seconds", lambda self, loads=1: 3 * load_front(front).calibration)
     choice = choose_for_accuracy(problem, 2e-3 * problem.robot.length, front=front)
-    alone = 0.04 * size_of(problem, choice.mesh) / VARIABLES
-    assert alone / SPEED < choice.predicted_time < alone * SPEED
+    assert_allclose(choice.predicted_time, 3 * 0.04 * size_of(problem, choice.mesh) / VARIABLES)
 
 
 def test_most_accurate_setting_is_chosen_for_what_none_reaches(front):

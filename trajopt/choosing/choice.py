@@ -83,10 +83,9 @@ def choose_for_accuracy(
     where: settings that are allowed, such as those of one solver.
     """
     name, known = front_for(problem, front)
-    length = problem.robot.length
-    points = _allowed(problem, known, where)
-    fitting = [point for point in points if point.relative_error * length <= accuracy]
-    best = fitting[0] if fitting else min(points, key=lambda point: point.relative_error)
+    allowed = _allowed(problem, known, where)
+    found = known.for_accuracy(accuracy / problem.robot.length, allowed, LEAST_SUCCESS)
+    best = found or _points(known, allowed)[-1]
     return _choice(problem, name, known, best, machine_speed(known))
 
 
@@ -99,7 +98,8 @@ def choose_for_budget(
     """
     name, known = front_for(problem, front)
     speed = machine_speed(known)
-    choices = [_choice(problem, name, known, point, speed) for point in _allowed(problem, known, where)]
+    points = _points(known, _allowed(problem, known, where))
+    choices = [_choice(problem, name, known, point, speed) for point in points]
     fitting = [choice for choice in choices if choice.predicted_time <= budget]
     return tuple(fitting or [min(choices, key=lambda choice: choice.predicted_time)])
 
@@ -109,24 +109,25 @@ def machine_speed(front: Front) -> float:
     return Load().seconds(LOADS) / front.calibration
 
 
-def plain(setting_of: Front) -> Filter:
-    """Settings that any problem can take: its own terms, the whole model, a cold start, functions compiled.
+def _allowed(problem: Problem, front: Front, where: Filter | None) -> Filter:
+    """Settings that the problem can take: its own terms, the whole model, a cold start.
 
     How functions are compiled is the caller's to say, at every solve alike.
     """
-    own = setting_of.default.setting
-    return lambda s: (s.cone, s.model, s.start, s.compile) == (own.cone, "full", "cold", own.compile)
-
-
-def _allowed(problem: Problem, front: Front, where: Filter | None) -> tuple[Measured, ...]:
-    """The front among what can be chosen for the problem, fastest first; the default at least."""
-    usual = plain(front)
+    own = front.default.setting
+    plain = (own.cone, "full", "cold", own.compile)
     refused = "fatrop" if problem.periodicity is not None else None
 
-    def fits(setting: Setting) -> bool:
-        return usual(setting) and (where is None or where(setting)) and setting.solver != refused
+    def allowed(setting: Setting) -> bool:
+        usual = (setting.cone, setting.model, setting.start, setting.compile) == plain
+        return usual and setting.solver != refused and (where is None or where(setting))
 
-    return front.best(fits, least_success=LEAST_SUCCESS) or (front.default,)
+    return allowed
+
+
+def _points(front: Front, allowed: Filter) -> tuple[Measured, ...]:
+    """The front among the settings that are allowed, fastest first; the default at least."""
+    return front.best(allowed, LEAST_SUCCESS) or (front.default,)
 
 
 def _choice(problem: Problem, name: str, front: Front, point: Measured, speed: float) -> Choice:

@@ -84,10 +84,12 @@ class Front:
         ]
         return tuple(chosen[i] for i in front([point.objectives for point in chosen], GAIN))
 
-    def for_accuracy(self, relative_error: float, where: Filter | None = None) -> Measured | None:
+    def for_accuracy(
+        self, relative_error: float, where: Filter | None = None, least_success: float = 0.0
+    ) -> Measured | None:
         """The fastest setting with at most that error over the robot's length; None where there is none."""
-        fitting = [point for point in self.best(where) if point.relative_error <= relative_error]
-        return fitting[0] if fitting else None
+        best = self.best(where, least_success)
+        return next((point for point in best if point.relative_error <= relative_error), None)
 
     def for_budget(self, relative_time: float, where: Filter | None = None) -> Measured | None:
         """The most accurate setting with at most that time over the default's; None where there is none."""
