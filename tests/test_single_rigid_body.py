@@ -266,9 +266,9 @@ def test_unsuitable_robots_solutions_and_reaches_are_refused() -> None:
 @pytest.mark.slow
 def test_full_jump_from_the_guess_of_one_body_reaches_the_same_optimum() -> None:
     problem, solution = jump()
-    settings = {"intervals": 30, "compile": "quick"}
     guess = guess_from_srb(problem, solution)
-    found = [trajopt.solve(p, **settings) for p in (problem, replace(problem, guess=guess))]
+    # On the problem's own grid: on 30 intervals this guess is nearer to an optimum whose feet slide.
+    found = [trajopt.solve(p) for p in (problem, replace(problem, guess=guess))]
     assert all(s.success and s.meta["iterations"] <= MOST_ITERATIONS for s in found)
     assert found[1].meta["objective"] == pytest.approx(found[0].meta["objective"], rel=1e-4)
     assert not trajopt.check(found[1]).failures()

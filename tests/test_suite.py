@@ -155,7 +155,7 @@ def test_every_status_has_a_mode(status: Status):
         ("t-reach", {}, "", ""),
         ("t-infeasible", {}, "primal", "infeasible: defect in phase 'reach'"),
         ("t-not-finite", {}, "NaN", "not_finite: "),
-        ("t-coarse", {}, "check", "beyond tolerance: "),
+        ("t-coarse", {}, "check", "coarse_grid: "),
         ("t-coarse", {"max_iterations": 1}, "primal", "iteration_limit: "),
         ("t-coarse", {"max_time": 1e-6}, "time", "time_limit: "),
         ("t-coarse", {"solver": "fatrop", "max_iterations": 1}, "primal", "iteration_limit: "),

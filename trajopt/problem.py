@@ -160,7 +160,7 @@ class Problem:
 
     def _require_impacts(self) -> None:
         for phase in self.schedule.phases:
-            if phase.impact and not self._holds_contacts:
+            if phase.impact and not self.holds_contacts:
                 raise InputError(
                     f"phase '{phase.name}' begins with an impact, but the dynamics hold no contacts",
                     "allowed: impact=False for a reduced model",
@@ -217,7 +217,8 @@ class Problem:
         object.__setattr__(self, "duration_bounds", (low, high))
 
     @property
-    def _holds_contacts(self) -> bool:
+    def holds_contacts(self) -> bool:
+        """Whether the dynamics hold contacts in place; a reduced model without legs does not."""
         return any(isinstance(rows, ContactAcceleration | ContactVelocity) for rows in self.motion_rows)
 
     def _require_actuation(self) -> None:
@@ -297,7 +298,7 @@ class Problem:
                 held=self.schedule.kept_contacts(i) if phase.impact else (),
             )
             for i, phase in enumerate(self.schedule.phases)
-            if self._holds_contacts and self.schedule.new_contacts(i)
+            if self.holds_contacts and self.schedule.new_contacts(i)
         )
         return landings + tuple(term for term in self.terms if isinstance(term, NodeConstraint))
 
@@ -323,6 +324,6 @@ class Problem:
         rows: tuple[NodeConstraint, ...] = ()
         if self.robot.base == "freeflyer":
             rows = (UnitRotation(phase=first),)
-        if landing and self._holds_contacts:
+        if landing and self.holds_contacts:
             rows += (ContactLanding(phase=first, contacts=landing, terrain=self.terrain),)
         return rows

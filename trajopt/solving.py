@@ -262,4 +262,5 @@ def _solution(
         **origin,
     }
     found = with_multipliers(extract(t, result.x, meta), t, result.lam_g, result.lam_x)
-    return creep_reported(locks_reported(found), t.problem.robot.length)
+    found = locks_reported(found)
+    return creep_reported(found, t.problem.robot.length) if t.problem.holds_contacts else found

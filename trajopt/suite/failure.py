@@ -21,7 +21,7 @@ ERROR = "error"
 MODES = (PRIMAL, DUAL, COMPLEMENTARITY, NOT_FINITE, TIME, CHECK, ERROR)
 
 # What a status says by itself. Diverging iterates are a dual matter: an objective without lower bound has no
-# multipliers. A base at gimbal lock is a figure of the check (its margin).
+# multipliers. A base at gimbal lock and contacts that creep are figures of the check.
 _OF_STATUS = {
     Status.SOLVED: SOLVED,
     Status.INFEASIBLE: PRIMAL,
@@ -30,6 +30,7 @@ _OF_STATUS = {
     Status.NOT_FINITE: NOT_FINITE,
     Status.TIME_LIMIT: TIME,
     Status.SINGULAR_BASE: CHECK,
+    Status.COARSE_GRID: CHECK,
     Status.INVALID: ERROR,
 }
 
