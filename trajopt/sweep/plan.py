@@ -30,7 +30,9 @@ JOINED = (
     (0.2, "legendre:3 1e-3 sqp"),
     (0.2, "legendre:3 1e-3 fatrop"),
     (0.2, "legendre:2 1e-3 sqp gauss-newton"),
+    (0.25, "legendre:4"),
     (0.5, "legendre:3 1e-4"),
+    (0.5, "legendre:4"),
     (1.0, "legendre:4 1e-8"),
 )
 # A level that is tried by itself only on robots without a free base.
