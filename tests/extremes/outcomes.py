@@ -3,11 +3,11 @@
 A cell is a problem (a function that builds it) and the settings of its solve. It runs in a process of its own
 that is killed after a hard limit, so that a cell that hangs or crashes fails like any other:
 
-    run(Solved(open_loop=1e-3), partial(problems.load, "arm-reach", robot="ur5"), transcription="radau:1")
-    run(Refused("gravity"), lambda: weightless_jump())
-    run(Failed(Status.INFEASIBLE, block="friction_pyramid"), lambda: pushed_sideways(friction=0.0))
+    assert_outcome(Solved(open_loop=1e-3), partial(problems.load, "ur5-reach"), transcription="radau:1")
+    assert_outcome(Refused("gravity"), lambda: weightless_jump())
+    assert_outcome(Failed(Status.INFEASIBLE, block="friction_pyramid"), lambda: pushed_sideways(friction=0.0))
 
-`run` returns the solution (None where it was refused), for what a test has to say beyond the outcome.
+`assert_outcome` returns the solution (None where it was refused), for what a test has to say beyond it.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class CellError(AssertionError):
     """A cell did not come to what is expected of it."""
 
 
-def run(
+def assert_outcome(
     expected: Expected,
     make: Callable[[], Problem],
     *,

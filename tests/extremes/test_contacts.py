@@ -10,8 +10,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robots
-from tests.extremes.moves import legged, stance, steps, with_joints
-from tests.extremes.outcomes import Failed, Refused, Solved, in_process, run
+from extremes.moves import legged, stance, steps, with_joints
+from extremes.outcomes import Failed, Refused, Solved, assert_outcome, in_process
 from tests.problems_for_tests import hopper
 from trajopt.diagnose import diagnose
 from trajopt.kinematics import contact_positions
@@ -64,7 +64,7 @@ def test_contacts_switch_at_once(what):
     sets, duration = SWITCHES[what]
     height = min(0.02, 0.2 * duration)
     make = lambda: steps(robots.load("solo12"), sets, duration=duration, clearance=height)  # noqa: E731
-    solution = run(Solved(STEP), make, intervals=3 * len(sets))
+    solution = assert_outcome(Solved(STEP), make, intervals=3 * len(sets))
     steps_of_feet = np.abs(np.diff(solution.q[:, :3], axis=0)).max()
     assert steps_of_feet < 0.05  # m: nothing jumps
 
@@ -75,27 +75,27 @@ def test_contacts_switch_at_once(what):
 )
 def test_every_solver_swaps_diagonals_at_once(solver):
     sets = SWITCHES["one diagonal lands as the other lifts"][0]
-    run(Solved(STEP), lambda: steps(robots.load("solo12"), sets), intervals=12, solver=solver)
+    assert_outcome(Solved(STEP), lambda: steps(robots.load("solo12"), sets), intervals=12, solver=solver)
 
 
 @pytest.mark.slow
 def test_a_larger_quadruped_swaps_diagonals_at_once():
     feet = [contact.name for contact in robots.load("go2").contacts]
     sets = (feet, (feet[0], feet[3]), (feet[1], feet[2]), feet)
-    run(Solved(STEP), lambda: steps(robots.load("go2"), sets), intervals=12)
+    assert_outcome(Solved(STEP), lambda: steps(robots.load("go2"), sets), intervals=12)
 
 
 @pytest.mark.slow
 def test_contacts_land_by_an_impact_as_others_lift():
     sets = SWITCHES["one diagonal lands as the other lifts"][0]
-    run(Solved(STEP), lambda: steps(robots.load("solo12"), sets, impact=True), intervals=12)
+    assert_outcome(Solved(STEP), lambda: steps(robots.load("solo12"), sets, impact=True), intervals=12)
 
 
 @pytest.mark.slow
 def test_a_swing_without_foothold_lands_anywhere():
     sets = SWITCHES["a foot lifts and lands where it was"][0]
     make = lambda: steps(robots.load("solo12"), sets, footholds=False)  # noqa: E731
-    run(Solved(STEP), make, intervals=9)
+    assert_outcome(Solved(STEP), make, intervals=9)
 
 
 # One interval a phase
@@ -105,7 +105,7 @@ def test_a_swing_without_foothold_lands_anywhere():
 def test_a_phase_of_one_interval_is_enough(scheme):
     sets = (SOLO, *DIAGONALS, SOLO)
     make = lambda: steps(robots.load("solo12"), sets, duration=0.1, clearance=0.0)  # noqa: E731
-    run(Solved(STEP), make, transcription=scheme, intervals=4)
+    assert_outcome(Solved(STEP), make, transcription=scheme, intervals=4)
 
 
 def test_one_interval_of_degree_one_says_too_much_of_a_swing():
@@ -114,14 +114,14 @@ def test_one_interval_of_degree_one_says_too_much_of_a_swing():
     sets = (SOLO, *DIAGONALS, SOLO)
     make = lambda: steps(robots.load("solo12"), sets, duration=0.1, clearance=0.0)  # noqa: E731
     failed = Failed(Status.ITERATION_LIMIT, Status.STEP_FAILED, advice=CAUSE)
-    solution = run(failed, make, transcription="legendre:1", intervals=4, max_iterations=60)
+    solution = assert_outcome(failed, make, transcription="legendre:1", intervals=4, max_iterations=60)
     found = in_process(lambda: str(diagnose(solution, make(), compile="none")))
     assert "contact_landing" in found
 
 
 def test_fewer_intervals_than_phases_are_refused():
     make = lambda: steps(robots.load("solo12"), (SOLO, *DIAGONALS, SOLO))  # noqa: E731
-    run(Refused("3 intervals for 4 phases"), make, intervals=3)
+    assert_outcome(Refused("3 intervals for 4 phases"), make, intervals=3)
 
 
 @pytest.mark.parametrize("brief", [pytest.param(1e-3, marks=pytest.mark.slow), 1e-4])
@@ -137,7 +137,7 @@ def test_a_phase_of_a_blink_is_solved(brief):
         ),
     )
     q = robot.reference
-    run(Solved(STEP), lambda: legged(robot, Schedule(phases), q, q, lambda t: q), intervals=7)
+    assert_outcome(Solved(STEP), lambda: legged(robot, Schedule(phases), q, q, lambda t: q), intervals=7)
 
 
 # Contacts that repeat each other
@@ -188,7 +188,7 @@ def test_a_foot_of_four_corners_stands_still(wrench):
     robot = corners(4)
     places = [(contact.frame, contact.rows) for contact in robot.contacts]
     assert np.linalg.matrix_rank(contact_jacobian(robot.model, robot.reference, places)) == 6
-    solution = run(Solved(STILL), lambda: standing_hopper(robot, wrench=wrench), intervals=6)
+    solution = assert_outcome(Solved(STILL), lambda: standing_hopper(robot, wrench=wrench), intervals=6)
     assert len(solution.meta["redundant_contact_rows"]["stance"]) == 6
     assert_allclose(total_force(solution)[solution.collocation].mean(axis=0)[2], robot.weight, rtol=1e-2)
 
@@ -200,13 +200,17 @@ def test_two_points_on_a_line_leave_the_turn_about_it():
     problem = standing_hopper(robot, names)
     costs = (TorqueCost(weight=1.0), AccelerationCost(weight=1e-2), WrenchCost(weight=1e-2))
     schedule = Schedule((Phase(name="stance", duration=0.1, contacts=names),))
-    solution = run(Solved(STILL), lambda: replace(problem, schedule=schedule, terms=costs), intervals=6)
+    solution = assert_outcome(
+        Solved(STILL), lambda: replace(problem, schedule=schedule, terms=costs), intervals=6
+    )
     assert solution.meta["redundant_contact_rows"] == {"stance": ["corner1 y"]}
 
 
 def test_four_coplanar_feet_at_rest_keep_all_their_rows():
     robot = robots.load("solo12")
-    solution = run(Solved(STILL), lambda: stance(robot, robot.reference), transcription="legendre:3")
+    solution = assert_outcome(
+        Solved(STILL), lambda: stance(robot, robot.reference), transcription="legendre:3"
+    )
     assert solution.meta["redundant_contact_rows"] == {}
     assert_allclose(solution.q, np.tile(robot.reference, (len(solution.t), 1)), atol=5e-2)
 
@@ -219,8 +223,10 @@ def repeated(robot: Robot) -> Robot:
 @pytest.mark.parametrize("solver", ["ipopt", pytest.param("fatrop", marks=pytest.mark.slow)])
 def test_a_contact_given_twice_shares_its_force(solver):
     robot = robots.load("solo12")
-    twice = run(Solved(STILL), lambda: stance(repeated(robot), robot.reference, intervals=6), solver=solver)
-    once = run(Solved(STILL), lambda: stance(robot, robot.reference, intervals=6), solver=solver)
+    twice = assert_outcome(
+        Solved(STILL), lambda: stance(repeated(robot), robot.reference, intervals=6), solver=solver
+    )
+    once = assert_outcome(Solved(STILL), lambda: stance(robot, robot.reference, intervals=6), solver=solver)
     assert twice.meta["redundant_contact_rows"] == {"stance": ["again x", "again y", "again z"]}
     assert_allclose(total_force(twice), total_force(once), atol=1e-2 * robot.weight)
     shared = twice.f[:, [0, 4], :3]
@@ -233,7 +239,7 @@ def test_a_contact_given_twice_lands_once():
     names = tuple(contact.name for contact in robot.contacts)
     sets = (names, (FR, HL, HR), names)
     make = lambda: steps(robot, sets, duration=0.15)  # noqa: E731
-    solution = run(Solved(STEP), make, intervals=9)
+    solution = assert_outcome(Solved(STEP), make, intervals=9)
     assert solution.meta["redundant_contact_rows"]["phase 2"] == ["again x", "again y", "again z"]
 
 
@@ -242,14 +248,16 @@ def test_a_point_within_a_sole_adds_nothing():
     both = replace(robot, contacts=(*robot.contacts, Contact(frame="foot", name="point")))
     problem = standing_hopper(both)
     terms = tuple(term for term in problem.terms if not isinstance(term, FrictionPyramid))
-    solution = run(Solved(STILL), lambda: replace(problem, terms=terms), intervals=6)
+    solution = assert_outcome(Solved(STILL), lambda: replace(problem, terms=terms), intervals=6)
     assert solution.meta["redundant_contact_rows"] == {"stance": ["point x", "point y", "point z"]}
 
 
 def test_two_contacts_of_one_name_and_one_named_twice_are_refused():
     robot = robots.load("solo12")
-    run(Refused("two contacts named"), lambda: replace(robot, contacts=(*robot.contacts, robot.contacts[0])))
-    run(Refused("names a contact twice"), lambda: steps(robot, ((FL, FL),)))
+    assert_outcome(
+        Refused("two contacts named"), lambda: replace(robot, contacts=(*robot.contacts, robot.contacts[0]))
+    )
+    assert_outcome(Refused("names a contact twice"), lambda: steps(robot, ((FL, FL),)))
 
 
 def test_a_foothold_further_than_the_links_is_refused():
@@ -263,7 +271,7 @@ def test_a_foothold_further_than_the_links_is_refused():
     problem = stance(robot, robot.reference)
     endless = tuple(term for term in problem.terms if not term.name.startswith("terminal"))
     refused = Refused(r"'FL_FOOT' and '\w+' stand in phase 'after' .* apart; allowed: up to")
-    run(refused, lambda: replace(problem, schedule=Schedule(phases), terms=endless))
+    assert_outcome(refused, lambda: replace(problem, schedule=Schedule(phases), terms=endless))
 
 
 def test_the_longest_stretch_of_two_feet_is_allowed():

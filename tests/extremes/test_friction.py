@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 import problems
 import robots
 from extremes.motions import stand
-from extremes.outcomes import Failed, Refused, Solved, run
+from extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.solvers import Status
 
 FRICTIONS = [0.0, 0.01, 5.0, 100.0]
@@ -34,20 +34,20 @@ def tangential(solution) -> float:
 @pytest.mark.parametrize("exact", [False, True], ids=["pyramid", "cone"])
 def test_quadruped_stands_on_any_friction(friction, exact):
     make = partial(stand, robots.load("solo12"), friction=friction, exact=exact)
-    solution = run(Solved(open_loop=1e-3), make, intervals=8)
+    solution = assert_outcome(Solved(open_loop=1e-3), make, intervals=8)
     assert tangential(solution) <= friction / 4 + FORCE if friction < 1 else 1
 
 
 @pytest.mark.parametrize("friction", [5.0, 100.0])
 def test_pushed_quadruped_comes_to_rest_on_high_friction(friction):
     make = partial(stand, robots.load("solo12"), friction=friction, push=PUSH)
-    run(Solved(open_loop=1e-2), make, intervals=8)
+    assert_outcome(Solved(open_loop=1e-2), make, intervals=8)
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.01])
 def test_hopper_hops_on_the_spot_on_ice(friction):
     make = partial(problems.load, "hopper-hop", distance=0.0, friction=friction)
-    solution = run(Solved(open_loop=1e-2), make, intervals=40)
+    solution = assert_outcome(Solved(open_loop=1e-2), make, intervals=40)
     if friction == 0.0:
         centre = [pin.centerOfMass(solution.model, solution.model.createData(), q)[0] for q in solution.q]
         assert_allclose(centre, centre[0], atol=1e-4)  # nothing pushes sideways; what 40 intervals leave
@@ -57,7 +57,7 @@ def test_hopper_hops_on_the_spot_on_ice(friction):
 @pytest.mark.parametrize("friction", [0.0, 0.01])
 def test_quadruped_jumps_straight_up_on_ice(friction):
     make = partial(problems.load, "solo12-jump", distance=0.0, friction=friction)
-    run(Solved(open_loop=0.5, coarse=COARSE), make, intervals=15)
+    assert_outcome(Solved(open_loop=0.5, coarse=COARSE), make, intervals=15)
 
 
 @pytest.mark.slow
@@ -66,14 +66,14 @@ def test_quadruped_gets_nowhere_on_ice(friction):
     """Rows at the points of a coarse grid hold for feet that slide between them: no success either."""
     make = partial(problems.load, "solo12-jump", friction=friction)
     wrong = Failed(Status.COARSE_GRID, Status.INFEASIBLE, Status.ITERATION_LIMIT, Status.STEP_FAILED)
-    run(wrong, make, intervals=15, max_iterations=GIVEN_UP)
+    assert_outcome(wrong, make, intervals=15, max_iterations=GIVEN_UP)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.01])
 def test_hopper_gets_nowhere_on_ice(friction):
     """Friction too small for the way: no feasible point, in the push where it would have to be made."""
-    solution = run(
+    solution = assert_outcome(
         Failed(Status.INFEASIBLE, Status.ITERATION_LIMIT),
         partial(problems.load, "hopper-hop", friction=friction),
         intervals=40,
@@ -85,9 +85,9 @@ def test_hopper_gets_nowhere_on_ice(friction):
 
 @pytest.mark.parametrize("friction", [-0.1, float("nan"), float("inf"), 100.0])
 def test_friction_that_no_family_takes_is_refused(friction):
-    run(Refused("friction is .*allowed"), partial(problems.load, "hopper-hop", friction=friction))
+    assert_outcome(Refused("friction is .*allowed"), partial(problems.load, "hopper-hop", friction=friction))
 
 
 @pytest.mark.parametrize("friction", [-0.1, float("nan"), float("inf")])
 def test_friction_of_the_ground_that_is_none_is_refused(friction):
-    run(Refused("friction"), partial(stand, robots.load("solo12"), friction=friction))
+    assert_outcome(Refused("friction"), partial(stand, robots.load("solo12"), friction=friction))

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 import robots
 from extremes.changed_robots import with_gravity
 from extremes.motions import stand, turn_over
-from extremes.outcomes import Failed, Refused, Solved, run
+from extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from extremes.test_masses import made, robot_file
 from trajopt.solvers import Status
 
@@ -25,12 +25,16 @@ YAW, DURATION = 0.2, 1.0
 @pytest.mark.parametrize("gravity", [0.0, 1e-3, 1.62, 20.0])
 def test_arm_reaches_in_any_gravity(gravity, tmp_path):
     path = robot_file(tmp_path, "arm", f"with_gravity(own('ur5'), {gravity})")
-    run(Solved(open_loop=4.0 if gravity > 9.81 else 1e-2), partial(made, "arm-reach", path), intervals=10)
+    assert_outcome(
+        Solved(open_loop=4.0 if gravity > 9.81 else 1e-2), partial(made, "arm-reach", path), intervals=10
+    )
 
 
 @pytest.mark.parametrize("gravity", [0.0, 1e-3, 1.62, 20.0])
 def test_quadruped_stands_in_any_gravity(gravity):
-    solution = run(Solved(open_loop=1e-3), lambda: stand(with_gravity(robots.load("solo12"), gravity)))
+    solution = assert_outcome(
+        Solved(open_loop=1e-3), lambda: stand(with_gravity(robots.load("solo12"), gravity))
+    )
     carried = solution.f[solution.collocation][..., 2].sum(axis=1)
     weight = robots.load("solo12").mass * gravity
     assert_allclose(carried.mean(), weight, atol=CARRIED * max(weight, 1.0))  # from rest to rest
@@ -40,7 +44,7 @@ def test_floating_quadruped_turns_by_its_legs_alone():
     """No gravity, no contact, no momentum: it ends turned all the same, at rest where it was."""
     robot = with_gravity(robots.load("solo12"), 0.0)
     make = partial(turn_over, robot, yaw=YAW, duration=DURATION)
-    solution = run(Solved(open_loop=5e-2), make, intervals=20)
+    solution = assert_outcome(Solved(open_loop=5e-2), make, intervals=20)
     model, data = solution.model, solution.model.createData()
     unit = robot.mass * robot.length / DURATION
     for q, v in zip(solution.q, solution.v, strict=True):
@@ -54,17 +58,17 @@ def test_floating_quadruped_turns_by_its_legs_alone():
 def test_without_gravity_nothing_that_stands_stops_its_rise(tmp_path):
     path = robot_file(tmp_path, "quadruped", "with_gravity(own('solo12'), 0.0)")
     expected = Failed(Status.INFEASIBLE, block="base_dynamics")
-    run(expected, partial(made, "quadruped-stand-up", path), intervals=15)
+    assert_outcome(expected, partial(made, "quadruped-stand-up", path), intervals=15)
 
 
 @pytest.mark.parametrize("name", ["quadruped-jump-up", "quadruped-jump-forward"])
 def test_jump_without_gravity_is_refused(name, tmp_path):
     path = robot_file(tmp_path, "quadruped", "with_gravity(own('solo12'), 0.0)")
-    run(Refused("is without gravity"), partial(made, name, path))
+    assert_outcome(Refused("is without gravity"), partial(made, name, path))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("gravity", [1e-3, 1.62, 20.0])
 def test_quadruped_jumps_in_any_gravity(gravity, tmp_path):
     path = robot_file(tmp_path, "quadruped", f"with_gravity(own('solo12'), {gravity})")
-    run(Solved(open_loop=2.0, coarse=0.05), partial(made, "quadruped-jump-up", path), intervals=15)
+    assert_outcome(Solved(open_loop=2.0, coarse=0.05), partial(made, "quadruped-jump-up", path), intervals=15)

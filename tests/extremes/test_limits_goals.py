@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -12,8 +13,8 @@ from numpy.testing import assert_allclose
 
 import problems
 import robots
-from tests.extremes.moves import legged, reach, stance, with_joints
-from tests.extremes.outcomes import Failed, Refused, Solved, run
+from extremes.moves import legged, reach, stance, with_joints
+from extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.errors import InputError
 from trajopt.kinematics import contact_positions, frame_pose
 from trajopt.node_terms import (
@@ -68,14 +69,14 @@ def solo() -> Robot:
 def test_a_joint_starts_exactly_on_its_limit():
     start = with_joints(ur5(), {"elbow_joint": float(ur5().position_upper[2])})
     goal = with_joints(ur5(), {"elbow_joint": 2.0})
-    solution = run(Solved(ARM), lambda: reach(ur5(), start, goal))
+    solution = assert_outcome(Solved(ARM), lambda: reach(ur5(), start, goal))
     assert solution.q[:, 2].max() <= ur5().position_upper[2] * (1 + SLACK)
 
 
 @pytest.mark.parametrize("beyond", [1e-4, 0.2, 5.0])
 def test_a_joint_that_starts_beyond_its_limit_is_refused(beyond):
     start = with_joints(ur5(), {"elbow_joint": float(ur5().position_upper[2]) + beyond})
-    run(
+    assert_outcome(
         Refused(r"joint 'elbow_joint' is at 3\.1\d+|joint 'elbow_joint' is at [38]\.\d+, beyond"),
         lambda: reach(ur5(), start, ur5().reference),
     )
@@ -84,13 +85,15 @@ def test_a_joint_that_starts_beyond_its_limit_is_refused(beyond):
 def test_a_joint_beyond_a_limit_too_wide_for_rows_is_refused():
     """A limit a turn from the reference makes no rows, and is a limit all the same."""
     start = with_joints(ur5(), {"shoulder_pan_joint": 7.0})
-    run(Refused("joint 'shoulder_pan_joint' is at 7, beyond"), lambda: reach(ur5(), start, ur5().reference))
+    assert_outcome(
+        Refused("joint 'shoulder_pan_joint' is at 7, beyond"), lambda: reach(ur5(), start, ur5().reference)
+    )
 
 
 def test_a_start_beyond_a_limit_that_nothing_states_is_free():
     start = with_joints(ur5(), {"elbow_joint": float(ur5().position_upper[2]) + 0.2})
     make = lambda: reach(ur5(), start, ur5().reference, limits=(EffortLimits(),))  # noqa: E731
-    solution = run(None, make)
+    solution = assert_outcome(None, make)
     assert solution.success
 
 
@@ -99,7 +102,7 @@ def test_a_joint_starts_at_its_largest_rate(part):
     velocity = np.zeros(6)
     velocity[0] = part * ur5().velocity_limit[0]
     goal = ur5().reference + np.array([part * 0.5, 0.1, 0.1, 0.1, 0.1, 0.1])
-    run(Solved(ARM), lambda: reach(ur5(), ur5().reference, goal, velocity=velocity))
+    assert_outcome(Solved(ARM), lambda: reach(ur5(), ur5().reference, goal, velocity=velocity))
 
 
 @pytest.mark.parametrize("part", [1.001, -1.5])
@@ -107,7 +110,9 @@ def test_a_joint_that_starts_faster_than_its_limit_is_refused(part):
     velocity = np.zeros(6)
     velocity[0] = part * ur5().velocity_limit[0]
     make = lambda: reach(ur5(), ur5().reference, ur5().reference, velocity=velocity)  # noqa: E731
-    run(Refused("joint 'shoulder_pan_joint' moves at .* velocity_limits; allowed: -3.15 to 3.15"), make)
+    assert_outcome(
+        Refused("joint 'shoulder_pan_joint' moves at .* velocity_limits; allowed: -3.15 to 3.15"), make
+    )
 
 
 def test_all_joints_of_a_quadruped_stand_exactly_on_both_limits():
@@ -116,19 +121,19 @@ def test_all_joints_of_a_quadruped_stand_exactly_on_both_limits():
     lower, upper = solo().position_lower.copy(), solo().position_upper.copy()
     lower[7:], upper[7:] = q[7:], q[7:]
     robot = replace(solo(), position_lower=lower, position_upper=upper)
-    solution = run(Solved(STANCE), lambda: stance(robot, q, intervals=6))
+    solution = assert_outcome(Solved(STANCE), lambda: stance(robot, q, intervals=6))
     assert_allclose(solution.q[:, 7:], np.tile(q[7:], (len(solution.t), 1)), atol=1e-6)
 
 
 def test_joints_whose_largest_rate_is_zero_stand_still():
     robot = replace(solo(), velocity_limit=np.where(np.isfinite(solo().velocity_limit), 0.0, np.inf))
-    solution = run(Solved(STANCE), lambda: stance(robot, robot.reference, intervals=6))
+    solution = assert_outcome(Solved(STANCE), lambda: stance(robot, robot.reference, intervals=6))
     assert np.abs(solution.v).max() < 1e-6
 
 
 def largest_torque() -> float:
     """Of standing with least effort, N m."""
-    solution = run(Solved(STANCE), lambda: stance(solo(), solo().reference, intervals=4))
+    solution = assert_outcome(Solved(STANCE), lambda: stance(solo(), solo().reference, intervals=4))
     return float(np.abs(solution.tau).max())
 
 
@@ -138,18 +143,18 @@ def limited(torque: float) -> Robot:
 
 def test_standing_at_the_torque_limit_is_solved_and_at_half_of_it_not():
     need = largest_torque()
-    at = run(Solved(STANCE), lambda: stance(limited(need), solo().reference, intervals=4))
+    at = assert_outcome(Solved(STANCE), lambda: stance(limited(need), solo().reference, intervals=4))
     assert np.abs(at.tau[at.collocation]).max() <= need * (1 + 10 * SLACK)
     weak = Failed(Status.INFEASIBLE, block="effort_limits")
-    run(weak, lambda: stance(limited(need / 2), solo().reference, intervals=4))
-    run(weak, lambda: stance(limited(0.0), solo().reference, intervals=4))
+    assert_outcome(weak, lambda: stance(limited(need / 2), solo().reference, intervals=4))
+    assert_outcome(weak, lambda: stance(limited(0.0), solo().reference, intervals=4))
 
 
 # The goal is the start
 
 
 def test_an_arm_whose_goal_is_its_start_ends_there():
-    solution = run(Solved(ARM), lambda: reach(ur5(), ur5().reference, ur5().reference))
+    solution = assert_outcome(Solved(ARM), lambda: reach(ur5(), ur5().reference, ur5().reference))
     assert solution.meta["iterations"] <= 10
     assert_allclose(solution.q[-1], ur5().reference, atol=1e-6)
 
@@ -160,7 +165,7 @@ def test_a_hanging_pendulum_whose_goal_is_its_start_costs_nothing():
     still = np.zeros(pendulum.nv)
     torque = pin.rnea(pendulum.model, pendulum.model.createData(), hanging, still, still)
     assert_allclose(torque, 0.0, atol=1e-5)  # rounding of its description
-    solution = run(Solved(ARM), lambda: reach(pendulum, hanging, hanging))
+    solution = assert_outcome(Solved(ARM), lambda: reach(pendulum, hanging, hanging))
     assert solution.meta["objective"] < 1e-9
     assert np.abs(solution.v).max() < 1e-4
 
@@ -169,7 +174,7 @@ def test_a_hanging_pendulum_whose_goal_is_its_start_costs_nothing():
 def test_a_robot_on_legs_whose_goal_is_its_start_stays(name):
     robot = robots.load(name)
     duration = 0.4 if name == "solo12" else 0.1
-    solution = run(Solved(STANCE), lambda: stance(robot, robot.reference, duration=duration))
+    solution = assert_outcome(Solved(STANCE), lambda: stance(robot, robot.reference, duration=duration))
     assert solution.meta["iterations"] <= 15
     assert np.abs(np.diff(solution.q[:, 0])).max() < 0.01
 
@@ -184,7 +189,7 @@ def at(place: list[float]) -> Callable[[], Problem]:
 
 @pytest.mark.parametrize("place", [[1.5, 0.0, 0.3], [0.0, -1.4, 0.1], [0.0, 0.0, 1e6]])
 def test_a_goal_beyond_all_links_of_an_arm_is_refused(place):
-    run(
+    assert_outcome(
         Refused(r"'tool0' and the place where its first joint is fixed .* apart; allowed: up to 1\.24 m"),
         at(place),
     )
@@ -192,26 +197,26 @@ def test_a_goal_beyond_all_links_of_an_arm_is_refused(place):
 
 @pytest.mark.parametrize("place", [[0.0, 0.0, 1.2], [1.05, 0.0, 0.1]])
 def test_a_goal_that_only_postures_put_out_of_reach_names_its_rows(place):
-    run(Failed(Status.INFEASIBLE, block="frame_pose"), at(place))
+    assert_outcome(Failed(Status.INFEASIBLE, block="frame_pose"), at(place))
 
 
 def test_a_goal_beyond_the_limits_names_its_rows():
     goal = with_joints(ur5(), {"elbow_joint": 4.0})
     failed = Failed(Status.INFEASIBLE, block="terminal_state")
-    run(failed, lambda: reach(ur5(), ur5().reference, goal))
+    assert_outcome(failed, lambda: reach(ur5(), ur5().reference, goal))
 
 
 def test_a_goal_too_far_for_the_rates_names_it():
     goal = ur5().reference + 2.0
     failed = Failed(Status.INFEASIBLE, Status.ITERATION_LIMIT, Status.STEP_FAILED)
-    run(failed, lambda: reach(ur5(), ur5().reference, goal, duration=0.2), max_iterations=200)
+    assert_outcome(failed, lambda: reach(ur5(), ur5().reference, goal, duration=0.2), max_iterations=200)
 
 
 def test_a_goal_that_feet_contradict_is_refused():
     """It would be asked for only in the directions that feet leave free: that is, not at all."""
     goal = solo().reference.copy()
     goal[0] += 0.05
-    run(
+    assert_outcome(
         Refused("'FL_FOOT' 0.05 m from where it stands in phase 'stance'"),
         lambda: stance(solo(), solo().reference, goal),
     )
@@ -221,7 +226,7 @@ def test_a_jump_too_high_for_its_torques_is_not_solved():
     """Half the torque that standing takes lifts nobody: the height's row and the torques' are named."""
     failed = Failed(Status.INFEASIBLE, Status.ITERATION_LIMIT)
     weak = limited(0.3)
-    run(failed, lambda: hop(weak, rise=0.5), intervals=8, max_iterations=40)
+    assert_outcome(failed, lambda: hop(weak, rise=0.5), intervals=8, max_iterations=40)
 
 
 def hop(robot: Robot, *, away: tuple[float, float, float] = (0.0, 0.0, 0.0), rise: float = 0.0) -> Problem:
@@ -258,9 +263,9 @@ def hop(robot: Robot, *, away: tuple[float, float, float] = (0.0, 0.0, 0.0), ris
 def test_a_hop_far_from_the_origin_is_the_same_hop_there(solver):
     coarse = Solved(HOP, coarse=CREEP)
     robot = limited(2.7)
-    here = run(coarse, lambda: hop(robot), solver=solver, intervals=10)
+    here = assert_outcome(coarse, lambda: hop(robot), solver=solver, intervals=10)
     away = (-FAR, FAR, 0.0)
-    there = run(coarse, lambda: hop(robot, away=away), solver=solver, intervals=10)
+    there = assert_outcome(coarse, lambda: hop(robot, away=away), solver=solver, intervals=10)
     assert there.meta["iterations"] == here.meta["iterations"]
     assert there.meta["objective"] == pytest.approx(here.meta["objective"], rel=1e-9)
     moved = there.q.copy()
@@ -274,8 +279,8 @@ def test_a_hop_far_from_the_origin_is_the_same_hop_there(solver):
 def test_a_hop_on_a_mountain_is_the_same_hop(solver):
     """Heights over the ground are bounded relative to it: solvers relax a bound in proportion to its size."""
     robot, coarse = limited(2.7), Solved(HOP, coarse=CREEP)
-    here = run(coarse, lambda: hop(robot), solver=solver, intervals=10)
-    there = run(coarse, lambda: hop(robot, away=(0.0, 0.0, FAR)), solver=solver, intervals=10)
+    here = assert_outcome(coarse, lambda: hop(robot), solver=solver, intervals=10)
+    there = assert_outcome(coarse, lambda: hop(robot, away=(0.0, 0.0, FAR)), solver=solver, intervals=10)
     moved = there.q.copy()
     moved[:, 2] -= FAR
     assert_allclose(moved, here.q, atol=MOUNTAIN)
@@ -350,7 +355,7 @@ PLACES: dict[str, tuple[str, Make]] = {
 
 
 def refused(cause: str, make: Callable[[], Problem]) -> None:
-    """As `run` with `Refused`, but in this process: nothing here is solved."""
+    """As `assert_outcome` with `Refused`, but in this process: nothing here is solved."""
     with pytest.raises(InputError, match=cause) as caught:
         prepare(make(), intervals=2, compile="none")
     assert caught.value.allowed
@@ -439,7 +444,9 @@ def test_a_far_goal_is_measured_from_where_the_arm_stands():
     ends = [(FramePose(frame="tool0", position=p), TerminalRest(q=arm.reference)) for p in (goal, goal + up)]
     limits = (EffortLimits(), PositionLimits(), VelocityLimits())
     here, there = (
-        run(Solved(ARM), lambda: reach(robot, arm.reference, arm.reference, end=end, limits=limits))  # noqa: B023
+        assert_outcome(
+            Solved(ARM), partial(reach, robot, arm.reference, arm.reference, end=end, limits=limits)
+        )
         for robot, end in zip((arm, tower), ends, strict=True)
     )
     assert_same_motion(here, there)

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 import problems
 import robots
 from extremes.changed_robots import longer
-from extremes.outcomes import Failed, Refused, Solved, run
+from extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.certify.report import Tolerances
 from trajopt.check import check
 from trajopt.solution import Solution
@@ -52,7 +52,7 @@ def on_its_own_robot(name: str) -> Solution:
     """The solution on the robot as it is."""
     robot, _, intervals, open_loop, coarse = MOTIONS[name]
     make = partial(problems.load, name, robot=robot)
-    return run(Solved(open_loop=open_loop, coarse=coarse), make, intervals=intervals)
+    return assert_outcome(Solved(open_loop=open_loop, coarse=coarse), make, intervals=intervals)
 
 
 @pytest.mark.parametrize("mass", [1e-3, 1e3])
@@ -60,7 +60,9 @@ def on_its_own_robot(name: str) -> Solution:
 def test_motion_of_a_similar_robot_is_the_same_and_forces_scale_with_its_mass(name, mass, tmp_path):
     robot, kind, intervals, open_loop, coarse = MOTIONS[name]
     path = robot_file(tmp_path, kind, f"similar(own({robot!r}), mass={mass})")
-    found = run(Solved(open_loop=open_loop, coarse=coarse), partial(made, name, path), intervals=intervals)
+    found = assert_outcome(
+        Solved(open_loop=open_loop, coarse=coarse), partial(made, name, path), intervals=intervals
+    )
     own = on_its_own_robot(name)
     assert_allclose(found.t, own.t, rtol=SIMILAR)
     assert_allclose(found.q, own.q, atol=SIMILAR)
@@ -72,7 +74,10 @@ def test_motion_of_a_similar_robot_is_the_same_and_forces_scale_with_its_mass(na
 @pytest.mark.parametrize(("length", "gravity"), [(0.1, 1.0), (10.0, 1.0), (1.0, 2.0)])
 def test_arm_of_another_size_or_gravity_moves_alike(length, gravity, tmp_path):
     path = robot_file(tmp_path, "arm", f"similar(own('ur5'), length={length}, gravity={gravity})")
-    found, own = run(Solved(open_loop=0.05), partial(made, ARM, path), intervals=10), on_its_own_robot(ARM)
+    found, own = (
+        assert_outcome(Solved(open_loop=0.05), partial(made, ARM, path), intervals=10),
+        on_its_own_robot(ARM),
+    )
     assert_allclose(found.t, own.t * np.sqrt(length / gravity), rtol=SIMILAR)
     assert_allclose(found.q, longer(robots.load("ur5"), own.q, length), atol=SIMILAR)
     torque = own.tau * length * gravity
@@ -92,7 +97,7 @@ HEAVY_BASE = "with_inertias(own('solo12'), lambda n, i: heavier(i, 320.0 if 'roo
 )
 def test_arm_with_extreme_links_reaches(robot, open_loop, tmp_path):
     path = robot_file(tmp_path, "arm", robot)
-    run(Solved(open_loop=open_loop), partial(made, ARM, path), intervals=10)
+    assert_outcome(Solved(open_loop=open_loop), partial(made, ARM, path), intervals=10)
 
 
 @pytest.mark.slow
@@ -103,13 +108,13 @@ def test_arm_with_extreme_links_reaches(robot, open_loop, tmp_path):
 )
 def test_quadruped_with_extreme_links_jumps(robot, open_loop, intervals, tmp_path):
     path = robot_file(tmp_path, "quadruped", robot)
-    run(Solved(open_loop=open_loop, coarse=0.1), partial(made, JUMP, path), intervals=intervals)
+    assert_outcome(Solved(open_loop=open_loop, coarse=0.1), partial(made, JUMP, path), intervals=intervals)
 
 
 def test_tool_too_heavy_to_lift_is_infeasible_by_its_torques(tmp_path):
     heavy = "with_inertias(own('ur5'), lambda n, i: heavier(i, 1e4 if n == 'wrist_3_joint' else 1.0))"
     path = robot_file(tmp_path, "arm", heavy)
-    run(Failed(Status.INFEASIBLE, block="effort_limits"), partial(made, ARM, path), intervals=10)
+    assert_outcome(Failed(Status.INFEASIBLE, block="effort_limits"), partial(made, ARM, path), intervals=10)
 
 
 MASSLESS_WRIST = "with_inertias(own('ur5'), lambda n, i: pin.Inertia.Zero() if n == 'wrist_3_joint' else i)"
@@ -125,7 +130,9 @@ def test_joint_that_moves_no_mass_is_planned_and_its_open_loop_is_none(name, rob
     """Inverse dynamics needs no inverse of M: the plan holds. Its torques do not decide its motion."""
     _, kind, intervals, _, coarse = MOTIONS[name]
     path = robot_file(tmp_path, kind, robot)
-    found = run(Solved(open_loop=None, coarse=coarse), partial(made, name, path), intervals=intervals)
+    found = assert_outcome(
+        Solved(open_loop=None, coarse=coarse), partial(made, name, path), intervals=intervals
+    )
     report = check(found)
     assert not report.failures(Tolerances(foot_drift=coarse))
     assert np.isinf(report.open_loop_joints)
@@ -151,4 +158,4 @@ IMPOSSIBLE = {
 @pytest.mark.parametrize(("robot", "cause"), IMPOSSIBLE.values(), ids=IMPOSSIBLE)
 def test_inertia_that_no_body_has_is_refused(robot, cause, tmp_path):
     path = robot_file(tmp_path, "arm", robot)
-    run(Refused(cause), partial(made, ARM, path))
+    assert_outcome(Refused(cause), partial(made, ARM, path))

@@ -13,8 +13,8 @@ from numpy.testing import assert_allclose
 
 import problems
 import robots
-from tests.extremes.moves import reach
-from tests.extremes.outcomes import Failed, Refused, Solved, run
+from extremes.moves import reach
+from extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.bases.base_conversion import with_virtual_base
 from trajopt.model_quantities import STANDARD_GRAVITY
 from trajopt.node_terms import TerminalState
@@ -114,7 +114,7 @@ def turned(solution: Solution) -> np.ndarray:
 @pytest.mark.parametrize("axis", AXES)
 def test_a_body_turns_whole_turns_exactly(axis, turns):
     omega = 2 * np.pi * turns * np.array(AXES[axis])
-    solution = run(Solved(EXACT), lambda: thrown(brick(), omega, 1.0), intervals=3 * turns)
+    solution = assert_outcome(Solved(EXACT), lambda: thrown(brick(), omega, 1.0), intervals=3 * turns)
     assert_allclose(turned(solution), omega, atol=EXACT)
 
 
@@ -122,7 +122,7 @@ def test_a_tumbling_top_follows_its_closed_form_through_all_orientations():
     """R = exp(L t / I1) exp(lambda t e3), lambda = w3 (1 - I3 / I1) (Landau, Lifshitz, Mechanics, 33)."""
     omega, duration = np.array([0.5, 7.0, 0.3]), 1.0
     problem = thrown(brick(), omega, duration)
-    solution = run(Solved(None), lambda: problem, transcription="legendre:3", intervals=30)
+    solution = assert_outcome(Solved(None), lambda: problem, transcription="legendre:3", intervals=30)
     across, along = np.diag(brick().model.inertias[1].inertia)[[0, 2]]
     spin = omega[2] * (1 - along / across)
     momentum = np.array([across, across, along]) * omega
@@ -141,7 +141,7 @@ def test_a_quadruped_flips_whole_turns(axis, turns):
     """Torques hold the legs against what pushes them outwards."""
     robot, omega = robots.load("solo12"), 2 * np.pi * turns * np.array(AXES[axis])
     make = lambda: held_joints(robot, omega, 1.0, goal=False)  # noqa: E731
-    solution = run(Solved(FLIP), make, transcription="legendre:3", intervals=8 * turns)
+    solution = assert_outcome(Solved(FLIP), make, transcription="legendre:3", intervals=8 * turns)
     assert_allclose(turned(solution), omega, atol=NUTATION)
 
 
@@ -149,14 +149,14 @@ def test_a_quadruped_flips_whole_turns(axis, turns):
 def test_a_quadruped_turns_to_a_goal_whole_turns_away(turns):
     robot, omega = robots.load("solo12"), 2 * np.pi * turns * np.array(AXES["yaw"])
     make = lambda: held_joints(robot, omega, 1.0)  # noqa: E731
-    solution = run(Solved(FLIP), make, transcription="legendre:3", intervals=8 * turns)
+    solution = assert_outcome(Solved(FLIP), make, transcription="legendre:3", intervals=8 * turns)
     assert_allclose(turned(solution), omega, atol=NUTATION)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["backflip", "barrel-roll"])
 def test_a_flip_from_feet_to_feet_turns_once(kind):
-    solution = run(Solved(None), lambda: problems.load(f"quadruped-{kind}", robot="solo12"))
+    solution = assert_outcome(Solved(None), lambda: problems.load(f"quadruped-{kind}", robot="solo12"))
     assert abs(np.linalg.norm(turned(solution)) - 2 * np.pi) < 0.3
 
 
@@ -165,7 +165,7 @@ def test_a_flip_from_feet_to_feet_turns_once(kind):
 )
 def test_half_a_flip_passes_the_right_angle(end):
     make = lambda: problems.load("solo12-flip", pitch=f"{end}deg", yaw=0.0)  # noqa: E731
-    solution = run(Solved(None, coarse=5e-3), make, intervals=20)
+    solution = assert_outcome(Solved(None, coarse=5e-3), make, intervals=20)
     nose = pin.Quaternion(*solution.q[-1][[6, 3, 4, 5]]).matrix()[:, 0]
     assert_allclose(nose, [np.cos(np.radians(end)), 0.0, np.sin(np.radians(end))], atol=1e-5)
 
@@ -209,12 +209,12 @@ OTHER_SIGNS = {
 
 @lru_cache
 def plain() -> Solution:
-    return run(Solved(None), yawing)
+    return assert_outcome(Solved(None), yawing)
 
 
 @pytest.mark.parametrize("where", OTHER_SIGNS)
 def test_a_quaternion_and_its_negative_are_one_orientation(where):
-    solution = run(Solved(None), lambda: OTHER_SIGNS[where](yawing()))
+    solution = assert_outcome(Solved(None), lambda: OTHER_SIGNS[where](yawing()))
     assert solution.meta["iterations"] == plain().meta["iterations"]
     assert solution.meta["objective"] == pytest.approx(plain().meta["objective"], rel=ROUNDING)
     assert_allclose(solution.tau, plain().tau, atol=ROUNDING)
@@ -232,7 +232,7 @@ def test_a_continuous_joint_goes_the_short_way_past_pi():
         q[first : first + 2] = np.cos(angle), np.sin(angle)
         return q
 
-    solution = run(Solved(5e-3), lambda: reach(arm, at(3.0), at(-3.0)), transcription="legendre:3")
+    solution = assert_outcome(Solved(5e-3), lambda: reach(arm, at(3.0), at(-3.0)), transcription="legendre:3")
     angles = np.unwrap(np.arctan2(solution.q[:, first + 1], solution.q[:, first]))
     assert_allclose(angles[-1] - angles[0], 2 * np.pi - 6.0, atol=1e-6)
 
@@ -266,7 +266,7 @@ def test_a_planar_base_does_the_turns_of_its_guess(turns):
         ),
         guess=guess,
     )
-    solution = run(None, lambda: problem, intervals=10)
+    solution = assert_outcome(None, lambda: problem, intervals=10)
     assert solution.success
     angle = np.unwrap(np.arctan2(solution.q[:, 3], solution.q[:, 2]))
     assert_allclose(angle[-1] - angle[0], 2 * np.pi * turns, atol=1e-6)
@@ -281,14 +281,14 @@ def test_a_guess_that_ends_exactly_opposite_to_its_goal_is_named(axis):
     problem = held_joints(robots.load("solo12"), np.pi * np.array(AXES[axis]), 1.0)
     opposite = replace(problem, guess=lambda t: problem.initial_q)
     failed = Failed(Status.NOT_FINITE, block="terminal_state", advice="'terminal_state' in phase 'flight'")
-    run(failed, lambda: opposite, intervals=4)
+    assert_outcome(failed, lambda: opposite, intervals=4)
 
 
 def test_a_guess_a_degree_off_the_opposite_is_enough():
     problem = held_joints(robots.load("solo12"), np.pi * np.array(AXES["yaw"]), 1.0)
     near = problem.initial_q.copy()
     near[3:7] = pin.Quaternion(pin.exp3(np.array([0.0, 0.0, np.radians(1.0)]))).coeffs()
-    solution = run(Solved(None), lambda: replace(problem, guess=lambda t: near), intervals=10)
+    solution = assert_outcome(Solved(None), lambda: replace(problem, guess=lambda t: near), intervals=10)
     assert_allclose(turned(solution), [0.0, 0.0, np.pi], atol=1e-2)
 
 
@@ -302,18 +302,18 @@ def pitched(angle: float) -> Problem:
 
 
 def test_virtual_joints_that_start_in_gimbal_lock_are_refused_and_a_quaternion_is_not():
-    run(Refused("starts in gimbal lock"), lambda: with_virtual_base(pitched(np.pi / 2)))
-    run(Solved(EXACT), lambda: pitched(np.pi / 2), intervals=5)
+    assert_outcome(Refused("starts in gimbal lock"), lambda: with_virtual_base(pitched(np.pi / 2)))
+    assert_outcome(Solved(EXACT), lambda: pitched(np.pi / 2), intervals=5)
     virtual = with_virtual_base(pitched(0.0))
     locked = virtual.initial_q.copy()
     locked[4] = np.pi / 2
-    run(Refused("starts in gimbal lock"), lambda: replace(virtual, initial_q=locked))
+    assert_outcome(Refused("starts in gimbal lock"), lambda: replace(virtual, initial_q=locked))
 
 
 def test_virtual_joints_that_pass_gimbal_lock_are_no_success():
     problem = held_joints(robots.load("solo12"), np.array([0.0, -2 * np.pi, 0.0]) / 2, 1.0)
     passing = Failed(Status.SINGULAR_BASE, advice="use base='freeflyer'")
-    solution = run(passing, lambda: with_virtual_base(problem), intervals=10)
+    solution = assert_outcome(passing, lambda: with_virtual_base(problem), intervals=10)
     assert solution.meta["gimbal_margin"] < 0.05
-    other = run(Solved(None), lambda: with_virtual_base(problem, "YXZ"), intervals=10)
+    other = assert_outcome(Solved(None), lambda: with_virtual_base(problem, "YXZ"), intervals=10)
     assert other.meta["gimbal_margin"] > 0.5

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import robots
-from tests.extremes.moves import lowered, pose_goal, reach, stance, with_joints
-from tests.extremes.outcomes import Failed, Solved, in_process, run
+from extremes.moves import lowered, pose_goal, reach, stance, with_joints
+from extremes.outcomes import Failed, Solved, assert_outcome, in_process
 from trajopt.diagnose import diagnose
 from trajopt.kinematics import contact_positions
 from trajopt.model_quantities import contact_jacobian
@@ -52,14 +52,14 @@ def test_arm_reaches_from_to_and_through_singular_postures(singular, end):
     start, goal = postures["usual"], postures["usual"] + 0.2
     start, goal = (postures[singular] if end == name else q for name, q in (("start", start), ("goal", goal)))
     guess = (lambda t: postures[singular]) if end == "guess" else None
-    run(Solved(ARM), lambda: reach(arm, start, goal, guess=guess), transcription="legendre:3")
+    assert_outcome(Solved(ARM), lambda: reach(arm, start, goal, guess=guess), transcription="legendre:3")
 
 
 def test_pose_at_which_a_wrist_is_in_line_is_reached():
     postures, arm = ur5(), robots.load("ur5")
     end = pose_goal(arm, postures["wrist in line"], "tool0")
     make = lambda: reach(arm, postures["usual"], postures["wrist in line"], end=end)  # noqa: E731
-    run(Solved(ARM), make, transcription="legendre:3")
+    assert_outcome(Solved(ARM), make, transcription="legendre:3")
 
 
 def test_pose_at_full_stretch_stops_at_it_and_names_its_rows():
@@ -71,7 +71,7 @@ def test_pose_at_full_stretch_stops_at_it_and_names_its_rows():
         return reach(arm, postures["usual"], postures["stretched"], end=end)
 
     stuck = Failed(Status.STEP_FAILED, Status.ITERATION_LIMIT, advice=CAUSE)
-    solution = run(stuck, make, transcription="legendre:3", max_iterations=100)
+    solution = assert_outcome(stuck, make, transcription="legendre:3", max_iterations=100)
     np.testing.assert_allclose(solution.q[-1][2], 0.0, atol=1e-5)  # the elbow is straight, all the same
     found = in_process(lambda: str(diagnose(solution, make(), compile="none")))
     assert "frame_pose" in found
@@ -80,7 +80,7 @@ def test_pose_at_full_stretch_stops_at_it_and_names_its_rows():
 def test_panda_reaches_from_a_wrist_in_line():
     arm = robots.load("panda")
     start = with_joints(arm, {"panda_joint6": 0.0})
-    run(Solved(ARM), lambda: reach(arm, start, arm.reference), transcription="legendre:3")
+    assert_outcome(Solved(ARM), lambda: reach(arm, start, arm.reference), transcription="legendre:3")
 
 
 def straight(robot: Robot) -> np.ndarray:
@@ -106,7 +106,7 @@ def test_straight_legs_lose_rank_at_their_knees():
 def test_quadruped_stands_on_straight_legs():
     robot = robots.load("solo12")
     make = lambda: stance(robot, straight(robot), duration=0.2, intervals=6)  # noqa: E731
-    run(Solved(STRAIGHT), make, transcription="legendre:3")
+    assert_outcome(Solved(STRAIGHT), make, transcription="legendre:3")
 
 
 @pytest.mark.parametrize("name", ["solo12", pytest.param("g1", marks=pytest.mark.slow)])
@@ -119,13 +119,15 @@ def test_legs_bend_from_and_stretch_to_straight(name, end):
     guess = (lambda t: stretched) if end == "guess" else None
     duration = 2 * np.sqrt(robot.length / 9.81)
     make = lambda: stance(robot, start, goal, duration=duration, guess=guess)  # noqa: E731
-    run(Solved(STANCE), make, transcription="legendre:3")
+    assert_outcome(Solved(STANCE), make, transcription="legendre:3")
 
 
 def test_quadruped_rises_from_nearly_folded_legs():
     robot = robots.load("solo12")
     start = folded(robot, 0.25)
-    run(Solved(STANCE), lambda: stance(robot, start, lowered(robot, start, -0.1)), transcription="legendre:3")
+    assert_outcome(
+        Solved(STANCE), lambda: stance(robot, start, lowered(robot, start, -0.1)), transcription="legendre:3"
+    )
 
 
 def test_feet_at_the_hips_fail_with_their_rows_named():
@@ -137,7 +139,7 @@ def test_feet_at_the_hips_fail_with_their_rows_named():
     assert int(np.sum(singular < ZERO)) == 5
     make = lambda: stance(robot, start, intervals=3)  # noqa: E731
     stuck = Failed(Status.ITERATION_LIMIT, Status.STEP_FAILED, block="contact_acceleration")
-    solution = run(stuck, make, max_iterations=30)
+    solution = assert_outcome(stuck, make, max_iterations=30)
     found = in_process(lambda: str(diagnose(solution, make(), compile="none")))
     assert "postures there are singular" in found
 
@@ -152,4 +154,4 @@ def test_knee_at_its_limit_is_a_start():
     assert start[-1] == robot.position_lower[-1]
     problem = stance(robot, start, duration=0.1)
     free = tuple(term for term in problem.terms if not term.name.startswith("terminal"))
-    run(Solved(STANCE), lambda: replace(problem, terms=free), transcription="legendre:3")
+    assert_outcome(Solved(STANCE), lambda: replace(problem, terms=free), transcription="legendre:3")

@@ -14,7 +14,7 @@ from problems_for_tests import REACH, reach
 import problems
 import robots
 from extremes.motions import stand
-from extremes.outcomes import Failed, Refused, Solved, run
+from extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.schedule import Phase, Schedule
 from trajopt.solvers import Status
 
@@ -48,14 +48,14 @@ CUBIC = 1e-6
 @pytest.mark.parametrize("scheme", ARM)
 def test_arm_reaches_by_every_scheme(scheme):
     make = partial(problems.load, "ur5-reach")
-    run(Solved(open_loop=ARM[scheme]), make, transcription=scheme, intervals=10)
+    assert_outcome(Solved(open_loop=ARM[scheme]), make, transcription=scheme, intervals=10)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scheme", HOPPER)
 def test_hopper_hops_by_every_scheme(scheme):
     expected = Solved(open_loop=HOPPER[scheme], coarse=COARSE[scheme])
-    run(expected, partial(problems.load, "hopper-hop"), transcription=scheme, intervals=40)
+    assert_outcome(expected, partial(problems.load, "hopper-hop"), transcription=scheme, intervals=40)
 
 
 @pytest.mark.slow
@@ -63,7 +63,7 @@ def test_hopper_hops_by_every_scheme(scheme):
 def test_quadruped_jumps_by_every_scheme(scheme):
     known = scheme in JUMP
     expected = Solved(JUMP[scheme], coarse=COARSE[scheme]) if known else Failed(Status.COARSE_GRID)
-    run(expected, partial(problems.load, "solo12-jump"), transcription=scheme, intervals=20)
+    assert_outcome(expected, partial(problems.load, "solo12-jump"), transcription=scheme, intervals=20)
 
 
 def timed_reach(duration: float):
@@ -85,7 +85,7 @@ def timed_reach(duration: float):
 )
 def test_least_acceleration_is_the_cubic_on_any_horizon_and_grid(duration, intervals):
     """The minimum of the integral of q''^2 from rest to rest is 3 s^2 - 2 s^3; steps of 25 us to 12 s."""
-    solution = run(Solved(open_loop=CUBIC), partial(timed_reach, duration), intervals=intervals)
+    solution = assert_outcome(Solved(open_loop=CUBIC), partial(timed_reach, duration), intervals=intervals)
     s = solution.t / duration
     assert_allclose(solution.q[:, 0], REACH * (3 * s**2 - 2 * s**3), atol=CUBIC * REACH)
     assert_allclose(
@@ -97,23 +97,23 @@ def test_least_acceleration_is_the_cubic_on_any_horizon_and_grid(duration, inter
 def test_quadruped_stands_still_at_any_step(step):
     """At rest nothing is discretised: forces that carry the weight, whatever the step."""
     make = partial(stand, robots.load("solo12"), duration=8 * step)
-    solution = run(Solved(open_loop=None), make, intervals=8)
+    solution = assert_outcome(Solved(open_loop=None), make, intervals=8)
     weight = robots.load("solo12").weight
     pushed = solution.f[solution.collocation][:, :, 2].sum(axis=1).mean() / weight
     assert_allclose(pushed, 1.0, atol=1e-3)
 
 
 def test_too_few_intervals_are_refused():
-    run(Refused("2 intervals for 3 phases"), partial(problems.load, "solo12-jump"), intervals=2)
+    assert_outcome(Refused("2 intervals for 3 phases"), partial(problems.load, "solo12-jump"), intervals=2)
 
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, float("nan"), float("inf")])
 def test_horizon_that_is_no_time_is_refused(duration):
-    run(Refused("duration"), partial(timed_reach, duration), intervals=5)
+    assert_outcome(Refused("duration"), partial(timed_reach, duration), intervals=5)
 
 
 def test_reach_faster_than_the_motors_is_infeasible():
-    run(
+    assert_outcome(
         Failed(Status.INFEASIBLE, block="frame_pose"),
         partial(problems.load, "ur5-reach", duration=0.05),
         intervals=10,

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import problems
-from extremes.outcomes import Refused, Solved, run
+from extremes.outcomes import Refused, Solved, assert_outcome
 from trajopt.node_costs import NodeCost
 from trajopt.problem import Problem
 from trajopt.solution import Solution
@@ -48,7 +48,7 @@ def weighed(name: str, factor: float, cost: str | None = None) -> Problem:
 def solved(name: str, factor: float = 1.0, cost: str | None = None) -> Solution:
     intervals, open_loop = MOTIONS[name]
     expected = Solved(open_loop=open_loop if cost is None else WILD * open_loop, coarse=COARSE)
-    return run(expected, partial(weighed, name, factor, cost), intervals=intervals)
+    return assert_outcome(expected, partial(weighed, name, factor, cost), intervals=intervals)
 
 
 @pytest.mark.parametrize("factor", [1e-9, 1e9])
@@ -87,4 +87,4 @@ def cost_of(solution: Solution, cost: str) -> float:
 
 @pytest.mark.parametrize("weight", [-1.0, float("nan"), float("inf")])
 def test_weight_that_is_none_is_refused(weight):
-    run(Refused("weight of torque_cost is"), partial(weighed, "ur5-reach", weight, "torque_cost"))
+    assert_outcome(Refused("weight of torque_cost is"), partial(weighed, "ur5-reach", weight, "torque_cost"))
