@@ -24,8 +24,9 @@ from trajopt.units import Units
 
 # Solves fail from some starts on coarse grids: a setting that was solved less often than this is not chosen.
 LEAST_SUCCESS = 0.9
-# Loads whose median tells the machine's speed, some 30 ms.
-LOADS = 5
+# The machine's speed is that of the fastest of ``TRIES`` medians of ``LOADS`` loads, some 30 ms in all: what else
+# runs at this moment may end before the solve begins.
+TRIES, LOADS = 5, 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,24 +90,21 @@ def choose_for_accuracy(
     return _choice(problem, name, known, best, machine_speed(known))
 
 
-def choose_for_budget(
-    problem: Problem, budget: float, *, front: str | Path | None = None, where: Filter | None = None
+def choices_by_time(
+    problem: Problem, *, front: str | Path | None = None, where: Filter | None = None
 ) -> tuple[Choice, ...]:
-    """Settings that are predicted to take at most ``budget`` s of the solver, fastest first; or the fastest.
-
-    Each is more accurate than the one before.
-    """
+    """The front's settings with what they are predicted to take, fastest first."""
     name, known = front_for(problem, front)
     speed = machine_speed(known)
     points = _points(known, _allowed(problem, known, where))
     choices = [_choice(problem, name, known, point, speed) for point in points]
-    fitting = [choice for choice in choices if choice.predicted_time <= budget]
-    return tuple(fitting or [min(choices, key=lambda choice: choice.predicted_time)])
+    return tuple(sorted(choices, key=lambda choice: choice.predicted_time))
 
 
 def machine_speed(front: Front) -> float:
     """Time of the unchanging load here over that beside the front's runs."""
-    return Load().seconds(LOADS) / front.calibration
+    load = Load()
+    return min(load.seconds(LOADS) for _ in range(TRIES)) / front.calibration
 
 
 def _allowed(problem: Problem, front: Front, where: Filter | None) -> Filter:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from trajopt.accuracy import Accuracy, measure
-from trajopt.choosing.choice import Choice, choose_for_accuracy, choose_for_budget
+from trajopt.choosing.choice import Choice, choices_by_time, choose_for_accuracy
 from trajopt.errors import InputError
 from trajopt.ladder import INTERRUPTED
 from trajopt.problem import Problem
@@ -22,6 +22,8 @@ from trajopt.verdicts import is_start
 # A fast solution comes first where it is predicted to take at most this part of the budget: it is there if
 # the accurate one does not end in time, and it is what that starts from.
 FIRST_SHARE = 0.4
+# What is predicted for a setting may be this part of what is left: predictions err.
+MOST_SHARE = 0.8
 # Another, more accurate setting is tried while its time, as measured so far, fits into what is left.
 MOST_SETTINGS = 4
 # A solver that is left less than this, s, makes no iteration of use.
@@ -136,7 +138,7 @@ def solve_within(
     _require(budget, "budget", "s")
     settings.pop("max_time", None)
     search = _Search(problem, float(budget), settings)
-    search.run(choose_for_budget(problem, budget, front=front, where=where), start)
+    search.run(choices_by_time(problem, front=front, where=where), start)
     return search.result()
 
 
@@ -166,7 +168,9 @@ class _Search:
                 self.why = "interrupted"
                 return
             ratio = max(took / pick.predicted_time, ratio if self.best is None else 0.0)
-            fitting = [choice for choice in remaining if ratio * choice.predicted_time <= self.left]
+            fitting = [
+                choice for choice in remaining if ratio * choice.predicted_time <= MOST_SHARE * self.left
+            ]
             if not fitting:
                 self.why = (
                     "no better setting is predicted to fit into what is left"
