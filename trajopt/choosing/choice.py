@@ -24,8 +24,8 @@ from trajopt.units import Units
 
 # Solves fail from some starts on coarse grids: a setting that was solved less often than this is not chosen.
 LEAST_SUCCESS = 0.9
-# The machine's speed is that of the fastest of ``TRIES`` medians of ``LOADS`` loads, some 30 ms in all: what else
-# runs at this moment may end before the solve begins.
+# The machine's speed is that of the fastest of ``TRIES`` medians of ``LOADS`` loads, some 30 ms in all: what
+# else runs at this moment may end before the solve begins.
 TRIES, LOADS = 5, 5
 
 
