@@ -19,9 +19,6 @@ from trajopt.solving import solve
 from trajopt.sweep.front import Filter
 from trajopt.verdicts import is_start
 
-# A fast solution comes first where it is predicted to take at most this part of the budget: it is there if
-# the accurate one does not end in time, and it is what that starts from.
-FIRST_SHARE = 0.4
 # What is predicted for a setting may be this part of what is left: predictions err.
 MOST_SHARE = 0.8
 # Another, more accurate setting is tried while its time, as measured so far, fits into what is left.
@@ -157,10 +154,7 @@ class _Search:
 
     def run(self, choices: tuple[Choice, ...], start: Solution | str | Path | None) -> None:
         """A fast setting, then the most accurate that fits into what is left, by corrected predictions."""
-        cheap = [choice for choice in choices if choice.predicted_time <= FIRST_SHARE * self.budget]
-        remaining = list(choices)
-        pick = cheap[0] if cheap else choices[0]
-        ratio = 1.0
+        remaining, pick, ratio = list(choices), choices[0], 1.0
         for _ in range(MOST_SETTINGS):
             remaining = remaining[remaining.index(pick) + 1 :]
             took = self._solve(pick, self.best or start)
