@@ -179,7 +179,6 @@ def test_kind_of_motion_is_read_from_the_problem():
     assert motion_kind(hop()) == "flight"
 
 
-@pytest.mark.skipif(not packaged_fronts(), reason="no front is packaged")
 def test_packaged_front_is_of_the_same_kind_of_motion():
     for problem in (reach(), hop()):
         name, found = front_for(problem)

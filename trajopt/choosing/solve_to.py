@@ -95,7 +95,11 @@ def solve_to_accuracy(
     first = solve(problem, mesh=choice.mesh, start=start, **solver, **settings)
     if first.meta["status"] == INTERRUPTED:
         made = Refinement(
-            target=accuracy, solution=first, accuracy=None, rounds=(_round(choice, first),), why="interrupted"
+            target=accuracy,
+            solution=first,
+            accuracy=None,
+            rounds=(Round.of(choice.mesh, first),),
+            why="interrupted",
         )
     else:
         further = {name: value for name, value in solver.items() if name != "tolerance"}
@@ -104,7 +108,7 @@ def solve_to_accuracy(
             origin = {"mesh": choice.mesh, "start": start}
         made = refine(problem, accuracy, **origin, **further, **settings)
         if not is_start(first):
-            made = replace(made, rounds=(_round(choice, first), *made.rounds))
+            made = replace(made, rounds=(Round.of(choice.mesh, first), *made.rounds))
     return _finished(
         Aimed(
             goal="accuracy",
@@ -185,7 +189,7 @@ class _Search:
             **self.settings,
         )
         self.tried.append(choice)
-        self.rounds.append(_round(choice, found))
+        self.rounds.append(Round.of(choice.mesh, found))
         self.last = found
         if found.success:
             self.best = found
@@ -212,18 +216,6 @@ def _finished(aimed: Aimed) -> Aimed:
     """With what was aimed at and reached in the solution's meta."""
     meta = {name: value for name, value in aimed.solution.meta.items() if name != "refinement"}
     return replace(aimed, solution=replace(aimed.solution, meta={**meta, "aimed": aimed.to_dict()}))
-
-
-def _round(choice: Choice, solution: Solution) -> Round:
-    meta = solution.meta
-    return Round(
-        mesh=choice.mesh,
-        variables=meta["variables"],
-        iterations=meta["iterations"],
-        wall_time=meta["wall_time_s"],
-        status=meta["status"],
-        errors=None,
-    )
 
 
 def _require(value: float, name: str, unit: str) -> None:

@@ -46,6 +46,19 @@ class Round:
     status: str
     errors: tuple[float, ...] | None
 
+    @classmethod
+    def of(cls, mesh: Mesh, solution: Solution) -> Round:
+        """The round of a solution on a mesh, not yet measured."""
+        meta = solution.meta
+        return cls(
+            mesh=mesh,
+            variables=meta["variables"],
+            iterations=meta["iterations"],
+            wall_time=meta["wall_time_s"],
+            status=meta["status"],
+            errors=None,
+        )
+
     @property
     def error(self) -> float | None:
         """Largest error of a phase, m."""
@@ -194,17 +207,7 @@ class _Loop:
         self.why = f"{max_rounds} rounds were not enough"
 
     def _record(self, mesh: Mesh, solution: Solution) -> None:
-        meta = solution.meta
-        self.rounds.append(
-            Round(
-                mesh=mesh,
-                variables=meta["variables"],
-                iterations=meta["iterations"],
-                wall_time=meta["wall_time_s"],
-                status=meta["status"],
-                errors=None,
-            )
-        )
+        self.rounds.append(Round.of(mesh, solution))
         self.last = solution
 
     def _solve(self, mesh: Mesh, start: Solution | None) -> Solution | None:
