@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from trajopt import collada
+from trajopt.replay import collada
 from trajopt.robot_data import robot_file
 
 UR5 = sorted(robot_file("ur_description/meshes/ur5/visual").glob("*.dae"))

@@ -91,9 +91,28 @@ def test_the_solver_of_casadi_prints_after_ours_has_run(nlp, problem, capfd):
     assert "inf_pr" in capfd.readouterr().out
 
 
+def keeping(seen):
+    return lambda info, _: seen.append(info)
+
+
+def test_the_unknowns_of_every_iteration_can_be_asked_for(nlp, problem, solver):
+    seen, iterates, kept = [], [], []
+
+    def look(info, unknowns):
+        seen.append(info["objective"])
+        iterates.append(unknowns())
+        kept.append(unknowns)
+
+    result = SOLVERS[solver](nlp, problem, callback=look)
+    assert_allclose([nlp.f(x) for x in iterates], seen, rtol=ROUNDING)
+    assert_allclose(iterates[-1], result["x"], rtol=ROUNDING, atol=ROUNDING)
+    with pytest.raises(RuntimeError, match="during its callback only"):
+        kept[-1]()
+
+
 def test_every_iteration_is_reported(nlp, problem, solver):
     seen = []
-    result = SOLVERS[solver](nlp, problem, callback=seen.append)
+    result = SOLVERS[solver](nlp, problem, callback=keeping(seen))
     numbers = [info["iteration"] for info in seen]
     assert numbers == list(range(len(seen)))
     assert numbers[-1] == result["iterations"]
@@ -105,7 +124,7 @@ def test_every_iteration_is_reported(nlp, problem, solver):
 def test_stopping_returns_the_current_iterate(nlp, problem, solver):
     seen = []
 
-    def stop_at_the_fifth(info):
+    def stop_at_the_fifth(info, unknowns):
         seen.append(info)
         return info["iteration"] < 5
 
@@ -119,7 +138,7 @@ def test_stopping_returns_the_current_iterate(nlp, problem, solver):
 def test_an_exception_in_the_callback_is_raised_after_the_solver_has_stopped(nlp, problem, solver):
     calls = []
 
-    def fail(info):
+    def fail(info, unknowns):
         calls.append(info)
         raise LookupError("from the callback")
 
@@ -129,7 +148,7 @@ def test_an_exception_in_the_callback_is_raised_after_the_solver_has_stopped(nlp
 
 
 def test_an_interrupt_from_the_keyboard_keeps_the_iterate(nlp, problem, solver):
-    def interrupt(info):
+    def interrupt(info, unknowns):
         if info["iteration"] == 3:
             raise KeyboardInterrupt
 
@@ -225,7 +244,7 @@ def test_fatrop_reports_an_infeasible_problem(nlp, problem):
     stuck = GroupedProblem(**{**vars(problem), "lbg": problem.lbg.copy(), "ubg": problem.ubg.copy()})
     stuck.lbg[-1], stuck.ubg[-1] = -8.0, -7.0  # the sine of an angle, doubled
     seen = []
-    result = solve_fatrop(nlp, stuck, callback=seen.append)
+    result = solve_fatrop(nlp, stuck, callback=keeping(seen))
     assert result["status"] in ("LocalInfeasibility", "LineSearchFailed", "ErrorInStepComputation")
     assert any(info["restoration"] for info in seen)
     assert result["max_violation"] > 1

@@ -89,9 +89,8 @@ def test_infinite_curvature_ends_as_an_invalid_number() -> None:
 
 def test_a_regularisation_beyond_its_limit_ends_the_step() -> None:
     seen: list[float] = []
-    assert (
-        solve(cart_pole(), callback=lambda info: seen.append(info["regularization"]))["status"] == "Success"
-    )
+    found = solve(cart_pole(), callback=lambda info, _: seen.append(info["regularization"]))
+    assert found["status"] == "Success"
     assert max(seen) > 0  # its Hessian is indefinite on the way
     assert solve(cart_pole(), delta_wmax=max(seen) / 1e6)["status"] == "ErrorInStepComputation"
 
@@ -112,7 +111,7 @@ def test_a_scaled_objective_has_the_same_solution_multipliers_and_value(scale: f
 
 def test_iterations_tell_the_objective_itself() -> None:
     seen: list[float] = []
-    result = solve(cart_pole(), objective_scale=40.0, callback=lambda info: seen.append(info["objective"]))
+    result = solve(cart_pole(), objective_scale=40.0, callback=lambda info, _: seen.append(info["objective"]))
     assert seen[-1] == pytest.approx(result["f"], rel=SAME)
 
 

@@ -18,11 +18,10 @@ from replay_pages import objects_of, scene_of, tracks_of, with_meta
 from synthetic import Motion, arm_motion, meta_of, sampled, standing
 
 import robots
-from trajopt import collada
 from trajopt.errors import InputError
-from trajopt.replay import replay, serve
-from trajopt.replay_motion import motion_of
-from trajopt.replay_robot import joint_path
+from trajopt.replay import collada, replay, serve
+from trajopt.replay.motion import motion_of
+from trajopt.replay.robot import joint_path
 from trajopt.robot import Robot
 from trajopt.robot_data import robot_file
 from trajopt.solution import Solution

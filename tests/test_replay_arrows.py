@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from replay_pages import FLIGHT, STANCE, hopping, objects_of, on_surface, shown, tracks_of, with_meta
 from synthetic import sampled, standing
 
-from trajopt.replay_motion import FLASH, motion_of
+from trajopt.replay.motion import FLASH, motion_of
 from trajopt.robot import Contact, Robot
 from trajopt.robot_data import data_share, robot_file
 from trajopt.solution import Solution

@@ -23,8 +23,8 @@ from synthetic import sampled
 import robots
 from trajopt.errors import SolutionFileError
 from trajopt.replay import replay
-from trajopt.replay_ground import GRID_LIFT
-from trajopt.replay_surfaces import PATCH_MARGIN, THICKNESS
+from trajopt.replay.ground import GRID_LIFT
+from trajopt.replay.surfaces import PATCH_MARGIN, THICKNESS
 from trajopt.solution import Solution
 from trajopt.surface import Surface
 

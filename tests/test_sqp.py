@@ -23,9 +23,12 @@ from trajopt.solvers import Result, Status, run
 from trajopt.solvers.convexification import Convexified
 from trajopt.solvers.drivers import Stop, Warm
 from trajopt.solvers.qp import QpStep, Quadratic, StageQp
+from trajopt.solvers.result import Callback
 from trajopt.solvers.sqp_filter import Filter, Pair
 from trajopt.solving import Prepared, prepare, solve, solve_prepared
 from trajopt.terms import AccelerationCost, EffortLimits, TorqueCost, VelocityCost
+
+Unknowns = Callable[[], np.ndarray]
 
 # Accuracy asked of programs, and what two solvers of one program agree to, of entries of order one.
 ACCURACY = 1e-9
@@ -324,7 +327,7 @@ def test_the_limit_of_steps_is_obeyed(limit, by):
 def test_early_stops_at_the_first_step_whose_rows_hold_as_well_as_asked():
     prepared, seen = ready(lean()), []
 
-    def watch(info: dict[str, float]) -> bool:
+    def watch(info: dict[str, float], _: Unknowns) -> bool:
         seen.append(info["primal"])
         return True
 
@@ -359,8 +362,8 @@ def test_every_step_is_reported_with_the_keys_of_the_other_solvers():
     assert [info["iteration"] for info in seen] == list(range(len(seen)))
 
 
-def _keeping(told: list[dict[str, float]]) -> Callable[[dict[str, float]], bool]:
-    def keep(info: dict[str, float]) -> bool:
+def _keeping(told: list[dict[str, float]]) -> Callback:
+    def keep(info: dict[str, float], _: Unknowns) -> bool:
         told.append(info)
         return True
 
@@ -371,7 +374,7 @@ def _keeping(told: list[dict[str, float]]) -> Callable[[dict[str, float]], bool]
 def test_stopping_keeps_the_current_iterate(how):
     prepared, seen = ready(hop()), []
 
-    def stop(info: dict[str, float]) -> bool:
+    def stop(info: dict[str, float], _: Unknowns) -> bool:
         seen.append(info)
         if info["iteration"] < 3:
             return True
@@ -386,7 +389,7 @@ def test_stopping_keeps_the_current_iterate(how):
 
 
 def test_an_exception_in_the_callback_is_raised():
-    def fail(_: dict[str, float]) -> bool:
+    def fail(_: dict[str, float], __: Unknowns) -> bool:
         raise LookupError("from the callback")
 
     with pytest.raises(LookupError, match="from the callback"):

@@ -31,8 +31,8 @@ from trajopt.errors import InputError
 from trajopt.model_quantities import generalized_force
 from trajopt.node_terms import TerminalRest, TerminalState
 from trajopt.problem import Problem
-from trajopt.replay_commands import Recorder
-from trajopt.replay_robot import draw_skeleton
+from trajopt.replay.commands import Recorder
+from trajopt.replay.robot import draw_skeleton
 from trajopt.robot import Robot
 from trajopt.robot_building import base_of
 from trajopt.robot_data import robot_file

@@ -28,6 +28,7 @@ from trajopt.cli_continue import continue_
 from trajopt.cli_diagnose import diagnose, diagnose_option, diagnosis_of
 from trajopt.cli_input import COUNT, GRID, THREADS, check_output, options_of, values_of
 from trajopt.cli_reference import reference
+from trajopt.cli_replay import replay
 from trajopt.cli_suite import suite
 from trajopt.cli_sweep import sweep
 from trajopt.cli_warm import solve_warm, warm_options
@@ -281,31 +282,6 @@ def _checked(solution: Solution, notes: list[str], advice: str) -> Report | None
 
 main.add_command(continue_)
 main.add_command(diagnose)
-
-
 main.add_command(check)
 main.add_command(reference)
-
-
-@main.command()
-@click.argument("file", type=Path)
-@click.option("--html", type=Path, metavar="OUT", help="Write one self-contained page instead.")
-@click.option("--no-open", is_flag=True, help="Do not open a browser.")
-def replay(file: Path, html: Path | None, no_open: bool) -> None:
-    """Show FILE in Meshcat until Ctrl-C, or write it to a page."""
-    from trajopt.replay import replay as show
-    from trajopt.replay import serve
-    from trajopt.solution import Solution
-
-    shown = show(Solution.load(file), html=html, open_browser=not no_open)
-    if shown.html is not None:
-        click.echo(f"{shown.html}: {shown.duration:.2f} s, {shown.size / 1e6:.1f} MB")
-        return
-    sys.stdout.flush()  # where it is shown, before waiting
-    try:
-        click.echo("Ctrl-C stops the server", err=True)
-        serve(shown)
-    except KeyboardInterrupt:
-        pass
-    finally:
-        shown.close()
+main.add_command(replay)

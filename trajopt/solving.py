@@ -28,6 +28,7 @@ from trajopt.problem import Problem
 from trajopt.solution import Solution
 from trajopt.solvers import Result, Status, run
 from trajopt.solvers.drivers import SOLVERS, Option, Stop, Warm, check_hessian
+from trajopt.solvers.result import Callback
 from trajopt.transcription import Transcription, transcribe
 from trajopt.verdicts import TRUSTED_VIOLATION, advice_for, creep_reported, finite, judged, locks_reported
 from trajopt.violations import nonfinite_place, row_violations, worst_blocks
@@ -178,9 +179,9 @@ def _continue(_: dict[str, float]) -> bool:
     return True
 
 
-def _in_weights(progress: Progress, unit: float) -> Progress:
+def _in_weights(progress: Progress, unit: float) -> Callback:
     """``progress`` told the objective in the problem's weights."""
-    return lambda figures: progress({**figures, "objective": unit * figures["objective"]})
+    return lambda figures, _: progress({**figures, "objective": unit * figures["objective"]})
 
 
 def check_settings(

@@ -11,7 +11,9 @@ import numpy as np
 from trajopt.solvers.status import Status
 
 Option = str | int | float
-Callback = Callable[[dict[str, float]], bool]
+# Told of every iteration: its figures, and a function that returns the unknowns there (empty where the solver
+# cannot tell), to be called before it returns. False stops at the iterate.
+Callback = Callable[[dict[str, float], Callable[[], np.ndarray]], bool]
 
 # IPOPT meets rows more tightly than optimality, so that a solution passes a check at its tolerance.
 # FATROP stalls at that: it works at the edge of its linear algebra's accuracy.

@@ -24,6 +24,7 @@ import numpy as np
 from trajopt.nlp import Nlp
 from trajopt.solvers.convexification import Convexified, Convexity
 from trajopt.solvers.qp import QpStep, Quadratic, StageQp
+from trajopt.solvers.result import Callback
 from trajopt.solvers.sqp_filter import Filter
 from trajopt.solvers.sqp_point import Errors, Evaluator, Point
 from trajopt.solvers.sqp_settings import SqpSettings
@@ -73,7 +74,7 @@ class Sqp:
 
     nlp: Nlp
     settings: SqpSettings
-    callback: Callable[[dict[str, float]], bool]
+    callback: Callback
     delta: float = field(init=False)
     iteration: int = field(default=0, init=False)
     last: Mapping[str, float] = field(default_factory=dict, init=False)
@@ -128,7 +129,7 @@ class Sqp:
             "line_search": 0,
             "restoration": False,
         }
-        if not self.callback({**seen, **self.last}):
+        if not self.callback({**seen, **self.last}, lambda: point.x.copy()):
             raise _Stop("Interrupted")
         if not point.is_finite:
             raise _Stop("NotFinite")

@@ -124,10 +124,11 @@ class Run {
 
   std::string optimize(const Callback& callback, const Reals& lambda_g, Clock::time_point deadline) {
     int reported = -1;
+    const Unknowns unknowns = [&] { return this->unknowns(); };
     adapter_->tick = [&](bool restoration) {
       if (reported < 0 && !lambda_g.empty()) set_multipliers(map_, lambda_g, scale_, *data_);
       reported = data_->iteration_number();
-      if (callback && !callback(describe(*data_, restoration, scale_))) throw Stop{"UserRequestedStop"};
+      if (callback && !callback(describe(*data_, restoration, scale_), unknowns)) throw Stop{"UserRequestedStop"};
     };
     adapter_->look = [deadline] {
       if (Clock::now() > deadline) throw Stop{"MaxWallTimeExceeded"};
@@ -136,14 +137,13 @@ class Run {
     adapter_->tick = nullptr;
     adapter_->look = nullptr;
     // FATROP calls back before every step, not after the last.
-    if (callback && reported != data_->iteration_number()) callback(describe(*data_, false, scale_));
+    if (callback && reported != data_->iteration_number()) callback(describe(*data_, false, scale_), unknowns);
     return status;
   }
 
   void take_iterate(Outcome& outcome) {
     auto& iterate = data_->current_iterate();
-    const double* x = adapter_->unknowns(iterate.primal_x());
-    outcome.x.assign(x, x + map_.position.size());
+    outcome.x = unknowns();
     read_multipliers(map_.from_rows, iterate.dual_eq().data(), outcome.lambda_g);
     read_multipliers(map_.from_unknowns, iterate.dual_eq().data(), outcome.lambda_x);
     for (Reals* multipliers : {&outcome.lambda_g, &outcome.lambda_x})
@@ -156,6 +156,11 @@ class Run {
   }
 
  private:
+  Reals unknowns() {
+    const double* x = adapter_->unknowns(data_->current_iterate().primal_x());
+    return Reals(x, x + map_.position.size());
+  }
+
   std::string run() {
     std::string status;
     try {

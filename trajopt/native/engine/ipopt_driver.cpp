@@ -113,8 +113,13 @@ class Adapter : public Ipopt::TNLP {
     outcome.dual = dual;
     Iteration info{iteration, line_search, objective, primal, dual, barrier, step, regularization,
                    mode == Ipopt::RestorationPhaseMode};
-    if (!callback_ || callback_(info)) return true;
     const Problem& p = nlp_.problem();
+    const Unknowns unknowns = [&] {
+      Reals x(p.n_x);
+      const bool known = get_curr_iterate(data, quantities, false, p.n_x, x.data(), nullptr, nullptr, p.n_g, nullptr, nullptr);
+      return known ? x : Reals();
+    };
+    if (!callback_ || callback_(info, unknowns)) return true;
     Reals x(p.n_x), zl(p.n_x), zu(p.n_x), g(p.n_g), lambda(p.n_g);
     taken_ = get_curr_iterate(data, quantities, false, p.n_x, x.data(), zl.data(), zu.data(), p.n_g, g.data(),
                               lambda.data());

@@ -33,13 +33,14 @@ const double* point(const Nlp& nlp, const RealArray& x) {
   return x.data();
 }
 
-// Python's callback: an exception in it stops the solver and is raised after it has returned; an
-// interrupt from the keyboard asks for the current iterate, as returning False does.
+// Python's callback, given the figures and a function that returns the unknowns. An exception in it stops the
+// solver and is raised after it has returned; an interrupt from the keyboard asks for the current iterate, as
+// returning False does.
 class PythonCallback {
  public:
   explicit PythonCallback(nb::object function) : function_(std::move(function)) {}
 
-  bool operator()(const Iteration& info) {
+  bool operator()(const Iteration& info, const Unknowns& unknowns) {
     nb::gil_scoped_acquire lock;
     nb::dict given;
     given["iteration"] = info.iteration;
@@ -51,10 +52,26 @@ class PythonCallback {
     given["regularization"] = info.regularization;
     given["line_search"] = info.line_search;
     given["restoration"] = info.restoration;
+    const auto valid = std::make_shared<bool>(true);
+    const nb::object iterate = nb::cpp_function([&unknowns, valid] {
+      if (!*valid) throw std::runtime_error("the unknowns of an iteration are known during its callback only");
+      return to_numpy(unknowns());
+    });
+    const bool go_on = ask(given, iterate);
+    *valid = false;
+    return go_on;
+  }
+
+  void raise() const {
+    if (error_) std::rethrow_exception(error_);
+  }
+
+ private:
+  bool ask(const nb::dict& given, const nb::object& iterate) {
     try {
       if (PyErr_CheckSignals() != 0) throw nb::python_error();
       if (function_.is_none()) return true;
-      const nb::object answer = function_(given);
+      const nb::object answer = function_(given, iterate);
       return answer.is_none() || nb::cast<bool>(answer);
     } catch (nb::python_error& error) {
       if (!error.matches(PyExc_KeyboardInterrupt)) error_ = std::current_exception();
@@ -65,11 +82,6 @@ class PythonCallback {
     }
   }
 
-  void raise() const {
-    if (error_) std::rethrow_exception(error_);
-  }
-
- private:
   nb::object function_;
   std::exception_ptr error_;
 };
@@ -105,7 +117,7 @@ nb::dict solve(const Nlp& nlp, nb::object callback, Solve&& run) {
   Outcome outcome;
   {
     nb::gil_scoped_release unlock;
-    outcome = run([&python](const Iteration& info) { return python(info); });
+    outcome = run([&python](const Iteration& info, const Unknowns& unknowns) { return python(info, unknowns); });
   }
   python.raise();
   return to_dict(outcome, nlp);

@@ -29,8 +29,11 @@ struct Iteration {
   bool restoration = false;
 };
 
+// The unknowns of the current iterate; empty where the solver cannot tell. Valid during the callback only.
+using Unknowns = std::function<Reals()>;
+
 // Returns false to stop at the current iterate.
-using Callback = std::function<bool(const Iteration&)>;
+using Callback = std::function<bool(const Iteration&, const Unknowns&)>;
 
 // The iterate a solver ended at. The Lagrangian is f + lambda_g . g + lambda_x . x.
 struct Outcome {

@@ -13,9 +13,9 @@ from typing import Any
 import meshcat
 
 from trajopt.errors import InputError, TrajoptError
-from trajopt.replay_html import page
-from trajopt.replay_motion import motion_of
-from trajopt.replay_scene import Scene, build_scene
+from trajopt.replay.motion import motion_of
+from trajopt.replay.page import page
+from trajopt.replay.scene import Scene, build_scene
 from trajopt.solution import Solution
 
 

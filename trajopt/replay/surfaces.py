@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.touched import surfaces_of, terrain_of
-from trajopt.replay_commands import without_shadow
-from trajopt.replay_motion import Motion
-from trajopt.replay_robot import DrawnRobot
+from trajopt.replay.commands import without_shadow
+from trajopt.replay.motion import Motion
+from trajopt.replay.robot import DrawnRobot
 from trajopt.solution import Solution
 from trajopt.surface import UP, Surface, frame_of_normal
 from trajopt.terrain import PiecewiseTerrain

@@ -11,14 +11,14 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.touched import terrain_of
-from trajopt.replay_arrows import WEIGHT_ARROW, draw_arrows
-from trajopt.replay_commands import Command, Recorder, Tracks, without_shadow
-from trajopt.replay_ground import light_and_ground
-from trajopt.replay_motion import Motion
-from trajopt.replay_obstacles import draw_obstacles
-from trajopt.replay_robot import DrawnRobot, draw_robot, joint_path, tip_frames
-from trajopt.replay_surfaces import curved_drop, draw_surfaces, plane_of, seen_plane, touches_of
-from trajopt.replay_terrain import draw_terrain
+from trajopt.replay.arrows import WEIGHT_ARROW, draw_arrows
+from trajopt.replay.commands import Command, Recorder, Tracks, without_shadow
+from trajopt.replay.ground import light_and_ground
+from trajopt.replay.motion import Motion
+from trajopt.replay.obstacles import draw_obstacles
+from trajopt.replay.robot import DrawnRobot, draw_robot, joint_path, tip_frames
+from trajopt.replay.surfaces import curved_drop, draw_surfaces, plane_of, seen_plane, touches_of
+from trajopt.replay.terrain import draw_terrain
 from trajopt.robot_building import BASE_JOINT, base_of
 from trajopt.solution import Solution
 from trajopt.surface import Surface

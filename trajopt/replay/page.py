@@ -14,8 +14,8 @@ import meshcat
 import umsgpack
 
 from trajopt.errors import TrajoptError
-from trajopt.replay_motion import FLASH, Motion
-from trajopt.replay_scene import Scene
+from trajopt.replay.motion import FLASH, Motion
+from trajopt.replay.scene import Scene
 from trajopt.solution import Solution
 
 VIEWER = Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js"

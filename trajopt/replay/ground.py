@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from pinocchio.visualize.meshcat_visualizer import Plane
 
-from trajopt.replay_commands import Command
+from trajopt.replay.commands import Command
 from trajopt.surface import Surface
 
 SKY_TOP, SKY_BOTTOM = [0.70, 0.79, 0.90], [0.96, 0.97, 0.98]

@@ -9,8 +9,8 @@ import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
 
-from trajopt.replay_commands import Tracks, without_shadow
-from trajopt.replay_motion import Motion
+from trajopt.replay.commands import Tracks, without_shadow
+from trajopt.replay.motion import Motion
 from trajopt.solution import Solution
 
 FORCE_COLOUR, IMPULSE_COLOUR = 0xD9421F, 0x7A1FA2

@@ -13,8 +13,8 @@ import numpy as np
 import pinocchio as pin
 from pinocchio.visualize.meshcat_visualizer import MeshcatVisualizer, loadMesh
 
-from trajopt import collada
 from trajopt.errors import InputError
+from trajopt.replay import collada
 from trajopt.robot_building import BASE_JOINT, base_of, reach
 from trajopt.robot_data import VisualSource
 from trajopt.solution import Solution

@@ -7,7 +7,7 @@ from typing import Any
 import meshcat.geometry as shapes
 import numpy as np
 
-from trajopt.replay_ground import GRID_STRONG, GROUND_COLOUR, GROUND_TINTS, sky_and_light
+from trajopt.replay.ground import GRID_STRONG, GROUND_COLOUR, GROUND_TINTS, sky_and_light
 from trajopt.surface import UP
 from trajopt.terrain import PiecewiseTerrain, SmoothTerrain
 from trajopt.terrain.patch import Patch, cut_polygon
