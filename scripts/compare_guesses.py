@@ -96,7 +96,7 @@ def main(solver: str, sigma: float, seeds: int, walks_only: bool) -> None:
             *(perturbed(prepared.transcription, prepared.guess, seed, sigma) for seed in range(seeds)),
         ]
         stop = Stop(max_iterations=MOST_ITERATIONS)
-        results = [run(prepared.nlp, start, solver, stop, {}, lambda _: True) for start in starts]
+        results = [run(prepared.nlp, start, solver, stop, {}, lambda *_: True) for start in starts]
         first, others = results[0], [r for r in results[1:] if r.status is Status.SOLVED]
         median = statistics.median(r.iterations for r in others) if others else float("nan")
         click.echo(

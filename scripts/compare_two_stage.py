@@ -47,7 +47,7 @@ class Solved:
     @classmethod
     def of(cls, problem: Problem, solver: str) -> Solved:
         prepared = prepare(problem)
-        result = run(prepared.nlp, prepared.guess, solver, Stop(), {}, lambda _: True)
+        result = run(prepared.nlp, prepared.guess, solver, Stop(), {}, lambda *_: True)
         meta = {
             "solver": solver,
             "status": result.status.word,

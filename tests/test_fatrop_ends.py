@@ -39,7 +39,7 @@ found = []
 for sigma in (30.0, 100.0):
     for seed in range(seeds):
         start = perturbed(prepared.transcription, prepared.guess, seed, sigma)
-        result = run(prepared.nlp, start, "fatrop", Stop(max_time=limit), {}, lambda _: True)
+        result = run(prepared.nlp, start, "fatrop", Stop(max_time=limit), {}, lambda *_: True)
         found.append([result.solver_status, result.status.word, result.wall_time])
 print(json.dumps(found))
 """

@@ -55,7 +55,7 @@ def test_the_weight_of_a_point_is_the_mean_of_the_quadrature() -> None:
 def solved(made: Prepared, solver: str, seed: int) -> tuple[int, float, int]:
     """Iterations, objective, evaluations of values."""
     start = perturbed(made.transcription, made.guess, seed, SIGMA) if seed else made.guess
-    result = run(made.nlp, start, solver, Stop(), {}, lambda _: True)
+    result = run(made.nlp, start, solver, Stop(), {}, lambda *_: True)
     assert result.status is Status.SOLVED, (solver, seed, result.solver_status)
     return result.iterations, result.objective, made.nlp.engine.timings()["value"][1]
 

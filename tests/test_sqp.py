@@ -215,7 +215,7 @@ def test_kept_pairs_that_a_new_one_beats_are_dropped():
 
 
 def sqp(prepared: Prepared, x: np.ndarray | None = None, **given: object) -> Result:
-    settings = {"options": {}, "callback": lambda _: True, "warm": None, "stop": Stop(), **given}
+    settings = {"options": {}, "callback": lambda *_: True, "warm": None, "stop": Stop(), **given}
     start = prepared.guess if x is None else x
     order = ("stop", "options", "callback", "warm")
     return run(prepared.nlp, start, "sqp", *(settings[name] for name in order))
@@ -265,7 +265,7 @@ def test_solutions_fulfil_the_conditions_of_optimality_and_report_their_errors(p
 @pytest.mark.parametrize("problem", [swing, lean], ids=lambda make: make.__name__)
 def test_the_optimum_is_ipopts(problem):
     prepared = ready(problem())
-    expected = run(prepared.nlp, prepared.guess, "ipopt", Stop(tolerance=1e-8), {}, lambda _: True)
+    expected = run(prepared.nlp, prepared.guess, "ipopt", Stop(tolerance=1e-8), {}, lambda *_: True)
     found = sqp(prepared)
     assert (expected.status, found.status) == (Status.SOLVED, Status.SOLVED)
     assert found.objective == pytest.approx(expected.objective, rel=SAME_OBJECTIVE)
@@ -274,7 +274,7 @@ def test_the_optimum_is_ipopts(problem):
 @pytest.mark.parametrize("name", SCHEME_ORDERS)
 def test_every_scheme_is_solved(name):
     prepared = ready(lean(), transcription=name)
-    best = run(prepared.nlp, prepared.guess, "ipopt", Stop(tolerance=1e-8), {}, lambda _: True)
+    best = run(prepared.nlp, prepared.guess, "ipopt", Stop(tolerance=1e-8), {}, lambda *_: True)
     assert sqp(prepared).objective == pytest.approx(best.objective, rel=SAME_OBJECTIVE)
 
 
@@ -283,7 +283,7 @@ def test_every_scheme_is_solved(name):
 def test_real_robots_end_at_ipopts_optimum_also_from_perturbed_starts(name):
     """`quadruped-trot` is periodic: its rows join the first and the last stage."""
     prepared = prepare(problems.load(name))
-    best = run(prepared.nlp, prepared.guess, "ipopt", Stop(), {}, lambda _: True)
+    best = run(prepared.nlp, prepared.guess, "ipopt", Stop(), {}, lambda *_: True)
     starts = [prepared.guess, perturbed(prepared.transcription, prepared.guess, 1, 0.1)]
     for start in starts:
         found = sqp(prepared, start)

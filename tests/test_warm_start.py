@@ -50,7 +50,7 @@ class Solved:
 
 def solved(problem: Problem, scheme: str, intervals: int) -> Solved:
     prepared = prepare(problem, transcription=scheme, intervals=intervals, compile="none")
-    result = run(prepared.nlp, prepared.guess, "ipopt", Stop(), {}, lambda _: True)
+    result = run(prepared.nlp, prepared.guess, "ipopt", Stop(), {}, lambda *_: True)
     t = prepared.transcription
     meta = {"success": True, "status": "solved", "solver": "ipopt"}
     meta |= {"iterations": 0, "objective": 0.0, "tolerance": 1e-6, "wall_time_s": 0.0}

@@ -91,7 +91,7 @@ def solve_ipopt(
     lbg: Reals,
     ubg: Reals,
     options: Mapping[str, str | int | float],
-    callback: Callable[[dict[str, Any]], bool | None] | None,
+    callback: Callable[[dict[str, Any], Callable[[], Reals]], bool | None] | None,
     lam_g0: Reals | None = None,
     lam_x0: Reals | None = None,
 ) -> dict[str, Any]:
@@ -116,7 +116,7 @@ def solve_fatrop(
     lbg: Reals,
     ubg: Reals,
     options: Mapping[str, str | int | float],
-    callback: Callable[[dict[str, Any]], bool | None] | None,
+    callback: Callable[[dict[str, Any], Callable[[], Reals]], bool | None] | None,
     *,
     lam_g0: Reals | None = None,
 ) -> dict[str, Any]:
