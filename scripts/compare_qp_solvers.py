@@ -159,7 +159,7 @@ def point_after(nlp: Nlp, guess: np.ndarray, steps: int) -> tuple[int, Point]:
     """The iterate after so many steps of the SQP, and how many it took."""
     settings = SqpSettings(tolerance=ACCURACY, feasibility=ACCURACY, max_iterations=steps, max_time=600.0)
     zero = np.zeros(nlp.transcription.n_rows), np.zeros_like(guess)
-    outcome = Sqp(nlp, settings, lambda _: True).run(guess, *zero)
+    outcome = Sqp(nlp, settings, lambda *_: True).run(guess, *zero)
     return outcome.iterations, outcome.point
 
 
