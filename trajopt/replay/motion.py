@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,16 +54,30 @@ class Motion:
 
 
 def motion_of(solution: Solution, speed: float = 1.0) -> Motion:
-    """Resample ``solution`` on the manifold at about `FRAME_RATE`, first and last sample included.
+    """The motion of one solution: see `motions_of`."""
+    return motions_of([solution], speed)[0]
 
-    Forces are interpolated linearly within an interval. Raises `InputError` without a duration,
-    `SolutionFileError` for terrain or surfaces that cannot be read.
+
+def motions_of(solutions: Sequence[Solution], speed: float = 1.0) -> list[Motion]:
+    """Resample solutions on the manifold at about `FRAME_RATE`, all from the first start to the last end.
+
+    Before its start and after its end a solution stays as it is there. Forces are interpolated linearly
+    within an interval. Raises `InputError` without a duration, `SolutionFileError` for terrain or surfaces
+    that cannot be read.
     """
-    start, duration = float(solution.t[0]), float(solution.t[-1] - solution.t[0])
-    if not duration > 0:
-        raise InputError("the solution lasts 0 s", "a replay needs a duration")
+    if not solutions:
+        raise InputError("there is nothing to replay", "one or more solutions")
+    for solution in solutions:
+        if not solution.t[-1] > solution.t[0]:
+            raise InputError("the solution lasts 0 s", "a replay needs a duration")
+    start = float(min(solution.t[0] for solution in solutions))
+    duration = float(max(solution.t[-1] for solution in solutions)) - start
     steps = max(1, round(duration / speed * FRAME_RATE))
     t = start + duration * np.linspace(0.0, 1.0, steps + 1)
+    return [_resampled(solution, t, steps * speed / duration, speed) for solution in solutions]
+
+
+def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: float) -> Motion:
     joints, contacts = _placements(solution, solution.interpolate(t))
     sample, wrench = _contact_wrenches(solution, t)
     weight = _weight(solution.model)
@@ -70,7 +85,7 @@ def motion_of(solution: Solution, speed: float = 1.0) -> Motion:
     impact = _impacts(solution, t)
     return Motion(
         t=t,
-        frame_rate=steps * speed / duration,
+        frame_rate=frame_rate,
         speed=speed,
         joints=joints,
         feet=feet,

@@ -1,8 +1,9 @@
-"""The scene of a replay as Meshcat commands: robot, ground, force arrows, trails, camera, animation."""
+"""The scene of a replay as Meshcat commands: robots, ground, force arrows, trails, camera, animation."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import meshcat
@@ -12,84 +13,143 @@ import pinocchio as pin
 
 from trajopt.certify.touched import terrain_of
 from trajopt.replay.arrows import WEIGHT_ARROW, draw_arrows
+from trajopt.replay.camera import initial_camera
 from trajopt.replay.commands import Command, Recorder, Tracks, without_shadow
 from trajopt.replay.ground import light_and_ground
+from trajopt.replay.layers import layers_of
 from trajopt.replay.motion import Motion
 from trajopt.replay.obstacles import draw_obstacles
-from trajopt.replay.robot import DrawnRobot, draw_robot, joint_path, tip_frames
+from trajopt.replay.robot import joint_path, tip_frames
+from trajopt.replay.runs import Run, drawn_runs, travels
 from trajopt.replay.surfaces import curved_drop, draw_surfaces, plane_of, seen_plane, touches_of
 from trajopt.replay.terrain import draw_terrain
-from trajopt.robot_building import BASE_JOINT, base_of
 from trajopt.solution import Solution
 from trajopt.surface import Surface
 from trajopt.terrain import PiecewiseTerrain, SmoothTerrain
 
 TRAIL_COLOURS = (0x1F77B4, 0x2CA02C, 0x9467BD, 0xC77700)
-# Vertical field of view in degrees: little perspective.
-FIELD_OF_VIEW = 35.0
-# Direction from the robot to the camera: from its right and ahead, slightly above.
-CAMERA_DIRECTION = np.array([0.62, -1.0, 0.42])
-# The camera travels with the base if the motion is longer than this many times the robot.
-FOLLOW_FROM = 3.0
-# Frames at which the extent of the motion is measured.
-MEASURED_FRAMES = 12
+PREFIX = "/meshcat/"
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Commands in order; ``note`` if the robot is not drawn in full; ``weight_arrow`` in m."""
+    """Commands in order; ``note`` if a robot is not drawn in full; ``weight_arrow`` in m.
+
+    facts: what a page tells of the scene, JSON-able: ``start`` (s of the solution), ``speed``, ``duration``
+    (s of playback), ``phases`` [{name, start, end}] of the first solution, s, ``layers`` [{name, label,
+    colour, paths, visible}], ``runs`` [{label, colour, root, base}] with places in the scene tree, ``size``
+    (m, the largest robot's extent), ``box`` [[low], [high]] (m, world) around all motions and what they
+    touch, ``travels``: whether a base goes so far that a camera should follow it.
+    """
 
     commands: list[Command]
     note: str
     weight_arrow: float
+    facts: dict[str, Any] = field(default_factory=dict)
 
 
-def build_scene(solution: Solution, motion: Motion) -> Scene:
-    """Return everything that a Meshcat viewer has to be told to show ``motion``."""
+def build_scene(
+    solutions: Sequence[Solution],
+    motions: Sequence[Motion],
+    layout: str = "overlaid",
+    labels: Sequence[str] | None = None,
+) -> Scene:
+    """Return everything that a Meshcat viewer has to be told to show ``motions``, of the same frames.
+
+    Of several solutions the later ones are tinted and laid over the first (``layout`` "overlaid") or moved
+    aside ("side-by-side"); ``labels`` name them. Raises `InputError` for a layout or labels that do not fit.
+    """
     recorder = Recorder()
     vis = meshcat.Visualizer(window=recorder)
-    tracks = Tracks(motion.n_frames, motion.frame_rate)
-    robot = draw_robot(vis, solution)
-    for joint in range(1, solution.model.njoints):
-        _animate_placement(tracks, vis[joint_path(solution.model, joint)], motion.joints[:, joint])
-    cloud = _cloud(robot, motion)
-    size = max(float(np.ptp(cloud[0], axis=0).max()), 1e-3)
-    standing, elsewhere = touches_of(solution, motion)
-    terrain, ground = terrain_of(solution.meta.get("terrain")), plane_of(solution)
-    uneven = isinstance(terrain, PiecewiseTerrain | SmoothTerrain)
-    if standing and not uneven:
-        ground = seen_plane(standing, solution, motion, robot, size)
-    places = draw_surfaces(vis["surfaces"], elsewhere, solution, motion, robot, size)
-    obstacles = draw_obstacles(vis["obstacles"], solution)
-    cloud = np.concatenate([cloud.reshape(-1, 3), places, obstacles])
+    tracks = Tracks(motions[0].n_frames, motions[0].frame_rate)
+    runs = drawn_runs(vis, solutions, motions, layout, labels)
+    size = max(run.size for run in runs)
+    points = [_draw_run(tracks, run, size) for run in runs]
+    cloud = np.concatenate(points)
     box = np.array([cloud.min(axis=0), cloud.max(axis=0)])
-    if isinstance(terrain, PiecewiseTerrain | SmoothTerrain):
-        draw_terrain(vis, terrain, box, curved_drop(standing, solution, motion, robot, size), size)
-    else:
-        light_and_ground(vis, box, ground, size)
-    draw_arrows(vis, tracks, solution, motion, size)
-    _trails(vis["trails"], solution, motion)
-    carrier = BASE_JOINT[base_of(solution.model)] or min(1, solution.model.njoints - 1)
-    _camera(vis, tracks, motion, carrier, box, ground, size)
+    ground = _draw_ground(vis, runs, box, size)
+    follows = travels(runs[0], ground.tangents)
+    initial_camera(vis, tracks, runs[0].base, box, ground, size, follows)
     recorder.commands.append(tracks.command())
-    return Scene(recorder.commands, robot.note, WEIGHT_ARROW * size)
+    notes = list(dict.fromkeys(run.robot.note for run in runs if run.robot.note))
+    facts = _facts(runs, layers_of(runs, _drawn(recorder)), box, size, follows)
+    return Scene(recorder.commands, "; ".join(notes), WEIGHT_ARROW * size, facts)
+
+
+def _draw_run(tracks: Tracks, run: Run, size: float) -> np.ndarray:
+    """Draw what belongs to one solution; returns points (k, 3) of the scene's world that it takes up, m."""
+    solution, motion, node = run.solution, run.motion, run.node
+    if run.shift.any():
+        node.set_transform(pin.SE3(np.eye(3), run.shift).homogeneous)
+    for joint in range(1, solution.model.njoints):
+        _animate_placement(tracks, node[joint_path(solution.model, joint)], motion.joints[:, joint])
+    _, elsewhere = touches_of(solution, motion)
+    places = draw_surfaces(node["surfaces"], elsewhere, solution, motion, run.robot, size)
+    obstacles = draw_obstacles(node["obstacles"], solution)
+    draw_arrows(node, tracks, solution, motion, size)
+    _trails(node["trails"], solution, motion)
+    return np.asarray(np.concatenate([run.cloud, places, obstacles]) + run.shift)
+
+
+def _draw_ground(vis: Any, runs: list[Run], box: np.ndarray, size: float) -> Surface:
+    """Draw the first solution's ground, with sky and light; returns its plane."""
+    run = runs[0]
+    standing, _ = touches_of(run.solution, run.motion)
+    terrain = terrain_of(run.solution.meta.get("terrain"))
+    ground = plane_of(run.solution)
+    if isinstance(terrain, PiecewiseTerrain | SmoothTerrain):
+        drop = curved_drop(standing, run.solution, run.motion, run.robot, size)
+        draw_terrain(vis, terrain, box, drop, size)
+        return ground
+    if standing:
+        ground = seen_plane(standing, run.solution, run.motion, run.robot, size)
+    light_and_ground(vis, box, ground, size)
+    return ground
+
+
+def _drawn(recorder: Recorder) -> list[str]:
+    """Scene tree paths of all objects."""
+    messages = [command.message for command in recorder.commands]
+    return [m["path"].removeprefix(PREFIX) for m in messages if m["type"] == "set_object"]
+
+
+def _facts(
+    runs: list[Run], layers: list[dict[str, Any]], box: np.ndarray, size: float, follows: bool
+) -> dict[str, Any]:
+    motion = runs[0].motion
+    return {
+        "start": float(motion.t[0]),
+        "speed": motion.speed,
+        "duration": (motion.n_frames - 1) / motion.frame_rate,
+        "phases": _phases(runs[0].solution),
+        "layers": layers,
+        "runs": [
+            {"label": run.label, "colour": f"#{run.colour:06x}", "root": run.root, "base": run.base_path}
+            for run in runs
+        ],
+        "size": size,
+        "box": box.tolist(),
+        "travels": follows,
+    }
+
+
+def _phases(solution: Solution) -> list[dict[str, Any]]:
+    """Name, start and end (s) of every phase; numbered where the solution has no names."""
+    names = solution.meta.get("phase_names") or []
+    found = []
+    for rows in solution.phases:
+        index = int(solution.phase[rows.start])
+        name = str(names[index]) if index < len(names) else f"phase {index + 1}"
+        found.append(
+            {"name": name, "start": float(solution.t[rows.start]), "end": float(solution.t[rows.stop - 1])}
+        )
+    return found
 
 
 def _animate_placement(tracks: Tracks, node: Any, placements: np.ndarray) -> None:
     quaternions = [pin.Quaternion(matrix[:3, :3]).coeffs() for matrix in placements]
     tracks.add(node, "position", "vector3", placements[:, :3, 3])
     tracks.add(node, "quaternion", "quaternion", np.array(quaternions))
-
-
-def _cloud(robot: DrawnRobot, motion: Motion) -> np.ndarray:
-    """World points (frames, k, 3) of the drawn robot at a few frames, the first included."""
-    rows = np.unique(np.linspace(0, motion.n_frames - 1, MEASURED_FRAMES).astype(int))
-    parts = []
-    for joint, points in robot.points.items():
-        placement = motion.joints[rows, joint]
-        local = np.concatenate(points)
-        parts.append(local @ placement[:, :3, :3].transpose(0, 2, 1) + placement[:, None, :3, 3])
-    return np.concatenate(parts, axis=1)
 
 
 def _trails(node: Any, solution: Solution, motion: Motion) -> None:
@@ -114,29 +174,3 @@ def _frame_paths(model: pin.Model, motion: Motion, frames: list[int]) -> np.ndar
         local = np.append(model.frames[frame].placement.translation, 1.0)
         paths[:, column] = (motion.joints[:, joint] @ local)[:, :3]
     return paths
-
-
-def _camera(
-    vis: Any, tracks: Tracks, motion: Motion, carrier: int, box: np.ndarray, ground: Surface, size: float
-) -> None:
-    """Frame the whole motion; if it is long, travel along the ground with the base, on the joint ``carrier``.
-
-    Meshcat's camera always looks at the origin of the viewer: the world is moved there instead.
-    """
-    base = motion.joints[:, carrier, :3, 3]
-    travel = (base - base[0]) @ ground.tangents.T
-    middle = box.mean(axis=0)
-    below = middle - ground.distance(middle) * ground.normal
-    low, high = np.minimum(box[0], below), np.maximum(box[1], below)
-    follows = float(np.ptp(travel, axis=0).max()) > FOLLOW_FROM * size
-    if follows:
-        low, high = base[0] - 0.75 * size, base[0] + 0.75 * size
-    target = (low + high) / 2
-    distance = float(np.linalg.norm(high - low)) / 2 / np.sin(np.radians(FIELD_OF_VIEW) / 2)
-    offset = distance * CAMERA_DIRECTION / np.linalg.norm(CAMERA_DIRECTION)
-    lens = vis["/Cameras/default/rotated/<object>"]
-    lens.set_property("fov", FIELD_OF_VIEW)
-    lens.set_property("position", [float(offset[0]), float(offset[2]), float(-offset[1])])  # y is up there
-    vis.set_transform(pin.SE3(np.eye(3), -target).homogeneous)
-    if follows:
-        tracks.add(vis, "position", "vector3", -target - travel @ ground.tangents)

@@ -56,7 +56,7 @@ def replay(
     if not (math.isfinite(speed) and speed > 0):
         raise InputError(f"speed is {speed:g}", "a positive number; 1 is real time")
     motion = motion_of(solution, speed)
-    scene = build_scene(solution, motion)
+    scene = build_scene([solution], [motion])
     if scene.note:
         print(scene.note, file=sys.stderr)
     duration = (motion.n_frames - 1) / motion.frame_rate
