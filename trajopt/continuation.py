@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from trajopt.errors import InputError
-from trajopt.ladder import INTERRUPTED, figures, total
+from trajopt.ladder import INTERRUPTED, OWN_GUESS, figures, total
 from trajopt.problem import Problem
 from trajopt.solution import Solution
 from trajopt.solving import solve
@@ -148,7 +148,7 @@ class _Walk:
     def solve(self, value: float, *, asked: bool = True, own_guess: bool = False) -> Step:
         """One solve, from the last solution or from the problem's own guess."""
         start = None if own_guess else self.start
-        solution = solve(self.load(value), start=start, **self.settings)
+        solution = solve(self.load(value), start=start, label=f"value {value:g}", **self.settings)
         origin = None if start is None else self.origin
         step = Step(value=value, solution=solution, origin=origin, asked=asked)
         self.steps.append(step)
@@ -163,7 +163,11 @@ class _Walk:
         index = max(i for i, step in enumerate(self.steps) if step.asked and step.value == value)
         last = self.steps[index]
         own = not last.solution.meta["warm_start"]
-        cold = last.solution if own else solve(self.load(value), **self.settings)
+        cold = (
+            last.solution
+            if own
+            else solve(self.load(value), label=f"value {value:g} {OWN_GUESS}", **self.settings)
+        )
         self.steps[index] = replace(last, cold=cold)
         return cold
 

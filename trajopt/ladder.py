@@ -18,6 +18,8 @@ from trajopt.verdicts import is_start
 Rung = tuple[str | None, int | None]
 # What a user's interruption leaves is no rung to climb from.
 INTERRUPTED = "interrupted"
+# The label of a solve that others are compared with.
+OWN_GUESS = "from its own guess"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,12 +80,13 @@ def solve_ladder(
     found: list[Solution] = []
     for index, grid in enumerate(rungs):
         noise = perturb if index == 0 else 0.0
-        found.append(solve(problem, **grid, start=start, perturb=noise, **settings))
+        label = f"rung {index + 1} of {len(rungs)}" if len(rungs) > 1 else ""
+        found.append(solve(problem, **grid, start=start, perturb=noise, label=label, **settings))
         if found[-1].meta["status"] == INTERRUPTED:
             break
         start = found[-1] if is_start(found[-1]) else start
     compared = compare and found[-1].meta["status"] != INTERRUPTED
-    cold = solve(problem, **rungs[-1], **settings) if compared else None
+    cold = solve(problem, **rungs[-1], label=OWN_GUESS, **settings) if compared else None
     return Ladder(rungs=tuple(found), cold=cold)
 
 

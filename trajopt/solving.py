@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,13 +28,12 @@ from trajopt.problem import Problem
 from trajopt.solution import Solution
 from trajopt.solvers import Result, Status, run
 from trajopt.solvers.drivers import SOLVERS, Option, Stop, Warm, check_hessian
-from trajopt.solvers.result import Callback
 from trajopt.transcription import Transcription, transcribe
 from trajopt.verdicts import TRUSTED_VIOLATION, advice_for, creep_reported, finite, judged, locks_reported
 from trajopt.violations import nonfinite_place, row_violations, worst_blocks
 from trajopt.warm_start import solution_of, warm_start
-
-Progress = Callable[[dict[str, float]], bool]
+from trajopt.watching.iterate import Watch
+from trajopt.watching.telling import Progress, Teller
 
 DEFAULT_SOLVER = "ipopt"
 MAX_PERTURBATION = 100.0
@@ -110,6 +109,8 @@ def solve(
     threads: int = 1,
     options: Mapping[str, Option] | None = None,
     progress: Progress | None = None,
+    watch: Watch | None = None,
+    label: str = "",
     start: Solution | str | Path | None = None,
 ) -> Solution:
     """Solve a problem; never raises because the solver did not converge.
@@ -125,6 +126,8 @@ def solve(
     seed, perturb: noise on the guess, standard deviation in scaled units.
     compile: ``none``, ``quick`` or ``fast``. threads: for evaluating functions.
     progress: called at each iteration with its figures; returns False to stop there.
+    watch: called with the guess, each iterate and the end (`trajopt.watching.Iterate`); what it raises is a
+    warning. label: which of several solves this is, for the watch.
     start: a solution, or its file, to start from instead of the problem's guess: of the same joints and
     phases, on any grid, scheme, durations or parameters (see ``warm_start``).
 
@@ -146,7 +149,15 @@ def solve(
     stop = Stop(tolerance=tolerance, max_iterations=max_iterations, max_time=max_time)
     origin = {"seed": seed, "perturb": perturb}
     return solve_prepared(
-        prepared, guess, origin=origin, solver=solver, stop=stop, options=options, progress=progress
+        prepared,
+        guess,
+        origin=origin,
+        solver=solver,
+        stop=stop,
+        options=options,
+        progress=progress,
+        watch=watch,
+        label=label,
     )
 
 
@@ -159,6 +170,8 @@ def solve_prepared(
     stop: Stop | None = None,
     options: Mapping[str, Option] | None = None,
     progress: Progress | None = None,
+    watch: Watch | None = None,
+    label: str = "",
 ) -> Solution:
     """Solve what `prepare` made, from the scaled unknowns ``start`` (n_unknowns,): any number of times.
 
@@ -167,21 +180,15 @@ def solve_prepared(
     """
     stop = stop or Stop()
     place = nonfinite_place(prepared.nlp, start)
+    told = Teller(prepared.transcription, progress, watch, solver, label)
+    told.see("guess", lambda: start)
     if place is None:
-        told = _in_weights(progress or _continue, prepared.transcription.objective_unit)
         result = run(prepared.nlp, start, solver, stop, options or {}, told, prepared.warm)
     else:
         result = _not_finite(prepared, start)
-    return _solution(prepared, result, solver, stop.tolerance, place, origin)
-
-
-def _continue(_: dict[str, float]) -> bool:
-    return True
-
-
-def _in_weights(progress: Progress, unit: float) -> Callback:
-    """``progress`` told the objective in the problem's weights."""
-    return lambda figures, _: progress({**figures, "objective": unit * figures["objective"]})
+    found = _solution(prepared, result, solver, stop.tolerance, place, origin)
+    told.end(result, found.meta["status"])
+    return found
 
 
 def check_settings(

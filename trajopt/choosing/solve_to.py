@@ -92,7 +92,7 @@ def solve_to_accuracy(
     _require(accuracy, "accuracy", "m")
     choice = choose_for_accuracy(problem, accuracy, front=front, where=where)
     solver = choice.solver
-    first = solve(problem, mesh=choice.mesh, start=start, **solver, **settings)
+    first = solve(problem, mesh=choice.mesh, start=start, label="chosen mesh", **solver, **settings)
     if first.meta["status"] == INTERRUPTED:
         made = Refinement(
             target=accuracy,
@@ -184,6 +184,7 @@ class _Search:
             self.problem,
             mesh=choice.mesh,
             start=start,
+            label=f"setting {len(self.tried) + 1}",
             max_time=max(self.left, LEAST_TIME),
             **choice.solver,
             **self.settings,

@@ -213,7 +213,8 @@ class _Loop:
     def _solve(self, mesh: Mesh, start: Solution | None) -> Solution | None:
         """The solution on a mesh; from the problem's own guess where ``start`` does not lead to one."""
         for origin in (start, None) if start is not None else (None,):
-            solution = solve(self.problem, mesh=mesh, start=origin, **self.settings)
+            label = f"mesh {len(self.rounds) + 1}"
+            solution = solve(self.problem, mesh=mesh, start=origin, label=label, **self.settings)
             self._record(mesh, solution)
             if is_start(solution):
                 return solution

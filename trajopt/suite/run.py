@@ -23,12 +23,13 @@ from trajopt.family import choose
 from trajopt.guess import perturbed
 from trajopt.solution import Solution
 from trajopt.solvers.drivers import Stop
-from trajopt.solving import Prepared, Progress, prepare, solve_prepared
+from trajopt.solving import Prepared, prepare, solve_prepared
 from trajopt.suite.cases import Case
 from trajopt.suite.failure import mode_of
 from trajopt.suite.optima import described
 from trajopt.suite.outcome import Attempt, Checked, Grid, Ledger, Outcome
 from trajopt.suite.settings import Settings
+from trajopt.watching.telling import Progress
 
 Event = dict[str, Any]
 Tell = Callable[[Event], None]
