@@ -9,6 +9,7 @@ from functools import lru_cache
 import robots
 from trajopt.family import Family, choose
 from trajopt.problem import Problem
+from trajopt.robot import Robot
 
 
 @lru_cache(maxsize=1)
@@ -28,6 +29,11 @@ def family(name: str) -> Family:
 def robot_kind(name: str) -> str:
     """Kind of a robot, by name or file: what families it may suit. Raises `InputError` for an unknown one."""
     return robots.kind(name)
+
+
+def robot(name: str) -> Robot:
+    """The robot of that name or file. Raises `InputError` for an unknown one."""
+    return robots.load(name)
 
 
 def load(name: str, **parameters: object) -> Problem:

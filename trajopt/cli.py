@@ -29,6 +29,7 @@ from trajopt.cli_diagnose import diagnose, diagnose_option, diagnosis_of
 from trajopt.cli_input import COUNT, GRID, THREADS, check_output, options_of, values_of
 from trajopt.cli_reference import reference
 from trajopt.cli_replay import replay
+from trajopt.cli_robot import robot
 from trajopt.cli_suite import suite
 from trajopt.cli_sweep import sweep
 from trajopt.cli_warm import solve_warm, warm_options
@@ -285,3 +286,4 @@ main.add_command(diagnose)
 main.add_command(check)
 main.add_command(reference)
 main.add_command(replay)
+main.add_command(robot)

@@ -1,0 +1,53 @@
+"""A robot at rest in its reference posture, as a problem: the first picture of a new robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from trajopt.objectives import effort_costs
+from trajopt.problem import Problem
+from trajopt.robot import Robot
+from trajopt.robot_standing import standing_feet
+from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.solving import solve
+from trajopt.terms import FrictionPyramid, SoleCone
+
+if TYPE_CHECKING:
+    from trajopt.replay import Replay
+
+# Long enough to look at, s; what rests needs no grid.
+DURATION, INTERVALS = 1.0, 4
+# Rubber on a dry floor.
+FRICTION = 0.7
+
+
+def rest(robot: Robot, duration: float = DURATION) -> Problem:
+    """Return the problem to stay in the reference posture for ``duration`` s, on the feet if it has some.
+
+    Costs are those of effort, so that forces are spread. Torques are not limited, and the robot starts at
+    rest: a posture that falls over falls.
+    """
+    feet = standing_feet(robot)
+    kinds = {contact.kind for contact in feet}
+    cones = [cone for kind, cone in (("point", FrictionPyramid()), ("surface", SoleCone())) if kind in kinds]
+    return Problem(
+        name="rest",
+        robot=robot,
+        schedule=Schedule((Phase(name="rest", duration=duration, contacts=tuple(c.name for c in feet)),)),
+        terrain=FlatGround(friction=FRICTION),
+        initial_q=robot.reference,
+        initial_v=np.zeros(robot.nv),
+        terms=(*effort_costs(), *cones),
+        guess=lambda _: robot.reference,
+        default_intervals=INTERVALS,
+    )
+
+
+def show(robot: Robot, html: Path) -> Replay:
+    """Write the page that shows the robot at rest. Raises `InputError`."""
+    from trajopt.replay import replay
+
+    return replay(solve(rest(robot), compile="none"), html=html)
