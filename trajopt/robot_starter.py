@@ -18,6 +18,8 @@ from trajopt.robot_building import Base, position_limits, read_urdf
 BENT = 0.15
 # Feet in place up to this part of the height: a posture that inverse kinematics has found.
 REACHED = 1e-6
+# Legs that move shift the centre of mass, by less each time.
+CENTRINGS = 4
 # A description this far up is named by its whole path.
 FAR = ("..", "..", "..")
 
@@ -130,17 +132,18 @@ def _bent(urdf: Path, straight: Robot) -> Robot:
     """The robot with its base lowered over feet below the centre of mass, where there is such a posture."""
     if straight.base != "freeflyer" or not straight.contacts:
         return straight
+    model, data = straight.model, straight.model.createData()
     places = contact_positions(straight, straight.reference)
-    centre = pin.centerOfMass(straight.model, straight.model.createData(), straight.reference)
-    shift = centre - np.mean(list(places.values()), axis=0)
-    shift[2] = 0.0
-    sink = BENT * straight.length
-    lowered = straight.reference.copy()
-    lowered[2] -= sink
-    found = inverse_kinematics(
-        straight, lowered, {c.frame: places[c.name] + shift for c in straight.contacts}
-    )
-    if found.error > REACHED * straight.length:
-        return straight
+    middle = np.mean(list(places.values()), axis=0)
+    q = straight.reference.copy()
+    q[2] -= BENT * straight.length
+    for _ in range(CENTRINGS):
+        shift = pin.centerOfMass(model, data, q) - middle
+        shift[2] = 0.0
+        feet = {contact.frame: places[contact.name] + shift for contact in straight.contacts}
+        found = inverse_kinematics(straight, q, feet)
+        if found.error > REACHED * straight.length:
+            return straight
+        q = found.q
     contacts = [contact.frame for contact in straight.contacts]
-    return Robot.from_urdf(urdf, base=straight.base, contacts=contacts, reference=found.q)
+    return Robot.from_urdf(urdf, base=straight.base, contacts=contacts, reference=q)
