@@ -13,6 +13,7 @@ from typing import Any
 import meshcat
 
 from trajopt.errors import InputError, TrajoptError
+from trajopt.replay.caption import page_facts
 from trajopt.replay.motion import motion_of
 from trajopt.replay.page import page
 from trajopt.replay.scene import Scene, build_scene
@@ -62,7 +63,7 @@ def replay(
     duration = (motion.n_frames - 1) / motion.frame_rate
     if html is not None:
         target = Path(html).expanduser()
-        size = _write(target, page(scene, solution, motion))
+        size = _write(target, page(scene, page_facts(scene, [solution], [motion])))
         return Replay(frames=motion.n_frames, duration=duration, note=scene.note, html=target, size=size)
     window = _live(scene)
     print(f"replay at {window.web_url}")

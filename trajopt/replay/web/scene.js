@@ -1,0 +1,73 @@
+// What the page holds: the viewer's code, the facts and the scene, all packed.
+
+async function unpacked(id) {
+    const packed = await fetch("data:application/octet-stream;base64," + document.getElementById(id).textContent);
+    return packed.body.pipeThrough(new DecompressionStream("gzip"));
+}
+
+// Meshcat's viewer is a script of its own, so that it runs as it was written: not in strict mode.
+async function loadViewer() {
+    const code = await new Response(await unpacked("viewer")).text();
+    const url = URL.createObjectURL(new Blob([code], {type: "text/javascript"}));
+    await new Promise((resolve, reject) => {
+        const script = document.createElement("script");
+        script.onload = resolve;
+        script.onerror = () => reject(new Error("the viewer's code does not load"));
+        script.src = url;
+        document.head.append(script);
+    });
+    URL.revokeObjectURL(url);
+    return new MeshCat.Viewer(document.getElementById("meshcat-pane"));
+}
+
+// Meshcat's name for the content of a mesh file, before it distinguished geometries from objects.
+function currentName(part) {
+    if (part && part.type === "_meshfile") part.type = "_meshfile_geometry";
+}
+
+function restore(content, meshes) {
+    const parts = [...(content.geometries || []), content.object];
+    for (const part of parts) {
+        if (part && part.shared !== undefined) part.data = meshes[part.shared];
+    }
+    (content.geometries || []).forEach(currentName);
+}
+
+function tell(viewer, command, meshes) {
+    try {
+        if (command.object) restore(command.object, meshes);
+        Object.getPrototypeOf(viewer).handle_command.call(viewer, command);
+    } catch (error) {  // one part that the viewer cannot read leaves the others
+        console.error(command.path, error);
+    }
+}
+
+// Only Meshcat's own code can decode msgpack: it hands the decoded message to `handle_command`.
+function decoded(viewer, bytes) {
+    let content;
+    viewer.handle_command = message => { content = message; };
+    viewer.handle_command_bytearray(bytes);
+    delete viewer.handle_command;
+    return content;
+}
+
+async function loadScene(viewer) {
+    const bytes = new Uint8Array(await new Response(await unpacked("scene")).arrayBuffer());
+    const scene = decoded(viewer, bytes);
+    for (const command of scene.commands) tell(viewer, command, scene.meshes);
+}
+
+// Messages of a server: those of Meshcat for the viewer, and ours: {type: "trajopt", path, value}.
+function listen(viewer, hear) {
+    viewer.handle_command = command => {
+        if (command.type === "trajopt") hear(command.path, command.value);
+        else tell(viewer, command, []);
+    };
+    viewer.connect(location.origin.replace(/^http/, "ws") + "/");
+}
+
+// A place in the scene tree, by its path: from the root with a leading slash, else in the world.
+function objectAt(viewer, path) {
+    const names = (path.startsWith("/") ? path : "/meshcat/" + path).split("/").filter(name => name);
+    return viewer.scene_tree.find(names).object;
+}
