@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import re
 import select
 import signal
 import subprocess
@@ -17,14 +18,15 @@ from trajopt import Solution
 # So many intervals that building and solving last seconds.
 LONG = ("solve", "solo12-jump", "--set", "distance=0.3", "--intervals", "200")
 WAIT = 120.0
+COLUMNS = 80
 
 
 class Process:
-    """``trajopt`` with stdout on a pipe and stderr on a terminal of 80 columns."""
+    """``trajopt`` with stdout on a pipe and stderr on a terminal of ``COLUMNS`` columns."""
 
     def __init__(self, *arguments: object) -> None:
         self.terminal, end = pty.openpty()
-        environment = {**os.environ, "TERM": "xterm", "COLUMNS": "80"}
+        environment = {**os.environ, "TERM": "xterm", "COLUMNS": str(COLUMNS)}
         command = [sys.executable, "-m", "trajopt", *map(str, arguments)]
         # Ctrl-C works as in a terminal, also where the tests themselves run under nohup.
         self.popen = subprocess.Popen(
@@ -87,14 +89,33 @@ def test_ctrl_c_while_building_leaves_nothing(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_live_line_stays_one_line_and_is_gone_at_the_end(tmp_path: Path) -> None:
+def test_the_panel_fits_the_terminal_and_is_gone_at_the_end(tmp_path: Path) -> None:
     process = Process(*LONG[:-1], "12", "--max-iterations", 3, "--output", tmp_path / "x.npz", "--json")
     status, output = process.finish()
     assert status == 1
     assert json.loads(output)["status"] == "iteration_limit"
-    assert "iteration" in process.seen
-    assert process.seen.count("\n") == 1  # of the end
-    assert process.seen.endswith("\x1b[2K")
+    assert "iteration 3" in process.seen
+    assert "infeasibility" in process.seen
+    left, widest = on_screen(process.seen)
+    assert left == []
+    assert widest < COLUMNS
+
+
+def on_screen(text: str) -> tuple[list[str], int]:
+    """The lines that a terminal shows in the end, and the columns of the widest it ever showed."""
+    screen, row, widest = [""], 0, 0
+    for part in re.split(r"(\x1b\[[?0-9;]*[A-Za-z]|\r|\n)", text):
+        if part == "\n":
+            row += 1
+            screen += [""] * (row + 1 - len(screen))
+        elif part.endswith("A") and part.startswith("\x1b"):
+            row -= int(part[2:-1])
+        elif part == "\x1b[2K":
+            screen[row] = ""
+        elif part and part[0] not in "\r\x1b":
+            screen[row] = part if len(part) >= len(screen[row]) else part + screen[row][len(part) :]
+            widest = max(widest, len(screen[row]))
+    return [line for line in screen if line.strip()], widest
 
 
 SECOND_PRESS = """

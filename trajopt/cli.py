@@ -30,9 +30,11 @@ from trajopt.cli_input import COUNT, GRID, THREADS, check_output, options_of, va
 from trajopt.cli_reference import reference
 from trajopt.cli_replay import replay
 from trajopt.cli_robot import robot
+from trajopt.cli_simulate import simulate
 from trajopt.cli_suite import suite
 from trajopt.cli_sweep import sweep
 from trajopt.cli_warm import solve_warm, warm_options
+from trajopt.cli_watch import kept, opened, watch_options
 from trajopt.errors import TrajoptError
 from trajopt.progress import CANCELLED
 
@@ -114,6 +116,7 @@ def main() -> None:
     """Trajectory optimisation for robots with contacts."""
 
 
+main.add_command(simulate)
 main.add_command(suite)
 main.add_command(sweep)
 
@@ -189,6 +192,7 @@ def list_problems(problems: tuple[str, ...], robot: str | None, brief: bool, as_
 @warm_options
 @aim_options
 @diagnose_option
+@watch_options
 @click.option("--output", type=Path, metavar="FILE", help="Solution file.  [default: PROBLEM.npz]")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def solve(
@@ -199,6 +203,7 @@ def solve(
     explain: bool,
     keep: tuple[str, ...],
     diagnosed: bool,
+    watch: bool,
     output: Path | None,
     as_json: bool,
     **arguments: Any,
@@ -226,7 +231,9 @@ def solve(
     # The check's integrator takes long to load: let it load while the solver holds no Python lock.
     threading.Thread(target=importlib.import_module, args=("scipy.integrate",), daemon=True).start()
     solve_chosen = solve_aimed if wants_aim(arguments) else solve_warm
-    found = solve_chosen(scene.problem if scene else loaded, title=problem, options=options, **arguments)
+    viewer = opened(watch)
+    arguments |= {"title": problem, "options": options, "viewer": viewer}
+    found = solve_chosen(scene.problem if scene else loaded, **arguments)
     solution = scene.lift(found.solution) if scene else found.solution
     file, notes = _saved(solution, target)
     report = _checked(solution, notes, "" if scene is None or scene.report.is_exact else " or no --smallest")
@@ -240,6 +247,7 @@ def solve(
         click.echo(cli_report.summary(solution, report, file, found.lines() + notes))
         if said:
             click.echo(said[1])
+    kept(viewer, solution)
     return 0 if found.reached else NOT_REACHED
 
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from trajopt.choosing import Aimed
     from trajopt.problem import Problem
     from trajopt.solution import Solution
+    from trajopt.watching import Watch
 
 # Options that a choice makes, or that have no meaning with it.
 CHOSEN = ("transcription", "intervals", "tolerance")
@@ -102,7 +103,9 @@ class AimedReport:
         return {"aimed": self.aimed.to_dict()}
 
 
-def solve_aimed(problem: Problem, *, title: str, **arguments: Any) -> AimedReport:
+def solve_aimed(
+    problem: Problem, *, title: str, log: str | None = None, viewer: Watch | None = None, **arguments: Any
+) -> AimedReport:
     """Choose, solve, measure and refine, with progress."""
     from trajopt.choosing import solve_to_accuracy, solve_within
     from trajopt.refinement.refine import MAX_ROUNDS
@@ -111,8 +114,9 @@ def solve_aimed(problem: Problem, *, title: str, **arguments: Any) -> AimedRepor
     if accuracy is not None and budget is not None:
         raise InputError("--accuracy and --budget are given", "allowed: one of them")
     where = _allowed_settings(arguments)
-    with stdout_to_stderr(), watched(title, arguments["max_time"] * (1 + MAX_ROUNDS)) as progress:
-        settings = {**arguments, "front": front, "where": where, "progress": progress}
+    most = arguments["max_time"] * (1 + MAX_ROUNDS)
+    with stdout_to_stderr(), watched(title, most, log, viewer) as told:
+        settings = {**arguments, "front": front, "where": where, **told}
         if accuracy is not None:
             return AimedReport(solve_to_accuracy(problem, accuracy, **settings))
         return AimedReport(solve_within(problem, budget, **settings))

@@ -15,6 +15,7 @@ from rich.table import Table
 from trajopt.cli_input import COUNT, GRID, THREADS, WholeNumber, check_output, options_of, values_of
 from trajopt.cli_report import to_json
 from trajopt.cli_warm import cost
+from trajopt.cli_watch import kept, opened, watch_options
 from trajopt.errors import InputError
 from trajopt.progress import stdout_to_stderr, watched
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from trajopt.continuation import Continuation, Step
     from trajopt.family import Family
     from trajopt.problem import Problem
+    from trajopt.watching import Watch
 
 NOT_REACHED = 1
 MOST_VALUES = 1000
@@ -56,6 +58,7 @@ VARY_FORM = "allowed: NAME=START:STOP:COUNT, such as distance=0.2:0.4:5"
 @click.option(
     "--solver-option", "solver_options", multiple=True, metavar="NAME=VALUE", help="The solver's own."
 )
+@watch_options
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def continue_(
     problem: str,
@@ -65,6 +68,8 @@ def continue_(
     output_dir: Path | None,
     solver_options: tuple[str, ...],
     as_json: bool,
+    watch: bool,
+    log: str | None,
     **arguments: Any,
 ) -> int:
     """Solve PROBLEM for a sequence of values of a parameter, each from the last solution.
@@ -84,12 +89,14 @@ def continue_(
     known = None if start is None else solution_of(start)
     arguments |= {"options": options_of(solver_options), "start": known}
     threading.Thread(target=importlib.import_module, args=("scipy.integrate",), daemon=True).start()
-    found = _continued(problem, load, values, arguments)
+    viewer = opened(watch)
+    found = _continued(problem, load, values, arguments, log, viewer)
     files = {} if folder is None else _saved(found, folder, f"{problem}-{name}")
     if as_json:
         click.echo(to_json({"problem": problem, "parameter": name, "files": files, **found.to_dict()}))
     else:
         _print(found, problem, name, files)
+    kept(viewer, found.steps[-1].solution)
     return 0 if found.success else NOT_REACHED
 
 
@@ -120,13 +127,19 @@ def _loader(family: Family, name: str, fixed: dict[str, str]) -> Callable[[float
 
 
 def _continued(
-    title: str, load: Callable[[float], Problem], values: list[float], arguments: dict[str, Any]
+    title: str,
+    load: Callable[[float], Problem],
+    values: list[float],
+    arguments: dict[str, Any],
+    log: str | None,
+    viewer: Watch | None,
 ) -> Continuation:
     from trajopt.continuation import continuation
 
     each = 2 + 2 * arguments["max_halvings"] + arguments["compare"]
-    with stdout_to_stderr(), watched(title, arguments["max_time"] * len(values) * each) as progress:
-        return continuation(load, values, progress=progress, **arguments)
+    most = arguments["max_time"] * len(values) * each
+    with stdout_to_stderr(), watched(title, most, log, viewer) as told:
+        return continuation(load, values, **told, **arguments)
 
 
 def _folder(path: Path, problem: str) -> Path:

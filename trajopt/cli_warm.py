@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from trajopt.ladder import Ladder
     from trajopt.problem import Problem
     from trajopt.solution import Solution
+    from trajopt.watching import Watch
 
 LADDER_FORM = "allowed: SCHEME@INTERVALS,..., such as legendre:1@15,legendre:2@50"
 
@@ -63,7 +64,15 @@ class Climbed:
 
 
 def solve_warm(
-    problem: Problem, *, start: Path | None, ladder: str | None, compare: bool, title: str, **settings: Any
+    problem: Problem,
+    *,
+    start: Path | None,
+    ladder: str | None,
+    compare: bool,
+    title: str,
+    log: str | None = None,
+    viewer: Watch | None = None,
+    **settings: Any,
 ) -> Climbed:
     """Solve from a file, over a ladder, or neither (a ladder of one rung), with progress."""
     from trajopt.ladder import solve_ladder
@@ -79,10 +88,8 @@ def solve_warm(
     rungs = [grid] if ladder is None else parse_ladder(ladder)
     known = None if start is None else solution_of(start)
     most = settings["max_time"] * (len(rungs) + compare)
-    with stdout_to_stderr(), watched(title, most) as progress:
-        return Climbed(
-            solve_ladder(problem, rungs, start=known, compare=compare, progress=progress, **settings)
-        )
+    with stdout_to_stderr(), watched(title, most, log, viewer) as told:
+        return Climbed(solve_ladder(problem, rungs, start=known, compare=compare, **told, **settings))
 
 
 def parse_ladder(text: str) -> list[tuple[str | None, int | None]]:

@@ -1,4 +1,4 @@
-"""A live line of a solve's progress, and what Ctrl-C does to it."""
+"""What the command line does while a solver runs: Ctrl-C, a last deadline, and who is told of iterations."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from types import FrameType, TracebackType
+from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-from rich.status import Status
+if TYPE_CHECKING:
+    from trajopt.watching import Watch
 
 # What a shell reports for a program ended by Ctrl-C: 128 + SIGINT.
 CANCELLED = 130
@@ -19,8 +20,10 @@ CANCELLED = 130
 UNSOLVED = 1
 # Seconds after its time limit that a solver may take to finish a step.
 GRACE = 30.0
-# Rich's spinner, a space, and the last column, which some terminals wrap at.
-SPINNER_WIDTH = 3
+# The ``log`` that is a line an iteration on stderr.
+LINES = "-"
+# What has to be done before the program ends at once, as processes that would outlive it.
+last_acts: list[Callable[[], None]] = []
 
 
 class Interruption:
@@ -73,10 +76,7 @@ class Interruption:
         while data := os.read(descriptor, 1):
             self._presses += data[0] == signal.SIGINT
             if self._presses > 1:
-                show_cursor()
-                sys.stderr.write("trajopt: cancelled, nothing was written\n")
-                sys.stderr.flush()
-                os._exit(CANCELLED)
+                _end("trajopt: cancelled, nothing was written\n", CANCELLED)
 
 
 class Deadline:
@@ -104,77 +104,56 @@ class Deadline:
             self._timer.cancel()
 
     def _end(self) -> None:
-        show_cursor()
-        sys.stderr.write(
+        _end(
             f"trajopt: the solver did not return within its time limit of {self._max_time:g} s; "
-            "nothing was written; try another --solver or start\n"
+            "nothing was written; try another --solver or start\n",
+            UNSOLVED,
         )
-        sys.stderr.flush()
-        os._exit(UNSOLVED)
 
 
-class LiveLine:
-    """One line on stderr that shows the last iteration; silent where stderr is no terminal."""
+class Control:
+    """The progress callback of `trajopt.solve` that stops on Ctrl-C, and starts the deadline's clock."""
 
-    def __init__(self, title: str) -> None:
-        console = self._console = Console(stderr=True, highlight=False)
-        live = sys.stderr.isatty() and not console.is_dumb_terminal
-        self._title = title
-        self._status = Status(f"{title}: building and compiling", console=console) if live else None
-
-    def __enter__(self) -> LiveLine:
-        if self._status:
-            self._status.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._status:
-            self._status.stop()
-
-    def show(self, figures: dict[str, float], stopping: bool) -> None:
-        """Replace the line by the figures of this iteration."""
-        if self._status:
-            state = "stopping" if stopping else "restoration" if figures["restoration"] else "solving"
-            text = (
-                f"{self._title}: {state}, iteration {figures['iteration']:.0f}, "
-                f"objective {figures['objective']:.4g}, violation {figures['primal']:.0e}, "
-                f"optimality {figures['dual']:.0e}"
-            )
-            self._status.update(text[: self._width()])
-
-    def _width(self) -> int:
-        """Columns beside the spinner: a text that wraps would be two lines."""
-        return max(1, self._console.width - SPINNER_WIDTH)
-
-
-class Watch:
-    """The progress callback of `trajopt.solve` that shows the live line and stops on Ctrl-C."""
-
-    def __init__(self, line: LiveLine, interruption: Interruption, deadline: Deadline) -> None:
-        self._line, self._interruption, self._deadline = line, interruption, deadline
+    def __init__(self, interruption: Interruption, deadline: Deadline) -> None:
+        self._interruption, self._deadline = interruption, deadline
 
     def __call__(self, figures: dict[str, float]) -> bool:
-        """Show the figures; return False when the solver shall stop."""
+        """Return False when the solver shall stop."""
         if self._interruption.cancelled:
             return False
         self._interruption.started = True
         self._deadline.start()
-        self._line.show(figures, self._interruption.requested)
         return not self._interruption.requested
 
 
 @contextmanager
-def watched(title: str, max_time: float) -> Iterator[Watch]:
-    """A progress callback for one solve of ``max_time`` s at most; Ctrl-C is as before afterwards.
+def watched(
+    title: str, max_time: float, log: str | None = None, viewer: Watch | None = None
+) -> Iterator[dict[str, Any]]:
+    """``progress`` and ``watch`` for solves of ``max_time`` s at most; Ctrl-C is as before afterwards.
 
-    Raises KeyboardInterrupt at the end if Ctrl-C came before the solver started.
+    On a terminal the watch shows the convergence. log: a file for a table of all iterations, or ``-`` for a
+    line an iteration on stderr, instead. viewer: another watch. Raises `InputError` for a file that cannot be
+    written, and KeyboardInterrupt at the end if Ctrl-C came before the solver started.
     """
+    from trajopt.watching import combined
+    from trajopt.watching.panel import Panel
+    from trajopt.watching.record import Lines, Table
+
     deadline = Deadline(max_time)
-    with Interruption() as interruption, LiveLine(title) as line:
+    with ExitStack() as stack:
+        table = stack.enter_context(Table(log)) if log not in (None, LINES) else None
+        interruption = stack.enter_context(Interruption())
+        shown = (
+            Lines(sys.stderr, title)
+            if log == LINES
+            else stack.enter_context(Panel(title, lambda: interruption.requested))
+        )
         try:
-            yield Watch(line, interruption, deadline)
+            yield {
+                "progress": Control(interruption, deadline),
+                "watch": combined(shown, table, viewer),
+            }
         except Exception:
             if not interruption.cancelled:
                 raise
@@ -202,3 +181,13 @@ def show_cursor() -> None:
     """Undo what a live line does to the terminal's cursor."""
     if sys.stderr.isatty():
         sys.stderr.write("\x1b[?25h\n")
+
+
+def _end(text: str, status: int) -> None:
+    """End the program at once, from any thread: a solver that does not return lets nothing else do."""
+    for act in last_acts:
+        act()
+    show_cursor()
+    sys.stderr.write(text)
+    sys.stderr.flush()
+    os._exit(status)

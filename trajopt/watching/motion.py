@@ -1,0 +1,62 @@
+"""The motion of an iterate between its nodes: placements of joints, paths of points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+
+# Pictures a second of the animation: nodes are further apart than its frames.
+FRAME_RATE = 30.0
+# Poses of the robot along the motion.
+LEAST_POSES, MOST_POSES = 4, 6
+
+
+@dataclass(kw_only=True, eq=False)
+class Motion:
+    """Configurations at times: nodes t (n,) s, q (n, nq), phase (n,); placements at even frames."""
+
+    model: pin.Model
+    t: np.ndarray
+    q: np.ndarray
+    phase: np.ndarray
+    frames: list[int]
+    joints: np.ndarray = field(init=False)
+    points: np.ndarray = field(init=False)
+    mass: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        count = max(2, round(float(self.t[-1] - self.t[0]) * FRAME_RATE) + 1) if len(self.t) > 1 else 2
+        self.joints, self.points, self.mass = self.placed(np.linspace(self.t[0], self.t[-1], count))
+
+    def placed(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """At ``times`` (k,): placements of joints (k, njoints, 7) as position and quaternion x, y, z, w,
+        positions of ``frames`` (k, f, 3) and of the centre of mass (k, 3), m."""
+        model, data = self.model, self.model.createData()
+        joints = np.empty((len(times), model.njoints, 7))
+        points, mass = np.empty((len(times), len(self.frames), 3)), np.empty((len(times), 3))
+        for row, t in enumerate(times):
+            mass[row] = pin.centerOfMass(model, data, self._at(float(t)))
+            pin.updateFramePlacements(model, data)
+            joints[row] = [pin.SE3ToXYZQUAT(placement) for placement in data.oMi]
+            points[row] = [data.oMf[frame].translation for frame in self.frames]
+        return joints, points, mass
+
+    def _at(self, t: float) -> np.ndarray:
+        """Configuration on the geodesic between the nodes around ``t``."""
+        last = int(np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, max(len(self.t) - 2, 0)))
+        if last + 1 >= len(self.t) or not self.t[last + 1] > self.t[last]:
+            return np.asarray(self.q[last])
+        part = float(np.clip((t - self.t[last]) / (self.t[last + 1] - self.t[last]), 0.0, 1.0))
+        return np.asarray(pin.interpolate(self.model, self.q[last], self.q[last + 1], part))
+
+    def poses(self) -> np.ndarray:
+        """Times (k,) of poses worth seeing: starts of phases and the end; even ones where those are few."""
+        starts = np.flatnonzero(np.diff(self.phase)) + 1
+        own = np.unique(np.concatenate([self.t[:1], self.t[starts], self.t[-1:]]))
+        if LEAST_POSES <= len(own) <= MOST_POSES:
+            return own
+        if len(own) > MOST_POSES:
+            return np.asarray(own[np.linspace(0, len(own) - 1, MOST_POSES).round().astype(int)])
+        return np.linspace(self.t[0], self.t[-1], LEAST_POSES)

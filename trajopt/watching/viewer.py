@@ -1,0 +1,164 @@
+"""A watch that shows iterates in Meshcat, from a thread of its own: the solver never waits for it."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import threading
+import time
+import warnings
+from types import TracebackType
+from typing import Any
+
+import meshcat
+import zmq
+
+from trajopt.errors import TrajoptError
+from trajopt.replay.commands import Command
+from trajopt.replay.motion import motion_of
+from trajopt.replay.scene import build_scene
+from trajopt.solution import Solution
+from trajopt.watching.drawing import TOP, IterateScene
+from trajopt.watching.iterate import Iterate
+
+# Iterates a second that are drawn at most.
+RATE = 5.0
+# Part of a processor that drawing takes at most, the scene of a new problem aside.
+SHARE = 0.1
+# Milliseconds after which a server that does not answer is given up.
+ANSWER = 5000
+# Seconds that an animation plays at least before a later iterate's takes its place.
+LEAST_PLAY = 1.0
+
+
+class Viewer:
+    """A watch for `trajopt.solve`: ``solve(problem, watch=Viewer())`` shows its iterates at ``url``.
+
+    The robot plays the motion of the present iterate, translucent poses stand at its changes of phase, lines
+    are the paths of feet and centre of mass. A viewer that fails is a warning, and the solve goes on. Close
+    it, or use it as a context manager, to end its server. Raises `TrajoptError` where the server does not
+    start.
+    """
+
+    def __init__(self, *, open_browser: bool = False, window: Any = None) -> None:
+        self._window, self._own = (_started(), True) if window is None else (window, False)
+        self._scene, self._wake = IterateScene(), threading.Condition()
+        self._next: Iterate | Solution | None = None
+        self._busy = self._closed = self._failed = False
+        self._free = self._loops = 0.0
+        self.drawn = 0
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+        if open_browser:
+            self._window.open()
+
+    @property
+    def url(self) -> str:
+        """Where a browser finds the viewer."""
+        return str(getattr(self._window, "web_url", ""))
+
+    def __call__(self, iterate: Iterate) -> None:
+        """Take in an iterate if it is time to; guesses and ends always. Returns at once."""
+        if self._failed or self._closed:
+            return
+        if iterate.stage == "iteration" and (self._busy or time.perf_counter() < self._free):
+            return
+        if iterate.unknowns is not None:  # read now: they are known only while the solver calls
+            self._put(iterate)
+
+    def show(self, solution: Solution) -> None:
+        """Show the replay of a solution in place of the iterates."""
+        if not (self._failed or self._closed):
+            self._put(solution)
+
+    def flush(self, timeout: float = 60.0) -> bool:
+        """Wait until all that was taken in is drawn; whether that took less than ``timeout`` s."""
+        with self._wake:
+            return self._wake.wait_for(
+                lambda: self._failed or (self._next is None and not self._busy), timeout
+            )
+
+    def wait(self) -> None:
+        """Block until the server ends; Ctrl-C is a KeyboardInterrupt."""
+        if self._own and not self._failed:
+            self._window.server_proc.wait()
+
+    def close(self) -> None:
+        """End the thread and the server."""
+        with self._wake:
+            self._closed = True
+            self._wake.notify_all()
+        self.kill()
+
+    def kill(self) -> None:
+        """End the server, from any thread."""
+        if self._own and self._window.server_proc.poll() is None:
+            self._window.server_proc.kill()
+            self._window.server_proc.wait()
+
+    def __enter__(self) -> Viewer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _put(self, what: Iterate | Solution) -> None:
+        with self._wake:
+            self._next = what
+            self._wake.notify_all()
+
+    def _run(self) -> None:
+        while True:
+            with self._wake:
+                self._wake.wait_for(lambda: self._next is not None or self._closed)
+                if self._closed:
+                    return
+                what, self._next, self._busy = self._next, None, True
+            try:
+                self._draw(what)
+            except Exception as error:
+                if not self._closed:
+                    text = " ".join(f"{type(error).__name__}: {error}".split())
+                    warnings.warn(f"the viewer has stopped, solving goes on: {text}", stacklevel=2)
+                self._failed = True
+            with self._wake:
+                self._busy = False
+                self._wake.notify_all()
+            if self._failed:
+                return
+
+    def _draw(self, what: Iterate | Solution | None) -> None:
+        begin, used = time.perf_counter(), time.thread_time()
+        if isinstance(what, Solution):
+            scene = build_scene([what], [motion_of(what)])
+            self._send([Command({"type": "delete", "path": TOP}), *scene.commands])
+        elif what is not None:
+            ends = what.stage != "iteration"
+            animated = ends or begin >= self._loops
+            self._send(self._scene.commands(what, animated=animated))
+            if animated:
+                self._loops = begin + max(LEAST_PLAY, what.transcription.layout.node_times[-1])
+            # an iterate of a new problem brings its scene, which is drawn once
+            spent = 0.0 if what.stage == "guess" else time.thread_time() - used
+            self._free = max(begin + 1 / RATE, time.perf_counter() + spent * (1 / SHARE - 1))
+        self.drawn += 1
+
+    def _send(self, commands: list[Command]) -> None:
+        for command in commands:
+            if self._closed:
+                return
+            self._window.send(command)
+
+
+def _started() -> Any:
+    """The window of a new Meshcat server that is given up where it does not answer."""
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):  # Meshcat announces its URL itself
+            window = meshcat.Visualizer().window
+    except (OSError, RuntimeError, ValueError) as error:
+        raise TrajoptError(f"the Meshcat server does not start: {error}") from None
+    for option in (zmq.RCVTIMEO, zmq.SNDTIMEO):
+        window.zmq_socket.setsockopt(option, ANSWER)
+    return window
