@@ -1,0 +1,131 @@
+"""What a simulation found, its thresholds, and how it is told."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+# A plan is tracked that ends with its base within this part of the robot's reach and within this angle, rad;
+# on a fixed base, that never has a joint off by more than this, rad or m.
+BASE_PASSED, TURN_PASSED, JOINT_PASSED = 0.05, 0.2, 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactReport:
+    """A contact over the plan: touchdowns (s, late is positive), missed ones, largest travel (m)."""
+
+    frame: str
+    touchdowns: tuple[float, ...]
+    missed: int
+    travel: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """Figures of a simulation; base and joint errors are over the plan, without what is held after it.
+
+    reach: m. duration: s of the plan; held: s after it. fell: within both; fall_time s, fall_reason.
+    base_error_* m and base_turn_* rad (None on a fixed base), base_error_held after the hold.
+    joint_error_* rad or m. saturated: share of torques that were cut off. touchdown_error: largest, s;
+    missed: touchdowns that never came; swing_load: s of load in the middle of a swing. slips: stances with a
+    travel beyond `figures.SLIP`; slip_travel: largest, m. force_error: rms, over the weight. obstacle_hit:
+    a capsule touched an obstacle.
+    """
+
+    problem: str
+    robot: str
+    reach: float
+    duration: float
+    held: float
+    timestep: float
+    feedback_rate: float
+    fell: bool
+    fall_time: float | None
+    fall_reason: str
+    base_error_end: float | None
+    base_error_max: float | None
+    base_error_rms: float | None
+    base_error_held: float | None
+    base_turn_end: float | None
+    base_turn_max: float | None
+    joint_error_end: float
+    joint_error_max: float
+    joint_error_rms: float
+    saturated: float
+    touchdown_error: float | None
+    missed: int
+    swing_load: float
+    slips: int
+    slip_travel: float | None
+    force_error: float | None
+    obstacle_hit: bool
+    contacts: tuple[ContactReport, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """What is beyond its threshold, in words; empty for a plan that is tracked."""
+        found = [f"it fell at {self.fall_time:.3f} s: {self.fall_reason}"] if self.fell else []
+        for name, value, threshold, unit in self._judged():
+            if value is not None and not value <= threshold:
+                found.append(f"{name} {value:.4g} {unit} > {threshold:.4g} {unit}")
+        return tuple(found + (["it touched an obstacle"] if self.obstacle_hit else []))
+
+    def _judged(self) -> tuple[tuple[str, float | None, float, str], ...]:
+        if self.base_error_end is None:
+            return (("joint error", self.joint_error_max, JOINT_PASSED, "rad"),)
+        return (
+            ("base error at the end", self.base_error_end, BASE_PASSED * self.reach, "m"),
+            ("base turned at the end by", self.base_turn_end, TURN_PASSED, "rad"),
+        )
+
+    @property
+    def passed(self) -> bool:
+        """Tracked: no fall, no obstacle touched, errors within the thresholds."""
+        return not self.failures
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able figures."""
+        figures = {
+            key: None if isinstance(value, float) and not math.isfinite(value) else value
+            for key, value in asdict(self).items()
+        }
+        return {"passed": self.passed, "failures": list(self.failures), **figures}
+
+    def table(self) -> str:
+        """Figures for people, one a line."""
+        lines = [
+            ("simulated", f"{self.duration:.3f} s" + (f", held {self.held:.3f} s" if self.held else "")),
+            ("base at the end", _pair(self.base_error_end, self.base_turn_end)),
+            ("base, largest", _pair(self.base_error_max, self.base_turn_max)),
+            ("base after the hold", _length(self.base_error_held) if self.held else "-"),
+            ("joints, rms / largest", f"{self.joint_error_rms:.2e} / {self.joint_error_max:.2e} rad"),
+            ("torques cut off", f"{100 * self.saturated:.2f} %"),
+            ("contact forces off, rms", _part(self.force_error)),
+            ("touchdowns, largest error", _time(self.touchdown_error)),
+            ("touchdowns that never came", str(self.missed)),
+            ("load in mid swing", _time(self.swing_load)),
+            ("slips, largest travel", f"{self.slips}, {_length(self.slip_travel)}"),
+        ]
+        moving = self.base_error_end is not None
+        shown = [line for line in lines if moving or not line[0].startswith(("base", "load"))]
+        text = [f"{name:27} {value}" for name, value in shown if value != "-"]
+        text += [f"note: {note}" for note in self.notes]
+        return "\n".join([*text, "tracked" if self.passed else "not tracked: " + "; ".join(self.failures)])
+
+
+def _length(value: float | None) -> str:
+    return "-" if value is None else f"{1e3 * value:.1f} mm"
+
+
+def _time(value: float | None) -> str:
+    return "-" if value is None else f"{1e3 * value:.1f} ms"
+
+
+def _part(value: float | None) -> str:
+    return "-" if value is None else f"{100 * value:.1f} % of the weight"
+
+
+def _pair(length: float | None, angle: float | None) -> str:
+    return "-" if length is None or angle is None else f"{1e3 * length:.1f} mm, {angle:.2e} rad"

@@ -1,0 +1,268 @@
+"""The simulation itself: planned torques, feedback of the joints, MuJoCo's physics, and what is recorded.
+
+At the start of each period of the controller, with the plan's q, v there and its torque in the middle,
+
+    tau = tau_plan + K_p (q_plan - q) + K_d (v_plan - v)        cut off at the limits of the drives
+
+holds for the period. K_p = w^2 diag(M) and K_d = 2 w diag(M) with M of the robot along the plan and 1/w a
+share of its natural time: every joint alone takes out an error without overshoot in the same time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajopt.actuators.drive import Drive
+from trajopt.robot_building import UNLIMITED, base_of
+from trajopt.simulation.bodies import body_name, mujoco_package, write_inertias
+from trajopt.simulation.reference import Reference, drives_of
+from trajopt.simulation.settings import FEEDBACK_TIME, Settings
+from trajopt.simulation.world import World
+from trajopt.solution import Solution
+
+# Inertias along the plan are averaged over so many of its samples.
+INERTIAS = 20
+# A discrete damper is stable while its rate times the period stays below 2; half of it leaves room for delay.
+FASTEST = 1.0
+# A push lasts this part of the motion, around its middle.
+PUSHED = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gains:
+    """Feedback of the actuated rows (nu,), and the rate w they were made with, 1/s."""
+
+    kp: np.ndarray
+    kd: np.ndarray
+    rate: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """What happened at the starts of n periods (and at the end), in MuJoCo's coordinates.
+
+    qpos (n + 1, nq'), qvel (n + 1, nv), qacc (n, nv); torque (n, nu) of the drives, saturated (n, nu); force
+    (n, nc, 6) of the surroundings on contacts, world axes, at the frame's origin; feet (n, nc, 3) m and turns
+    (n, nc, 3, 3) of the contact frames; touched (n,) a link touches the ground; hit (n,) an obstacle.
+    """
+
+    qpos: np.ndarray
+    qvel: np.ndarray
+    qacc: np.ndarray
+    torque: np.ndarray
+    saturated: np.ndarray
+    force: np.ndarray
+    feet: np.ndarray
+    turns: np.ndarray
+    touched: np.ndarray
+    hit: np.ndarray
+
+
+def gains_of(world: World, reference: Reference, first: int, settings: Settings) -> Gains:
+    """Gains from the inertias along the plan; slower where light joints could not be damped at this rate."""
+    mujoco, model = mujoco_package(), world.compiled
+    data, matrix = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+    rows = world.coordinates.rows[first:]
+    picked = np.unique(np.linspace(0, len(reference.t) - 1, INERTIAS).astype(int))
+    inertia, fastest = np.zeros(len(rows)), 0.0
+    for qpos in world.coordinates.to_mujoco(reference.q[picked]):
+        data.qpos[:] = qpos
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, matrix)
+        inertia += np.diag(matrix)[rows] / len(picked)
+    mujoco.mj_fullM(model, data, matrix)
+    if len(rows):
+        response = np.linalg.inv(matrix)[np.ix_(rows, rows)]
+        fastest = float(np.abs(np.linalg.eigvals(response * inertia)).max())
+    rate = 1.0 / (FEEDBACK_TIME * world.units.time)
+    rate = min(rate, FASTEST / max(2 * reference.period * fastest, 1e-9))
+    return Gains(kp=settings.kp * rate**2 * inertia, kd=settings.kd * 2 * rate * inertia, rate=rate)
+
+
+def run(plan: Solution, reference: Reference, world: World, settings: Settings) -> Record:
+    """Simulate; the record has one row a period, and the last state."""
+    return _Run(plan, reference, world, settings).record()
+
+
+class _Run:
+    def __init__(self, plan: Solution, reference: Reference, world: World, settings: Settings) -> None:
+        self.mujoco, self.plan, self.reference, self.world = mujoco_package(), plan, reference, world
+        self.settings = settings
+        self.model = world.compiled
+        self.data = self.mujoco.MjData(self.model)
+        self.substeps = max(1, int(np.ceil(reference.period / settings.step(world.units.time) - 1e-9)))
+        self.model.opt.timestep = reference.period / self.substeps
+        self.rows = world.coordinates.rows[plan.n_unactuated :]
+        self.gains = gains_of(world, reference, plan.n_unactuated, settings)
+        self.drives = drives_of(plan)
+        self.low, self.high = _limits(plan)
+        self._plan_in_mujoco()
+
+    def _plan_in_mujoco(self) -> None:
+        """The plan and its torques in MuJoCo's coordinates, row by row."""
+        reference, coordinates = self.reference, self.world.coordinates
+        self.qpos = coordinates.to_mujoco(reference.q)
+        self.qvel = coordinates.rates_to_mujoco(self.qpos, reference.v)
+        whole = np.zeros_like(reference.v)
+        whole[:, self.plan.n_unactuated :] = reference.torque
+        self.torque = coordinates.rates_to_mujoco(self.qpos, whole)[:, self.rows]
+
+    def record(self) -> Record:
+        count, contacts, model, data = len(self.reference.t), len(self.world.sites), self.model, self.data
+        found = Record(
+            qpos=np.zeros((count + 1, model.nq)),
+            qvel=np.zeros((count + 1, model.nv)),
+            qacc=np.zeros((count, model.nv)),
+            torque=np.zeros((count, len(self.rows))),
+            saturated=np.zeros((count, len(self.rows)), dtype=bool),
+            force=np.zeros((count, contacts, 6)),
+            feet=np.zeros((count, contacts, 3)),
+            turns=np.zeros((count, contacts, 3, 3)),
+            touched=np.zeros(count, dtype=bool),
+            hit=np.zeros(count, dtype=bool),
+        )
+        self._start()
+        changes = set(np.flatnonzero(np.diff(self.reference.source, prepend=-1)).tolist())
+        for k in range(count):
+            if k in changes:
+                self._enter(int(self.reference.source[k]))
+            self._push(k)
+            found.qpos[k], found.qvel[k] = data.qpos, data.qvel
+            found.torque[k], found.saturated[k] = self._drive(k)
+            self.mujoco.mj_step(model, data)
+            if not self._is_sane():
+                return _until(found, k)
+            found.qacc[k] = data.qacc
+            found.feet[k] = data.site_xpos[self.world.sites]
+            found.turns[k] = data.site_xmat[self.world.sites].reshape(-1, 3, 3)
+            found.touched[k], found.hit[k] = self._contacts(found.force[k], found.feet[k])
+            if self.substeps > 1:
+                self.mujoco.mj_step(model, data, self.substeps - 1)
+        found.qpos[count], found.qvel[count] = data.qpos, data.qvel
+        return found
+
+    def _is_sane(self) -> bool:
+        """Whether the state is finite and MuJoCo has not warned that it is running away."""
+        warned = self.mujoco.mjtWarning
+        bad = (warned.mjWARN_BADQPOS, warned.mjWARN_BADQVEL, warned.mjWARN_BADQACC)
+        warnings = sum(self.data.warning[kind].number for kind in bad)
+        return not warnings and bool(np.isfinite(self.data.qacc).all())
+
+    def _start(self) -> None:
+        """The planned start, with noise where it is asked for."""
+        self.data.qpos[:], self.data.qvel[:] = self.qpos[0], self.qvel[0]
+        if self.settings.noise:
+            generator = np.random.default_rng(self.settings.seed)
+            size = self.settings.noise * _sizes(self.world)
+            error = size * generator.standard_normal(self.model.nv)
+            self.mujoco.mj_integratePos(self.model, self.data.qpos, error, 1.0)
+            self.data.qvel[:] += size * generator.standard_normal(self.model.nv) / self.world.units.time
+
+    def _enter(self, phase: int) -> None:
+        """What changes with a phase of the plan: what is carried and what is held."""
+        if self.plan.meta.get("payloads") or self.settings.mass_scale != 1.0:
+            write_inertias(self.model, self.world.models[phase])
+        for grasp in self.world.grasps:
+            self.data.eq_active[self.model.equality(grasp.name).id] = phase in grasp.phases
+
+    def _push(self, k: int) -> None:
+        if not self.settings.push or base_of(self.plan.model) == "fixed":
+            return
+        middle = abs(k / self.reference.planned - 0.5) < PUSHED / 2
+        body = self.model.body(body_name(1)).id
+        self.data.xfrc_applied[body, 1] = self.settings.push if middle else 0.0
+
+    def _drive(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Apply the torques of period ``k``; returns them, and where they were cut off."""
+        error = np.zeros(self.model.nv)
+        self.mujoco.mj_differentiatePos(self.model, error, 1.0, self.data.qpos, self.qpos[k])
+        rate = self.data.qvel[self.rows]
+        wanted = (
+            self.torque[k]
+            + self.gains.kp * error[self.rows]
+            + self.gains.kd * (self.qvel[k][self.rows] - rate)
+        )
+        low, high = self.low, self.high
+        if any(drive is not None for drive in self.drives):
+            low, high = _with_drives(self.drives, rate, low, high)
+        torque = np.clip(wanted, low, high)
+        self.data.qfrc_applied[self.rows] = torque
+        return torque, torque != wanted
+
+    def _contacts(self, force: np.ndarray, feet: np.ndarray) -> tuple[bool, bool]:
+        """Add this step's contacts to ``force`` (nc, 6); whether a link touches ground, or an obstacle."""
+        data, world = self.data, self.world
+        touched = hit = False
+        for i in range(data.ncon):
+            one = data.contact[i]
+            if one.efc_address < 0:
+                continue
+            geoms = one.geom
+            touched |= bool(world.links[geoms[0]] or world.links[geoms[1]])
+            hit |= bool(world.obstacles[geoms[0]] or world.obstacles[geoms[1]])
+            for side, geom in ((-1.0, geoms[0]), (1.0, geoms[1])):
+                contact = world.contact_of[geom]
+                if contact >= 0:
+                    own = data.efc_force[one.efc_address : one.efc_address + one.dim]
+                    push = side * own @ one.frame.reshape(3, 3)[: one.dim]
+                    force[contact, :3] += push
+                    force[contact, 3:] += np.cross(one.pos - feet[contact], push)
+        self._grasped(force)
+        return touched, hit
+
+    def _grasped(self, force: np.ndarray) -> None:
+        """Add the forces of constraints that hold contacts."""
+        for grasp in self.world.grasps:
+            number = self.model.equality(grasp.name).id
+            if self.data.eq_active[number]:
+                own = (self.data.efc_type == self.mujoco.mjtConstraint.mjCNSTR_EQUALITY) & (
+                    self.data.efc_id == number
+                )
+                multiplier = self.data.efc_force[own]
+                force[grasp.contact, : min(len(multiplier), 3)] += multiplier[:3]
+
+
+def _until(record: Record, count: int) -> Record:
+    """The first ``count`` periods of a record; at least one, so that there is a motion to look at."""
+    rows = max(count, 1)
+    return Record(
+        **{
+            name: getattr(record, name)[: rows + (name in ("qpos", "qvel"))]
+            for name in Record.__dataclass_fields__
+        }
+    )
+
+
+def _sizes(world: World) -> np.ndarray:
+    """Units (nv,) of positions: the reach of those that slide, a radian of those that turn."""
+    sizes = np.ones(world.compiled.nv)
+    slide, free = mujoco_package().mjtJoint.mjJNT_SLIDE, mujoco_package().mjtJoint.mjJNT_FREE
+    for joint in range(world.compiled.njnt):
+        kind, row = world.compiled.jnt_type[joint], world.compiled.jnt_dofadr[joint]
+        if kind in (slide, free):
+            sizes[row : row + (3 if kind == free else 1)] = world.units.length
+    return sizes
+
+
+def _limits(plan: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest torque (nu,); a source of rates or accelerations has none."""
+    limit = np.full(plan.tau.shape[1], np.inf)
+    given = plan.meta.get("effort_limit")
+    if given is not None and plan.meta.get("actuation", "torque") == "torque":
+        own = np.array([np.inf if entry is None else entry for entry in given], dtype=float)
+        limit = np.where(own > UNLIMITED, np.inf, own)
+    return -limit, limit
+
+
+def _with_drives(
+    drives: list[Drive | None], rate: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Limits of rows with a drive: those of its voltage and current at the rates."""
+    low, high = low.copy(), high.copy()
+    for row, drive in enumerate(drives):
+        if drive is not None:
+            own = drive.torque_range(float(rate[row]))
+            low[row], high[row] = float(own[0]), float(max(own[0], own[1]))
+    return low, high

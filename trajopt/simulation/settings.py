@@ -1,0 +1,61 @@
+"""What a simulation can be asked for, and the scales that everything else follows from."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from trajopt.errors import InputError
+
+# Shares of the robot's natural time sqrt(l / g), l its reach: the step of the simulation, the time in which
+# a contact pushes a penetration out again, and the time in which the feedback takes out an error of a joint.
+STEP, CONTACT_TIME, FEEDBACK_TIME = 1 / 500, 1 / 100, 1 / 25
+# After a plan that ends at rest its last posture is held this many natural times, to see whether it stands.
+HOLD = 2.0
+LONGEST_STEP = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Settings of a simulation; None is a value that follows from the robot.
+
+    timestep: longest step of the physics, s. control_rate: of the controller, Hz. kp, kd: factors on the
+    gains. friction_scale, mass_scale: factors on all coefficients of friction and on all masses and
+    inertias, of which the plan knows nothing. noise: standard deviation of the start's error, in reaches
+    (m), rad, and their rates over the natural time. seed: of the noise. cycles: of a periodic plan. push: N,
+    sideways on the base for a tenth of the motion, in its middle. Raises `InputError`.
+    """
+
+    timestep: float | None = None
+    control_rate: float = 1000.0
+    kp: float = 1.0
+    kd: float = 1.0
+    friction_scale: float = 1.0
+    mass_scale: float = 1.0
+    noise: float = 0.0
+    seed: int = 0
+    cycles: int = 1
+    push: float = 0.0
+
+    def __post_init__(self) -> None:
+        positive = ("timestep", "control_rate", "mass_scale")
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is None:
+                continue
+            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+                raise InputError(f"{field.name} of a simulation is {value!r}", "allowed: a finite number")
+            if field.name in positive and not value > 0:
+                raise InputError(f"{field.name} of a simulation is {value:g}", "allowed: > 0")
+            if field.name not in ("push", "seed") and value < 0:
+                raise InputError(f"{field.name} of a simulation is {value:g}", "allowed: >= 0")
+        for name, least in (("cycles", 1), ("seed", 0)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < least:
+                raise InputError(
+                    f"{name} of a simulation is {value!r}", f"allowed: a whole number >= {least}"
+                )
+
+    def step(self, natural_time: float) -> float:
+        """Longest step of the physics in s."""
+        return self.timestep or min(STEP * natural_time, LONGEST_STEP)
