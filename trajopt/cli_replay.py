@@ -9,16 +9,33 @@ import click
 
 
 @click.command()
-@click.argument("file", type=Path)
+@click.argument("files", nargs=-1, required=True, type=Path, metavar="FILE...")
 @click.option("--html", type=Path, metavar="OUT", help="Write one self-contained page instead.")
 @click.option("--no-open", is_flag=True, help="Do not open a browser.")
-def replay(file: Path, html: Path | None, no_open: bool) -> None:
-    """Show FILE in Meshcat until Ctrl-C, or write it to a page."""
+@click.option("--speed", type=float, default=1.0, metavar="S", show_default=True, help="1 is real time.")
+@click.option("--side-by-side", is_flag=True, help="Several files beside each other, not overlaid.")
+@click.option("--label", "labels", multiple=True, metavar="NAME", help="Name of a file, one for each.")
+def replay(
+    files: tuple[Path, ...],
+    html: Path | None,
+    no_open: bool,
+    speed: float,
+    side_by_side: bool,
+    labels: tuple[str, ...],
+) -> None:
+    """Show FILE, or several in one picture, in Meshcat until Ctrl-C, or write them to a page."""
     from trajopt.replay import replay as show
     from trajopt.replay import serve
     from trajopt.solution import Solution
 
-    shown = show(Solution.load(file), html=html, open_browser=not no_open)
+    shown = show(
+        [Solution.load(file) for file in files],
+        html=html,
+        open_browser=not no_open,
+        speed=speed,
+        layout="side-by-side" if side_by_side else "overlaid",
+        labels=list(labels) or None,
+    )
     if shown.html is not None:
         click.echo(f"{shown.html}: {shown.duration:.2f} s, {shown.size / 1e6:.1f} MB")
         return

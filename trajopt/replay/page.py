@@ -26,9 +26,13 @@ SCRIPTS = ("scene.js", "clock.js", "cameras.js", "panel.js", "player.js")
 # The browser itself refuses every load from elsewhere, and every script but the player and the viewer,
 # which is a blob that the player makes. Meshcat's panel writes its own style.
 POLICY = (
-    "default-src 'none'; script-src 'sha256-{player}' blob:; style-src 'unsafe-inline'; "
-    "img-src data: blob:; connect-src data: blob:; worker-src blob:; base-uri 'none'; form-action 'none'"
+    "default-src 'none'; script-src 'sha256-{player}' blob:{code}; style-src 'unsafe-inline'; "
+    "img-src data: blob:; connect-src data: blob:{live}; worker-src blob:; base-uri 'none'; "
+    "form-action 'none'"
 )
+# A live page talks to the server that it came from; buttons that scripts add are code that they send.
+LIVE = {"live": " 'self' ws://127.0.0.1:* ws://localhost:*", "code": " 'unsafe-eval'"}
+ALONE = {"live": "", "code": ""}
 
 
 def page(scene: Scene, facts: dict[str, Any]) -> str:
@@ -36,15 +40,20 @@ def page(scene: Scene, facts: dict[str, Any]) -> str:
 
     Raises `TrajoptError` if Meshcat's viewer is not installed whole.
     """
-    return _text(facts, POLICY, packed_scene(scene))
+    return _text({**facts, "live": False}, ALONE, packed_scene(scene))
 
 
-def _text(facts: dict[str, Any], policy: str, scene: bytes) -> str:
+def live_page(facts: dict[str, Any]) -> str:
+    """Return the text of a page that hears of its scene from the server it comes from."""
+    return _text({**facts, "live": True}, LIVE, b"")
+
+
+def _text(facts: dict[str, Any], allowed: dict[str, str], scene: bytes) -> str:
     player = _player()
     digest = base64.b64encode(hashlib.sha256(player.encode()).digest()).decode("ascii")
     viewer, licence = _viewer()
     return Template((WEB / "page.html").read_text(encoding="utf-8")).substitute(
-        policy=policy.format(player=digest),
+        policy=POLICY.format(player=digest, **allowed),
         title=html.escape(facts["title"]),
         style=(WEB / "page.css").read_text(encoding="utf-8"),
         licence=licence,
@@ -79,14 +88,15 @@ def _text_of(data: bytes) -> str:
 
 def _script_text(value: object) -> str:
     """JSON that cannot end the script element that holds it; what is not finite is null."""
-    return json.dumps(_finite(value), allow_nan=False).replace("<", "\\u003c")
+    return json.dumps(plain(value), allow_nan=False).replace("<", "\\u003c")
 
 
-def _finite(value: object) -> object:
+def plain(value: object) -> object:
+    """Return a JSON-able value without numbers that are not finite: those are None."""
     if isinstance(value, dict):
-        return {str(key): _finite(entry) for key, entry in value.items()}
+        return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
+        return [plain(entry) for entry in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -1,22 +1,22 @@
-"""Replay of a solution: a live Meshcat server, or one HTML page that needs no server and no network."""
+"""Replay of solutions: a live Meshcat server, or one HTML page that needs no server and no network."""
 
 from __future__ import annotations
 
-import contextlib
-import io
 import math
+import os
 import sys
+import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import meshcat
-
-from trajopt.errors import InputError, TrajoptError
+from trajopt.errors import InputError
 from trajopt.replay.caption import page_facts
-from trajopt.replay.motion import motion_of
+from trajopt.replay.live import LiveWindow, where
+from trajopt.replay.motion import motions_of
 from trajopt.replay.page import page
-from trajopt.replay.scene import Scene, build_scene
+from trajopt.replay.scene import build_scene
 from trajopt.solution import Solution
 
 
@@ -25,8 +25,10 @@ class Replay:
     """What was shown and where.
 
     frames: pictures of the animation; duration: seconds it plays (solution time over speed).
-    note: one line if the robot could not be drawn with its meshes, else empty.
-    html, size: the page and its bytes, or url: where the Meshcat server shows it.
+    note: one line if a robot could not be drawn with its meshes, else empty.
+    facts: what the page says: phases, layers, runs, lines of its caption; see `Scene` and `page_facts`.
+    html, size: the page and its bytes, or url, window: where the Meshcat server shows it, and the window
+    through which a script can add to it, as in ``meshcat.Visualizer(window=shown.window)``.
     """
 
     frames: int
@@ -35,43 +37,51 @@ class Replay:
     html: Path | None = None
     size: int = 0
     url: str = ""
-    window: Any = field(default=None, repr=False)
+    facts: dict[str, Any] = field(default_factory=dict, repr=False)
+    window: LiveWindow | None = field(default=None, repr=False)
 
     def close(self) -> None:
         """Stop the Meshcat server, if there is one."""
-        if self.window is not None and self.window.server_proc.poll() is None:
-            self.window.server_proc.kill()
-            self.window.server_proc.wait()
+        if self.window is not None:
+            self.window.close()
 
 
 def replay(
-    solution: Solution, html: str | Path | None = None, open_browser: bool = True, speed: float = 1.0
+    solutions: Solution | Sequence[Solution],
+    html: str | Path | None = None,
+    open_browser: bool = True,
+    speed: float = 1.0,
+    layout: str = "overlaid",
+    labels: Sequence[str] | None = None,
 ) -> Replay:
-    """Show ``solution`` in Meshcat, or write it to the self-contained page ``html``; does not block.
+    """Show solutions in Meshcat, or write them to the self-contained page ``html``; does not block.
 
-    open_browser: without ``html``, open the server's page. speed: 1 is real time, 0.2 five times slower.
-    Without meshes the robot is drawn as a skeleton, which one line on stderr says. Keep a live
-    replay up with `serve`. Raises `InputError` for a speed that is not positive, a solution of
-    no duration, or a file that cannot be written.
+    open_browser: without ``html``, open the server's page, where there is a screen. speed: at which it plays
+    first; 1 is real time, 0.2 five times slower. layout: of several solutions, "overlaid" or "side-by-side";
+    labels: their names. Without meshes a robot is drawn as a skeleton, which one line on stderr says.
+    Keep a live replay up with `serve`. The page is written whole or not at all. Raises `InputError` for a
+    speed that is not positive, a solution of no duration, an unknown layout, labels of another number, or a
+    file that cannot be written; `TrajoptError` if the server does not start.
     """
     if not (math.isfinite(speed) and speed > 0):
         raise InputError(f"speed is {speed:g}", "a positive number; 1 is real time")
-    motion = motion_of(solution, speed)
-    scene = build_scene([solution], [motion])
+    target = None if html is None else _target(Path(html).expanduser())
+    several = [solutions] if isinstance(solutions, Solution) else list(solutions)
+    motions = motions_of(several, speed)
+    scene = build_scene(several, motions, layout, labels)
+    facts = page_facts(scene, several, motions)
     if scene.note:
         print(scene.note, file=sys.stderr)
-    duration = (motion.n_frames - 1) / motion.frame_rate
-    if html is not None:
-        target = Path(html).expanduser()
-        size = _write(target, page(scene, page_facts(scene, [solution], [motion])))
-        return Replay(frames=motion.n_frames, duration=duration, note=scene.note, html=target, size=size)
-    window = _live(scene)
-    print(f"replay at {window.web_url}")
+    shown: dict[str, Any] = {"frames": motions[0].n_frames, "note": scene.note, "facts": facts}
+    shown["duration"] = (motions[0].n_frames - 1) / motions[0].frame_rate
+    if target is not None:
+        return Replay(**shown, html=target, size=_write(target, page(scene, facts)))
+    window = LiveWindow()
+    window.show(scene.commands, facts)
+    print(where(window.web_url))
     if open_browser:
         window.open()
-    return Replay(
-        frames=motion.n_frames, duration=duration, note=scene.note, url=window.web_url, window=window
-    )
+    return Replay(**shown, url=window.web_url, window=window)
 
 
 def serve(shown: Replay) -> None:
@@ -86,24 +96,39 @@ def serve(shown: Replay) -> None:
         shown.close()
 
 
+def _target(target: Path) -> Path:
+    """The file to write, refused before anything is computed for it."""
+    if target.is_dir():
+        raise _refused(target, "it is a folder")
+    if not target.parent.is_dir():
+        raise _refused(target, f"the folder {target.parent} does not exist")
+    return target
+
+
+def _refused(target: Path, reason: str) -> InputError:
+    return InputError(f"cannot write {target}: {reason}", "a file in an existing folder")
+
+
 def _write(target: Path, text: str) -> int:
+    """Write beside the target, then put it in its place: the page is there whole, or the old one is."""
     data = text.encode()
     try:
-        target.write_bytes(data)
+        handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
     except OSError as error:
-        raise InputError(
-            f"cannot write {target}: {error.strerror or error}", "a file in an existing folder"
-        ) from None
+        raise _refused(target, error.strerror or str(error)) from None
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        os.chmod(name, 0o666 & ~_umask())
+        os.replace(name, target)
+    except OSError as error:
+        raise _refused(target, error.strerror or str(error)) from None
+    finally:
+        Path(name).unlink(missing_ok=True)
     return len(data)
 
 
-def _live(scene: Scene) -> Any:
-    """Start a Meshcat server that shows ``scene`` and return its window."""
-    try:
-        with contextlib.redirect_stdout(io.StringIO()):  # Meshcat announces its URL itself
-            window = meshcat.Visualizer().window
-    except (OSError, RuntimeError, ValueError) as error:
-        raise TrajoptError(f"the Meshcat server does not start: {error}") from None
-    for command in scene.commands:
-        window.send(command)
-    return window
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

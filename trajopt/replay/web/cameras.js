@@ -40,6 +40,7 @@ class Cameras {
         this.following = false;
         this.listeners = [];
         this.fitted = true;
+        this.studied = false;
         clock.shows.push(() => this.follow());
         window.addEventListener("resize", () => requestAnimationFrame(() => this.resized()));
     }
@@ -61,8 +62,9 @@ class Cameras {
         this.size = facts.size;
         const paths = (facts.runs || []).filter(run => run.base).map(run => this.basePath(run.base));
         this.readPaths(paths);
-        this.controls = null;
-        this.choose(this.moves && this.travel > LONG * this.size ? "follow" : "overview");
+        if (this.studied && this.names.includes(this.name)) this.setFollowing(this.following);
+        else this.choose(this.travel > LONG * this.size ? "follow" : "overview");
+        this.studied = true;
     }
 
     // Positions (m, 3) of a moving base at even times over the motion, and its heading when it starts.

@@ -19,8 +19,9 @@ class Clock {
 
     adopt(facts) {
         this.facts = facts;
-        this.rate = facts.speed;
-        this.time = this.start = facts.start;
+        this.rate = this.rate || facts.speed;
+        this.start = facts.start;
+        this.time = this.time ?? facts.start;
     }
 
     // s of playback: of the animation that is loaded, should a script have loaded one of its own

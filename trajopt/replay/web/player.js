@@ -70,10 +70,10 @@ function connectKeys(clock, cameras, panel) {
     });
 }
 
-function complain(error) {
+function complain(text) {
     const message = element("message");
     message.hidden = false;
-    message.textContent = `The replay cannot be shown: ${error.message || error}`;
+    message.textContent = text;
 }
 
 async function start() {
@@ -83,31 +83,33 @@ async function start() {
     const panel = new Panel(viewer, clock, cameras, layers);
     Object.assign(window.trajopt, {viewer, clock, view: cameras, switches: layers});
     window.viewer = viewer;  // Meshcat's own pages have it, and scripts that add controls use it
+    connectKeys(clock, cameras, panel);
     const drawn = () => {
-        clock.adopt(clock.facts);
         cameras.study();
         layers.read();
         panel.write();
         clock.refresh();
-        cameras.shift();
-        viewer.set_3d_pane_size();
     };
-    connectKeys(clock, cameras, panel);
-    if (facts.live) {
-        await new Promise(resolve => listen(viewer, (path, value) => {
-            if (path === "facts") clock.facts = value;
-            if (path !== "drawn") return;
-            drawn();
-            resolve();
-        }));
-    } else {
-        await loadScene(viewer);
-        drawn();
-    }
+    if (facts.live) await hearScene(viewer, clock, drawn);
+    else await loadScene(viewer).then(drawn);
+    viewer.set_3d_pane_size();
     obey(location.hash, clock, cameras, false);
     viewer.render();
     window.addEventListener("hashchange", () => obey(location.hash, clock, cameras, true));
     if (!/[#&]t=/.test(location.hash)) requestAnimationFrame(() => requestAnimationFrame(() => clock.play()));
+}
+
+// Resolves when the scene is there; whatever is told later is shown as it comes.
+function hearScene(viewer, clock, drawn) {
+    return new Promise(resolve => {
+        const ended = listen(viewer, (path, value) => {
+            if (path === "facts") clock.adopt(value);
+            if (path !== "drawn") return;
+            drawn();
+            resolve();
+        });
+        ended.then(() => complain("the server has stopped"));
+    });
 }
 
 // For scripts: times are seconds of the solution; `duration` too, so it plays for duration / speed seconds.
@@ -129,6 +131,6 @@ window.trajopt = {
     render() { this.viewer.render(); },
 };
 window.trajopt.ready = start().catch(error => {
-    complain(error);
+    complain(`The replay cannot be shown: ${error.message || error}`);
     throw error;
 });

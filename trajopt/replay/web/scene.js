@@ -58,12 +58,14 @@ async function loadScene(viewer) {
 }
 
 // Messages of a server: those of Meshcat for the viewer, and ours: {type: "trajopt", path, value}.
+// Returns a promise of the end of the server.
 function listen(viewer, hear) {
     viewer.handle_command = command => {
         if (command.type === "trajopt") hear(command.path, command.value);
         else tell(viewer, command, []);
     };
     viewer.connect(location.origin.replace(/^http/, "ws") + "/");
+    return new Promise(resolve => viewer.connection.addEventListener("close", resolve));
 }
 
 // A place in the scene tree, by its path: from the root with a leading slash, else in the world.

@@ -1,0 +1,110 @@
+"""Meshcat's server, with the page of a live replay at its own address, http://127.0.0.1:PORT/.
+
+`trajopt.replay.live` runs this file as a process. It imports nothing of trajopt, so that it is up at once,
+and it ends when its standard input does: with the process that started it, however that one ends.
+Meshcat's own page stays where it was, at /static/.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+import threading
+from typing import Any
+
+import tornado.web
+from meshcat.servers import zmqserver
+
+# Messages beside those of Meshcat: ("page", "", HTML) and ("trajopt", path, msgpack), of which the last one
+# of each path is also told to browsers that connect later, after the scene.
+PAGE, OWN = "page", "trajopt"
+
+
+class PageOrSocket(zmqserver.WebSocketHandler):
+    """The page for browsers that ask for one; the websocket for the page itself."""
+
+    async def get(self, *args: Any, **kwargs: Any) -> None:
+        """Answer with the page unless a websocket is asked for."""
+        if self.request.headers.get("Upgrade", "").lower() == "websocket":
+            await super().get(*args, **kwargs)
+            return
+        self.set_header("Content-Type", "text/html; charset=utf-8")
+        self.set_header("Cache-Control", "no-store")
+        self.finish(self.bridge.page)
+
+    def open(self, *args: str, **kwargs: str) -> None:
+        """Tell a new browser the scene as it is now."""
+        self.bridge.websocket_pool.add(self)
+        self.bridge.send_scene(self)
+
+    def on_close(self) -> None:
+        """Forget a browser that has gone."""
+        self.bridge.websocket_pool.discard(self)
+
+
+class Nothing(tornado.web.RequestHandler):
+    """The picture of a tab, for which browsers ask."""
+
+    def get(self) -> None:
+        """There is none."""
+        self.set_status(204)
+
+
+class Bridge(zmqserver.ZMQWebSocketBridge):
+    """Meshcat's server between Python and browsers, with a page."""
+
+    def __init__(self) -> None:
+        self.page = b""
+        self.own: dict[str, bytes] = {}
+        super().__init__()
+        self.web_url = f"http://{self.host}:{self.fileserver_port}/"
+
+    def make_app(self) -> tornado.web.Application:
+        """Meshcat's addresses, and what we add."""
+        static = {"path": zmqserver.VIEWER_ROOT, "default_filename": zmqserver.VIEWER_HTML}
+        return tornado.web.Application(
+            [
+                (r"/static/(.*)", zmqserver.StaticFileHandlerNoCache, static),
+                (r"/favicon.ico", Nothing),
+                (r"/", PageOrSocket, {"bridge": self}),
+            ]
+        )
+
+    def handle_zmq(self, frames: list[bytes]) -> None:
+        """Take one message from Python and answer it."""
+        kind = frames[0].decode("utf-8")
+        if kind not in (PAGE, OWN) or len(frames) != 3:
+            super().handle_zmq(frames)
+            return
+        if kind == PAGE:
+            self.page = frames[2]
+        else:
+            self.own[frames[1].decode("utf-8")] = frames[2]
+            self.forward_to_websockets(frames)
+        self.zmq_socket.send(b"ok")
+
+    def send_scene(self, websocket: Any) -> None:
+        """Tell one browser everything."""
+        super().send_scene(websocket)
+        for data in self.own.values():
+            websocket.write_message(data, binary=True)
+
+
+def _end_with_standard_input() -> None:
+    sys.stdin.buffer.read()
+    os._exit(0)
+
+
+def main() -> None:
+    """Serve until standard input ends."""
+    if sys.platform == "win32":  # tornado needs this loop there
+        asyncio.set_event_loop_policy(asyncio.WindowsSelectorEventLoopPolicy())
+    bridge = Bridge()
+    print(f"zmq_url={bridge.zmq_url}\nweb_url={bridge.web_url}", flush=True)
+    threading.Thread(target=_end_with_standard_input, daemon=True).start()
+    bridge.run()
+
+
+if __name__ == "__main__":
+    main()
