@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import umsgpack
+from scipy.spatial.transform import Rotation, Slerp
 from synthetic import Motion, sampled, standing
 
 import robots
@@ -54,16 +55,40 @@ def scene_of(text: str) -> dict:
 
 
 def tracks_of(scene: dict) -> dict[tuple[str, str], np.ndarray]:
-    """(place, property) -> rows of values, one a frame."""
+    """(place, property) -> rows of values, one a frame, as three.js interpolates them."""
     message = next(command for command in scene["commands"] if command["type"] == "set_animation")
     found = {}
     for animation in message["animations"]:
         for track in animation["clip"]["tracks"]:
-            values = track["values"]
-            rows = np.array(values) if isinstance(values, list) else np.frombuffer(values.data, np.float32)
             key = (animation["path"].removeprefix("/meshcat/"), track["name"].removeprefix("."))
-            found[key] = rows.reshape(len(track["times"].data) // 4, -1)
+            found[key] = _every_frame(track)
     return found
+
+
+def _every_frame(track: dict) -> np.ndarray:
+    """Values (n, d) of a track at every frame from its key frames."""
+    at, values = np.frombuffer(track["times"].data, np.float32).astype(int), track["values"]
+    assert at[0] == 0
+    frames = np.arange(at[-1] + 1)
+    if track["type"] == "boolean":
+        return np.array(values)[np.searchsorted(at, frames, side="right") - 1, None]
+    rows = np.frombuffer(values.data, np.float32).astype(float).reshape(len(at), -1)
+    if track["type"] == "quaternion":
+        return Slerp(at, Rotation.from_quat(rows))(frames).as_quat()
+    return np.column_stack([np.interp(frames, at, column) for column in rows.T])
+
+
+def key_frames_of(scene: dict) -> dict[tuple[str, str], int]:
+    """(place, property) -> number of key frames."""
+    message = next(command for command in scene["commands"] if command["type"] == "set_animation")
+    return {
+        (animation["path"].removeprefix("/meshcat/"), track["name"].removeprefix(".")): len(
+            track["times"].data
+        )
+        // 4
+        for animation in message["animations"]
+        for track in animation["clip"]["tracks"]
+    }
 
 
 def objects_of(scene: dict) -> dict[str, dict]:

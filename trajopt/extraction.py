@@ -19,6 +19,7 @@ from trajopt.problem import Problem
 from trajopt.robot import Contact
 from trajopt.solution import Solution
 from trajopt.surface import Surface
+from trajopt.targets import goals_meta
 from trajopt.terrain import FlatGround
 from trajopt.timeline import NodeForm, StageKind
 from trajopt.transcription import Transcription
@@ -247,6 +248,7 @@ def robot_meta(problem: Problem) -> dict[str, Any]:
         "friction": [problem.terrain.friction for _ in robot.contacts],
         "surfaces": _surfaces(problem),
         "patches": _patches(problem),
+        "goals": goals_meta(problem),
         "gravity": robot.model.gravity.linear.tolist(),
         **{name: _as_numbers(limit) for name, limit in limits.items()},
     }

@@ -18,6 +18,7 @@ from trajopt.node_interfaces import NodeConstraint, NodePlace, nearest_node
 from trajopt.robot import Robot
 from trajopt.robot_validation import UNIT_SLACK, require_configuration
 from trajopt.rotations import rotation_matrix
+from trajopt.targets import Target
 from trajopt.term_interfaces import Rows
 from trajopt.units import Units
 
@@ -101,6 +102,12 @@ class FramePose(NodeConstraint):
     def acts_at(self, place: NodePlace) -> bool:
         return _waypoint(place, self.phase)
 
+    def targets(self) -> tuple[Target, ...]:
+        if self.position is None and self.rotation is None:
+            return ()
+        target = Target(frame=self.frame, position=self.position, rotation=self.rotation, phase=self.phase)
+        return (target,)
+
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         frame = context.frame(self.frame)
         expressions, targets, scales = [], [], []
@@ -179,6 +186,9 @@ class TerminalState(NodeConstraint):
     """The final configuration is ``q`` (nq,), in the directions that active contacts leave free."""
 
     q: np.ndarray
+
+    def targets(self) -> tuple[Target, ...]:
+        return (Target(q=self.q),)
 
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         return free_rows(context, place, self.q, configuration_difference(context, self.q) / units.position)

@@ -21,6 +21,7 @@ import numpy as np
 from trajopt.context import Context
 from trajopt.errors import InputError
 from trajopt.robot import Robot
+from trajopt.targets import Target
 from trajopt.units import Units
 
 
@@ -45,6 +46,10 @@ class Term:
     def acts_in(self, phase: str) -> bool:
         """Whether the term acts in the phase of that name."""
         return self.phases is None or phase in self.phases
+
+    def targets(self) -> tuple[Target, ...]:
+        """Places and postures that the term asks for at a moment, for pictures of a solution; default: none."""
+        return ()
 
 
 @dataclass(frozen=True, kw_only=True)

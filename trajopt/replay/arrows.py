@@ -11,6 +11,8 @@ import pinocchio as pin
 
 from trajopt.replay.commands import Tracks, without_shadow
 from trajopt.replay.motion import Motion
+from trajopt.replay.thinning import held
+from trajopt.replay.turns import turns_to
 from trajopt.solution import Solution
 
 FORCE_COLOUR, IMPULSE_COLOUR = 0xD9421F, 0x7A1FA2
@@ -33,31 +35,38 @@ class _Arrow:
     colour: int
 
 
-def draw_arrows(vis: Any, tracks: Tracks, solution: Solution, motion: Motion, size: float) -> None:
+def draw_arrows(
+    vis: Any, tracks: Tracks, solution: Solution, motion: Motion, size: float, tint: int | None = None
+) -> None:
     """Animate an arrow for each contact's force, and for its impulses (as forces over `FLASH`) if it has any.
 
-    Lengths are proportional to force over weight; ``size`` is the robot's extent, m.
+    Lengths are proportional to force over weight; ``size`` is the robot's extent, m. ``tint`` is the colour
+    of both for a robot laid over another.
     """
+    colour = FORCE_COLOUR if tint is None else tint
     for contact, frame in enumerate(solution.contact_frames):
         place = frame.replace("/", "_")
         force, impact = motion.force[:, contact] / motion.weight, motion.impact[:, contact] / motion.weight
         shown = motion.active[:, contact] & (np.linalg.norm(force, axis=1) > LEAST_FORCE)
-        push = _Arrow(start=motion.pressed[:, contact], force=force, shown=shown, colour=FORCE_COLOUR)
+        push = _Arrow(start=motion.pressed[:, contact], force=force, shown=shown, colour=colour)
         _animate(vis["forces"][place], tracks, push, size)
+        colour_of_blow = IMPULSE_COLOUR if tint is None else tint
         shown = np.linalg.norm(impact, axis=1) > LEAST_FORCE
         if shown.any():
-            blow = _Arrow(start=motion.struck[:, contact], force=impact, shown=shown, colour=IMPULSE_COLOUR)
+            blow = _Arrow(start=motion.struck[:, contact], force=impact, shown=shown, colour=colour_of_blow)
             _animate(vis["impulses"][place], tracks, blow, size)
 
 
 def _animate(node: Any, tracks: Tracks, arrow: _Arrow, size: float) -> None:
-    length = np.where(arrow.shown, np.linalg.norm(arrow.force, axis=1) * WEIGHT_ARROW * size, size)
+    if not arrow.shown.any():
+        return
+    length = held(np.linalg.norm(arrow.force, axis=1)[:, None] * WEIGHT_ARROW * size, arrow.shown)[:, 0]
     head = np.minimum(1.0, length / (2 * HEAD_LENGTH * size))
     neck = length - head * HEAD_LENGTH * size
     across = np.zeros_like(neck)
     _draw(node, size, arrow.colour)
-    tracks.add(node, "position", "vector3", arrow.start)
-    tracks.add(node, "quaternion", "quaternion", _turns_to(arrow.force, arrow.shown))
+    tracks.add(node, "position", "vector3", held(arrow.start, arrow.shown))
+    tracks.add(node, "quaternion", "quaternion", held(turns_to(arrow.force), arrow.shown))
     tracks.add(node, "visible", "boolean", arrow.shown)
     tracks.add(node["shaft"], "scale", "vector3", np.column_stack([head, head, neck]))
     tracks.add(node["head"], "scale", "vector3", np.column_stack([head, head, head]))
@@ -79,13 +88,3 @@ def _draw(node: Any, size: float, colour: int) -> None:
             place.set_object(shape, shapes.MeshLambertMaterial(color=colour, **options))
             without_shadow(place)
             place.set_transform(pin.SE3(upright, np.array([0.0, 0.0, height])).homogeneous)
-
-
-def _turns_to(force: np.ndarray, shown: np.ndarray) -> np.ndarray:
-    """Quaternions (n, 4) that turn z to each force; the identity where none is shown."""
-    vertical = np.array([0.0, 0.0, 1.0])
-    turns = [
-        pin.Quaternion.FromTwoVectors(vertical, entry).coeffs() if visible else np.array([0.0, 0, 0, 1])
-        for entry, visible in zip(force, shown, strict=True)
-    ]
-    return np.array(turns)

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import umsgpack
 
+from trajopt.replay.thinning import ANGLE_ERROR, COLOUR_ERROR, POSITION_ERROR, kept_frames, rounded
+
 # msgpack extension of a Float32Array, as Meshcat's viewer decodes it.
 FLOAT32 = 0x17
 
@@ -31,25 +33,44 @@ class Recorder:
 
     def send(self, command: Any) -> None:
         """Keep the command."""
-        self.commands.append(Command(command.lower()))
+        self.note(command.lower())
+
+    def note(self, message: dict[str, Any]) -> None:
+        """Keep a message."""
+        self.commands.append(Command(message))
 
 
 class Tracks:
-    """Animated properties by place in the scene tree, all sampled at the same frames."""
+    """Animated properties by place in the scene tree, given at the same frames and thinned.
 
-    def __init__(self, n_frames: int, frame_rate: float) -> None:
-        self._times = umsgpack.Ext(FLOAT32, np.arange(n_frames, dtype=np.float32).tobytes())
+    length: m, the robot's extent, to which the allowed error of positions and scales is related.
+    """
+
+    def __init__(self, n_frames: int, frame_rate: float, length: float) -> None:
+        self._n_frames = n_frames
         self._frame_rate = frame_rate
+        self._error = {
+            "vector3": POSITION_ERROR * length,
+            "quaternion": ANGLE_ERROR,
+            "color": COLOUR_ERROR,
+            "boolean": 0.0,
+        }
         self._clips: dict[str, list[dict[str, Any]]] = {}
 
     def add(self, node: Any, name: str, kind: str, values: np.ndarray) -> None:
-        """Animate property ``name``, of three.js type ``kind``, of ``node``: a row of ``values`` a frame."""
-        packed = (
-            values.ravel().tolist()
-            if kind == "boolean"
-            else umsgpack.Ext(FLOAT32, np.ascontiguousarray(values, dtype=np.float32).tobytes())
-        )
-        track = {"name": f".{name}", "type": kind, "times": self._times, "values": packed}
+        """Animate property ``name``, of three.js type ``kind``, of ``node``: a row of ``values`` a frame.
+
+        Vectors, quaternions and colours are interpolated between the frames that `kept_frames` keeps, within
+        its errors; a boolean holds until the next.
+        """
+        rows, error = np.asarray(values).reshape(self._n_frames, -1), self._error[kind]
+        kept = kept_frames(rows, kind, error)
+        if kind == "boolean":
+            packed: Any = rows[kept].ravel().astype(bool).tolist()
+        else:
+            packed = umsgpack.Ext(FLOAT32, rounded(rows[kept], error).astype(np.float32).tobytes())
+        times = umsgpack.Ext(FLOAT32, kept.astype(np.float32).tobytes())
+        track = {"name": f".{name}", "type": kind, "times": times, "values": packed}
         self._clips.setdefault(node.path.lower(), []).append(track)
 
     def command(self) -> Command:

@@ -34,12 +34,11 @@ SHADOW_REACH = 3.0
 GRID_LIFT = 0.002
 
 
-def light_and_ground(vis: Any, box: np.ndarray, ground: Surface, size: float) -> None:
-    """Draw plane and grid of the ``ground`` around ``box`` (2, 3), a pale sky, a light with shadows.
+def draw_plane(vis: Any, box: np.ndarray, ground: Surface, size: float) -> None:
+    """Draw plane and grid of the ``ground`` around ``box`` (2, 3).
 
     The grid's lines run along the plane's tangents, every line at a round distance from the world's origin.
     """
-    sky_and_light(vis, size)
     cell = _round_cell(CELL_PART * size)
     step = BOLD_EVERY * cell
     corners = np.array(list(itertools.product(*box.T))) @ ground.tangents.T

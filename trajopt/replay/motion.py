@@ -28,8 +28,9 @@ class Motion:
     """A solution at n frames; njoints counts the universe, nc contacts.
 
     t: (n,) s of the solution. frame_rate: frames a second of playback. speed: solution over playback time.
-    joints: (n, njoints, 4, 4) world placements. feet: (n, nc, 3) m, contact frames.
-    pressed: (n, nc, 3) m, where the force acts. force: (n, nc, 3) N in world axes. active: (n, nc).
+    q: (n, nq). joints: (n, njoints, 4, 4), contacts: (n, nc, 4, 4) world placements, of contact frames.
+    pressed: (n, nc, 3) m, where the force acts. wrench: (n, nc, 6) N and N m, as in the solution.
+    active: (n, nc). last: (n,) the sample that begins the span of each frame, part: (n,) how far into it.
     impact: (n, nc, 3) N, impulse over `FLASH` while it is shown, else zero. struck: (n, nc, 3) m, where
     it acts. phase: (n,). weight: N.
     """
@@ -37,11 +38,14 @@ class Motion:
     t: np.ndarray
     frame_rate: float
     speed: float
+    q: np.ndarray
     joints: np.ndarray
-    feet: np.ndarray
+    contacts: np.ndarray
     pressed: np.ndarray
-    force: np.ndarray
+    wrench: np.ndarray
     active: np.ndarray
+    last: np.ndarray
+    part: np.ndarray
     impact: np.ndarray
     struck: np.ndarray
     phase: np.ndarray
@@ -51,6 +55,21 @@ class Motion:
     def n_frames(self) -> int:
         """Number of frames."""
         return len(self.t)
+
+    @property
+    def feet(self) -> np.ndarray:
+        """World positions (n, nc, 3) of the contact frames, m."""
+        return np.asarray(self.contacts[:, :, :3, 3])
+
+    @property
+    def force(self) -> np.ndarray:
+        """Contact forces (n, nc, 3) in world axes, N."""
+        return np.asarray(self.wrench[:, :, :3])
+
+    def between(self, values: np.ndarray) -> np.ndarray:
+        """Values (n, ...) at the frames of values (K, ...) at the samples, linear in between."""
+        part = self.part.reshape(-1, *[1] * (values.ndim - 1))
+        return np.asarray((1 - part) * values[self.last] + part * values[self.last + 1])
 
 
 def motion_of(solution: Solution, speed: float = 1.0) -> Motion:
@@ -78,23 +97,28 @@ def motions_of(solutions: Sequence[Solution], speed: float = 1.0) -> list[Motion
 
 
 def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: float) -> Motion:
-    joints, contacts = _placements(solution, solution.interpolate(t))
-    sample, wrench = _contact_wrenches(solution, t)
+    q = solution.interpolate(t)
+    joints, contacts = _placements(solution, q)
+    last, part = _spans(solution, t)
+    wrench = (1 - part)[:, None, None] * solution.f[last] + part[:, None, None] * solution.f[last + 1]
     weight = _weight(solution.model)
-    feet, soles = contacts[:, :, :3, 3], _pressing_soles(solution, sample)
+    feet, soles = contacts[:, :, :3, 3], _pressing_soles(solution, last)
     impact = _impacts(solution, t)
     return Motion(
         t=t,
         frame_rate=frame_rate,
         speed=speed,
+        q=q,
         joints=joints,
-        feet=feet,
+        contacts=contacts,
         pressed=feet + _pressure_offsets(contacts, wrench, soles, weight),
-        force=wrench[:, :, :3],
-        active=solution.active[sample],
+        wrench=wrench,
+        active=solution.active[last],
+        last=last,
+        part=part,
         impact=impact[:, :, :3],
         struck=feet + _pressure_offsets(contacts, impact, soles, weight),
-        phase=solution.phase[sample],
+        phase=solution.phase[last],
         weight=weight,
     )
 
@@ -114,14 +138,12 @@ def _placements(solution: Solution, q: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return joints, contacts
 
 
-def _contact_wrenches(solution: Solution, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The sample (n,) that begins each frame's span, and wrenches (n, nc, 6) between it and the next."""
+def _spans(solution: Solution, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The sample (n,) that begins each time's span, and how far into it (n,) the time is, 0 to 1."""
     last = np.clip(np.searchsorted(solution.t, t, side="right") - 1, 0, len(solution.t) - 2)
     span = solution.t[last + 1] - solution.t[last]
     part = np.where(span > 0, (t - solution.t[last]) / np.where(span > 0, span, 1.0), 1.0)
-    part = np.clip(part, 0.0, 1.0)[:, None, None]
-    wrench = (1 - part) * solution.f[last] + part * solution.f[last + 1]
-    return last, wrench
+    return last, np.clip(part, 0.0, 1.0)
 
 
 def _impacts(solution: Solution, t: np.ndarray) -> np.ndarray:

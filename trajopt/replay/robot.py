@@ -15,6 +15,7 @@ from pinocchio.visualize.meshcat_visualizer import MeshcatVisualizer, loadMesh
 
 from trajopt.errors import InputError
 from trajopt.replay import collada
+from trajopt.replay.parts import Triangles
 from trajopt.robot_building import BASE_JOINT, base_of, reach
 from trajopt.robot_data import VisualSource
 from trajopt.solution import Solution
@@ -78,31 +79,7 @@ class _JointTree(MeshcatVisualizer):
             whole = loadMesh(geometry_object.geometry)  # one colour; scaled already, as the node does
             whole.vertices = whole.vertices / np.asarray(geometry_object.meshScale, dtype=np.float32)
             return whole
-        return shapes.Mesh(_Triangles(mesh), shapes.MeshPhongMaterial(vertexColors=True))
-
-
-class _Triangles(shapes.Geometry):
-    """A coloured mesh with its own normals, which Meshcat's mesh geometry does not carry."""
-
-    def __init__(self, mesh: collada.ColouredMesh) -> None:
-        super().__init__()
-        self._mesh = mesh
-
-    def lower(self, object_data: Any) -> dict[str, Any]:
-        """Return the geometry in the JSON of three.js."""
-        mesh = self._mesh
-        colours = shapes.pack_numpy_array(np.round(255 * mesh.colours).astype(np.uint8).T)
-        attributes = {
-            "position": shapes.pack_numpy_array(mesh.vertices.T),
-            "normal": shapes.pack_numpy_array(mesh.normals.T),
-            "color": {**colours, "normalized": True},
-        }
-        index = shapes.pack_numpy_array(mesh.triangles.T)
-        return {
-            "uuid": self.uuid,
-            "type": "BufferGeometry",
-            "data": {"attributes": attributes, "index": index},
-        }
+        return shapes.Mesh(Triangles(mesh), shapes.MeshPhongMaterial(vertexColors=True))
 
 
 def _draw_meshes(vis: Any, model: pin.Model, geometry: pin.GeometryModel) -> DrawnRobot:
@@ -172,22 +149,33 @@ def draw_skeleton(vis: Any, solution: Solution) -> DrawnRobot:
 def _draw_trunk(vis: Any, model: pin.Model, drawn: DrawnRobot) -> None:
     """Draw the link of a moving base, which no rod shows, as the solid box of its mass and inertia."""
     base = _base_joint(model)
-    if base == 0 or not model.inertias[base].mass > 0:
+    if base == 0:
         return
-    inertia = model.inertias[base]
-    moments, axes = np.linalg.eigh(inertia.inertia)
-    axes[:, 2] *= np.sign(np.linalg.det(axes))
-    # I_1 = m (b^2 + c^2) / 12 and so on in turn, for the sides a, b, c
-    sides = np.sqrt(np.maximum(6 * (moments.sum() - 2 * moments) / inertia.mass, 0.0))
-    if not sides.max() > 0:
+    box = box_of_inertia(model.inertias[base])
+    if box is None:
         return
-    sides = np.maximum(sides, THINNEST * sides.max())
-    place, node = pin.SE3(axes, inertia.lever), vis[joint_path(model, base)]["trunk"]
+    sides, place = box
+    node = vis[joint_path(model, base)]["trunk"]
     material = shapes.MeshPhongMaterial(color=BONE_COLOUR, opacity=TRUNK_OPACITY)
     node.set_object(shapes.Box(sides.tolist()), material)
     node.set_transform(place.homogeneous)
     corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * sides
-    drawn.add(base, corners @ axes.T + inertia.lever)
+    drawn.add(base, corners @ place.rotation.T + place.translation)
+
+
+def box_of_inertia(inertia: pin.Inertia) -> tuple[np.ndarray, pin.SE3] | None:
+    """Sides (3,) m and placement of the solid box of that mass and inertia; None for a point or no mass.
+
+    I_1 = m (b^2 + c^2) / 12 and so on in turn, for the sides a, b, c along the principal axes.
+    """
+    if not inertia.mass > 0:
+        return None
+    moments, axes = np.linalg.eigh(inertia.inertia)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    sides = np.sqrt(np.maximum(6 * (moments.sum() - 2 * moments) / inertia.mass, 0.0))
+    if not sides.max() > 0:
+        return None
+    return np.maximum(sides, THINNEST * sides.max()), pin.SE3(axes, inertia.lever)
 
 
 def _base_joint(model: pin.Model) -> int:

@@ -7,27 +7,30 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import meshcat
-import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
 
-from trajopt.certify.touched import terrain_of
+from trajopt.certify.touched import touched
 from trajopt.replay.arrows import WEIGHT_ARROW, draw_arrows
+from trajopt.replay.balance import balance_of
+from trajopt.replay.balance_marks import draw_balance
 from trajopt.replay.camera import initial_camera
-from trajopt.replay.commands import Command, Recorder, Tracks, without_shadow
-from trajopt.replay.ground import light_and_ground
-from trajopt.replay.layers import layers_of
+from trajopt.replay.commands import Command, Recorder, Tracks
+from trajopt.replay.cones import draw_cones
+from trajopt.replay.copies import draw_ghosts, ghost_frames, tint
+from trajopt.replay.goals import draw_goals
+from trajopt.replay.grounds import Ground, draw_grounds, ground_of
+from trajopt.replay.layers import hidden_layers, layers_of
 from trajopt.replay.motion import Motion
 from trajopt.replay.obstacles import draw_obstacles
-from trajopt.replay.robot import joint_path, tip_frames
+from trajopt.replay.payloads import draw_payloads
+from trajopt.replay.robot import joint_path
 from trajopt.replay.runs import Run, drawn_runs, travels
-from trajopt.replay.surfaces import curved_drop, draw_surfaces, plane_of, seen_plane, touches_of
-from trajopt.replay.terrain import draw_terrain
+from trajopt.replay.surfaces import draw_surfaces
+from trajopt.replay.trails import draw_trails
+from trajopt.replay.turns import quaternions_of
 from trajopt.solution import Solution
-from trajopt.surface import Surface
-from trajopt.terrain import PiecewiseTerrain, SmoothTerrain
 
-TRAIL_COLOURS = (0x1F77B4, 0x2CA02C, 0x9467BD, 0xC77700)
 PREFIX = "/meshcat/"
 
 
@@ -61,50 +64,54 @@ def build_scene(
     """
     recorder = Recorder()
     vis = meshcat.Visualizer(window=recorder)
-    tracks = Tracks(motions[0].n_frames, motions[0].frame_rate)
     runs = drawn_runs(vis, solutions, motions, layout, labels)
+    for run in runs:
+        if run.tinted:
+            tint(recorder, run.path("robot"), run.colour)
     size = max(run.size for run in runs)
-    points = [_draw_run(tracks, run, size) for run in runs]
-    cloud = np.concatenate(points)
+    tracks = Tracks(motions[0].n_frames, motions[0].frame_rate, size)
+    grounds = [ground_of(run, size) for run in runs]
+    parts = [_draw_run(recorder, tracks, *each, size) for each in zip(runs, grounds, strict=True)]
+    cloud = np.concatenate(parts)
     box = np.array([cloud.min(axis=0), cloud.max(axis=0)])
-    ground = _draw_ground(vis, runs, box, size)
+    ground = draw_grounds(vis, runs, grounds, box, size)
     follows = travels(runs[0], ground.tangents)
+    layers = layers_of(runs, _drawn(recorder), hidden_layers(runs, ground.tangents))
+    for layer in layers:
+        for path in () if layer["visible"] else layer["paths"]:
+            vis[path].set_property("visible", False)
     initial_camera(vis, tracks, runs[0].base, box, ground, size, follows)
     recorder.commands.append(tracks.command())
     notes = list(dict.fromkeys(run.robot.note for run in runs if run.robot.note))
-    facts = _facts(runs, layers_of(runs, _drawn(recorder)), box, size, follows)
-    return Scene(recorder.commands, "; ".join(notes), WEIGHT_ARROW * size, facts)
+    return Scene(
+        recorder.commands, "; ".join(notes), WEIGHT_ARROW * size, _facts(runs, layers, box, size, follows)
+    )
 
 
-def _draw_run(tracks: Tracks, run: Run, size: float) -> np.ndarray:
+def _draw_run(recorder: Recorder, tracks: Tracks, run: Run, ground: Ground, size: float) -> np.ndarray:
     """Draw what belongs to one solution; returns points (k, 3) of the scene's world that it takes up, m."""
     solution, motion, node = run.solution, run.motion, run.node
+    colour = run.colour if run.tinted else None
     if run.shift.any():
         node.set_transform(pin.SE3(np.eye(3), run.shift).homogeneous)
-    for joint in range(1, solution.model.njoints):
-        _animate_placement(tracks, node[joint_path(solution.model, joint)], motion.joints[:, joint])
-    _, elsewhere = touches_of(solution, motion)
-    places = draw_surfaces(node["surfaces"], elsewhere, solution, motion, run.robot, size)
-    obstacles = draw_obstacles(node["obstacles"], solution)
-    draw_arrows(node, tracks, solution, motion, size)
-    _trails(node["trails"], solution, motion)
-    return np.asarray(np.concatenate([run.cloud, places, obstacles]) + run.shift)
-
-
-def _draw_ground(vis: Any, runs: list[Run], box: np.ndarray, size: float) -> Surface:
-    """Draw the first solution's ground, with sky and light; returns its plane."""
-    run = runs[0]
-    standing, _ = touches_of(run.solution, run.motion)
-    terrain = terrain_of(run.solution.meta.get("terrain"))
-    ground = plane_of(run.solution)
-    if isinstance(terrain, PiecewiseTerrain | SmoothTerrain):
-        drop = curved_drop(standing, run.solution, run.motion, run.robot, size)
-        draw_terrain(vis, terrain, box, drop, size)
-        return ground
-    if standing:
-        ground = seen_plane(standing, run.solution, run.motion, run.robot, size)
-    light_and_ground(vis, box, ground, size)
-    return ground
+    joints = [(joint, joint_path(solution.model, joint)) for joint in range(1, solution.model.njoints)]
+    draw_ghosts(recorder, run, joints, ghost_frames(motion, run.size))
+    for joint, place in joints:
+        tracks.add(node[place], "position", "vector3", motion.joints[:, joint, :3, 3])
+        tracks.add(node[place], "quaternion", "quaternion", quaternions_of(motion.joints[:, joint, :3, :3]))
+    touching = touched(solution, motion.feet, motion.phase)
+    places = [
+        run.cloud,
+        draw_surfaces(node["surfaces"], ground.elsewhere, solution, motion, run.robot, size),
+        draw_obstacles(node["obstacles"], solution),
+        draw_goals(node["goals"], solution, ground.drop, size),
+        draw_payloads(node["payloads"], tracks, solution, motion),
+    ]
+    draw_arrows(node, tracks, solution, motion, size, colour)
+    draw_cones(node["cones"], tracks, solution, motion, touching, size)
+    draw_balance(node, tracks, solution, balance_of(solution, motion, touching), ground.drop, size, colour)
+    draw_trails(node["trails"], solution, motion, colour)
+    return np.asarray(np.concatenate(places) + run.shift)
 
 
 def _drawn(recorder: Recorder) -> list[str]:
@@ -144,33 +151,3 @@ def _phases(solution: Solution) -> list[dict[str, Any]]:
             {"name": name, "start": float(solution.t[rows.start]), "end": float(solution.t[rows.stop - 1])}
         )
     return found
-
-
-def _animate_placement(tracks: Tracks, node: Any, placements: np.ndarray) -> None:
-    quaternions = [pin.Quaternion(matrix[:3, :3]).coeffs() for matrix in placements]
-    tracks.add(node, "position", "vector3", placements[:, :3, 3])
-    tracks.add(node, "quaternion", "quaternion", np.array(quaternions))
-
-
-def _trails(node: Any, solution: Solution, motion: Motion) -> None:
-    """Draw the path of each contact frame as a thin line; of each tip if there are no contacts."""
-    names, paths = list(solution.contact_frames), motion.feet
-    if not names:
-        frames = tip_frames(solution.model)
-        names = [solution.model.frames[frame].name for frame in frames]
-        paths = _frame_paths(solution.model, motion, frames)
-    for number, name in enumerate(names):
-        points = shapes.PointsGeometry(position=paths[:, number].T.astype(np.float32))
-        colour = TRAIL_COLOURS[number % len(TRAIL_COLOURS)]
-        trail = node[name.replace("/", "_")]
-        trail.set_object(shapes.Line(points, shapes.LineBasicMaterial(color=colour)))
-        without_shadow(trail)
-
-
-def _frame_paths(model: pin.Model, motion: Motion, frames: list[int]) -> np.ndarray:
-    paths = np.empty((motion.n_frames, len(frames), 3))
-    for column, frame in enumerate(frames):
-        joint = model.frames[frame].parentJoint
-        local = np.append(model.frames[frame].placement.translation, 1.0)
-        paths[:, column] = (motion.joints[:, joint] @ local)[:, :3]
-    return paths

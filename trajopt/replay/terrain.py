@@ -7,7 +7,7 @@ from typing import Any
 import meshcat.geometry as shapes
 import numpy as np
 
-from trajopt.replay.ground import GRID_STRONG, GROUND_COLOUR, GROUND_TINTS, sky_and_light
+from trajopt.replay.ground import GRID_STRONG, GROUND_COLOUR, GROUND_TINTS
 from trajopt.surface import UP
 from trajopt.terrain import PiecewiseTerrain, SmoothTerrain
 from trajopt.terrain.patch import Patch, cut_polygon
@@ -22,11 +22,15 @@ UPWARD = np.array(UP)
 
 
 def draw_terrain(
-    vis: Any, terrain: PiecewiseTerrain | SmoothTerrain, box: np.ndarray, drop: float, size: float
+    vis: Any,
+    terrain: PiecewiseTerrain | SmoothTerrain,
+    box: np.ndarray,
+    margin: np.ndarray,
+    drop: float,
+    size: float,
 ) -> None:
-    """Draw the ground around ``box`` (2, 3), lowered by ``drop`` m to the drawn feet, with sky and light."""
-    low, high = box[0, :2] - MARGIN * size, box[1, :2] + MARGIN * size
-    sky_and_light(vis, size)
+    """Draw the ground ``margin`` (2,) m around ``box`` (2, 3), lowered by ``drop`` m to the drawn feet."""
+    low, high = box[0, :2] - margin, box[1, :2] + margin
     if isinstance(terrain, PiecewiseTerrain):
         _draw_faces(vis["ground"], terrain, (low, high), drop, size)
     else:

@@ -1,0 +1,69 @@
+"""The ground of every solution of a scene: its plane, how deep drawn feet reach below it, its drawing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from trajopt.certify.touched import terrain_of
+from trajopt.replay.ground import draw_plane, sky_and_light
+from trajopt.replay.runs import GAP, Run
+from trajopt.replay.surfaces import Touch, curved_drop, plane_of, seen_plane, touches_of
+from trajopt.replay.terrain import MARGIN, draw_terrain
+from trajopt.surface import Surface
+from trajopt.terrain import PiecewiseTerrain, SmoothTerrain
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Ground:
+    """seen: the drawn plane, of uneven ground a level one for the camera. drop: m below the contacts.
+
+    elsewhere: touches of other surfaces than the terrain. uneven: the terrain, if it is no plane.
+    """
+
+    seen: Surface
+    drop: float
+    elsewhere: list[Touch]
+    uneven: PiecewiseTerrain | SmoothTerrain | None
+
+
+def ground_of(run: Run, size: float) -> Ground:
+    """The ground under one solution, in its own world; ``size`` m is the robots' extent."""
+    args = (run.solution, run.motion, run.robot, size)
+    standing, elsewhere = touches_of(run.solution, run.motion)
+    terrain, plane = terrain_of(run.solution.meta.get("terrain")), plane_of(run.solution)
+    if isinstance(terrain, PiecewiseTerrain | SmoothTerrain):
+        drop = curved_drop(standing, *args)
+        return Ground(seen=plane, drop=drop, elsewhere=elsewhere, uneven=terrain)
+    seen = seen_plane(standing, *args) if standing else plane
+    drop = max(plane.height - seen.height, 0.0) if standing else 0.0
+    return Ground(seen=seen, drop=drop, elsewhere=elsewhere, uneven=None)
+
+
+def draw_grounds(vis: Any, runs: list[Run], grounds: list[Ground], box: np.ndarray, size: float) -> Surface:
+    """Draw sky, light and each different ground; returns the first solution's plane.
+
+    ``box`` (2, 3) m is around everything. Runs on planes share the first one; uneven ground of runs that are
+    moved aside goes with them, and no further than half way to the next.
+    """
+    sky_and_light(vis, size)
+    told: list[Any] = []
+    for run, ground in zip(runs, grounds, strict=True):
+        aside = any(other.shift.any() for other in runs)
+        described = (run.solution.meta.get("terrain"), run.shift.tolist())
+        if ground.uneven is None:
+            described = ("plane", [])
+        if described in told:
+            continue
+        told.append(described)
+        if ground.uneven is None:
+            draw_plane(vis, box, ground.seen, size)
+            continue
+        margin = np.full(2, MARGIN * size)
+        if aside:
+            margin[runs[-1].shift[:2] != 0] = GAP * size / 2
+        own = np.array([run.cloud.min(axis=0), run.cloud.max(axis=0)]) if aside else box
+        draw_terrain(run.node if aside else vis, ground.uneven, own, margin, ground.drop, size)
+    return grounds[0].seen
