@@ -28,6 +28,7 @@ from trajopt.cli_continue import continue_
 from trajopt.cli_diagnose import diagnose, diagnose_option, diagnosis_of
 from trajopt.cli_input import COUNT, GRID, THREADS, check_output, options_of, values_of
 from trajopt.cli_reference import reference
+from trajopt.cli_render import render
 from trajopt.cli_replay import replay
 from trajopt.cli_robot import robot
 from trajopt.cli_simulate import simulate
@@ -293,5 +294,6 @@ main.add_command(continue_)
 main.add_command(diagnose)
 main.add_command(check)
 main.add_command(reference)
+main.add_command(render)
 main.add_command(replay)
 main.add_command(robot)

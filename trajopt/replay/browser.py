@@ -1,0 +1,291 @@
+"""A replay's page in a headless Chromium: seek, choose a camera, take pictures, hear its complaints."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import contextlib
+import io
+import os
+import shutil
+import threading
+from collections.abc import Awaitable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from trajopt.errors import InputError, TrajoptError
+
+if TYPE_CHECKING:
+    from playwright.async_api import Browser as AsyncBrowser
+    from playwright.async_api import CDPSession, ConsoleMessage
+    from playwright.async_api import Page as AsyncPage
+
+Answer = TypeVar("Answer")
+
+# Names a file of another Chromium or Chrome.
+EXECUTABLE_VARIABLE = "TRAJOPT_CHROMIUM"
+EXECUTABLES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+INSTALL_CHROMIUM = f"on Debian: apt install chromium; or set {EXECUTABLE_VARIABLE} to one"
+INSTALL_EXTRA = "pip install 'trajopt[render]'"
+# Drawn through EGL: by a graphics card if there is one, by Mesa on the processor if not, and where EGL is
+# missing by Chromium's own SwiftShader, which takes over by itself and is half as fast. The page is our own
+# file without network, and Chromium's sandbox does not start in containers.
+FLAGS = (
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=gl-egl",
+    "--ignore-gpu-blocklist",
+    "--enable-unsafe-swiftshader",
+)
+# Seconds until an opened page must be ready, for one picture or question, and for the end of the browser.
+READY_LIMIT, CALL_LIMIT, END_LIMIT = 90.0, 120.0, 10.0
+# What a console message must be to count as a complaint.
+COMPLAINTS = ("error", "warning", "assert")
+# What Chromium itself says of how its picture is taken where there is no graphics card.
+DRIVER_MESSAGE = "GL Driver Message"
+# Opens a page at its start (a time before it is the start), standing still.
+AT_START = "t=0"
+
+
+class _Calls:
+    """A thread with an event loop that runs Playwright: calls get time limits, from any thread.
+
+    Playwright's own blocking interface has no limit for some calls and refuses to run in notebooks.
+    """
+
+    def __init__(self) -> None:
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="browser", daemon=True)
+        self._thread.start()
+
+    def __call__(self, work: Awaitable[Answer], limit: float, what: str) -> Answer:
+        """Return what ``work`` gives; raises `TrajoptError`, one line, when it fails or lasts too long."""
+        from playwright.async_api import Error
+
+        async def limited() -> Answer:
+            return await asyncio.wait_for(work, limit)
+
+        try:
+            return asyncio.run_coroutine_threadsafe(limited(), self._loop).result()
+        except TimeoutError:
+            raise TrajoptError(f"{what}: no answer from Chromium within {limit:g} s") from None
+        except Error as error:
+            raise TrajoptError(f"{what}: {_reason(error)}") from None
+
+    def end(self) -> None:
+        """Stop the thread."""
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+
+class OpenedPage:
+    """A page of `trajopt.replay` that stands still in Chromium until it is told to move.
+
+    start, duration: s of the solution. cameras, layers: names that it knows. errors: complaints so far
+    (console errors, console warnings, exceptions of scripts). requests: addresses it has asked for.
+    Every method raises `TrajoptError`, one line, if the browser crashes or does not answer in time.
+    """
+
+    def __init__(self, calls: _Calls, page: AsyncPage, cdp: CDPSession, heard: _Heard) -> None:
+        self._calls, self._page, self._cdp = calls, page, cdp
+        self.errors, self.requests = heard.errors, heard.requests
+        known = "(({start, duration, cameras, layers}) => ({start, duration, cameras, layers}))(trajopt)"
+        facts = self.evaluate(known)
+        self.start, self.duration = float(facts["start"]), float(facts["duration"])
+        self.cameras, self.layers = tuple(facts["cameras"]), tuple(facts["layers"])
+
+    def evaluate(self, script: str, argument: Any = None) -> Any:
+        """Return what a JavaScript expression, or a function of ``argument``, gives in the page."""
+        return self._calls(self._page.evaluate(script, argument), CALL_LIMIT, "the replay's page")
+
+    def seek(self, t: float) -> None:
+        """Show the time ``t`` (s of the solution); the page stays paused there."""
+        self.evaluate("t => { trajopt.pause(); trajopt.seek(t); trajopt.render(); }", float(t))
+
+    def camera(self, name: str) -> None:
+        """Choose one of ``cameras``; raises `InputError` for another name."""
+        if name not in self.cameras:
+            raise InputError(f"camera '{name}' is unknown", "allowed: " + ", ".join(self.cameras))
+        self.evaluate("name => { trajopt.camera(name); trajopt.render(); }", name)
+
+    def layer(self, name: str, visible: bool) -> None:
+        """Show or hide one of ``layers``; raises `InputError` for another name."""
+        if name not in self.layers:
+            raise InputError(f"layer '{name}' is unknown", "allowed: " + ", ".join(self.layers))
+        self.evaluate("([name, on]) => { trajopt.layer(name, on); trajopt.render(); }", [name, visible])
+
+    def state(self) -> dict[str, Any]:
+        """Return time (s of the solution), playing, phase, camera and number of pictures drawn."""
+        return dict(self.evaluate("trajopt.state()"))
+
+    def png(self) -> bytes:
+        """Return what the window shows as a PNG without loss, in the size that it was opened with."""
+        # Weak compression, for speed: the picture goes on to Pillow or ffmpeg.
+        shot = self._cdp.send("Page.captureScreenshot", {"format": "png", "optimizeForSpeed": True})
+        return base64.b64decode(self._calls(shot, CALL_LIMIT, "a picture of the replay's page")["data"])
+
+    def picture(self) -> np.ndarray:
+        """Return what the window shows: (h, w, 3) of bytes, red, green, blue."""
+        from PIL import Image
+
+        return np.array(Image.open(io.BytesIO(self.png())).convert("RGB"))
+
+
+class _Heard:
+    """What a page says and asks for."""
+
+    def __init__(self) -> None:
+        self.errors: list[str] = []
+        self.requests: list[str] = []
+
+    def listen(self, page: AsyncPage) -> None:
+        page.on("console", self._console)
+        page.on("pageerror", lambda error: self.errors.append(f"exception: {_first_line(str(error))}"))
+        page.on("crash", lambda _: self.errors.append("crash: the page's process has ended"))
+        page.on("request", lambda request: self.requests.append(request.url))
+
+    def failures(self) -> list[str]:
+        """What it complained of beyond warnings."""
+        return [text for text in self.errors if not text.startswith("warning")]
+
+    def _console(self, message: ConsoleMessage) -> None:
+        if message.type in COMPLAINTS and DRIVER_MESSAGE not in message.text:
+            self.errors.append(f"{message.type}: {_first_line(message.text)}")
+
+
+class Chromium:
+    """A running headless Chromium, without network, that opens pages."""
+
+    def __init__(self, calls: _Calls, browser: AsyncBrowser) -> None:
+        self._calls, self._browser = calls, browser
+
+    @contextlib.contextmanager
+    def opened(
+        self,
+        page: str | Path,
+        size: tuple[int, int] = (1280, 720),
+        fragment: str = AT_START,
+        limit: float = READY_LIMIT,
+    ) -> Iterator[OpenedPage]:
+        """Open a replay's ``page`` in a window of ``size`` (width, height) pixels.
+
+        fragment: what stands behind # in its address, as in ``"t=0.3&camera=side&panel=off"``: paused at that
+        time; without ``t`` it plays. Raises `InputError`
+        for a file that does not exist and `TrajoptError` for a page that is not ready within ``limit`` s.
+        """
+        path = Path(page).absolute()
+        if not path.is_file():
+            raise InputError(f"page {path} does not exist", "a file that trajopt replay --html has written")
+        heard, what = _Heard(), f"page {path.name}"
+        address = path.as_uri() + (f"#{fragment}" if fragment else "")
+        # The work keeps to the limit itself, and says what the page complained of.
+        view, cdp = self._calls(_open(self._browser, address, size, heard, limit), limit + END_LIMIT, what)
+        try:
+            yield OpenedPage(self._calls, view, cdp, heard)
+        finally:
+            with contextlib.suppress(TrajoptError):  # of a browser that is gone
+                self._calls(view.context.close(), END_LIMIT, what)
+
+
+@contextlib.contextmanager
+def chromium() -> Iterator[Chromium]:
+    """Start a headless Chromium and end it, whatever happens meanwhile.
+
+    Raises `InputError`, one line that says what to install, without Chromium or Playwright, and
+    `TrajoptError` if Chromium does not start.
+    """
+    executable = find_chromium()
+    try:
+        from playwright.async_api import async_playwright
+    except ImportError:
+        raise InputError("pictures of a replay need playwright", INSTALL_EXTRA) from None
+    calls, manager = _Calls(), async_playwright()
+    try:
+        driver = calls(manager.__aenter__(), READY_LIMIT, "playwright")
+        launching = driver.chromium.launch(
+            executable_path=executable,
+            headless=True,
+            args=list(FLAGS),
+            handle_sigint=False,  # Ctrl-C is answered here, by the end of this function
+        )
+        try:
+            yield Chromium(calls, calls(launching, READY_LIMIT, executable))
+        finally:
+            with contextlib.suppress(TrajoptError):
+                calls(manager.__aexit__(), END_LIMIT, "playwright")  # ends the browser too
+    finally:
+        calls.end()
+
+
+@contextlib.contextmanager
+def opened(
+    page: str | Path,
+    size: tuple[int, int] = (1280, 720),
+    fragment: str = AT_START,
+    limit: float = READY_LIMIT,
+) -> Iterator[OpenedPage]:
+    """Open one page in a Chromium of its own: `chromium` and its ``opened`` in one."""
+    with chromium() as browser, browser.opened(page, size, fragment, limit) as view:
+        yield view
+
+
+def find_chromium() -> str:
+    """Return the Chromium or Chrome to use; raises `InputError` where there is none."""
+    given = os.environ.get(EXECUTABLE_VARIABLE)
+    if given:
+        found = shutil.which(given)
+        if found is None:
+            raise InputError(f"{EXECUTABLE_VARIABLE} is {given}, which is no program", INSTALL_CHROMIUM)
+        return found
+    for name in EXECUTABLES:
+        found = shutil.which(name)
+        if found is not None:
+            return found
+    raise InputError("pictures of a replay need Chromium, which is not installed", INSTALL_CHROMIUM)
+
+
+async def _open(
+    browser: AsyncBrowser, address: str, size: tuple[int, int], heard: _Heard, limit: float
+) -> tuple[AsyncPage, CDPSession]:
+    """A page that is ready, in a window of its own; raises `TrajoptError` with its complaint if it is not."""
+    width, height = size
+    context = await browser.new_context(
+        viewport={"width": width, "height": height}, device_scale_factor=1, offline=True
+    )
+    try:
+        page = await context.new_page()
+        heard.listen(page)
+        await asyncio.wait_for(_ready(page, address, heard), limit)
+        return page, await context.new_cdp_session(page)
+    except TimeoutError:
+        await context.close()
+        said = f"; it says: {heard.failures()[0]}" if heard.failures() else ""
+        raise TrajoptError(f"page {address} is not ready after {limit:g} s{said}") from None
+    except BaseException:
+        await context.close()
+        raise
+
+
+async def _ready(page: AsyncPage, address: str, heard: _Heard) -> None:
+    """Load the page and wait until it has drawn; raises `TrajoptError` if its script is missing or fails."""
+    await page.goto(address, wait_until="load", timeout=0)
+    if not await page.evaluate(
+        "typeof trajopt !== 'undefined'"
+    ):  # scripts in a page run before its load ends
+        failed = heard.failures() or ["it is not of trajopt replay, or of another version"]
+        raise TrajoptError(f"page {address} does not start: {failed[0]}")
+    await page.evaluate("trajopt.ready.then(() => true)")
+
+
+def _reason(error: Exception) -> str:
+    """One line of Playwright's message, which may hold a log: what is missing, if it says so."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    telling = [line for line in lines if "error while loading" in line or "No usable sandbox" in line]
+    return (telling or lines or ["Chromium has ended"])[0]
+
+
+def _first_line(text: str) -> str:
+    return text.strip().splitlines()[0] if text.strip() else ""

@@ -1,0 +1,149 @@
+"""A replay as a video, an animated GIF or a picture, taken from its own page off screen."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.replay import video
+from trajopt.replay.browser import AT_START, OpenedPage, opened
+from trajopt.replay.shots import Shots, telling_moment
+from trajopt.replay.show import replay
+from trajopt.solution import Solution
+
+Progress = Callable[[int, int], None]
+
+# Height of a strip's text over that of its pictures, and its distance from the edge over its height.
+TEXT, TEXT_MARGIN = 0.055, 0.5
+INK = (27, 37, 48)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rendering:
+    """What was written: the file, its pictures, s that it plays (0 if it does not), pixels, bytes."""
+
+    path: Path
+    pictures: int
+    duration: float
+    width: int
+    height: int
+    size: int
+
+
+def render(
+    solutions: Solution | Sequence[Solution],
+    target: str | Path,
+    *,
+    layout: str = "overlaid",
+    labels: Sequence[str] | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Rendering:
+    """Write ``solutions`` to ``target``: a .mp4 (H.264), a .gif that repeats, or a .png.
+
+    layout, labels: of several solutions, as in `replay`. progress: called with the number of pictures done
+    and of all. options: those of `Shots` (size, fps, speed, start, end, time, strip, camera, caption, hidden,
+    shown). Picture k of a video shows the time start + k speed / fps, the last one the end.
+    The file is written whole or not at all. Raises `InputError`, one line, for values that are not allowed, a
+    folder that does not exist, a missing Chromium or extra, and `TrajoptError` if Chromium or ffmpeg fails.
+    """
+    several = [solutions] if isinstance(solutions, Solution) else list(solutions)
+    target = Path(target).expanduser()
+    shots = Shots(ending=target.suffix.lower(), **options)
+    if shots.is_video:
+        video.find_ffmpeg()
+    with _replacing(target) as unfinished, tempfile.TemporaryDirectory(prefix="trajopt-") as folder:
+        page = Path(folder, "page.html")
+        shown = replay(
+            several, html=page, open_browser=False, speed=shots.speed, layout=layout, labels=labels
+        )
+        first = float(shown.facts["start"])
+        times = shots.times(first, first + shown.duration * shots.speed, telling_moment(several[0]))
+        with opened(page, shots.pixels, _fragment(shots)) as view:
+            _arrange(view, shots)
+            _write(unfinished, shots, times, _pictures(view, times, progress))
+        size = unfinished.stat().st_size
+    width, height = shots.pixels
+    return Rendering(
+        path=target,
+        pictures=len(times),
+        duration=float(len(times) / shots.rate) if shots.is_video else 0.0,
+        width=width * (shots.strip or 1),
+        height=height,
+        size=size,
+    )
+
+
+def _fragment(shots: Shots) -> str:
+    """How the page opens: without its controls; a strip has text of its own."""
+    return AT_START + ("&panel=off" if shots.caption and not shots.strip else "&bare")
+
+
+def _arrange(view: OpenedPage, shots: Shots) -> None:
+    if shots.camera is not None:
+        view.camera(shots.camera)
+    for names, visible in ((shots.hidden, False), (shots.shown, True)):
+        for name in names:
+            view.layer(name, visible)
+
+
+def _pictures(view: OpenedPage, times: np.ndarray, progress: Progress | None) -> Iterator[bytes]:
+    """The page's pictures at ``times`` (s of the solution), one after the other, as PNG."""
+    for done, t in enumerate(times, 1):
+        view.seek(t)
+        yield view.png()
+        if progress is not None:
+            progress(done, len(times))
+
+
+def _write(target: Path, shots: Shots, times: np.ndarray, pictures: Iterator[bytes]) -> None:
+    if shots.ending == ".mp4":
+        video.write_mp4(target, pictures, shots.rate)
+    elif shots.ending == ".gif":
+        video.write_gif(target, pictures, shots.rate)
+    else:
+        _write_strip(target, shots, times, pictures)
+
+
+def _write_strip(target: Path, shots: Shots, times: np.ndarray, pictures: Iterator[bytes]) -> None:
+    """Write ``pictures`` side by side, each with its time if there is text and more than one."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    width, height = shots.pixels
+    whole = Image.new("RGB", (width * len(times), height))
+    draw, letter = ImageDraw.Draw(whole), round(TEXT * height)
+    font = ImageFont.load_default(size=letter)
+    for number, (t, picture) in enumerate(zip(times, pictures, strict=True)):
+        whole.paste(Image.open(io.BytesIO(picture)).convert("RGB"), (number * width, 0))
+        if shots.caption and shots.strip:
+            corner = (number * width + TEXT_MARGIN * letter, TEXT_MARGIN * letter)
+            draw.text(corner, f"{t:.2f} s", fill=INK, font=font)
+    whole.save(target, format="PNG", optimize=True)
+
+
+@contextlib.contextmanager
+def _replacing(target: Path) -> Iterator[Path]:
+    """Give a place beside ``target`` to write to, and move what is there to ``target`` if all goes well."""
+    refused = f"cannot write {target}"
+    allowed = "allowed: a file in an existing folder that can be written"
+    if target.is_dir():
+        raise InputError(f"{refused}: it is a folder", allowed)
+    if not target.parent.is_dir():
+        raise InputError(f"{refused}: the folder {target.parent} does not exist", allowed)
+    try:
+        beside = tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.")
+    except OSError as error:
+        raise InputError(f"{refused}: {error.strerror or error}", allowed) from None
+    with beside as folder:
+        unfinished = Path(folder, target.name)
+        yield unfinished
+        os.replace(unfinished, target)

@@ -1,0 +1,98 @@
+"""Pictures into a video or an animated GIF, by ffmpeg, as they come: none is kept in memory."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import tempfile
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import IO
+
+from trajopt.errors import InputError, TrajoptError
+
+INSTALL_EXTRA = "pip install 'trajopt[render]'"
+# Constant quality of H.264: about where a picture cannot be told from the original.
+QUALITY = 18
+# H.264 that phones, browsers and slides play: 4:2:0, colours of high definition and marked so, index first.
+TO_YUV = "scale=out_color_matrix=bt709:out_range=tv:flags=accurate_rnd+full_chroma_int,format=yuv420p"
+MARKED = "-colorspace bt709 -color_primaries bt709 -color_trc bt709 -color_range tv -movflags +faststart"
+H264 = ["-vf", TO_YUV, "-c:v", "libx264", "-preset", "medium", "-crf", str(QUALITY), *MARKED.split()]
+# What GIF pictures are kept as until the palette is known: small, and without loss.
+LOSSLESS = ["-c:v", "libx264rgb", "-preset", "ultrafast", "-qp", "0"]
+# One palette for the whole motion, with a colour left for what is unchanged. Ordered dither stands still.
+PALETTE = "palettegen=max_colors=255:stats_mode=full"
+WITH_PALETTE = "[0][1]paletteuse=dither=bayer:bayer_scale=4:diff_mode=rectangle"
+
+
+def find_ffmpeg() -> str:
+    """Return the ffmpeg of imageio-ffmpeg; raises `InputError`, one line, without it."""
+    try:
+        import imageio_ffmpeg
+    except ImportError:
+        raise InputError("videos need imageio-ffmpeg", INSTALL_EXTRA) from None
+    try:
+        return str(imageio_ffmpeg.get_ffmpeg_exe())
+    except RuntimeError:
+        raise InputError("imageio-ffmpeg finds no ffmpeg", "set IMAGEIO_FFMPEG_EXE to one") from None
+
+
+def write_mp4(target: Path, pictures: Iterable[bytes], fps: Fraction) -> None:
+    """Write PNG ``pictures`` of one even size to ``target`` as H.264, ``fps`` a second.
+
+    Raises `TrajoptError`, one line, if ffmpeg fails; what is at ``target`` is then of no use.
+    """
+    _encode(pictures, fps, [*H264, str(target)])
+
+
+def write_gif(target: Path, pictures: Iterable[bytes], fps: Fraction) -> None:
+    """Write PNG ``pictures`` to ``target`` as a GIF that repeats; its times are whole hundredths of a second.
+
+    Raises `TrajoptError` as `write_mp4`.
+    """
+    with tempfile.TemporaryDirectory(prefix="trajopt-") as folder:
+        kept, palette = Path(folder, "kept.mkv"), Path(folder, "palette.png")
+        _encode(pictures, fps, [*LOSSLESS, str(kept)])
+        _run(["-i", str(kept), "-vf", PALETTE, "-update", "1", str(palette)])
+        _run(["-i", str(kept), "-i", str(palette), "-lavfi", WITH_PALETTE, "-loop", "0", str(target)])
+
+
+def _encode(pictures: Iterable[bytes], fps: Fraction, output: list[str]) -> None:
+    rate = f"{fps.numerator}/{fps.denominator}"
+    source = ["-f", "image2pipe", "-framerate", rate, "-c:v", "png", "-i", "-"]
+    with _started([*source, *output]) as pipe:
+        for picture in pictures:
+            pipe.write(picture)
+
+
+def _run(arguments: list[str]) -> None:
+    with _started(arguments):
+        pass
+
+
+@contextlib.contextmanager
+def _started(arguments: list[str]) -> Iterator[IO[bytes]]:
+    """Run ffmpeg, fed by the pipe that is given, until it has ended; an error of the feeder's ends it too."""
+    command = [find_ffmpeg(), "-y", "-loglevel", "error", *arguments]
+    with tempfile.TemporaryFile() as said:
+        # A session of its own: Ctrl-C is answered here.
+        process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said, start_new_session=True
+        )
+        assert process.stdin is not None
+        try:
+            with contextlib.suppress(BrokenPipeError):  # it has failed, and says why
+                try:
+                    yield process.stdin
+                finally:
+                    process.stdin.close()
+            status = process.wait()
+        except BaseException:
+            process.kill()
+            process.wait()
+            raise
+        said.seek(0)
+        lines = said.read().decode(errors="replace").strip().splitlines()
+    if status:
+        raise TrajoptError(f"ffmpeg cannot write the file: {lines[-1] if lines else f'status {status}'}")
