@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from trajopt.progress import last_acts
-
 if TYPE_CHECKING:
     from trajopt.solution import Solution
     from trajopt.watching.viewer import Viewer
@@ -35,11 +33,11 @@ def opened(watch: bool) -> Viewer | None:
     """A viewer if one is asked for, its place said on stderr; a browser is opened from a terminal alone."""
     if not watch:
         return None
+    from trajopt.replay.live import where
     from trajopt.watching.viewer import Viewer
 
     viewer = Viewer(open_browser=_at_terminal())
-    last_acts.append(viewer.kill)
-    click.echo(f"watch at {viewer.url}", err=True)
+    click.echo(where(viewer.url), err=True)
     return viewer
 
 

@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
@@ -22,8 +22,6 @@ UNSOLVED = 1
 GRACE = 30.0
 # The ``log`` that is a line an iteration on stderr.
 LINES = "-"
-# What has to be done before the program ends at once, as processes that would outlive it.
-last_acts: list[Callable[[], None]] = []
 
 
 class Interruption:
@@ -185,8 +183,6 @@ def show_cursor() -> None:
 
 def _end(text: str, status: int) -> None:
     """End the program at once, from any thread: a solver that does not return lets nothing else do."""
-    for act in last_acts:
-        act()
     show_cursor()
     sys.stderr.write(text)
     sys.stderr.flush()

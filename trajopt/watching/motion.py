@@ -27,8 +27,13 @@ class Motion:
     mass: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        count = max(2, round(float(self.t[-1] - self.t[0]) * FRAME_RATE) + 1) if len(self.t) > 1 else 2
+        count = max(2, round(self.duration * FRAME_RATE) + 1)
         self.joints, self.points, self.mass = self.placed(np.linspace(self.t[0], self.t[-1], count))
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first node to the last; one picture where there is none between them."""
+        return max(float(self.t[-1] - self.t[0]), 1 / FRAME_RATE)
 
     def placed(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """At ``times`` (k,): placements of joints (k, njoints, 7) as position and quaternion x, y, z, w,

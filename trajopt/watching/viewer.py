@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import threading
 import time
 import warnings
 from types import TracebackType
-from typing import Any
 
-import meshcat
 import zmq
 
-from trajopt.errors import TrajoptError
+from trajopt.replay.caption import page_facts
 from trajopt.replay.commands import Command
+from trajopt.replay.live import LiveWindow
 from trajopt.replay.motion import motion_of
 from trajopt.replay.scene import build_scene
 from trajopt.solution import Solution
-from trajopt.watching.drawing import TOP, IterateScene
+from trajopt.watching.drawing import TOP, IterateScene, Picture
 from trajopt.watching.iterate import Iterate
 
 # Iterates a second that are drawn at most.
@@ -27,8 +24,6 @@ RATE = 5.0
 SHARE = 0.1
 # Milliseconds after which a server that does not answer is given up.
 ANSWER = 5000
-# Seconds that an animation plays at least before a later iterate's takes its place.
-LEAST_PLAY = 1.0
 
 
 class Viewer:
@@ -40,12 +35,14 @@ class Viewer:
     start.
     """
 
-    def __init__(self, *, open_browser: bool = False, window: Any = None) -> None:
-        self._window, self._own = (_started(), True) if window is None else (window, False)
+    def __init__(self, *, open_browser: bool = False) -> None:
+        self._window = LiveWindow()
+        for option in (zmq.RCVTIMEO, zmq.SNDTIMEO):
+            self._window.zmq_socket.setsockopt(option, ANSWER)
         self._scene, self._wake = IterateScene(), threading.Condition()
         self._next: Iterate | Solution | None = None
         self._busy = self._closed = self._failed = False
-        self._free = self._loops = 0.0
+        self._free = 0.0
         self.drawn = 0
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -55,7 +52,7 @@ class Viewer:
     @property
     def url(self) -> str:
         """Where a browser finds the viewer."""
-        return str(getattr(self._window, "web_url", ""))
+        return self._window.web_url
 
     def __call__(self, iterate: Iterate) -> None:
         """Take in an iterate if it is time to; guesses and ends always. Returns at once."""
@@ -80,7 +77,7 @@ class Viewer:
 
     def wait(self) -> None:
         """Block until the server ends; Ctrl-C is a KeyboardInterrupt."""
-        if self._own and not self._failed:
+        if not self._failed:
             self._window.server_proc.wait()
 
     def close(self) -> None:
@@ -88,13 +85,8 @@ class Viewer:
         with self._wake:
             self._closed = True
             self._wake.notify_all()
-        self.kill()
-
-    def kill(self) -> None:
-        """End the server, from any thread."""
-        if self._own and self._window.server_proc.poll() is None:
-            self._window.server_proc.kill()
-            self._window.server_proc.wait()
+        self._thread.join(2 * ANSWER / 1000)
+        self._window.close()
 
     def __enter__(self) -> Viewer:
         return self
@@ -132,33 +124,24 @@ class Viewer:
     def _draw(self, what: Iterate | Solution | None) -> None:
         begin, used = time.perf_counter(), time.thread_time()
         if isinstance(what, Solution):
-            scene = build_scene([what], [motion_of(what)])
-            self._send([Command({"type": "delete", "path": TOP}), *scene.commands])
+            motion = motion_of(what)
+            scene = build_scene([what], [motion])
+            clear = Command({"type": "delete", "path": TOP})
+            self._window.show([clear, *scene.commands], page_facts(scene, [what], [motion]))
         elif what is not None:
-            ends = what.stage != "iteration"
-            animated = ends or begin >= self._loops
-            self._send(self._scene.commands(what, animated=animated))
-            if animated:
-                self._loops = begin + max(LEAST_PLAY, what.transcription.layout.node_times[-1])
-            # an iterate of a new problem brings its scene, which is drawn once
+            picture = self._scene.picture(what)
+            if picture is not None:
+                self._tell(picture)
+            # a guess brings its scene, which is drawn once
             spent = 0.0 if what.stage == "guess" else time.thread_time() - used
             self._free = max(begin + 1 / RATE, time.perf_counter() + spent * (1 / SHARE - 1))
         self.drawn += 1
 
-    def _send(self, commands: list[Command]) -> None:
-        for command in commands:
-            if self._closed:
-                return
+    def _tell(self, picture: Picture) -> None:
+        if picture.new:
+            self._window.show(picture.commands, picture.facts)
+            return
+        for command in picture.commands:
             self._window.send(command)
-
-
-def _started() -> Any:
-    """The window of a new Meshcat server that is given up where it does not answer."""
-    try:
-        with contextlib.redirect_stdout(io.StringIO()):  # Meshcat announces its URL itself
-            window = meshcat.Visualizer().window
-    except (OSError, RuntimeError, ValueError) as error:
-        raise TrajoptError(f"the Meshcat server does not start: {error}") from None
-    for option in (zmq.RCVTIMEO, zmq.SNDTIMEO):
-        window.zmq_socket.setsockopt(option, ANSWER)
-    return window
+        self._window.tell("facts", picture.facts)
+        self._window.tell("drawn", True)
