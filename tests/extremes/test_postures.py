@@ -16,10 +16,10 @@ from trajopt.model_quantities import contact_jacobian
 from trajopt.robot import Robot
 from trajopt.solvers import Status
 
+FINE = "legendre:3"
 # Open-loop error (rad) of an arm's second of motion on ten intervals of degree three, measured up to 1e-4.
 ARM = 5e-4
 # The same of a stance, over the robot's length: measured up to 7e-4.
-FINE = "legendre:3"
 STANCE = 3e-3
 # Of legs that start exactly straight and stay: with nothing to tell a bend this way from one that way, the
 # error of an open loop grows e-fold every sqrt(l / g); measured 4e-4 after 0.2 s.
