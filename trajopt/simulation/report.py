@@ -78,6 +78,7 @@ class Report:
         return (
             ("base error at the end", self.base_error_end, BASE_PASSED * self.reach, "m"),
             ("base turned at the end by", self.base_turn_end, TURN_PASSED, "rad"),
+            ("base error after the hold", self.base_error_held, BASE_PASSED * self.reach, "m"),
         )
 
     @property

@@ -131,15 +131,14 @@ class _Run:
             self._push(k)
             found.qpos[k], found.qvel[k] = data.qpos, data.qvel
             found.torque[k], found.saturated[k] = self._drive(k)
-            self.mujoco.mj_step(model, data)
+            self.mujoco.mj_forward(model, data)  # forces of this state: stages of a step leave others behind
             if not self._is_sane():
                 return _until(found, k)
             found.qacc[k] = data.qacc
             found.feet[k] = data.site_xpos[self.world.sites]
             found.turns[k] = data.site_xmat[self.world.sites].reshape(-1, 3, 3)
             found.touched[k], found.hit[k] = self._contacts(found.force[k], found.feet[k])
-            if self.substeps > 1:
-                self.mujoco.mj_step(model, data, self.substeps - 1)
+            self.mujoco.mj_step(model, data, self.substeps)
         found.qpos[count], found.qvel[count] = data.qpos, data.qvel
         return found
 

@@ -125,7 +125,7 @@ def _scaled(model: pin.Model, settings: Settings) -> pin.Model:
 def _options(spec: Any, step: float) -> None:
     mujoco = mujoco_package()
     spec.option.timestep = step
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = FRICTION_STIFFNESS
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
