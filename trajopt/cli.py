@@ -27,6 +27,7 @@ from trajopt.cli_check import check
 from trajopt.cli_continue import continue_
 from trajopt.cli_diagnose import diagnose, diagnose_option, diagnosis_of
 from trajopt.cli_input import COUNT, GRID, THREADS, check_output, options_of, values_of
+from trajopt.cli_plot import plot
 from trajopt.cli_reference import reference
 from trajopt.cli_render import render
 from trajopt.cli_replay import replay
@@ -118,6 +119,7 @@ def main() -> None:
 
 
 main.add_command(simulate)
+main.add_command(plot)
 main.add_command(suite)
 main.add_command(sweep)
 

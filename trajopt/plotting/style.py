@@ -1,0 +1,56 @@
+"""How plots look: sizes for A4, colours that colour-blind eyes tell apart, markers for grey print."""
+
+from __future__ import annotations
+
+from typing import Any
+
+# Okabe and Ito, Color Universal Design (2008), without the yellow, which is too light for lines on white.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#000000", "#CC79A7", "#56B4E9", "#E69F00")
+BLUE, RED, GREEN, BLACK, PINK, SKY, ORANGE = COLOURS
+# By curve of a panel: a grey print tells curves by these.
+MARKERS = ("o", "s", "^", "D", "v", "x", "+")
+# By solution.
+LINES: tuple[Any, ...] = ("-", (0, (4.5, 1.6)), (0, (1.2, 1.2)), (0, (5.0, 1.4, 1.2, 1.4)))
+GREY, BAND, GRID = "#606060", "#efefef", "#dddddd"
+# A share of a limit from light to dark; what is beyond it is in another hue, and hatched by its number.
+SHARES, BEYOND = "Blues", "#D55E00"
+# Of points of time, from light to dark; its light end is seen on white.
+TIMES = "cividis_r"
+
+# A4, upright, in inches.
+WIDTH, HEIGHT = 8.27, 11.69
+FONT, SMALL, TITLE = 8.0, 7.0, 11.0
+# Dots an inch of a picture; in a page of HTML of what is drawn as pixels.
+DOTS = 150
+
+RC: dict[str, Any] = {
+    "font.size": FONT,
+    "font.family": "DejaVu Sans",
+    "axes.titlesize": FONT,
+    "axes.labelsize": SMALL,
+    "axes.linewidth": 0.6,
+    "axes.edgecolor": GREY,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.formatter.limits": (-3, 4),
+    "axes.formatter.useoffset": False,
+    "grid.color": GRID,
+    "grid.linewidth": 0.4,
+    "xtick.labelsize": SMALL,
+    "ytick.labelsize": SMALL,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.pad": 2.0,
+    "ytick.major.pad": 2.0,
+    "lines.linewidth": 1.1,
+    "legend.fontsize": SMALL,
+    "legend.frameon": False,
+    "hatch.linewidth": 0.4,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "trajopt",
+    "pdf.fonttype": 42,
+    "path.simplify": True,
+    "path.simplify_threshold": 0.2,
+}
