@@ -37,9 +37,17 @@ def ground_of(run: Run, size: float) -> Ground:
     if isinstance(terrain, PiecewiseTerrain | SmoothTerrain):
         drop = curved_drop(standing, *args)
         return Ground(seen=plane, drop=drop, elsewhere=elsewhere, uneven=terrain)
-    seen = seen_plane(standing, *args) if standing else plane
+    seen = seen_plane(standing, *args) if standing else _under(run, plane)
     drop = max(plane.height - seen.height, 0.0) if standing else 0.0
     return Ground(seen=seen, drop=drop, elsewhere=elsewhere, uneven=None)
+
+
+def _under(run: Run, plane: Surface) -> Surface:
+    """The plane; under a robot without contacts as low as it hangs, which a pendulum does."""
+    if run.solution.contact_frames or not run.cloud.size:
+        return plane
+    depth = min(float((run.cloud @ plane.normal).min()) - plane.height, 0.0)
+    return Surface(point=plane.point + depth * plane.normal, normal=plane.normal)
 
 
 def draw_grounds(vis: Any, runs: list[Run], grounds: list[Ground], box: np.ndarray, size: float) -> Surface:
