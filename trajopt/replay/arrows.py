@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,8 +17,9 @@ from trajopt.replay.turns import turns_to
 from trajopt.solution import Solution
 
 FORCE_COLOUR, IMPULSE_COLOUR = 0xD9421F, 0x7A1FA2
-# An arrow of the robot's weight is this part of the robot's largest extent long.
-WEIGHT_ARROW = 0.8
+# An arrow of the robot's weight is at most this part of the robot's largest extent long, and so long that the
+# longest arrow of the motion is no longer than that.
+WEIGHT_ARROW, LONGEST_ARROW = 0.8, 1.2
 # Arrow over the robot's extent; a head never takes more than half of its arrow.
 SHAFT_RADIUS, HEAD_RADIUS, HEAD_LENGTH = 0.007, 0.02, 0.055
 HIDDEN_OPACITY = 0.55
@@ -36,12 +38,18 @@ class _Arrow:
 
 
 def draw_arrows(
-    vis: Any, tracks: Tracks, solution: Solution, motion: Motion, size: float, tint: int | None = None
+    vis: Any,
+    tracks: Tracks,
+    solution: Solution,
+    motion: Motion,
+    size: float,
+    weight_arrow: float,
+    tint: int | None = None,
 ) -> None:
     """Animate an arrow for each contact's force, and for its impulses (as forces over `FLASH`) if it has any.
 
-    Lengths are proportional to force over weight; ``size`` is the robot's extent, m. ``tint`` is the colour
-    of both for a robot laid over another.
+    Lengths are proportional to force over weight: ``weight_arrow`` m for the weight. ``size`` is the robot's
+    extent, m. ``tint`` is the colour of both for a robot laid over another.
     """
     colour = FORCE_COLOUR if tint is None else tint
     for contact, frame in enumerate(solution.contact_frames):
@@ -49,18 +57,25 @@ def draw_arrows(
         force, impact = motion.force[:, contact] / motion.weight, motion.impact[:, contact] / motion.weight
         shown = motion.active[:, contact] & (np.linalg.norm(force, axis=1) > LEAST_FORCE)
         push = _Arrow(start=motion.pressed[:, contact], force=force, shown=shown, colour=colour)
-        _animate(vis["forces"][place], tracks, push, size)
+        _animate(vis["forces"][place], tracks, push, size, weight_arrow)
         colour_of_blow = IMPULSE_COLOUR if tint is None else tint
         shown = np.linalg.norm(impact, axis=1) > LEAST_FORCE
         if shown.any():
             blow = _Arrow(start=motion.struck[:, contact], force=impact, shown=shown, colour=colour_of_blow)
-            _animate(vis["impulses"][place], tracks, blow, size)
+            _animate(vis["impulses"][place], tracks, blow, size, weight_arrow)
 
 
-def _animate(node: Any, tracks: Tracks, arrow: _Arrow, size: float) -> None:
+def weight_arrow_of(motions: Sequence[Motion], size: float) -> float:
+    """Length in m of the arrow of a weight, the same for all ``motions`` of robots of this ``size`` m."""
+    forces = [np.linalg.norm(motion.force, axis=-1)[motion.active] / motion.weight for motion in motions]
+    largest = float(np.concatenate([np.zeros(1), *forces]).max())
+    return size * (WEIGHT_ARROW if largest <= LONGEST_ARROW / WEIGHT_ARROW else LONGEST_ARROW / largest)
+
+
+def _animate(node: Any, tracks: Tracks, arrow: _Arrow, size: float, weight_arrow: float) -> None:
     if not arrow.shown.any():
         return
-    length = held(np.linalg.norm(arrow.force, axis=1)[:, None] * WEIGHT_ARROW * size, arrow.shown)[:, 0]
+    length = held(np.linalg.norm(arrow.force, axis=1)[:, None] * weight_arrow, arrow.shown)[:, 0]
     head = np.minimum(1.0, length / (2 * HEAD_LENGTH * size))
     neck = length - head * HEAD_LENGTH * size
     across = np.zeros_like(neck)

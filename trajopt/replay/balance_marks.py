@@ -28,6 +28,8 @@ from trajopt.surface import frame_of_normal
 
 ZMP_COLOUR, SUPPORT_COLOUR, COM_TRAIL_COLOUR = 0xB5179E, 0x2A9D6F, 0x30343B
 SUPPORT_OPACITY = 0.28
+# The robot hides these marks most of the time: they shine through it.
+THROUGH = 0.75
 # Over the robot's extent: radii of the ball, its projection, the zero-moment point, the vertical line, and
 # half the width of a support that is a segment.
 BALL, MARK, ZMP_MARK, PLUMB, SEGMENT = 0.032, 0.028, 0.024, 0.0025, 0.006
@@ -63,7 +65,7 @@ def _draw_com(
     node: Any, tracks: Tracks, balance: Balance, up: np.ndarray, drop: float, size: float, tint: int | None
 ) -> None:
     dark = DARK if tint is None else colour_array(tint)
-    shining(node["ball"], two_tone_ball(BALL * size, dark), vertexColors=True)
+    shining(node["ball"], two_tone_ball(BALL * size, dark), through=THROUGH, vertexColors=True)
     tracks.add(node["ball"], "position", "vector3", balance.com)
     line(node["trail"], balance.com, COM_TRAIL_COLOUR if tint is None else tint)
     shown = np.isfinite(balance.below).all(axis=1)
@@ -73,7 +75,7 @@ def _draw_com(
     height = np.maximum((balance.com - ground) @ up, 0.0)
     turn = frame_of_normal(up)
     mark, plumb = node["projection"], node["plumb"]
-    quiet(mark["disc"], two_tone_disc(MARK * size, dark), shapes.MeshBasicMaterial(vertexColors=True))
+    shining(mark["disc"], two_tone_disc(MARK * size, dark), lit=False, vertexColors=True)
     mark["disc"].set_transform(pin.SE3(turn, MARK_LIFT * size * up).homogeneous)
     tracks.add(mark, "position", "vector3", ground)
     tracks.add(mark, "visible", "boolean", shown)
@@ -97,7 +99,7 @@ def _draw_zmp(node: Any, tracks: Tracks, balance: Balance, drop: float, size: fl
         normal = support.plane.normal
         place[support.rows] = balance.zmp[support.rows] + (ZMP_LIFT * size - drop) * normal
         turn[support.rows] = pin.Quaternion(support.plane.frame).coeffs()
-    quiet(node["mark"], bullseye(ZMP_MARK * size, colour), shapes.MeshBasicMaterial(vertexColors=True))
+    shining(node["mark"], bullseye(ZMP_MARK * size, colour), lit=False, through=THROUGH, vertexColors=True)
     tracks.add(node["mark"], "position", "vector3", held(place, shown))
     tracks.add(node["mark"], "quaternion", "quaternion", held(turn, shown))
     tracks.add(node["mark"], "visible", "boolean", shown)

@@ -14,9 +14,9 @@ from trajopt.replay.runs import Run
 
 PREFIX = "/meshcat/"
 TINT_OPACITY = 0.55
-GHOST_COLOUR, GHOST_OPACITY = 0x5F7FA6, 0.22
+GHOST_COLOUR, GHOST_OPACITY = 0x5F7FA6, 0.2
 # At most this many ghosts, each with some point of the robot this part of its extent away from every other.
-MOST_GHOSTS, APART = 8, 0.12
+MOST_GHOSTS, APART = 6, 0.35
 
 
 def drawn_at(recorder: Recorder, place: str) -> list[dict[str, Any]]:

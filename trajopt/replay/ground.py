@@ -17,7 +17,7 @@ from trajopt.surface import Surface
 SKY_TOP, SKY_BOTTOM = [0.70, 0.79, 0.90], [0.96, 0.97, 0.98]
 GROUND_COLOUR, GRID_COLOUR, GRID_STRONG = 0xDCE1E8, 0xAEB7C3, 0x808C9B
 # Faces that follow each other differ a little.
-GROUND_TINTS = (GROUND_COLOUR, 0xC9D2DE)
+GROUND_TINTS = (0xCDD4DD, 0xB9C3CF)
 # Grid cells over the robot's extent, rounded down to 1, 2 or 5 times a power of ten; bold every fifth.
 CELL_PART, BOLD_EVERY = 0.3, 5
 # Ground on each side of the motion, in robot extents.

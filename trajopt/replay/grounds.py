@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,28 +18,43 @@ from trajopt.terrain import PiecewiseTerrain, SmoothTerrain
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ground:
-    """seen: the drawn plane, of uneven ground a level one for the camera. drop: m below the contacts.
+    """plane: the terrain's, of uneven ground a level one. seen: as drawn, ``drop`` m below the contacts.
 
     elsewhere: touches of other surfaces than the terrain. uneven: the terrain, if it is no plane.
     """
 
+    plane: Surface
     seen: Surface
     drop: float
     elsewhere: list[Touch]
     uneven: PiecewiseTerrain | SmoothTerrain | None
 
 
-def ground_of(run: Run, size: float) -> Ground:
-    """The ground under one solution, in its own world; ``size`` m is the robots' extent."""
+def grounds_of(runs: list[Run], size: float) -> list[Ground]:
+    """The ground under each solution, in its own world; ``size`` m is the robots' extent.
+
+    Where several stand on one plane it is drawn at the height of the smallest feet: the others' sink into
+    it by as much as their tips are rounder.
+    """
+    grounds = [_ground_of(run, size) for run in runs]
+    plane = grounds[0].plane
+    shared = [g for g in grounds if g.uneven is None and g.drop > 0 and g.plane.same_plane(plane)]
+    if not shared:
+        return grounds
+    highest = min(shared, key=lambda ground: ground.drop)
+    return [replace(g, seen=highest.seen, drop=highest.drop) if g in shared else g for g in grounds]
+
+
+def _ground_of(run: Run, size: float) -> Ground:
     args = (run.solution, run.motion, run.robot, size)
     standing, elsewhere = touches_of(run.solution, run.motion)
     terrain, plane = terrain_of(run.solution.meta.get("terrain")), plane_of(run.solution)
     if isinstance(terrain, PiecewiseTerrain | SmoothTerrain):
         drop = curved_drop(standing, *args)
-        return Ground(seen=plane, drop=drop, elsewhere=elsewhere, uneven=terrain)
+        return Ground(plane=plane, seen=plane, drop=drop, elsewhere=elsewhere, uneven=terrain)
     seen = seen_plane(standing, *args) if standing else _under(run, plane)
     drop = max(plane.height - seen.height, 0.0) if standing else 0.0
-    return Ground(seen=seen, drop=drop, elsewhere=elsewhere, uneven=None)
+    return Ground(plane=plane, seen=seen, drop=drop, elsewhere=elsewhere, uneven=None)
 
 
 def _under(run: Run, plane: Surface) -> Surface:

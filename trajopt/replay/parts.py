@@ -54,10 +54,13 @@ def quiet(node: Any, shape: Any, material: Any, kind: Any = None) -> None:
     without_shadow(node)
 
 
-def shining(node: Any, shape: Any, **material: Any) -> None:
-    """Draw a part solid, and translucent where something hides it."""
-    quiet(node["solid"], shape, shapes.MeshLambertMaterial(**material))
-    quiet(node["hidden"], shape, shapes.MeshLambertMaterial(**{**material, **THROUGH}))
+def shining(
+    node: Any, shape: Any, lit: bool = True, through: float = HIDDEN_OPACITY, **material: Any
+) -> None:
+    """Draw a part solid, and with the opacity ``through`` where something hides it; ``lit``: shaded."""
+    kind = shapes.MeshLambertMaterial if lit else shapes.MeshBasicMaterial
+    quiet(node["solid"], shape, kind(**material))
+    quiet(node["hidden"], shape, kind(**{**material, **THROUGH, "opacity": through}))
 
 
 def line(node: Any, points: np.ndarray, colour: int, closed: bool = False) -> None:

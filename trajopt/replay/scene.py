@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.touched import touched
-from trajopt.replay.arrows import WEIGHT_ARROW, draw_arrows
+from trajopt.replay.arrows import draw_arrows, weight_arrow_of
 from trajopt.replay.balance import balance_of
 from trajopt.replay.balance_marks import draw_balance
 from trajopt.replay.camera import initial_camera
@@ -19,7 +19,7 @@ from trajopt.replay.commands import Command, Recorder, Tracks
 from trajopt.replay.cones import draw_cones
 from trajopt.replay.copies import draw_ghosts, ghost_frames, tint
 from trajopt.replay.goals import draw_goals
-from trajopt.replay.grounds import Ground, draw_grounds, ground_of
+from trajopt.replay.grounds import Ground, draw_grounds, grounds_of
 from trajopt.replay.layers import hidden_layers, layers_of
 from trajopt.replay.motion import Motion
 from trajopt.replay.obstacles import draw_obstacles
@@ -70,8 +70,11 @@ def build_scene(
             tint(recorder, run.path("robot"), run.colour)
     size = max(run.size for run in runs)
     tracks = Tracks(motions[0].n_frames, motions[0].frame_rate, size)
-    grounds = [ground_of(run, size) for run in runs]
-    parts = [_draw_run(recorder, tracks, *each, size) for each in zip(runs, grounds, strict=True)]
+    grounds, weight_arrow = grounds_of(runs, size), weight_arrow_of(motions, size)
+    parts = [
+        _draw_run(recorder, tracks, run, ground, size, weight_arrow)
+        for run, ground in zip(runs, grounds, strict=True)
+    ]
     cloud = np.concatenate(parts)
     box = np.array([cloud.min(axis=0), cloud.max(axis=0)])
     ground = draw_grounds(vis, runs, grounds, box, size)
@@ -83,12 +86,12 @@ def build_scene(
     initial_camera(vis, tracks, runs[0].base, box, ground, size, follows)
     recorder.commands.append(tracks.command())
     notes = list(dict.fromkeys(run.robot.note for run in runs if run.robot.note))
-    return Scene(
-        recorder.commands, "; ".join(notes), WEIGHT_ARROW * size, _facts(runs, layers, box, size, follows)
-    )
+    return Scene(recorder.commands, "; ".join(notes), weight_arrow, _facts(runs, layers, box, size, follows))
 
 
-def _draw_run(recorder: Recorder, tracks: Tracks, run: Run, ground: Ground, size: float) -> np.ndarray:
+def _draw_run(
+    recorder: Recorder, tracks: Tracks, run: Run, ground: Ground, size: float, weight_arrow: float
+) -> np.ndarray:
     """Draw what belongs to one solution; returns points (k, 3) of the scene's world that it takes up, m."""
     solution, motion, node = run.solution, run.motion, run.node
     colour = run.colour if run.tinted else None
@@ -107,7 +110,7 @@ def _draw_run(recorder: Recorder, tracks: Tracks, run: Run, ground: Ground, size
         draw_goals(node["goals"], solution, ground.drop, size),
         draw_payloads(node["payloads"], tracks, solution, motion),
     ]
-    draw_arrows(node, tracks, solution, motion, size, colour)
+    draw_arrows(node, tracks, solution, motion, size, weight_arrow, colour)
     draw_cones(node["cones"], tracks, solution, motion, touching, size)
     draw_balance(node, tracks, solution, balance_of(solution, motion, touching), ground.drop, size, colour)
     draw_trails(node["trails"], solution, motion, colour)

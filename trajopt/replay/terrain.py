@@ -7,7 +7,9 @@ from typing import Any
 import meshcat.geometry as shapes
 import numpy as np
 
-from trajopt.replay.ground import GRID_STRONG, GROUND_COLOUR, GROUND_TINTS
+from trajopt.replay.collada import ColouredMesh
+from trajopt.replay.ground import GRID_STRONG, GROUND_TINTS
+from trajopt.replay.parts import Triangles, colour_array
 from trajopt.surface import UP
 from trajopt.terrain import PiecewiseTerrain, SmoothTerrain
 from trajopt.terrain.patch import Patch, cut_polygon
@@ -16,6 +18,10 @@ from trajopt.terrain.patch import Patch, cut_polygon
 MARGIN, DEPTH = 3.0, 0.3
 # Cells of a smooth ground along its longer side.
 CELLS = 80
+# Darker than a plane, so that slopes to the sun stay below white.
+SMOOTH_COLOUR = 0xC2CAD4
+# Walls of blocks are this much darker than their tops.
+WALL_SHADE = 0.75
 # Lines lie over the ground by this part of the robot's extent, so that both show.
 LINE_LIFT = 0.002
 UPWARD = np.array(UP)
@@ -43,10 +49,11 @@ def _draw_faces(
     drawn = [(face, _within(face, area)) for face in terrain.faces]
     seen = [(face, corners) for face, corners in drawn if len(corners) >= 3]
     bottom = min([corners[:, 2].min() for _, corners in seen], default=0.0) - drop - DEPTH * size
+    material = shapes.MeshLambertMaterial(vertexColors=True)
     for number, (_, corners) in enumerate(seen):
         top = corners - drop * UPWARD
         colour = GROUND_TINTS[number % len(GROUND_TINTS)]
-        node[f"face{number}"].set_object(_block(top, bottom), shapes.MeshLambertMaterial(color=colour))
+        node[f"face{number}"].set_object(_block(top, bottom, colour), material)
         outline = np.vstack([top, top[:1]]) + LINE_LIFT * size * UPWARD
         points = shapes.PointsGeometry(position=outline.T.astype(np.float32))
         node[f"edge{number}"].set_object(shapes.Line(points, shapes.LineBasicMaterial(color=GRID_STRONG)))
@@ -62,18 +69,40 @@ def _within(face: Patch, area: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     return corners
 
 
-def _block(top: np.ndarray, bottom: float) -> Any:
-    """A prism under a convex polygon (k, 3): its top, and walls down to ``bottom`` m."""
-    n = len(top)
-    under = np.column_stack([top[:, :2], np.full(n, bottom)])
-    fan = [(0, i, i + 1) for i in range(1, n - 1)]
-    # Walls have corners of their own, so that each is shaded flat.
-    vertices, triangles = [top], list(fan)
-    for i in range(n):
-        j, first = (i + 1) % n, n + 4 * i
-        vertices.append(np.array([under[i], under[j], top[j], top[i]]))
-        triangles += [(first, first + 1, first + 2), (first, first + 2, first + 3)]
-    return shapes.TriangularMeshGeometry(np.concatenate(vertices), np.array(triangles))
+def _block(top: np.ndarray, bottom: float, colour: int) -> Triangles:
+    """A prism under a convex polygon (k, 3): its top of that colour, darker walls down to ``bottom`` m."""
+    under = np.column_stack([top[:, :2], np.full(len(top), bottom)])
+    tone = colour_array(colour)
+    points, normals, triangles = [top], [_normals(top)], [_fan(len(top))]
+    for i in range(len(top)):  # walls have corners of their own, so that each is shaded flat
+        j = (i + 1) % len(top)
+        wall = np.array([under[i], under[j], top[j], top[i]])
+        triangles.append(sum(map(len, points)) + _fan(4))
+        points.append(wall)
+        normals.append(_normals(wall))
+    vertices = np.concatenate(points)
+    colours = np.tile(WALL_SHADE * tone, (len(vertices), 1))
+    colours[: len(top)] = tone
+    return Triangles(
+        ColouredMesh(
+            vertices=vertices.astype(np.float32),
+            normals=np.concatenate(normals).astype(np.float32),
+            colours=colours.astype(np.float32),
+            triangles=np.concatenate(triangles).astype(np.uint32),
+        )
+    )
+
+
+def _fan(corners: int) -> np.ndarray:
+    """Triangles (k - 2, 3) of a convex polygon of k corners."""
+    return np.array([(0, i, i + 1) for i in range(1, corners - 1)])
+
+
+def _normals(polygon: np.ndarray) -> np.ndarray:
+    """The unit normal of a polygon's plane by Newell's sum, at every corner (k, 3); 0 of one without area."""
+    normal = np.cross(polygon, np.roll(polygon, -1, axis=0)).sum(axis=0)
+    length = float(np.linalg.norm(normal))
+    return np.tile(normal / length if length > 0 else normal, (len(polygon), 1))
 
 
 def _draw_smooth(
@@ -91,7 +120,7 @@ def _draw_smooth(
     a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
     triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
     mesh = shapes.TriangularMeshGeometry(grid.reshape(-1, 3), triangles)
-    node["smooth"].set_object(mesh, shapes.MeshLambertMaterial(color=GROUND_COLOUR))
+    node["smooth"].set_object(mesh, shapes.MeshLambertMaterial(color=SMOOTH_COLOUR))
     lifted = grid + LINE_LIFT * size * UPWARD
     lines = [np.repeat(row, 2, axis=0)[1:-1] for row in (*lifted[::4], *lifted.transpose(1, 0, 2)[::4])]
     points = shapes.PointsGeometry(position=np.concatenate(lines).T.astype(np.float32))
