@@ -172,17 +172,15 @@ def _repeated(plan: Solution, one: Reference, described: dict[str, Any], times: 
 
 def image_of_contacts(plan: Solution, described: dict[str, Any]) -> list[int]:
     """For each contact the one whose image it is: the rows of v that move it are those of its image."""
-    index, model = np.array(described["index"], dtype=int), plan.model
-    moved = []
-    for frame in plan.contact_frames:
-        joints = list(model.supports[model.frames[model.getFrameId(frame)].parentJoint])[1:]
-        moved.append(_rows(model, joints))
+    index = np.array(described["index"], dtype=int)
+    moved = [rows_of(plan.model, frame) for frame in plan.contact_frames]
     return [moved.index({int(index[row]) for row in rows}) for rows in moved]
 
 
-def _rows(model: pin.Model, joints: list[int]) -> set[int]:
+def rows_of(model: pin.Model, frame: str) -> set[int]:
+    """Rows of v that move a frame."""
     found: set[int] = set()
-    for joint in joints:
+    for joint in list(model.supports[model.frames[model.getFrameId(frame)].parentJoint])[1:]:
         first = model.joints[joint].idx_v
         found |= set(range(first, first + model.joints[joint].nv))
     return found

@@ -4,8 +4,7 @@ At the start of each period of the controller, with the plan's q, v there and it
 
     tau = tau_plan + K_p (q_plan - q) + K_d (v_plan - v)        cut off at the limits of the drives
 
-holds for the period. K_p = w^2 diag(M) and K_d = 2 w diag(M) with M of the robot along the plan and 1/w a
-share of its natural time: every joint alone takes out an error without overshoot in the same time.
+holds for the period; the gains are those of `gains`.
 """
 
 from __future__ import annotations
@@ -17,26 +16,14 @@ import numpy as np
 from trajopt.actuators.drive import Drive
 from trajopt.robot_building import UNLIMITED, base_of
 from trajopt.simulation.bodies import body_name, mujoco_package, write_inertias
+from trajopt.simulation.gains import gains_of
 from trajopt.simulation.reference import Reference, drives_of
-from trajopt.simulation.settings import FEEDBACK_TIME, Settings
+from trajopt.simulation.settings import Settings
 from trajopt.simulation.world import World
 from trajopt.solution import Solution
 
-# Inertias along the plan are averaged over so many of its samples.
-INERTIAS = 20
-# A discrete damper is stable while its rate times the period stays below 2; half of it leaves room for delay.
-FASTEST = 1.0
 # A push lasts this part of the motion, around its middle.
 PUSHED = 0.1
-
-
-@dataclass(frozen=True, kw_only=True)
-class Gains:
-    """Feedback of the actuated rows (nu,), and the rate w they were made with, 1/s."""
-
-    kp: np.ndarray
-    kd: np.ndarray
-    rate: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,27 +47,6 @@ class Record:
     hit: np.ndarray
 
 
-def gains_of(world: World, reference: Reference, first: int, settings: Settings) -> Gains:
-    """Gains from the inertias along the plan; slower where light joints could not be damped at this rate."""
-    mujoco, model = mujoco_package(), world.compiled
-    data, matrix = mujoco.MjData(model), np.zeros((model.nv, model.nv))
-    rows = world.coordinates.rows[first:]
-    picked = np.unique(np.linspace(0, len(reference.t) - 1, INERTIAS).astype(int))
-    inertia, fastest = np.zeros(len(rows)), 0.0
-    for qpos in world.coordinates.to_mujoco(reference.q[picked]):
-        data.qpos[:] = qpos
-        mujoco.mj_forward(model, data)
-        mujoco.mj_fullM(model, data, matrix)
-        inertia += np.diag(matrix)[rows] / len(picked)
-    mujoco.mj_fullM(model, data, matrix)
-    if len(rows):
-        response = np.linalg.inv(matrix)[np.ix_(rows, rows)]
-        fastest = float(np.abs(np.linalg.eigvals(response * inertia)).max())
-    rate = 1.0 / (FEEDBACK_TIME * world.units.time)
-    rate = min(rate, FASTEST / max(2 * reference.period * fastest, 1e-9))
-    return Gains(kp=settings.kp * rate**2 * inertia, kd=settings.kd * 2 * rate * inertia, rate=rate)
-
-
 def run(plan: Solution, reference: Reference, world: World, settings: Settings) -> Record:
     """Simulate; the record has one row a period, and the last state."""
     return _Run(plan, reference, world, settings).record()
@@ -95,7 +61,7 @@ class _Run:
         self.substeps = max(1, int(np.ceil(reference.period / settings.step(world.units.time) - 1e-9)))
         self.model.opt.timestep = reference.period / self.substeps
         self.rows = world.coordinates.rows[plan.n_unactuated :]
-        self.gains = gains_of(world, reference, plan.n_unactuated, settings)
+        self.gains = gains_of(plan, world, reference, settings)
         self.drives = drives_of(plan)
         self.low, self.high = _limits(plan)
         self._plan_in_mujoco()
@@ -180,8 +146,8 @@ class _Run:
         rate = self.data.qvel[self.rows]
         wanted = (
             self.torque[k]
-            + self.gains.kp * error[self.rows]
-            + self.gains.kd * (self.qvel[k][self.rows] - rate)
+            + self.gains.kp[k] * error[self.rows]
+            + self.gains.kd[k] * (self.qvel[k][self.rows] - rate)
         )
         low, high = self.low, self.high
         if any(drive is not None for drive in self.drives):

@@ -14,8 +14,8 @@ from trajopt.robot_building import base_of
 from trajopt.simulation import figures
 from trajopt.simulation.reference import Reference, reference_of
 from trajopt.simulation.report import ContactReport, Report
-from trajopt.simulation.run import Record, gains_of, run
-from trajopt.simulation.settings import Settings
+from trajopt.simulation.run import Record, run
+from trajopt.simulation.settings import FEEDBACK_TIME, Settings
 from trajopt.simulation.simulated import simulated_solution
 from trajopt.simulation.world import World, build_world
 from trajopt.solution import Solution
@@ -61,12 +61,12 @@ def simulate(solution: Solution | str | Path, **settings: Any) -> Simulation:
         reference=reference,
         world=world,
         record=record,
-        report=_report(plan, reference, record, world, wanted),
+        report=_report(plan, reference, record, world),
         wall_time=spent,
     )
 
 
-def _report(plan: Solution, reference: Reference, record: Record, world: World, settings: Settings) -> Report:
+def _report(plan: Solution, reference: Reference, record: Record, world: World) -> Report:
     q = world.coordinates.from_mujoco(record.qpos)
     errors = figures.errors_of(plan, reference, q)
     fall = figures.fall_of(plan, reference, record, q)
@@ -80,7 +80,7 @@ def _report(plan: Solution, reference: Reference, record: Record, world: World, 
         duration=reference.period * reference.planned,
         held=reference.period * reference.held,
         timestep=float(world.compiled.opt.timestep),
-        feedback_rate=gains_of(world, reference, plan.n_unactuated, settings).rate,
+        feedback_rate=1.0 / (FEEDBACK_TIME * world.units.time),
         fell=fall is not None,
         fall_time=None if fall is None else fall.time,
         fall_reason="" if fall is None else fall.why,

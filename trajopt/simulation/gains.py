@@ -1,0 +1,82 @@
+"""Gains of the joints' feedback along a plan, from its inertias and from what its legs have to hold.
+
+With w the feedback's rate, m g l the robot's weight times its reach and n the contacts on the ground,
+
+    K_p = max(w^2 M_ii, m g l / n)        in legs that the plan has on the ground, else w^2 M_ii
+    K_d = 2 sqrt(K_p M_ii)
+
+so that every joint alone takes out an error without overshoot, in the same time whatever it carries, and the
+joints of a stance leg are stiff enough to hold the body up as an inverted pendulum. Dampers that would be
+unstable in discrete time on the free leg are weaker, with their springs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajopt.robot_building import base_of
+from trajopt.simulation.bodies import mujoco_package
+from trajopt.simulation.reference import Reference, rows_of
+from trajopt.simulation.settings import FEEDBACK_TIME, Settings
+from trajopt.simulation.world import World
+from trajopt.solution import Solution
+
+# Gains are made for every so manyeth period of the controller, and hold until the next.
+EVERY = 5
+# A discrete damper is stable while its rate times the period stays below 2; half of it leaves room for delay.
+FASTEST = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gains:
+    """Feedback of the actuated rows in n periods, (n, nu); ``rate``: 1/s, of joints that hold nothing."""
+
+    kp: np.ndarray
+    kd: np.ndarray
+    rate: float
+
+
+def gains_of(plan: Solution, world: World, reference: Reference, settings: Settings) -> Gains:
+    """Gains for every period of a reference."""
+    picked = np.arange(0, len(reference.t), EVERY)
+    rows = world.coordinates.rows[plan.n_unactuated :]
+    matrices = _inertias(world, reference.q[picked])
+    inertia = np.diagonal(matrices, axis1=1, axis2=2)[:, rows]
+    rate = 1.0 / (FEEDBACK_TIME * world.units.time)
+    kp = np.maximum(rate**2 * inertia, _holding(plan, world, reference.active[picked]))
+    kd = 2 * np.sqrt(kp * inertia)
+    response = np.linalg.inv(matrices)[:, rows[:, None], rows] * kd[:, None, :] * reference.period
+    fastest = np.abs(np.linalg.eigvals(response)).max(axis=1, initial=0.0)
+    weaker = np.minimum(1.0, FASTEST / np.maximum(fastest, FASTEST))[:, None]
+    spread = np.arange(len(reference.t)) // EVERY
+    return Gains(kp=settings.kp * (weaker * kp)[spread], kd=settings.kd * (weaker * kd)[spread], rate=rate)
+
+
+def _inertias(world: World, q: np.ndarray) -> np.ndarray:
+    """Mass matrices (n, nv, nv) at Pinocchio's q (n, nq), in MuJoCo's coordinates."""
+    mujoco, model = mujoco_package(), world.compiled
+    data, found = mujoco.MjData(model), np.zeros((len(q), model.nv, model.nv))
+    for qpos, matrix in zip(world.coordinates.to_mujoco(q), found, strict=True):
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_crb(model, data)
+        mujoco.mj_fullM(model, data, matrix)
+    return found
+
+
+def _holding(plan: Solution, world: World, active: np.ndarray) -> np.ndarray:
+    """Stiffness (n, nu) that legs need to hold the body, for active contacts (n, nc); zero elsewhere."""
+    found = np.zeros((len(active), plan.tau.shape[1]))
+    if base_of(plan.model) == "fixed":
+        return found
+    standing = np.maximum(active.sum(axis=1), 1)
+    stiffness = world.units.weight * world.units.length / standing
+    for contact, frame in enumerate(plan.contact_frames):
+        own = sorted(row - plan.n_unactuated for row in rows_of(plan.model, frame))
+        own = [row for row in own if row >= 0]
+        held = np.where(active[:, contact], stiffness, 0.0)
+        found[:, own] = np.maximum(found[:, own], held[:, None])
+    return found
