@@ -31,6 +31,8 @@ SINGULAR = 0.02
 UNEVEN, SUNK = 0.02, 0.2
 # Left and right that differ by more than this (rad, or parts of mass and length) are no matter of rounding.
 ASYMMETRIC = 0.1
+# Torques of mirrored legs agree to so many decimals, N m: the first of them is named.
+DIGITS = 6
 # Names that are listed before the rest is counted.
 LISTED = 4
 
@@ -129,7 +131,7 @@ def _reference(robot: Robot, standing: Standing) -> Sayings:
     over = np.flatnonzero(np.abs(standing.effort) > robot.effort_limit)
     owners = [robot.model.names[j.id] for j in list(robot.model.joints)[1:] for _ in range(j.nv)]
     if len(over):
-        worst = max(over, key=lambda row: float(abs(standing.effort[row])))
+        worst = max(over, key=lambda row: round(float(abs(standing.effort[row])), DIGITS))
         yield (
             f"the reference posture takes {abs(standing.effort[worst]):.3g} at joint"
             f" '{owners[robot.n_unactuated + worst]}', beyond its effort limit"

@@ -147,7 +147,11 @@ def _joints(robot: Robot, torque: np.ndarray) -> tuple[JointFacts, ...]:
 def _notes(robot: Robot) -> tuple[str, ...]:
     notes = []
     if robot.base != "fixed" and robot.contacts:
-        below = lowest_drawn(robot, standing(robot))
+        rest = standing(robot)
+        lifted = [contact.name for contact in robot.contacts if contact.name not in rest.feet]
+        if lifted:
+            notes.append(f"off the ground in the reference posture: {listed(lifted)}")
+        below = lowest_drawn(robot, rest)
         if below and max(below.values()) > 1e-3:
             depth = max(below.values())
             notes.append(

@@ -1,0 +1,245 @@
+"""A gallery of the suite's solutions: a strip of pictures of each, as a page for code hosts and one to play.
+
+trajopt suite --compile none --output-dir out
+python -m scripts.gallery --solutions out -o docs/gallery
+python -m scripts.gallery --solutions out -o gallery --pages      # and index.html, whose tiles play
+"""
+
+from __future__ import annotations
+
+import argparse
+import html
+import io
+import sys
+import tempfile
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from trajopt.catalogue import families
+from trajopt.errors import InputError, TrajoptError
+from trajopt.replay import replay
+from trajopt.replay.browser import Chromium, OpenedPage, chromium
+from trajopt.solution import Solution
+
+# Title, page of docs/problems, and patterns of names: the first that fits counts.
+GROUPS = (
+    ("Arms", "arms.md", ("arm-*", "ur5-*", "irb1600-*")),
+    ("Jumps and flips", "jumps.md", ("*-jump", "quadruped-jump-*", "*flip", "*-barrel-roll", "*-stand-up")),
+    ("Terrain", "terrain.md", ("*-box-*", "*-gap", "*-slope", "*-stairs", "*-steps", "*-stones", "*-waves")),
+    ("Gaits", "gaits.md", ("quadruped-*",)),
+    ("Bipeds", "bipeds.md", ("biped-*", "talos-*")),
+    ("Hoppers and classics", "classics.md", ("*",)),
+)
+# Pictures of a strip, pixels of each (taken twice as large, for smooth edges), and bytes of a strip at most.
+PICTURES, WIDTH, HEIGHT, LARGER, MOST_BYTES = 4, 240, 200, 2, 30_000
+# A flight is shown with this part of its duration before and after it.
+AROUND = 0.5
+# Qualities of WebP, tried in this order until the strip is small enough.
+QUALITIES = (80, 70, 60, 50, 40, 30, 20)
+# What would hide a small robot.
+HIDDEN = ("com", "zmp", "support", "cones", "ghosts")
+# Views by preference: of what travels, the one that goes along.
+CAMERAS = ("follow", "overview")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """A solution of the gallery. ``name`` is its file's without ending; duration in s."""
+
+    name: str
+    problem: str
+    robot: str
+    summary: str
+    duration: float
+    objective: float
+    iterations: int
+    group: int
+
+
+def chosen(folder: Path) -> tuple[Path, ...]:
+    """One solution file for each problem: of the robot taken least so far, problems with fewest choosing first.
+
+    Raises `InputError` for a folder without files ``PROBLEM@ROBOT.npz``, as ``trajopt suite --output-dir`` writes.
+    """
+    files: dict[str, list[Path]] = defaultdict(list)
+    for path in sorted(folder.glob("*@*.npz")):
+        files[path.stem.split("@")[0]].append(path)
+    if not files:
+        raise InputError(f"{folder} has no file PROBLEM@ROBOT.npz", "a folder of trajopt suite --output-dir")
+    taken: Counter[str] = Counter()
+    found = []
+    for paths in sorted(files.values(), key=lambda paths: (len(paths), paths[0].name)):
+        path = min(paths, key=lambda path: taken[path.stem.split("@")[1]])
+        taken[path.stem.split("@")[1]] += 1
+        found.append(path)
+    return tuple(sorted(found))
+
+
+def entry_of(name: str, solution: Solution) -> Entry:
+    """What the gallery says of a solution."""
+    meta, problem = solution.meta, name.split("@")[0]
+    family = families().get(problem)
+    return Entry(
+        name=name,
+        problem=problem,
+        robot=name.split("@")[1],
+        summary=family.summary if family is not None else "",
+        duration=float(solution.t[-1] - solution.t[0]),
+        objective=float(meta["objective"]),
+        iterations=int(meta["iterations"]),
+        group=next(i for i, (_, _, fits) in enumerate(GROUPS) if any(fnmatch(problem, p) for p in fits)),
+    )
+
+
+def times_of(solution: Solution) -> np.ndarray:
+    """Times (PICTURES,) in s that show what happens: around the only flight, or over the whole motion."""
+    start, end = float(solution.t[0]), float(solution.t[-1])
+    flights = [phase for phase in solution.phases if not solution.active[list(phase)].any()]
+    touches = bool(solution.active.any())
+    if touches and len(flights) == 1 and len(solution.phases) <= 3:
+        first, last = (float(solution.t[flights[0][index]]) for index in (0, -1))
+        margin = AROUND * (last - first)
+        start, end = max(start, first - margin), min(end, last + margin)
+    return np.linspace(start, end, PICTURES)
+
+
+def strip(view: OpenedPage, times: Iterable[float]) -> Image.Image:
+    """Pictures of an opened page side by side, each at half the size that it was taken at."""
+    view.camera(next(name for name in CAMERAS if name in view.cameras))
+    for name in set(HIDDEN) & set(view.layers):
+        view.layer(name, False)
+    pictures = []
+    for time in times:
+        view.seek(time)
+        pictures.append(Image.fromarray(view.picture()).resize((WIDTH, HEIGHT), Image.Resampling.LANCZOS))
+    whole = Image.new("RGB", (WIDTH * len(pictures), HEIGHT))
+    for index, picture in enumerate(pictures):
+        whole.paste(picture, (index * WIDTH, 0))
+    return whole
+
+
+def packed(picture: Image.Image) -> bytes:
+    """The picture as WebP, in the best of ``QUALITIES`` that is small enough."""
+    data = b""
+    for quality in QUALITIES:
+        buffer = io.BytesIO()
+        picture.save(buffer, "WEBP", quality=quality, method=6)
+        data = buffer.getvalue()
+        if len(data) <= MOST_BYTES:
+            break
+    return data
+
+
+def add(browser: Chromium, path: Path, target: Path, keep_page: bool) -> Entry:
+    """Write the strip of a solution file to ``target``, and its page with ``keep_page``."""
+    solution = Solution.load(path)
+    with tempfile.TemporaryDirectory() as folder:
+        page = (target if keep_page else Path(folder)) / f"{path.stem}.html"
+        replay(solution, html=page)
+        with browser.opened(page, (LARGER * WIDTH, LARGER * HEIGHT), "bare") as view:
+            picture = strip(view, times_of(solution))
+    (target / f"{path.stem}.webp").write_bytes(packed(picture))
+    return entry_of(path.stem, solution)
+
+
+def readme(entries: Sequence[Entry]) -> str:
+    """The gallery as Markdown, for a code host."""
+    lines = [
+        "# Gallery",
+        "",
+        f"{len(entries)} of the library's motions, each on one of its robots, solved with default parameters from"
+        " their own guess. Time runs from left to right; red arrows are contact forces.",
+        "",
+        "    trajopt suite --compile none --output-dir out",
+        "    python -m scripts.gallery --solutions out -o docs/gallery",
+        "",
+        "makes this page; with `--pages` also an `index.html` whose pictures open pages that play.",
+    ]
+    for number, (title, document, _) in enumerate(GROUPS):
+        members = [entry for entry in entries if entry.group == number]
+        if members:
+            lines += ["", f"## [{title}](../problems/{document})"]
+        for entry in members:
+            lines += ["", f"**{entry.problem}** on {entry.robot}: {entry.summary}.", ""]
+            lines += [f"![{entry.problem} on {entry.robot}]({entry.name}.webp)", "", _figures(entry)]
+    return "\n".join(lines) + "\n"
+
+
+def _figures(entry: Entry) -> str:
+    return (
+        f"{entry.duration:.2f} s, objective {entry.objective:.4g}, {entry.iterations} iterations:"
+        f" `{_command(entry)}`"
+    )
+
+
+def _command(entry: Entry) -> str:
+    takes = entry.problem in families() and families()[entry.problem].takes_robot
+    return f"trajopt solve {entry.problem}" + (f" --set robot={entry.robot}" if takes else "")
+
+
+STYLE = """body { margin: 2em auto; max-width: 1240px; font: 15px/1.5 system-ui, sans-serif; color: #1b2530; }
+main { display: grid; grid-template-columns: repeat(auto-fill, minmax(560px, 1fr)); gap: 1.2em; }
+a { color: inherit; text-decoration: none; } img { width: 100%; border-radius: 6px; display: block; }
+a:hover img { outline: 3px solid #2f6db5; } small { color: #5a6675; } h2 { margin-top: 1.6em; }"""
+
+
+def index(entries: Sequence[Entry]) -> str:
+    """The gallery as a page whose pictures open the pages that play."""
+    parts = []
+    for number, (title, _, _) in enumerate(GROUPS):
+        members = [entry for entry in entries if entry.group == number]
+        tiles = [
+            f'<a href="{html.escape(entry.name)}.html"><img src="{html.escape(entry.name)}.webp" alt="">'
+            f"<b>{html.escape(entry.problem)}</b> on {html.escape(entry.robot)}<br>"
+            f"<small>{entry.duration:.2f} s, objective {entry.objective:.4g},"
+            f" {entry.iterations} iterations</small></a>"
+            for entry in members
+        ]
+        if tiles:
+            parts.append(f"<h2>{html.escape(title)}</h2>\n<main>\n" + "\n".join(tiles) + "\n</main>")
+    head = (
+        f'<!DOCTYPE html>\n<html lang="en"><meta charset="utf-8"><title>Gallery</title><style>{STYLE}</style>'
+    )
+    return head + "\n<h1>Gallery</h1>\n" + "\n".join(parts) + "\n</html>\n"
+
+
+def make(solutions: Path, target: Path, pages: bool) -> tuple[Entry, ...]:
+    """Write the gallery of a folder of solutions; raises `TrajoptError`, one line."""
+    files = chosen(solutions)
+    target.mkdir(parents=True, exist_ok=True)
+    found = []
+    with chromium() as browser:
+        for number, path in enumerate(files, 1):
+            found.append(add(browser, path, target, pages))
+            print(f"{number}/{len(files)} {path.stem}", file=sys.stderr)
+    entries = tuple(found)
+    (target / "README.md").write_text(readme(entries), encoding="utf-8")
+    if pages:
+        (target / "index.html").write_text(index(entries), encoding="utf-8")
+    return entries
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--solutions", type=Path, required=True, metavar="DIR", help="of trajopt suite")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    parser.add_argument("--pages", action="store_true", help="also pages that play, and index.html")
+    given = parser.parse_args()
+    try:
+        entries = make(given.solutions, given.output, given.pages)
+    except TrajoptError as error:
+        sys.exit(f"gallery: {error}")
+    size = sum((given.output / f"{entry.name}.webp").stat().st_size for entry in entries)
+    print(f"{given.output}: {len(entries)} motions, {size / 1e6:.2f} MB of pictures")
+
+
+if __name__ == "__main__":
+    main()
