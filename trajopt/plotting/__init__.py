@@ -1,5 +1,5 @@
 """Plots of solutions: pages of panels as a picture, a document to print, or one HTML file."""
 
-from trajopt.plotting.report import Plotted, report
+from trajopt.plotting.writing import Plotted, report
 
 __all__ = ["Plotted", "report"]

@@ -82,21 +82,22 @@ def curves(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
 
 def _curve(axes: Axes, track: Track, curve: Curve, solution: int, count: int, few: bool) -> None:
     t, y = track.curve(curve.values)
+    named = bool(curve.marker) and solution == 0
     axes.plot(
         t,
         y,
         color=curve.colour,
         linewidth=curve.width,
         linestyle=style.LINES[solution % len(style.LINES)],
-        marker=curve.marker,
-        markevery=marks(t, y, curve.number, count) if curve.marker else None,
+        marker=curve.marker if named else "",
+        markevery=marks(t, y, curve.number, count) if named else None,
         zorder=3 - 0.1 * solution,
         gid=f"{curve.label}/{track.label}",
         **marker_look(curve.colour),
     )
     if few and curve.dots and solution == 0:
         at, values = track.at_points(curve.values)
-        axes.plot(at, values, linestyle="none", marker=".", markersize=1.8, color=curve.colour, zorder=3.5)
+        axes.plot(at, values, color=curve.colour, zorder=3.5, **style.DOTTED)
 
 
 def marks(t: np.ndarray, y: np.ndarray, number: int, count: int) -> list[int]:

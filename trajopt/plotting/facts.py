@@ -7,10 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajopt.accuracy.measures import Accuracy, measure
 from trajopt.accuracy.table import FIGURES as MEASURED
-from trajopt.certify.report import FIGURES, Report, Tolerances
-from trajopt.check import check
+from trajopt.certify.report import FIGURES, Tolerances
 from trajopt.errors import TrajoptError
 from trajopt.plotting.track import Track
 from trajopt.power import cost_of_transport, energy
@@ -95,7 +93,7 @@ def _tried(compute: Callable[[], float]) -> float | None:
 
 
 def _check(tracks: Sequence[Track]) -> Section | None:
-    reports = [_report(track) for track in tracks]
+    reports = [track.report for track in tracks]
     if not any(reports):
         return None
     limits = Tolerances()
@@ -115,16 +113,8 @@ def _check(tracks: Sequence[Track]) -> Section | None:
     return Section(title="check, by numeric Pinocchio alone", rows=tuple(rows), beyond=frozenset(beyond))
 
 
-def _report(track: Track) -> Report | None:
-    try:
-        with np.errstate(all="ignore"):
-            return check(track.solution)
-    except (TrajoptError, ArithmeticError, ValueError):
-        return None
-
-
 def _accuracy(tracks: Sequence[Track]) -> Section | None:
-    found = [_measured(track) for track in tracks]
+    found = [track.accuracy for track in tracks]
     if not any(found):
         return None
     rows: list[tuple[str, tuple[str, ...], str, str]] = []
@@ -133,13 +123,3 @@ def _accuracy(tracks: Sequence[Track]) -> Section | None:
         if any(value is not None for value in values):
             rows.append((text, tuple("" if value is None else f"{value:.3g}" for value in values), unit, ""))
     return Section(title="accuracy between points and in open loop", rows=tuple(rows))
-
-
-def _measured(track: Track) -> Accuracy | None:
-    if track.is_simulated:
-        return None
-    try:
-        with np.errstate(all="ignore"):
-            return measure(track.solution)
-    except (TrajoptError, ArithmeticError, ValueError):
-        return None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
-from trajopt.plotting.facts import Section, sections
+from trajopt.plotting.facts import Section
 from trajopt.plotting.heading import state_of, title_of, warnings_of
 from trajopt.plotting.page import Page, Tracks
 from trajopt.plotting.sheet import with_own_names
@@ -31,8 +31,8 @@ footer { color: #555; font-size: .8rem; margin-top: 2rem; }
 """
 
 
-def html_page(tracks: Tracks, drawings: Sequence[tuple[Page, str]]) -> str:
-    """The file's text. ``drawings`` are pages with their SVG."""
+def html_page(tracks: Tracks, drawings: Sequence[tuple[Page, str]], sections: Sequence[Section]) -> str:
+    """The file's text. ``drawings`` are pages with their SVG, ``sections`` the tables."""
     title = escape(title_of(tracks))
     warning = warnings_of(tracks)
     head = [
@@ -45,7 +45,7 @@ def html_page(tracks: Tracks, drawings: Sequence[tuple[Page, str]]) -> str:
         f'<figure id="{anchor}" aria-label="{escape(text)}">{with_own_names(svg, number)}</figure>'
         for number, ((anchor, text), (_, svg)) in enumerate(zip(anchors, drawings, strict=True))
     ]
-    tables = [_table(section, [track.label for track in tracks]) for section in sections(tracks)]
+    tables = [_table(section, [track.label for track in tracks]) for section in sections]
     return "\n".join(
         [
             '<!doctype html><html lang="en"><head><meta charset="utf-8">',

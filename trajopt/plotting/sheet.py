@@ -15,6 +15,21 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 POINTS_AN_INCH = 72
+# Marks of one kind in a row, more of them than a curve has markers: dots at collocation points.
+USE = r'<use xlink:href="#(m\w+)" x="([-\d.]+)" y="([-\d.]+)" style="fill: (#\w+)[^"]*"/>\s*'
+RUN = re.compile(r'<use xlink:href="#(m\w+)" [^>]*/>\s*(?:<use xlink:href="#\1" [^>]*/>\s*){11,}')
+
+
+def svg_of(figure: Figure) -> str:
+    """A figure as SVG, without the head of a file."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    buffer = io.StringIO()
+    with mpl.rc_context({"svg.fonttype": style.RC["svg.fonttype"], "svg.hashsalt": style.RC["svg.hashsalt"]}):
+        FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
+    text = buffer.getvalue()
+    return shortened(text[text.index("<svg") :])
 
 
 def picture(figure: Figure) -> np.ndarray:
@@ -48,6 +63,23 @@ def svg_sheet(drawn: Sequence[str], figures: Sequence[Figure]) -> str:
         parts.append(f'<g transform="translate(0 {at:g})">{with_own_names(text, number)}</g>')
         at += height
     return "\n".join([*parts, "</svg>", ""])
+
+
+def shortened(svg: str) -> str:
+    """The drawing with coordinates of paths and marks cut to a hundredth of a point."""
+    svg = RUN.sub(_dots, svg)
+    places = re.compile(r'(?<=[ "])(?:d|x|y|points)="[^"]*"')
+    return places.sub(lambda found: re.sub(r"(\.\d\d)\d+", r"\1", found[0]), svg)
+
+
+def _dots(run: re.Match[str]) -> str:
+    """Dots as one path of points with round ends, which is a tenth as long; what is no dot is left."""
+    marks = re.findall(USE, run[0])
+    if len(marks) != run[0].count("<use") or len({mark[3] for mark in marks}) > 1:
+        return run[0]
+    path = "".join(f"M{x} {y}h0" for _, x, y, _ in marks)
+    look = f"fill: none; stroke: {marks[0][3]}; stroke-width: {style.DOT}; stroke-linecap: round"
+    return f'<path d="{path}" style="{look}"/>\n'
 
 
 def with_own_names(svg: str, number: int) -> str:

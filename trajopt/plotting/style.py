@@ -11,6 +11,14 @@ BLUE, RED, GREEN, BLACK, PINK, SKY, ORANGE = COLOURS
 MARKERS = ("o", "s", "^", "D", "v", "x", "+")
 # By solution.
 LINES: tuple[Any, ...] = ("-", (0, (4.5, 1.6)), (0, (1.2, 1.2)), (0, (5.0, 1.4, 1.2, 1.4)))
+# Points of collocation: dots of this diameter in points, and their look.
+DOT = 1.7
+DOTTED: dict[str, Any] = {
+    "linestyle": "none",
+    "marker": ".",
+    "markersize": 2 * DOT,  # of the marker "." half is drawn
+    "markeredgewidth": 0.0,
+}
 GREY, BAND, GRID = "#606060", "#efefef", "#dddddd"
 # A share of a limit from light to dark; what is beyond it is in another hue, and hatched by its number.
 SHARES, BEYOND = "Blues", "#D55E00"

@@ -36,10 +36,8 @@ def summary_pages(tracks: Tracks) -> list[Page]:
         found.append(base.angular_row(tracks))
     found += [base.clearance_row(tracks), power_row(tracks), accuracy.residual_row(tracks)]
     rows = tuple(row for row in found if row is not None)
-    note = (
-        "Maps: share of the limit that is used, dark is all of it, on the right its largest in per cent. "
-        "Residuals in natural units (weight, reach, g)."
-    )
+    maps = "Maps: share of the limit that is used, dark is all of it, on the right its largest in per cent. "
+    note = f"{maps if len(tracks) == 1 else ''}Residuals in natural units (weight, reach, g)."
     return [Page(name="summary", title="summary", rows=rows, note=note)]
 
 

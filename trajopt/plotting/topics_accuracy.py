@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import cache, partial
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trajopt.accuracy.open_loop import interval_drifts
 from trajopt.certify.limit_figures import _beyond
-from trajopt.errors import InputError
 from trajopt.mesh import interval_schemes
 from trajopt.plotting import draw, style
 from trajopt.plotting.draw import Curve, Values
@@ -174,10 +172,12 @@ def _log(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
             continue
         for curve in drawn:
             t, y = track.curve(curve.values)
+            named = curve.marker and track is plans(tracks)[0]
             axes.semilogy(
                 t, y, color=curve.colour, linewidth=curve.width, gid=f"{curve.label}/{track.label}",
-                linestyle=style.LINES[number % len(style.LINES)], marker=curve.marker,
-                markevery=draw.marks(t, y, curve.number, len(drawn)), **draw.marker_look(curve.colour),
+                linestyle=style.LINES[number % len(style.LINES)], marker=curve.marker if named else "",
+                markevery=draw.marks(t, y, curve.number, len(drawn)) if named else None,
+                **draw.marker_look(curve.colour),
             )  # fmt: skip
     log_range(axes)
     _ticks_at_points(axes, tracks)
@@ -187,10 +187,9 @@ def _ticks_at_points(axes: Axes, tracks: Tracks) -> None:
     """Collocation points of the first plan along the lower edge."""
     track = plans(tracks)[0]
     points = track.solution.t[track.solution.collocation]
-    axes.plot(
-        points, np.full(len(points), 0.012), ".", markersize=1.6, color=style.BLACK,
-        transform=axes.get_xaxis_transform(), clip_on=False,
-    )  # fmt: skip
+    edge = np.full(len(points), 0.012)
+    look = {"color": style.BLACK, "transform": axes.get_xaxis_transform(), "clip_on": False}
+    axes.plot(points, edge, **look, **style.DOTTED)
 
 
 def log_range(axes: Axes) -> None:
@@ -213,16 +212,6 @@ def log_range(axes: Axes) -> None:
     axes.yaxis.set_minor_locator(NullLocator())
 
 
-@cache
-def local_errors(track: Track) -> np.ndarray:
-    """Local error (I,) m of every interval, see `accuracy.open_loop.interval_drifts`; NaN without one."""
-    try:
-        with np.errstate(all="ignore"):
-            return interval_drifts(track.points.solution)
-    except (InputError, ArithmeticError, ValueError):
-        return np.full(track.solution.n_intervals, np.nan)
-
-
 def local_row(tracks: Tracks) -> Row | None:
     """Local error of every interval on a logarithmic axis."""
     if not plans(tracks):
@@ -234,7 +223,7 @@ def local_row(tracks: Tracks) -> Row | None:
 def _local(axes: Axes, tracks: Tracks) -> None:
     for number, track in enumerate(tracks):
         if track in plans(tracks):
-            errors = local_errors(track)
+            errors = track.local_errors
             _steps(axes, track, np.where(np.isfinite(errors), np.maximum(errors, FLOOR), np.nan), number)
             away = np.flatnonzero(np.isinf(errors))
             middle = track.solution.interval_t.mean(axis=1)

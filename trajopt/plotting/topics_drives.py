@@ -126,9 +126,8 @@ def _plane(axes: Axes, tracks: Tracks, axis: Axis, drive: Drive) -> None:
         )  # fmt: skip
         if number == 0:
             points, rows = track.points, track.points.solution.collocation
-            axes.plot(
-                points.rates[rows, row], points.drive_torque[rows, row], ".", markersize=2, color=style.BLUE
-            )
+            at = points.rates[rows, row], points.drive_torque[rows, row]
+            axes.plot(*at, color=style.BLUE, **style.DOTTED)
     if np.isfinite(axis.speed):
         for speed in (-axis.speed, axis.speed):
             axes.axvline(speed, color=style.RED, linewidth=0.8, linestyle=draw.LIMIT_DASHES)

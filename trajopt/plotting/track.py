@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.accuracy.interpolation import Sampled, sample_interval
-from trajopt.check import on_manifold
-from trajopt.errors import InputError
+from trajopt.accuracy.measures import Accuracy, measure
+from trajopt.accuracy.open_loop import interval_drifts
+from trajopt.certify.report import Report
+from trajopt.check import check, on_manifold
+from trajopt.errors import InputError, TrajoptError
 from trajopt.plotting.joints import Axis, axes_of
 from trajopt.plotting.motion import Motion
 from trajopt.solution import Solution
@@ -25,6 +28,7 @@ MOST, LEAST = 11, 2
 JUMP = 0.005
 
 Values = Callable[[Motion], np.ndarray]
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +93,34 @@ class Track:
                 )
             )
         return tuple(found)
+
+    @cached_property
+    def report(self) -> Report | None:
+        """The check of the solution, None where it is inconsistent or not finite."""
+        return self._tried(lambda: check(self.solution))
+
+    @cached_property
+    def accuracy(self) -> Accuracy | None:
+        """The accuracy of a plan, None of what a simulation did and where it cannot be measured."""
+        return None if self.is_simulated else self._tried(lambda: measure(self.solution))
+
+    @cached_property
+    def local_errors(self) -> np.ndarray:
+        """Local error (I,) m of every interval, see `accuracy.open_loop.interval_drifts`, or NaN."""
+        measured = self.__dict__.get("accuracy")  # where it is known already: it takes a second
+        if measured is not None:
+            return np.asarray(measured.interval_errors)
+        found = self._tried(lambda: interval_drifts(self.points.solution))
+        return np.full(self.solution.n_intervals, np.nan) if found is None else found
+
+    @staticmethod
+    def _tried(compute: Callable[[], Result]) -> Result | None:
+        """The result, or None where an iterate that is no motion has none."""
+        try:
+            with np.errstate(all="ignore"):
+                return compute()
+        except (TrajoptError, ArithmeticError, ValueError):
+            return None
 
     def curve(self, values: Values) -> tuple[np.ndarray, np.ndarray]:
         """Times and values of the interpolated motion, with NaN between where it jumps.

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from trajopt.errors import InputError
 from trajopt.plotting.heading import title_of
 from trajopt.plotting.page import Page, Tracks, figure_of
+from trajopt.plotting.sheet import png_sheet, svg_of, svg_sheet
 from trajopt.plotting.summary import PAGES, pages_of
 from trajopt.plotting.track import tracks_of
 from trajopt.solution import Solution
@@ -73,10 +74,12 @@ def _content(pages: Sequence[Page], tracks: Tracks, ending: str) -> bytes:
     if ending == ".pdf":
         return _pdf(pages, tracks)
     if ending == ".html":
+        from trajopt.plotting.facts import sections
         from trajopt.plotting.html import html_page
 
+        tables = sections(tracks)  # first: what they measure the pages show
         svgs = [(page, svg_of(figure_of(page, tracks, fixed=False))) for page in pages]
-        return html_page(tracks, svgs).encode()
+        return html_page(tracks, svgs, tables).encode()
     return _sheet(pages, tracks, ending)
 
 
@@ -91,20 +94,6 @@ def figures(pages: Sequence[Page], tracks: Tracks, *, fixed: bool) -> list[Figur
     return found
 
 
-def svg_of(figure: Figure) -> str:
-    """A figure as SVG, without the head of a file."""
-    import matplotlib as mpl
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-
-    from trajopt.plotting import style
-
-    buffer = io.StringIO()
-    with mpl.rc_context({"svg.fonttype": style.RC["svg.fonttype"], "svg.hashsalt": style.RC["svg.hashsalt"]}):
-        FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
-    text = buffer.getvalue()
-    return text[text.index("<svg") :]
-
-
 def _pdf(pages: Sequence[Page], tracks: Tracks) -> bytes:
     from matplotlib.backends.backend_pdf import PdfPages
 
@@ -117,8 +106,6 @@ def _pdf(pages: Sequence[Page], tracks: Tracks) -> bytes:
 
 def _sheet(pages: Sequence[Page], tracks: Tracks, ending: str) -> bytes:
     """All pages below one another as one picture."""
-    from trajopt.plotting.sheet import png_sheet, svg_sheet
-
     drawn = figures(pages, tracks, fixed=False)
     if ending == ".png":
         return png_sheet(drawn)
