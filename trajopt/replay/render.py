@@ -16,7 +16,7 @@ import numpy as np
 from trajopt.errors import InputError
 from trajopt.replay import video
 from trajopt.replay.browser import AT_START, OpenedPage, opened
-from trajopt.replay.shots import Shots, telling_moment
+from trajopt.replay.shots import GAP, Shots, telling_moment
 from trajopt.replay.show import replay
 from trajopt.solution import Solution
 
@@ -25,6 +25,8 @@ Progress = Callable[[int, int], None]
 # Height of a strip's text over that of its pictures, and its distance from the edge over its height.
 TEXT, TEXT_MARGIN = 0.055, 0.5
 INK = (27, 37, 48)
+# Poses at changes of phase: a strip shows poses itself.
+GHOSTS = "ghosts"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,12 +74,12 @@ def render(
             _arrange(view, shots)
             _write(unfinished, shots, times, _pictures(view, times, progress))
         size = unfinished.stat().st_size
-    width, height = shots.pixels
+    width, height = shots.canvas
     return Rendering(
         path=target,
         pictures=len(times),
         duration=float(len(times) / shots.rate) if shots.is_video else 0.0,
-        width=width * (shots.strip or 1),
+        width=width,
         height=height,
         size=size,
     )
@@ -91,7 +93,8 @@ def _fragment(shots: Shots) -> str:
 def _arrange(view: OpenedPage, shots: Shots) -> None:
     if shots.camera is not None:
         view.camera(shots.camera)
-    for names, visible in ((shots.hidden, False), (shots.shown, True)):
+    crowded = [GHOSTS] if shots.strip and GHOSTS in view.layers else []
+    for names, visible in ((crowded, False), (shots.hidden, False), (shots.shown, True)):
         for name in names:
             view.layer(name, visible)
 
@@ -115,17 +118,17 @@ def _write(target: Path, shots: Shots, times: np.ndarray, pictures: Iterator[byt
 
 
 def _write_strip(target: Path, shots: Shots, times: np.ndarray, pictures: Iterator[bytes]) -> None:
-    """Write ``pictures`` side by side, each with its time if there is text and more than one."""
+    """Write ``pictures`` side by side, with a gap; each with its time if there is text and more than one."""
     from PIL import Image, ImageDraw, ImageFont
 
-    width, height = shots.pixels
-    whole = Image.new("RGB", (width * len(times), height))
+    height, step = shots.pixels[1], shots.pixels[0] + GAP
+    whole = Image.new("RGB", shots.canvas, "white")
     draw, letter = ImageDraw.Draw(whole), round(TEXT * height)
     font = ImageFont.load_default(size=letter)
     for number, (t, picture) in enumerate(zip(times, pictures, strict=True)):
-        whole.paste(Image.open(io.BytesIO(picture)).convert("RGB"), (number * width, 0))
+        whole.paste(Image.open(io.BytesIO(picture)).convert("RGB"), (number * step, 0))
         if shots.caption and shots.strip:
-            corner = (number * width + TEXT_MARGIN * letter, TEXT_MARGIN * letter)
+            corner = (number * step + TEXT_MARGIN * letter, TEXT_MARGIN * letter)
             draw.text(corner, f"{t:.2f} s", fill=INK, font=font)
     whole.save(target, format="PNG", optimize=True)
 

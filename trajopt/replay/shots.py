@@ -16,6 +16,8 @@ VIDEOS, PICTURES = (".mp4", ".gif"), (".png",)
 # Pixels (width, height): of a GIF fewer, because it is compressed badly; of each picture of a strip.
 SIZES = {".mp4": (1280, 720), ".gif": (640, 360), ".png": (1280, 720)}
 STRIP_SIZE = (480, 480)
+# Pixels between the pictures of a strip.
+GAP = 6
 # Sides in pixels: what shows anything, and what is drawn in seconds without a graphics card.
 LEAST_SIDE, MOST_SIDE = 64, 4096
 # Pixels that a strip may be wide.
@@ -73,6 +75,12 @@ class Shots:
     def pixels(self) -> tuple[int, int]:
         """Width and height of one picture."""
         return self.size or (STRIP_SIZE if self.strip else SIZES[self.ending])
+
+    @property
+    def canvas(self) -> tuple[int, int]:
+        """Width and height of the whole picture."""
+        width, height = self.pixels
+        return (width + GAP) * (self.strip or 1) - GAP, height
 
     @property
     def rate(self) -> Fraction:
@@ -139,7 +147,7 @@ class Shots:
         if self.ending == ".mp4" and (width % 2 or height % 2):
             even = f"{width + width % 2}x{height + height % 2}"
             raise InputError(f"--size is {width}x{height}", f"a .mp4 needs even numbers, as in {even}")
-        if self.strip and width * self.strip > MOST_WIDTH:
+        if self.canvas[0] > MOST_WIDTH:
             raise InputError(
                 f"{self.strip} pictures of {width} pixels side by side", f"allowed: {MOST_WIDTH} pixels"
             )

@@ -16,9 +16,12 @@ INSTALL_EXTRA = "pip install 'trajopt[render]'"
 # Constant quality of H.264: about where a picture cannot be told from the original.
 QUALITY = 18
 # H.264 that phones, browsers and slides play: 4:2:0, colours of high definition and marked so, index first.
-TO_YUV = "scale=out_color_matrix=bt709:out_range=tv:flags=accurate_rnd+full_chroma_int,format=yuv420p"
-MARKED = "-colorspace bt709 -color_primaries bt709 -color_trc bt709 -color_range tv -movflags +faststart"
-H264 = ["-vf", TO_YUV, "-c:v", "libx264", "-preset", "medium", "-crf", str(QUALITY), *MARKED.split()]
+TO_YUV = (
+    "scale=out_color_matrix=bt709:out_range=tv:flags=accurate_rnd+full_chroma_int,format=yuv420p,"
+    "setparams=range=tv:colorspace=bt709:color_primaries=bt709:color_trc=bt709"
+)
+ENCODER = ["-c:v", "libx264", "-preset", "medium", "-crf", str(QUALITY), "-movflags", "+faststart"]
+H264 = ["-vf", TO_YUV, *ENCODER]
 # What GIF pictures are kept as until the palette is known: small, and without loss.
 LOSSLESS = ["-c:v", "libx264rgb", "-preset", "ultrafast", "-qp", "0"]
 # One palette for the whole motion, with a colour left for what is unchanged. Ordered dither stands still.
