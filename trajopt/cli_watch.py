@@ -49,7 +49,7 @@ def kept(viewer: Viewer | None, solution: Solution | None) -> None:
         if solution is not None:
             viewer.show(solution)
         viewer.flush()
-        if _at_terminal():
+        if viewer.alive and _at_terminal():
             click.echo(f"shown at {viewer.url}, Ctrl-C stops the server", err=True)
             viewer.wait()
     except KeyboardInterrupt:

@@ -136,9 +136,12 @@ def _posed(solution: Solution, drawn: Recorder) -> list[Command]:
     recorder = Recorder()
     for number in range(MOST_POSES):
         place = f"{TOP}/{POSES}/{number}/"
-        recorder.commands += [
-            Command({**message, "path": place + message["path"].removeprefix(f"{TOP}/")}) for message in own
-        ]
+        for message in own:
+            path = place + message["path"].removeprefix(f"{TOP}/")
+            recorder.commands.append(Command({**message, "path": path}))
+            if message["type"] == "set_object":
+                shadow = {"type": "set_property", "property": "castShadow", "value": False}
+                recorder.commands.append(Command({**shadow, "path": f"{path}/<object>"}))
     tint(recorder, POSES, GHOST_COLOUR, GHOST_OPACITY)
     return recorder.commands
 

@@ -45,7 +45,8 @@ class Motion:
             mass[row] = pin.centerOfMass(model, data, self._at(float(t)))
             pin.updateFramePlacements(model, data)
             joints[row] = [pin.SE3ToXYZQUAT(placement) for placement in data.oMi]
-            points[row] = [data.oMf[frame].translation for frame in self.frames]
+            for column, frame in enumerate(self.frames):
+                points[row, column] = data.oMf[frame].translation
         return joints, points, mass
 
     def _at(self, t: float) -> np.ndarray:

@@ -56,7 +56,7 @@ class Viewer:
 
     def __call__(self, iterate: Iterate) -> None:
         """Take in an iterate if it is time to; guesses and ends always. Returns at once."""
-        if self._failed or self._closed:
+        if not self.alive:
             return
         if iterate.stage == "iteration" and (self._busy or time.perf_counter() < self._free):
             return
@@ -65,7 +65,7 @@ class Viewer:
 
     def show(self, solution: Solution) -> None:
         """Show the replay of a solution in place of the iterates."""
-        if not (self._failed or self._closed):
+        if self.alive:
             self._put(solution)
 
     def flush(self, timeout: float = 60.0) -> bool:
@@ -75,10 +75,14 @@ class Viewer:
                 lambda: self._failed or (self._next is None and not self._busy), timeout
             )
 
+    @property
+    def alive(self) -> bool:
+        """Whether it shows what it is given: it has not failed and is not closed."""
+        return not (self._failed or self._closed)
+
     def wait(self) -> None:
         """Block until the server ends; Ctrl-C is a KeyboardInterrupt."""
-        if not self._failed:
-            self._window.server_proc.wait()
+        self._window.server_proc.wait()
 
     def close(self) -> None:
         """End the thread and the server."""
