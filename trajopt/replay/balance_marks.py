@@ -23,6 +23,7 @@ from trajopt.replay.parts import (
     two_tone_disc,
 )
 from trajopt.replay.thinning import held
+from trajopt.robot_building import BASE_JOINT, base_of
 from trajopt.solution import Solution
 from trajopt.surface import frame_of_normal
 
@@ -52,7 +53,7 @@ def draw_balance(
     """
     up = upward(solution.model)
     _draw_com(node["com"], tracks, balance, up, drop, size, tint)
-    if not balance.supports:
+    if not balance.supports or not BASE_JOINT[base_of(solution.model)]:  # a base that is bolted down
         return
     _draw_zmp(node["zmp"], tracks, balance, drop, size, ZMP_COLOUR if tint is None else tint)
     for number, support in enumerate(balance.supports):

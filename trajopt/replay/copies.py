@@ -36,8 +36,11 @@ def tint(recorder: Recorder, place: str, colour: int, opacity: float = TINT_OPAC
     ]
 
 
-def _in_colour(message: dict[str, Any], colour: int, opacity: float) -> dict[str, Any]:
-    """The message of an object with its geometry, shared, and another material."""
+def _in_colour(message: dict[str, Any], colour: int, opacity: float, behind: bool = False) -> dict[str, Any]:
+    """The message of an object with its geometry, shared, and another material.
+
+    ``behind``: where it coincides with another object, that one is seen.
+    """
     content = message["object"]
     material = {
         "uuid": str(uuid.uuid4()),
@@ -45,6 +48,9 @@ def _in_colour(message: dict[str, Any], colour: int, opacity: float) -> dict[str
         "color": colour,
         "opacity": opacity,
         "transparent": True,
+        "polygonOffset": behind,
+        "polygonOffsetFactor": 2.0,
+        "polygonOffsetUnits": 2.0,
     }
     drawn = {key: value for key, value in content["object"].items() if key not in ("material", "data")}
     drawn |= {"uuid": str(uuid.uuid4()), "material": material["uuid"]}
@@ -65,7 +71,7 @@ def _in_colour(message: dict[str, Any], colour: int, opacity: float) -> dict[str
 
 def draw_ghosts(recorder: Recorder, run: Run, joints: Sequence[tuple[int, str]], frames: list[int]) -> None:
     """Draw translucent copies of a run's robot as it is at ``frames``; ``joints`` with their places in it."""
-    drawn = drawn_at(recorder, run.path("robot"))
+    drawn, colour = drawn_at(recorder, run.path("robot")), run.colour if run.tinted else GHOST_COLOUR
     for number, frame in enumerate(frames):
         ghost = f"{PREFIX}{run.path('ghosts')}/pose{number}"
         for joint, place in joints:
@@ -76,7 +82,7 @@ def draw_ghosts(recorder: Recorder, run: Run, joints: Sequence[tuple[int, str]],
             path = ghost + message["path"].removeprefix(f"{PREFIX}{run.path('robot')}")
             moved = {**message, "path": path}
             if message["type"] == "set_object":
-                recorder.note(_in_colour(moved, run.colour if run.tinted else GHOST_COLOUR, GHOST_OPACITY))
+                recorder.note(_in_colour(moved, colour, GHOST_OPACITY, behind=True))
                 shadow = {"type": "set_property", "path": f"{path}/<object>"}
                 recorder.note({**shadow, "property": "castShadow", "value": False})
                 recorder.note({**shadow, "property": "receiveShadow", "value": False})

@@ -49,10 +49,24 @@ def _marks(solution: Solution, target: Target) -> list[tuple[np.ndarray, str]]:
         return []  # a rotation alone has no place
     if target.rotation is not None:
         return [(pin.SE3(target.rotation, target.position).homogeneous, "pose")]
-    if target.frame in solution.contact_frames:
+    if _lands(solution, target):
         turn = frame_of_normal(_normal(solution, target))
         return [(pin.SE3(turn, target.position).homogeneous, "foothold")]
     return [(pin.SE3(np.eye(3), target.position).homogeneous, "place")]
+
+
+def _lands(solution: Solution, target: Target) -> bool:
+    """Whether the target is where a contact begins, not one on the way of a frame that may touch."""
+    index = _phase_index(solution, target)
+    if index is None or target.frame not in solution.contact_frames:
+        return False
+    rows = solution.phase == index
+    return bool(solution.active[rows, solution.contact_frames.index(target.frame)].any())
+
+
+def _phase_index(solution: Solution, target: Target) -> int | None:
+    names = solution.meta.get("phase_names") or []
+    return names.index(target.phase) if target.phase in names else None
 
 
 def _posture(model: pin.Model, q: np.ndarray) -> list[np.ndarray]:
@@ -69,10 +83,10 @@ def _posture(model: pin.Model, q: np.ndarray) -> list[np.ndarray]:
 
 def _normal(solution: Solution, target: Target) -> np.ndarray:
     """Normal of what a contact lands on: its own surface in that phase, else the terrain."""
-    names, position = solution.meta.get("phase_names") or [], target.position
+    index, position = _phase_index(solution, target), target.position
     own = surfaces_of(solution.meta.get("surfaces"))
-    if target.phase in names and names.index(target.phase) < len(own):
-        surface = own[names.index(target.phase)].get(str(target.frame))
+    if index is not None and index < len(own):
+        surface = own[index].get(str(target.frame))
         if surface is not None:
             return surface.normal
     terrain = terrain_of(solution.meta.get("terrain"))
