@@ -2,12 +2,13 @@
 
 With w the feedback's rate, m g l the robot's weight times its reach and n the contacts on the ground,
 
-    K_p = max(w^2 M_ii, m g l / n)        in legs that the plan has on the ground, else w^2 M_ii
+    K_p = max(w^2 M_ii, 4 m g l / n)      in legs that the plan has on the ground, else w^2 M_ii
     K_d = 2 sqrt(K_p M_ii)
 
-so that every joint alone takes out an error without overshoot, in the same time whatever it carries, and the
-joints of a stance leg are stiff enough to hold the body up as an inverted pendulum. Dampers that would be
-unstable in discrete time on the free leg are weaker, with their springs.
+so that every joint alone takes out an error without overshoot, in the same time whatever it carries. The
+joints of a stance leg have to hold the body up, an inverted pendulum that falls where they are softer than
+m g l / n together. Dampers that would be unstable in discrete time on the free leg are weaker, with their
+springs: where a foot is late, its joints are as free as in the swing.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from trajopt.solution import Solution
 EVERY = 5
 # A discrete damper is stable while its rate times the period stays below 2; half of it leaves room for delay.
 FASTEST = 1.0
+# Stiffness of stance legs over that at which the body just falls.
+STIFFER = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +76,7 @@ def _holding(plan: Solution, world: World, active: np.ndarray) -> np.ndarray:
     if base_of(plan.model) == "fixed":
         return found
     standing = np.maximum(active.sum(axis=1), 1)
-    stiffness = world.units.weight * world.units.length / standing
+    stiffness = STIFFER * world.units.weight * world.units.length / standing
     for contact, frame in enumerate(plan.contact_frames):
         own = sorted(row - plan.n_unactuated for row in rows_of(plan.model, frame))
         own = [row for row in own if row >= 0]

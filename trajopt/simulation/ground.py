@@ -240,6 +240,15 @@ def add_obstacles(spec: Any, obstacles: Sequence[Any]) -> tuple[str, ...]:
     return tuple(names)
 
 
+def height_over(terrain: Any, points: np.ndarray) -> np.ndarray:
+    """Height (...) in m of points (..., 3) over the terrain; infinite over holes and without terrain."""
+    if terrain is None:
+        return np.full(points.shape[:-1], np.inf)
+    if isinstance(terrain, Surface):
+        return terrain.distance(points)
+    return np.asarray(points[..., 2] - terrain.height(points[..., 0], points[..., 1]))
+
+
 def capsule_geom(start: np.ndarray, end: np.ndarray, radius: float) -> dict[str, Any]:
     """Fields of a geom that is a capsule, or a ball where its segment has no length."""
     shapes = mujoco_package().mjtGeom

@@ -130,6 +130,8 @@ def _notes(plan: Solution, world: World) -> tuple[str, ...]:
     for grasp in world.grasps:
         phases = plan.meta["phase_names"][grasp.phases[0] : grasp.phases[-1] + 1]
         notes.append(f"{plan.contact_frames[grasp.contact]} is held as planned in {', '.join(phases)}")
+    for name, depth in world.buried.items() if base_of(plan.model) != "fixed" else ():
+        notes.append(f"the plan takes {name} {1e3 * max(depth, 0.0):.0f} mm into the ground")
     if plan.meta.get("payloads"):
         notes.append("what is carried is part of the link that holds it while the plan carries it")
     if plan.meta.get("actuation", "torque") != "torque":

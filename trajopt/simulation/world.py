@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +13,7 @@ from trajopt.accuracy.natural_units import NaturalUnits
 from trajopt.certify.clearance import scene_of_meta
 from trajopt.certify.payloads import carrying_model
 from trajopt.certify.samples import Samples, evaluate
-from trajopt.certify.touched import held_samples
+from trajopt.certify.touched import held_samples, terrain_of
 from trajopt.robot_building import base_of
 from trajopt.simulation.bodies import Bodies, body_name, build_bodies, compile_bodies, mujoco_package
 from trajopt.simulation.coordinates import CoordinateMap
@@ -22,6 +23,7 @@ from trajopt.simulation.ground import (
     add_ground,
     add_obstacles,
     capsule_geom,
+    height_over,
     place_of,
 )
 from trajopt.simulation.reference import drives_of
@@ -54,7 +56,8 @@ class World:
 
     sites: id of each contact frame's site (nc,). contact_of: for each geom the contact it belongs to, or -1.
     links: whether a geom is a link's. obstacles: whether it is an obstacle. models: the `pin.Model` of each
-    phase of the plan, with what is carried.
+    phase of the plan, with what is carried. buried: depth, m, of joints that the plan takes into the ground:
+    they touch nothing.
     """
 
     compiled: Any
@@ -67,6 +70,7 @@ class World:
     links: np.ndarray
     obstacles: np.ndarray
     grasps: tuple[Grasp, ...]
+    buried: dict[str, float]
     models: tuple[pin.Model, ...]
 
 
@@ -74,10 +78,12 @@ def build_world(plan: Solution, settings: Settings) -> World:
     """Model of a plan for these settings. Raises `InputError` for what MuJoCo cannot express."""
     units, samples = NaturalUnits.of(plan.model), evaluate(plan)
     bodies = build_bodies(plan.model)
-    place = place_of(plan, samples.position, joint_places(plan), units.length)
+    joints = joint_places(plan)
+    place = place_of(plan, samples.position, joints, units.length)
+    buried = _buried(plan, joints, place)
     ground = add_ground(bodies.spec, plan, place)
     feet = _add_feet(bodies, plan, place)
-    links, capsules, obstacles = _add_links(bodies, plan, place)
+    links, capsules, obstacles = _add_links(bodies, plan, place, buried)
     grasps = _add_grasps(bodies, plan, samples)
     _options(bodies.spec, settings.step(units.time))
     _pairs(bodies.spec, plan, ground, feet, links, settings, units)
@@ -99,6 +105,7 @@ def build_world(plan: Solution, settings: Settings) -> World:
         links=np.isin(geoms, links),
         obstacles=np.isin(geoms, obstacles),
         grasps=grasps,
+        buried=buried,
         models=tuple(_scaled(carrying_model(plan, i), settings) for i in range(len(plan.phases))),
     )
 
@@ -111,6 +118,13 @@ def joint_places(plan: Solution) -> np.ndarray:
         pin.forwardKinematics(model, data, q)
         found[row] = [data.oMi[i].translation for i in range(1, model.njoints)]
     return found
+
+
+def _buried(plan: Solution, joints: np.ndarray, place: Place) -> dict[str, float]:
+    """Joints that a plan takes into the ground, where their balls would touch, with the depth in m."""
+    lowest = height_over(terrain_of(plan.meta["terrain"]), joints).min(axis=0)
+    names = list(plan.model.names)[1:]
+    return {name: -float(low) for name, low in zip(names, lowest, strict=True) if low < place.ball}
 
 
 def _scaled(model: pin.Model, settings: Settings) -> pin.Model:
@@ -159,11 +173,15 @@ def _add_feet(bodies: Bodies, plan: Solution, place: Place) -> list[list[str]]:
     return names
 
 
-def _add_links(bodies: Bodies, plan: Solution, place: Place) -> tuple[list[str], list[str], list[str]]:
+def _add_links(
+    bodies: Bodies, plan: Solution, place: Place, buried: Mapping[str, float]
+) -> tuple[list[str], list[str], list[str]]:
     """Balls at the joints of a moving base, capsules and obstacles of the file; their names."""
     links: list[str] = []
     if base_of(plan.model) != "fixed":
         for index in range(1, plan.model.njoints):
+            if plan.model.names[index] in buried:
+                continue
             links.append(f"link{index}")
             bodies.spec.body(body_name(index)).add_geom(
                 name=links[-1],
