@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import umsgpack
+from page_meshes import restored
 from scipy.spatial.transform import Rotation, Slerp
 from synthetic import Motion, sampled, standing
 
@@ -51,7 +52,8 @@ def on_surface(solution: Solution, *surfaces: dict[str, Surface]) -> Solution:
 
 def scene_of(text: str) -> dict:
     packed = re.search(r'<script id="scene"[^>]*>([^<]*)</script>', text).group(1)
-    return umsgpack.unpackb(gzip.decompress(base64.b64decode(packed)))
+    scene = umsgpack.unpackb(gzip.decompress(base64.b64decode(packed)))
+    return {**scene, "meshes": [restored(mesh) for mesh in scene["meshes"]]}
 
 
 def tracks_of(scene: dict) -> dict[tuple[str, str], np.ndarray]:

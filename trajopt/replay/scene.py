@@ -83,7 +83,7 @@ def build_scene(
     for layer in layers:
         for path in () if layer["visible"] else layer["paths"]:
             vis[path].set_property("visible", False)
-    initial_camera(vis, tracks, runs[0].base, box, ground, size, follows)
+    initial_camera(vis, box, ground)
     recorder.commands.append(tracks.command())
     notes = list(dict.fromkeys(run.robot.note for run in runs if run.robot.note))
     return Scene(recorder.commands, "; ".join(notes), weight_arrow, _facts(runs, layers, box, size, follows))

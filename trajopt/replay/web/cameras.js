@@ -11,9 +11,8 @@ const VIEWS = {
     top: {from: [-0.002, 0, 1], follows: true},
     free: {},
 };
-const MARGIN = 1.1;  // of the picture around what is framed
-const AROUND = 0.8;  // radius that a view which follows shows around the base, in robot extents
-const LONG = 3;  // a motion over more robot extents than this is followed at first
+const MARGIN = 1.05;  // of the picture around what is framed
+const AROUND = 0.65;  // radius that a view which follows shows around the base, in robot extents
 const STILL = 0.02;  // a base that moves less than this many robot extents is none to follow
 const SAMPLES = 60;  // of the path, a second
 // The path is smoothed over this many times sqrt(extent / g), the time of a step; its height over more.
@@ -63,7 +62,7 @@ class Cameras {
         const paths = (facts.runs || []).filter(run => run.base).map(run => this.basePath(run.base));
         this.readPaths(paths);
         if (this.studied && this.names.includes(this.name)) this.setFollowing(this.following);
-        else this.choose(this.travel > LONG * this.size ? "follow" : "overview");
+        else this.choose(facts.travels && this.moves ? "follow" : "overview");
         this.studied = true;
     }
 
@@ -91,13 +90,11 @@ class Cameras {
         this.path = [this.middle.clone()];
         this.radius = AROUND * this.size;
         this.moves = false;
-        this.travel = 0;
         if (!paths.length) return;
         const mean = paths[0].points.map((_, k) =>
             paths.reduce((sum, path) => sum.add(path.points[k]), new THREE.Vector3()).divideScalar(paths.length));
         const extent = new THREE.Box3().setFromPoints(mean).getSize(new THREE.Vector3());
-        this.travel = Math.max(extent.x, extent.z);
-        this.moves = Math.max(this.travel, extent.y) > STILL * this.size;
+        this.moves = Math.max(extent.x, extent.y, extent.z) > STILL * this.size;
         if (!this.moves) return;
         const heading = paths[0].forward.setY(0);
         if (heading.length() > 0.3) this.forward = heading.normalize();

@@ -27,11 +27,21 @@ class Panel {
         layers.listeners.push(() => this.showLayers());
         this.connectButtons();
         this.connectPhases();
-        element("gui").append(viewer.gui.domElement);
-        if (window.innerWidth <= 760 || window.innerHeight <= 460) {
-            element("about").open = false;
-            this.setSide(false);
-        }
+        this.place(viewer.gui);
+        const small = window.matchMedia("(max-width: 760px), (max-height: 460px)");  // as in page.css
+        const arrange = () => {
+            element("about").open = !small.matches;
+            this.setSide(!small.matches);
+        };
+        small.addEventListener("change", arrange);
+        arrange();
+    }
+
+    // Meshcat's own panel, below ours: open at its animation.
+    place(gui) {
+        element("gui").append(gui.domElement);
+        gui.open();
+        for (const name of ["Scene", "Save / Load / Capture"]) gui.__folders[name].close();
     }
 
     // Writes everything that depends on the facts.
@@ -88,6 +98,7 @@ class Panel {
         this.views = this.cameras.names.map((name, number) => {
             const button = made("button", name);
             button.type = "button";
+            button.dataset.view = name;
             button.title = `${name} view (${number + 1})`;
             button.addEventListener("click", () => this.cameras.choose(name));
             return {name, button};

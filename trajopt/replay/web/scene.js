@@ -20,17 +20,17 @@ async function loadViewer() {
     return new MeshCat.Viewer(document.getElementById("meshcat-pane"));
 }
 
-// Meshcat's name for the content of a mesh file, before it distinguished geometries from objects.
-function currentName(part) {
-    if (part && part.type === "_meshfile") part.type = "_meshfile_geometry";
-}
-
 function restore(content, meshes) {
-    const parts = [...(content.geometries || []), content.object];
-    for (const part of parts) {
-        if (part && part.shared !== undefined) part.data = meshes[part.shared];
+    for (const part of [...(content.geometries || []), content.object]) {
+        if (!part) continue;
+        if (part.shared !== undefined) part.data = meshes[part.shared];
+        if (part.data && part.data.corners !== undefined) {
+            part.data = meshes[part.shared] = restoredMesh(part.data);
+        }
+        // it was a mesh file, or it is one by the name that Meshcat gave those first
+        if (part.data && part.data.attributes) part.type = "BufferGeometry";
+        else if (part.type === "_meshfile") part.type = "_meshfile_geometry";
     }
-    (content.geometries || []).forEach(currentName);
 }
 
 function tell(viewer, command, meshes) {
