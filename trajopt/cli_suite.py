@@ -85,6 +85,7 @@ def _each(option: str, words: str) -> list[str]:
     help="Time limit of a solve.",
 )
 @click.option("--compile", default="quick", metavar="LEVEL", show_default=True, help="none, quick or fast.")
+@click.option("--simulate", is_flag=True, help="Run what is solved of legged robots in MuJoCo, too.")
 @click.option("--output-dir", type=Path, metavar="DIR", help="Write results and solution files there.")
 @click.option("--resume", is_flag=True, help="Go on from the results in --output-dir.")
 @click.option("--update", type=Path, metavar="FILE", help="Write the pairs' bands to FILE.")
@@ -106,8 +107,9 @@ def suite(
     """Run every problem on every robot it is for, and print what was found.
 
     Each pair is solved from its own guess at default settings, checked, and solved from --perturbed noisy
-    starts. Exit status 0 when all pairs are solved and within the check (and within their bands with
-    --compare), 1 when not, 130 after Ctrl-C: what is done by then is printed.
+    starts. With --simulate the plan of every legged robot is run in MuJoCo, too. Exit status 0 when all pairs
+    are solved and within the check (and within their bands with --compare; without them --simulate allows no
+    fall), 1 when not, 130 after Ctrl-C: what is done by then is printed.
     """
     from trajopt.catalogue import families
     from trajopt.suite.cases import select
@@ -122,6 +124,10 @@ def suite(
         return 0
     if resume and output_dir is None:
         raise InputError("--resume has no results to go on from", "allowed: with --output-dir DIR")
+    if settings.simulate:
+        from trajopt.simulation.bodies import mujoco_package
+
+        mujoco_package()  # refused before anything is run
     bands = Bands(update, compare)
     records = Records(output_dir, settings, versions())
     outcomes, complete = _run(cases, settings, records, resume, jobs or _processors())
@@ -132,9 +138,16 @@ def suite(
         _print(outcomes, outside)
     if complete:
         bands.update(outcomes, settings)
-        return NOT_REACHED if outside or not all(outcome.ok for outcome in outcomes) else 0
+        fallen = compare is None and any(_fell(outcome) for outcome in outcomes)
+        return NOT_REACHED if outside or fallen or not all(outcome.ok for outcome in outcomes) else 0
     click.echo(f"trajopt: cancelled, {len(outcomes)} of {len(cases)} pairs are done", err=True)
     return CANCELLED
+
+
+def _fell(outcome: Outcome) -> bool:
+    from trajopt.suite.physics import FELL
+
+    return outcome.physics is not None and outcome.physics.word == FELL
 
 
 def _processors() -> int:

@@ -8,6 +8,8 @@ solved. Bands:
 - iterations: from half to twice the own solve's (at least `LEAST_MARGIN` apart from it):
   rounding, which differs between processors and compilers, changes them that much. Where perturbed starts
   were run the band also holds the middle 80 % of theirs.
+- physics: what MuJoCo made of the plan (``tracked``, ``off``, ``fell``; empty where it was not asked, or no
+  legged robot): no later run may make less of it.
 """
 
 from __future__ import annotations
@@ -15,11 +17,13 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
+from typing import TypeGuard
 
 from trajopt.errors import InputError
 from trajopt.suite.outcome import Outcome, quantile
+from trajopt.suite.physics import WORDS, Physics, in_words
 from trajopt.suite.settings import Settings
 
 OBJECTIVE_BAND = 1e-3
@@ -44,6 +48,7 @@ class Entry:
     objective_high: float
     iterations_low: int
     iterations_high: int
+    physics: str = ""
 
     @property
     def name(self) -> str:
@@ -71,6 +76,7 @@ def entry_of(outcome: Outcome, settings: Settings) -> Entry:
         objective_high=_rounded(objective + width),
         iterations_low=max(0, min(fewest, quantile(others, 0.1))),
         iterations_high=max(most, quantile(others, 0.9)),
+        physics="" if outcome.physics is None else outcome.physics.word,
     )
 
 
@@ -105,7 +111,16 @@ def deviation(outcome: Outcome, settings: Settings, entry: Entry | None) -> str:
         parts.append(
             f"{outcome.own.iterations} iterations, band {entry.iterations_low} to {entry.iterations_high}"
         )
+    if _worse(outcome.physics, entry.physics):
+        parts.append(f"{in_words(outcome.physics)}, the data say {entry.physics}")
     return "; ".join(parts)
+
+
+def _worse(physics: Physics | None, word: str) -> TypeGuard[Physics]:
+    """Whether physics makes less of a plan than what its line says; never where it was not asked."""
+    if physics is None or not word:
+        return False
+    return not physics.word or WORDS.index(physics.word) < WORDS.index(word)
 
 
 def _grid(grid: tuple[str, int, str]) -> str:
@@ -127,7 +142,12 @@ def updated(
 
     names: all pairs of the catalogue; lines of others are dropped.
     """
-    new = {outcome.name: entry_of(outcome, settings) for outcome in outcomes if outcome.ok}
+    new = {}
+    for outcome in outcomes:
+        if outcome.ok:
+            entry = entry_of(outcome, settings)
+            known_word = entries[outcome.name].physics if outcome.name in entries else ""
+            new[outcome.name] = entry if outcome.physics is not None else replace(entry, physics=known_word)
     known = set(names)
     return {name: entry for name, entry in {**entries, **new}.items() if name in known}
 
@@ -153,7 +173,10 @@ def read(path: Path) -> tuple[dict[str, Entry], dict[str, str]]:
 def _entry(path: Path, number: int, row: Mapping[str, str]) -> Entry:
     kinds = {"int": int, "float": float, "str": str}
     try:
+        row = {"physics": "", **row}
         values = {field.name: kinds[str(field.type)](row[field.name]) for field in fields(Entry)}
+        if values["physics"] not in ("", *WORDS):
+            raise ValueError(values["physics"])
     except (KeyError, ValueError):
         names = ", ".join(field.name for field in fields(Entry))
         raise InputError(f"line {number} of the table in {path} is not one", f"columns: {names}") from None

@@ -14,7 +14,13 @@ from trajopt.suite.outcome import Outcome
 from trajopt.suite.records import Records
 from trajopt.suite.table import line
 
-STAGES = {"build": "building and compiling", "own": "own guess", "check": "checking", "start": "start"}
+STAGES = {
+    "build": "building and compiling",
+    "own": "own guess",
+    "check": "checking",
+    "physics": "simulating",
+    "start": "start",
+}
 
 
 class Lines:

@@ -11,6 +11,7 @@ from typing import Any
 from trajopt.suite.cases import Case
 from trajopt.suite.failure import CHECK, ERROR, SOLVED
 from trajopt.suite.optima import counted
+from trajopt.suite.physics import Physics
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,13 +83,17 @@ class Starts:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """All that was found on one pair; what was not reached is None. ``error`` says what ended it early."""
+    """All that was found on one pair; what was not reached is None. ``error`` says what ended it early.
+
+    physics: what became of the own solution in MuJoCo, where that was asked for.
+    """
 
     problem: str
     robot: str
     grid: Grid | None = None
     own: Attempt | None = None
     check: Checked | None = None
+    physics: Physics | None = None
     starts: tuple[Attempt, ...] = ()
     error: str = ""
     error_mode: str = ERROR
@@ -161,6 +166,8 @@ class Outcome:
         values["grid"] = None if values["grid"] is None else Grid(**values["grid"])
         values["own"] = None if values["own"] is None else Attempt(**values["own"])
         values["check"] = None if values["check"] is None else checked_from(values["check"])
+        physics = values.get("physics")
+        values["physics"] = None if physics is None else Physics(**physics)
         values["starts"] = tuple(Attempt(**start) for start in values["starts"])
         return cls(**values)
 
@@ -192,6 +199,8 @@ class Ledger:
             self._found["own"] = Attempt(**values)
         elif kind == "check":
             self._found["check"] = checked_from(values)
+        elif kind == "physics":
+            self._found["physics"] = Physics(**values)
         elif kind == "start":
             self.add_start(Attempt(**values))
 
@@ -208,6 +217,11 @@ class Ledger:
     def own_known(self) -> bool:
         """Whether the solve from the own guess and its check are known."""
         return "own" in self._found and "check" in self._found
+
+    @property
+    def physics_known(self) -> bool:
+        """Whether it is known what physics makes of the own solution."""
+        return "physics" in self._found
 
     @property
     def seeds(self) -> frozenset[int]:

@@ -128,7 +128,8 @@ class _Pair:
     def run(self, tell: Callable[[dict[str, Any]], None]) -> Outcome:
         """Run to the end, or until cancelled."""
         begin = time.perf_counter()
-        own, lost = not self.ledger.own_known, 0
+        known = self.ledger.own_known and (self.ledger.physics_known or not self.settings.simulate)
+        own, lost = not known, 0
         seeds = [seed for seed in self.settings.seeds if seed not in self.ledger.seeds]
         while own or seeds:
             error = self._process(own, seeds, tell)
@@ -177,7 +178,9 @@ class _Pair:
 
     def _record(self, error: LostError) -> None:
         """What was lost: a perturbed start, or the pair's own solve or check."""
-        if self.seed is None:
+        if self.stage == "physics":
+            self.ledger.add({"event": "physics", "values": {"detail": f"lost: {error.text}"}})
+        elif self.seed is None:
             self.ledger.fail(error.text, error.mode)
         else:
             self.ledger.add_start(Attempt(seed=self.seed, mode=error.mode, status="lost", detail=error.text))

@@ -31,16 +31,19 @@ class Limits:
     """Seconds that a stage may take before its process is killed.
 
     build: transcription and the C compiler on a busy machine, an order of magnitude above what the largest
-    robots take. grace: over the solver's own time limit, which it checks between steps.
+    robots take. physics: MuJoCo's model and its run. grace: over the solver's own time limit, which it checks
+    between steps.
     """
 
     build: float = 600.0
     check: float = 300.0
+    physics: float = 300.0
     grace: float = GRACE
 
     def of(self, stage: str, settings: Settings) -> float:
-        """The limit of a stage: ``build``, ``check``, or a solve (``own``, ``start``)."""
-        return {"build": self.build, "check": self.check}.get(stage, settings.max_time + self.grace)
+        """The limit of a stage: ``build``, ``check``, ``physics``, or a solve (``own``, ``start``)."""
+        fixed = {"build": self.build, "check": self.check, "physics": self.physics}
+        return fixed.get(stage, settings.max_time + self.grace)
 
 
 class LostError(Exception):

@@ -15,7 +15,7 @@ from trajopt.suite.settings import Settings
 FILE = "results.jsonl"
 # What is known of pairs that have not ended: their events as they come.
 EVENTS = "events.jsonl"
-LASTING = ("grid", "own", "check", "start")
+LASTING = ("grid", "own", "check", "physics", "start")
 
 
 class Records:

@@ -28,11 +28,14 @@ from trajopt.suite.cases import Case
 from trajopt.suite.failure import mode_of
 from trajopt.suite.optima import described
 from trajopt.suite.outcome import Attempt, Checked, Grid, Ledger, Outcome
+from trajopt.suite.physics import Physics, simulated
 from trajopt.suite.settings import Settings
 from trajopt.watching.telling import Progress
 
 Event = dict[str, Any]
 Tell = Callable[[Event], None]
+# Ending of the name of a file with a simulated motion.
+SIMULATED = "-simulated"
 
 
 def run(
@@ -63,6 +66,9 @@ def run(
         tell({"event": "check", "values": asdict(checked(solution))})
         if folder is not None:
             _save(solution, folder / f"{case.problem}@{Path(case.robot).stem}.npz")
+        if settings.simulate:
+            tell({"event": "stage", "stage": "physics"})
+            tell({"event": "physics", "values": asdict(_physics(case, prepared, solution, folder))})
     for seed in settings.seeds if seeds is None else seeds:
         tell({"event": "stage", "stage": "start", "seed": seed})
         start = perturbed(prepared.transcription, prepared.guess, seed, settings.sigma)
@@ -154,6 +160,14 @@ def worst_figure(report: Report) -> tuple[str, float]:
             used[name] = (-value if figure.margin else value) / limit
     worst = max(used, key=lambda name: np.inf if np.isnan(used[name]) else used[name])
     return worst, float(used[worst])
+
+
+def _physics(case: Case, prepared: Prepared, solution: Solution, folder: Path | None) -> Physics:
+    """What physics makes of a solution of a legged robot; nothing of others, or of what is not solved."""
+    if not solution.success or prepared.transcription.problem.robot.base == "fixed":
+        return Physics()
+    name = f"{case.problem}@{Path(case.robot).stem}{SIMULATED}.npz"
+    return simulated(solution, None if folder is None else folder / name)
 
 
 def _save(solution: Solution, target: Path) -> None:

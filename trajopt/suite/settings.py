@@ -24,7 +24,8 @@ class Settings:
     """One choice for all pairs; no pair has options of its own.
 
     perturbed: number of perturbed starts besides the own guess, seeds 0 to perturbed - 1.
-    sigma: standard deviation of their noise in scaled units. max_time: s for one solve.
+    sigma: standard deviation of their noise in scaled units. max_time: s for one solve. simulate: run what is
+    solved of legged robots in MuJoCo, too.
     """
 
     perturbed: int = 0
@@ -34,6 +35,7 @@ class Settings:
     max_iterations: int = 500
     max_time: float = DEFAULT_MAX_TIME
     compile: str = "quick"
+    simulate: bool = False
 
     def __post_init__(self) -> None:
         if not 0 <= self.perturbed <= MOST_STARTS:

@@ -10,6 +10,7 @@ from typing import Any
 from rich.table import Table
 
 from trajopt.suite.outcome import Outcome
+from trajopt.suite.physics import WORDS, in_words
 from trajopt.suite.settings import Settings
 
 # Columns of a table with the names of the figures, of the longest ones.
@@ -24,6 +25,8 @@ def line(outcome: Outcome) -> str:
         parts.append(f"{verdict}, {outcome.own.iterations} iterations, {outcome.own.wall_time:.2f} s")
     if outcome.mode:
         parts.append(f"{outcome.mode} ({outcome.detail})")
+    if outcome.physics is not None and (outcome.physics.word or outcome.physics.detail):
+        parts.append(in_words(outcome.physics))
     if outcome.starts:
         starts = outcome.perturbed()
         parts.append(f"{starts.solved} of {starts.count} perturbed starts")
@@ -34,7 +37,8 @@ def table(outcomes: Sequence[Outcome], width: int) -> Table:
     """The pairs, sorted, in ``width`` columns: without room the worst figure of the check has no name.
 
     ``check`` is the part of its tolerance that this figure uses. Columns on perturbed starts (median, 90 %
-    and worst of their iterations among them) only where there are some.
+    and worst of their iterations among them) and on physics (the base's distance from the plan at its end and
+    at most, and stances that slid) only where there are some.
     """
     perturbed = any(outcome.starts for outcome in outcomes)
     found = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
@@ -48,11 +52,17 @@ def table(outcomes: Sequence[Outcome], width: int) -> Table:
     if named:
         found.add_column("by its figure", no_wrap=True)
     found.add_column("failure", no_wrap=True)
+    physics = any(outcome.physics is not None for outcome in outcomes)
+    if physics:
+        found.add_column("physics", no_wrap=True)
+        for title in ("base end", "most", "slips"):
+            found.add_column(title, justify="right", no_wrap=True)
     if perturbed:
         for title in ("starts", "50 %", "90 %", "worst", "optima", "motions"):
             found.add_column(title, justify="right", no_wrap=True)
     for outcome in sorted(outcomes, key=lambda one: (one.problem, one.robot)):
-        found.add_row(*_cells(outcome, named), *(_start_cells(outcome) if perturbed else ()))
+        own = [*_cells(outcome, named), *(_physics_cells(outcome) if physics else ())]
+        found.add_row(*own, *(_start_cells(outcome) if perturbed else ()))
     return found
 
 
@@ -69,6 +79,17 @@ def _cells(outcome: Outcome, named: bool) -> list[str]:
     if named:
         cells.append("" if judged is None else judged.figure)
     return [*cells, outcome.mode]
+
+
+def _physics_cells(outcome: Outcome) -> list[str]:
+    found = outcome.physics
+    if found is None or not found.word:
+        return ["", "", "", ""]
+    lengths = [
+        "" if length is None else f"{1e3 * length:.1f} mm"
+        for length in (found.base_error_end, found.base_error_max)
+    ]
+    return [found.word, *lengths, str(found.slips)]
 
 
 def _start_cells(outcome: Outcome) -> list[str]:
@@ -94,11 +115,18 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "failures": dict(Counter(outcome.mode for outcome in outcomes if outcome.mode)),
         "median_iterations_legged": _median(outcomes, legged=True),
         "median_iterations_fixed_base": _median(outcomes, legged=False),
+        "physics": _words(outcomes),
         "perturbed": len(starts),
         "perturbed_solved": sum(attempt.solved for attempt in starts),
         "perturbed_failures": dict(Counter(attempt.mode for attempt in starts if attempt.mode)),
         "least_share_of_starts": min((pair.solved / pair.count for pair in per_pair), default=None),
     }
+
+
+def _words(outcomes: Sequence[Outcome]) -> dict[str, int] | None:
+    """How many plans physics tracked, left off and let fall; None where nothing was simulated."""
+    words = [outcome.physics.word for outcome in outcomes if outcome.physics is not None]
+    return {word: words.count(word) for word in reversed(WORDS)} if words else None
 
 
 def _median(outcomes: Sequence[Outcome], *, legged: bool) -> float | None:
@@ -121,6 +149,9 @@ def summary_lines(outcomes: Sequence[Outcome]) -> list[str]:
     medians = [f"{kind} {median:g}" for kind, median in kinds.items() if median is not None]
     if medians:
         lines.append(f"median iterations: {', '.join(medians)}")
+    if found["physics"] is not None:
+        counted = ", ".join(f"{count} {word}" for word, count in found["physics"].items())
+        lines.append(f"physics: {counted}")
     if found["perturbed"]:
         share = found["perturbed_solved"] / found["perturbed"]
         lines.append(
