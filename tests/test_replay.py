@@ -227,13 +227,6 @@ def test_unsolved_solution_says_so_in_the_page(jump, tmp_path):
     assert "not solved: iteration limit" in (tmp_path / "page.html").read_text()
 
 
-def test_camera_travels_with_a_long_walk_only(jump, tmp_path):
-    far = jump.q.copy()
-    far[:, 0] += 5 * jump.t / jump.t[-1]
-    shown = [replay(solution, html=tmp_path / "page.html") for solution in (jump, replace(jump, q=far))]
-    assert [entry.facts["travels"] for entry in shown] == [False, True]
-
-
 @pytest.mark.parametrize("speed", [0.0, -1.0, float("nan"), float("inf")])
 def test_speed_that_is_not_positive_is_refused(jump, tmp_path, speed):
     with pytest.raises(InputError, match="positive"):
