@@ -20,6 +20,9 @@ from trajopt.solution import Solution
 LOADED = 0.02
 # Travel of a loaded contact within a stance that counts as a slip, part of the reach.
 SLIP = 0.01
+# Of a contact that slides fast MuJoCo's contact force comes in pulses: gaps shorter than this part of the
+# natural time are none.
+PULSES = 0.1
 # A base lower than planned by this part of its mean height over the feet has fallen; so has one that is
 # turned from the planned attitude by more than this, rad.
 SUNK, TURNED = 0.5, np.pi / 3
@@ -84,6 +87,7 @@ def stances(plan: Solution, reference: Reference, record: Record, world: World) 
     """Every planned stance, contact by contact."""
     n = min(len(record.feet), reference.planned)
     loaded, surfaces, found = loads(record, world)[:n], surfaces_by_phase(plan), []
+    gap = round(PULSES * world.units.time / reference.period)
     for contact in range(loaded.shape[1]):
         runs = _runs(reference.active[:n, contact])
         for number, (first, end) in enumerate(runs):
@@ -104,7 +108,7 @@ def stances(plan: Solution, reference: Reference, record: Record, world: World) 
                     if free
                     else _travel(
                         record.feet[first:end, contact],
-                        loaded[first:end, contact],
+                        _without_gaps(loaded[first:end, contact], gap),
                         surfaces.normal[phase, contact],
                     ),
                 )
@@ -116,6 +120,15 @@ def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
     """First and one past the last index of every stretch of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def _without_gaps(loaded: np.ndarray, gap: int) -> np.ndarray:
+    """Flags (n,) with false stretches of at most ``gap`` between true ones made true."""
+    closed = loaded.copy()
+    for first, end in _runs(~loaded):
+        if first and end < len(loaded) and end - first <= gap:
+            closed[first:end] = True
+    return closed
 
 
 def _travel(feet: np.ndarray, loaded: np.ndarray, normal: np.ndarray) -> float:

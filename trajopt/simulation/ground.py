@@ -16,6 +16,7 @@ import pinocchio as pin
 from trajopt.certify.touched import surfaces_of, terrain_of
 from trajopt.collision.shapes import BoxObstacle, CapsuleObstacle, SphereObstacle
 from trajopt.simulation.bodies import mujoco_package
+from trajopt.simulation.reference import image_of_contacts
 from trajopt.solution import Solution
 from trajopt.surface import Surface, frame_of_normal
 from trajopt.terrain import PiecewiseTerrain, SmoothTerrain
@@ -65,7 +66,7 @@ def add_ground(spec: Any, plan: Solution, place: Place) -> Ground:
     frames = list(plan.contact_frames)
     terrain = terrain_of(plan.meta["terrain"])
     own = _own_surfaces(plan, terrain)
-    standing = tuple(i for i in range(len(frames)) if _stands(plan, own, i))
+    standing = _standing(plan, own)
     own_friction = tuple(float(mu) for mu in plan.meta["friction"])
     if isinstance(terrain, Surface):
         found.append((_plane(spec, terrain, place), own_friction, standing, True))
@@ -96,12 +97,20 @@ def _own_surfaces(plan: Solution, terrain: Any) -> list[tuple[int, int, Surface]
     ]
 
 
-def _stands(plan: Solution, own: Sequence[tuple[int, int, Surface]], contact: int) -> bool:
-    """Whether a contact is on the terrain in some phase."""
-    elsewhere = {phase for phase, index, _ in own if index == contact}
-    return any(
-        plan.active[rows.start, contact] and phase not in elsewhere for phase, rows in enumerate(plan.phases)
-    )
+def _standing(plan: Solution, own: Sequence[tuple[int, int, Surface]]) -> tuple[int, ...]:
+    """Contacts that are on the terrain in some phase, or whose image in a periodic plan is."""
+    elsewhere = {(phase, contact) for phase, contact, _ in own}
+    found = {
+        int(contact)
+        for phase, rows in enumerate(plan.phases)
+        for contact in np.flatnonzero(plan.active[rows.start])
+        if (phase, contact) not in elsewhere
+    }
+    described = plan.meta.get("periodicity")
+    if described:
+        source = image_of_contacts(plan, described)
+        found |= {contact for contact, other in enumerate(source) if other in found}
+    return tuple(sorted(found))
 
 
 def _boards(

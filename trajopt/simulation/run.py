@@ -178,15 +178,20 @@ class _Run:
         return touched, hit
 
     def _grasped(self, force: np.ndarray) -> None:
-        """Add the forces of constraints that hold contacts."""
+        """Add the wrenches of constraints that hold contacts: those that do the same to the joints."""
         for grasp in self.world.grasps:
             number = self.model.equality(grasp.name).id
             if self.data.eq_active[number]:
                 own = (self.data.efc_type == self.mujoco.mjtConstraint.mjCNSTR_EQUALITY) & (
                     self.data.efc_id == number
                 )
-                multiplier = self.data.efc_force[own]
-                force[grasp.contact, : min(len(multiplier), 3)] += multiplier[:3]
+                rows = self.data.efc_J.reshape(-1, self.model.nv)[own]
+                joint = rows.T @ self.data.efc_force[own]
+                site = self.world.sites[grasp.contact]
+                place = np.zeros((6, self.model.nv))
+                self.mujoco.mj_jacSite(self.model, self.data, place[:3], place[3:], site)
+                size = 6 if grasp.turns else 3
+                force[grasp.contact, :size] += np.linalg.lstsq(place[:size].T, joint, rcond=None)[0]
 
 
 def _until(record: Record, count: int) -> Record:

@@ -18,6 +18,7 @@ from trajopt.robot_building import base_of
 from trajopt.simulation.bodies import Bodies, body_name, build_bodies, compile_bodies, mujoco_package
 from trajopt.simulation.coordinates import CoordinateMap
 from trajopt.simulation.ground import (
+    BALL,
     Ground,
     Place,
     add_ground,
@@ -43,10 +44,11 @@ LEAST_STEPS = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class Grasp:
-    """A contact held from the start of a run of phases to its end: name of its constraint."""
+    """A contact held over a run of phases: name of its constraint, and whether that holds its turning too."""
 
     name: str
     contact: int
+    turns: bool
     phases: tuple[int, ...]
 
 
@@ -84,7 +86,7 @@ def build_world(plan: Solution, settings: Settings) -> World:
     ground = add_ground(bodies.spec, plan, place)
     feet = _add_feet(bodies, plan, place)
     links, capsules, obstacles = _add_links(bodies, plan, place, buried)
-    grasps = _add_grasps(bodies, plan, samples)
+    grasps = _add_grasps(bodies, plan, samples, _stiffness(settings, units))
     _options(bodies.spec, settings.step(units.time))
     _pairs(bodies.spec, plan, ground, feet, links, settings, units)
     for capsule in capsules:
@@ -139,6 +141,7 @@ def _scaled(model: pin.Model, settings: Settings) -> pin.Model:
 def _options(spec: Any, step: float) -> None:
     mujoco = mujoco_package()
     spec.option.timestep = step
+    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = FRICTION_STIFFNESS
@@ -205,7 +208,9 @@ def _add_links(
     return links, capsules, list(obstacles)
 
 
-def _add_grasps(bodies: Bodies, plan: Solution, samples: Samples) -> tuple[Grasp, ...]:
+def _add_grasps(
+    bodies: Bodies, plan: Solution, samples: Samples, stiffness: Mapping[str, list[float]]
+) -> tuple[Grasp, ...]:
     """A constraint for each run of phases in which a contact is held on a bilateral surface."""
     mujoco, held = mujoco_package(), held_samples(plan)
     found: list[Grasp] = []
@@ -226,8 +231,9 @@ def _add_grasps(bodies: Bodies, plan: Solution, samples: Samples) -> tuple[Grasp
                 name1=f"contact{contact}",
                 name2=name,
                 active=False,
+                **stiffness,
             )
-            found.append(Grasp(name=name, contact=contact, phases=tuple(int(i) for i in run)))
+            found.append(Grasp(name=name, contact=contact, turns=sole, phases=tuple(int(i) for i in run)))
     return tuple(found)
 
 
@@ -253,16 +259,23 @@ def _pair(
     spec: Any, first: str, second: str, friction: float, settings: Settings, units: NaturalUnits
 ) -> None:
     mu = settings.friction_scale * friction
-    step = settings.step(units.time)
-    d0, d1, middle, power = IMPEDANCE
     spec.add_pair(
         geomname1=first,
         geomname2=second,
         condim=3 if mu > 0 else 1,
         friction=[mu, mu, 0.0, 0.0, 0.0],
-        solref=[max(CONTACT_TIME * units.time, LEAST_STEPS * step), 1.0],
-        solimp=[d0, d1, 1e-3 * units.length, middle, power],
+        **_stiffness(settings, units),
     )
+
+
+def _stiffness(settings: Settings, units: NaturalUnits) -> dict[str, list[float]]:
+    """Stiffness of contacts and grasps, in MuJoCo's numbers."""
+    least = LEAST_STEPS * settings.step(units.time)
+    d0, d1, middle, power = IMPEDANCE
+    return {
+        "solref": [max(CONTACT_TIME * units.time, least), 1.0],
+        "solimp": [d0, d1, BALL * units.length, middle, power],
+    }
 
 
 def _friction_of_drives(compiled: Any, coordinates: CoordinateMap, plan: Solution) -> None:
