@@ -24,6 +24,8 @@ MOST_DOTS = 400
 # Shares of a limit are shown up to here at least, so that the limit is inside the picture.
 SHOWN = 1.05
 LIMIT_DASHES = (0, (6, 2))
+# Inches of a vertical axis for each of its ticks.
+TICK = 0.22
 # Empty part of a vertical axis above and below what is drawn.
 MARGIN = 0.06
 
@@ -92,7 +94,7 @@ def _curve(axes: Axes, track: Track, curve: Curve, solution: int, count: int, fe
         marker=curve.marker if named else "",
         markevery=marks(t, y, curve.number, count) if named else None,
         zorder=3 - 0.1 * solution,
-        gid=f"{curve.label}/{track.label}",
+        label=f"{curve.label}/{track.label}",
         **marker_look(curve.colour),
     )
     if few and curve.dots and solution == 0:
@@ -138,13 +140,17 @@ def share_axis(axes: Axes) -> None:
 
 def room(axes: Axes, bottom: float, top: float, least: float = 0.0) -> None:
     """Set the vertical axis to a range with a margin, and to at least a span of its own size."""
+    from matplotlib.ticker import MaxNLocator
+
     span = max(top - bottom, least, 1e-9 * max(abs(top), abs(bottom)), 1e-12)
     if span > top - bottom:
         middle = (top + bottom) / 2
         bottom, top = middle - span / 2, middle + span / 2
     axes.set_ylim(bottom - MARGIN * span, top + MARGIN * span)
+    height = axes.bbox.height / axes.bbox.width * axes.get_position().width * style.WIDTH
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=int(np.clip(height / TICK, 2, 6)), steps=[1, 2, 5, 10]))
 
 
 def data_lines(axes: Axes) -> list[Line2D]:
     """Lines that hold values: those with a name of a curve."""
-    return [line for line in axes.get_lines() if line.get_gid()]
+    return [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")]

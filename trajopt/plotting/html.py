@@ -41,11 +41,12 @@ def html_page(tracks: Tracks, drawings: Sequence[tuple[Page, str]], sections: Se
     ]
     anchors = _anchors([page for page, _ in drawings])
     links = "".join(f'<a href="#{anchor}">{escape(text)}</a>' for anchor, text in anchors)
+    tables = [_table(section, [track.label for track in tracks]) for section in sections]
+    further = '<a href="#figures">check and accuracy</a>' if tables[1:] else ""
     figures = [
         f'<figure id="{anchor}" aria-label="{escape(text)}">{with_own_names(svg, number)}</figure>'
         for number, ((anchor, text), (_, svg)) in enumerate(zip(anchors, drawings, strict=True))
     ]
-    tables = [_table(section, [track.label for track in tracks]) for section in sections]
     return "\n".join(
         [
             '<!doctype html><html lang="en"><head><meta charset="utf-8">',
@@ -53,11 +54,10 @@ def html_page(tracks: Tracks, drawings: Sequence[tuple[Page, str]], sections: Se
             f"<title>{title}</title><style>{STYLE}</style></head><body>",
             f"<h1>{title}</h1>",
             *head,
-            f'<nav><a href="#facts">facts</a>{links}</nav>',
+            f"<nav>{links}{further}</nav>",
+            f'<section id="facts">{tables[0]}</section>',
             *figures,
-            '<section id="facts">',
-            *tables,
-            "</section>",
+            f'<section id="figures">{"".join(tables[1:])}</section>' if tables[1:] else "",
             f"<footer>trajopt {escape(installed_version('trajopt'))}</footer></body></html>",
             "",
         ]

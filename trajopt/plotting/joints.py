@@ -50,11 +50,17 @@ class Axis:
 
 @dataclass(frozen=True, kw_only=True)
 class Limb:
-    """A kinematic branch: its name, and its axes with names that leave out what they have in common."""
+    """A kinematic branch: its name, its axes, and their names.
+
+    ``prefix`` is what no other limb's names begin with, empty where there is no such thing. ``short`` names
+    leave out what the limb's names have in common, ``long`` ones tell axes of all limbs apart.
+    """
 
     name: str
+    prefix: str
     axes: tuple[Axis, ...]
     short: tuple[str, ...]
+    long: tuple[str, ...]
 
     @property
     def unit(self) -> str:
@@ -140,17 +146,24 @@ def limbs_of(axes: Sequence[Axis], model: pin.Model) -> tuple[Limb, ...]:
         parts = -(-len(own) // MOST_CURVES)
         size = -(-len(own) // max(parts, 1))
         groups += [own[start : start + size] for start in range(0, len(own), size)]
-    names = [_limb_name([axis.name for axis in group]) for group in groups]
+    prefixes = [_limb_name([axis.name for axis in group]) for group in groups]
+    shorts = [_short_names([axis.name for axis in group]) for group in groups]
+    every = [short for own in shorts for short in own]
     limbs = []
-    for number, (group, name) in enumerate(zip(groups, names, strict=True)):
-        words = [axis.name for axis in group]
-        if not name or names.count(name) > 1:
-            name = words[0] if len(words) == 1 else f"{words[0]} to {words[-1]}"
+    for number, (group, prefix, short) in enumerate(zip(groups, prefixes, shorts, strict=True)):
+        alone = len(group) == 1
+        named = bool(prefix) and prefixes.count(prefix) == 1 and not alone
+        unique = len(set(every)) == len(every)
         limbs.append(
             Limb(
-                name=name,
+                name=prefix if named or alone else f"{group[0].name} to {group[-1].name}",
+                prefix=prefix if named else "",
                 axes=tuple(replace(axis, group=number) for axis in group),
-                short=_short_names(words),
+                short=short,
+                long=tuple(
+                    f"{prefix} {name}" if named else name if unique else axis.name
+                    for axis, name in zip(group, short, strict=True)
+                ),
             )
         )
     return tuple(limbs)
@@ -179,14 +192,16 @@ def _chains(model: pin.Model, joints: set[int]) -> list[list[int]]:
 
 
 def _merged(chains: list[list[int]]) -> list[list[int]]:
-    """Chains with neighbours shorter than `LEAST_BRANCH` put together, as far as they fit one panel."""
+    """Chains shorter than `LEAST_BRANCH` put together with such neighbours, as far as they fit one panel."""
     found: list[list[int]] = []
+    open_for_more = False
     for chain in chains:
-        short = found and len(chain) < LEAST_BRANCH and len(found[-1]) < LEAST_BRANCH
-        if short and len(found[-1]) + len(chain) <= MOST_CURVES:
+        short = len(chain) < LEAST_BRANCH
+        if short and open_for_more and len(found[-1]) + len(chain) <= MOST_CURVES:
             found[-1] = found[-1] + chain
         else:
             found.append(chain)
+        open_for_more = short
     return found
 
 
@@ -216,5 +231,6 @@ def _short_names(names: Sequence[str]) -> tuple[str, ...]:
     ends = _common_start([name[::-1] for name in names])[::-1]
     at = ends.find("_")
     behind = len(ends) - at if at >= 0 else 0
-    found = [name[cut : len(name) - behind].strip("_. -") for name in names]
+    bare = [name[: len(name) - behind] for name in names]
+    found = [name[cut:].strip("_. -") or name for name in bare]
     return tuple(found) if all(found) and len(set(found)) == len(found) else tuple(names)

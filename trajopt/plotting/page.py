@@ -188,6 +188,7 @@ def _draw_row(figure: Figure, row: Row, place: _Place, tracks: Tracks) -> None:
         )
         axes = figure.add_axes(box, label=panel.name)
         axes.set_ylabel(panel.ylabel, labelpad=2.0)
+        axes.yaxis.get_offset_text().set(fontsize=6.0, va="top")  # below the heading
         if panel.timed:
             over_time(axes, tracks, labelled=place.labelled, strip=place.phases)
         panel.draw(axes, tracks)

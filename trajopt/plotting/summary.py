@@ -29,7 +29,9 @@ def summary_pages(tracks: Tracks) -> list[Page]:
         found += [base.position_row(tracks), base.orientation_row(tracks)]
     else:
         limbs = joints.limbs(tracks)
-        found += [row for limb in limbs[:FEW_LIMBS] for row in joints.limb_rows(limb, wide=len(limbs) == 1)]
+        alone = len(limbs) == 1
+        for limb in limbs[:FEW_LIMBS]:
+            found += joints.limb_rows(limb, wide=alone, alone=alone)
     if contacts.contacts(tracks):
         found += [contacts.normal_row(tracks), contacts.cone_row(tracks)]
     if moving:
@@ -47,7 +49,7 @@ def _shares(tracks: Tracks) -> Row | None:
     rows = [axis for limb in found for axis in limb.axes]
     if not rows or len(tracks) > 1:
         return limits.largest_row(tracks) if rows else None
-    groups, names = [[axis] for axis in rows], [name for limb in found for name in limits.long_names(limb)]
+    groups, names = [[axis] for axis in rows], [name for limb in found for name in limb.long]
     if len(rows) > MAP_ROWS:
         groups, names = [list(limb.axes) for limb in found], [limb.name for limb in found]
     return limits.map_row(tracks, 0, groups, names, max(0.5, limits.MAP_ROW * len(groups)))

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 # Inches of a letter in the names of phases, and their font.
 PHASE_LETTER, PHASE_FONT = 0.05, 6.0
+# Inches that a tick of the axis takes with its number.
+TICK = 0.6
 
 
 def over_time(axes: Axes, tracks: Tracks, *, labelled: bool, strip: float) -> None:
@@ -22,9 +24,8 @@ def over_time(axes: Axes, tracks: Tracks, *, labelled: bool, strip: float) -> No
     start = min(track.phases[0].start for track in tracks)
     end = max(track.phases[-1].end for track in tracks)
     axes.set_xlim(start, end)
-    axes.xaxis.set_major_locator(
-        MaxNLocator(nbins=max(4, int(axes.get_position().width * 12)), steps=[1, 2, 2.5, 5, 10])
-    )
+    count = max(2, int(axes.get_position().width * style.WIDTH / TICK))
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=count, steps=[1, 2, 2.5, 5, 10]))
     for number, phase in enumerate(tracks[0].phases):
         if number % 2:
             axes.axvspan(phase.start, phase.end, color=style.BAND, linewidth=0, zorder=0)

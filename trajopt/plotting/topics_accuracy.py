@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -174,7 +174,7 @@ def _log(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
             t, y = track.curve(curve.values)
             named = curve.marker and track is plans(tracks)[0]
             axes.semilogy(
-                t, y, color=curve.colour, linewidth=curve.width, gid=f"{curve.label}/{track.label}",
+                t, y, color=curve.colour, linewidth=curve.width, label=f"{curve.label}/{track.label}",
                 linestyle=style.LINES[number % len(style.LINES)], marker=curve.marker if named else "",
                 markevery=draw.marks(t, y, curve.number, len(drawn)) if named else None,
                 **draw.marker_look(curve.colour),
@@ -188,7 +188,7 @@ def _ticks_at_points(axes: Axes, tracks: Tracks) -> None:
     track = plans(tracks)[0]
     points = track.solution.t[track.solution.collocation]
     edge = np.full(len(points), 0.012)
-    look = {"color": style.BLACK, "transform": axes.get_xaxis_transform(), "clip_on": False}
+    look: dict[str, Any] = {"color": style.BLACK, "transform": axes.get_xaxis_transform(), "clip_on": False}
     axes.plot(points, edge, **look, **style.DOTTED)
 
 
@@ -264,5 +264,5 @@ def _steps(axes: Axes, track: Track, values: np.ndarray, number: int) -> None:
     y = np.column_stack([values, values, gaps]).ravel()
     axes.plot(
         t, y, color=style.COLOURS[number % len(style.COLOURS)], linewidth=1.2,
-        linestyle=style.LINES[number % len(style.LINES)], gid=f"interval/{track.label}",
+        linestyle=style.LINES[number % len(style.LINES)], label=f"interval/{track.label}",
     )  # fmt: skip

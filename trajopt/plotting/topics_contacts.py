@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -159,7 +159,7 @@ def force_pages(tracks: Tracks) -> list[Page]:
 def _force(axes: Axes, tracks: Tracks, contact: int) -> None:
     for track in tracks[:1]:
         t, cone = track.curve(lambda motion: motion.cone[:, contact])
-        axes.fill_between(t, 0.0, np.maximum(cone, 0.0), color=CONE, linewidth=0, zorder=1)
+        axes.fill_between(t, 0.0, np.maximum(cone, 0.0), color=CONE, linewidth=0, zorder=1, antialiased=False)
     normal = Curve(label="normal", values=lambda m: m.normal[:, contact], number=0, marked=False)
     tangential = Curve(label="tangential", values=lambda m: m.tangential[:, contact], number=1, width=0.9)
     draw.curves(axes, tracks, [normal, tangential])
@@ -196,7 +196,7 @@ def _plane(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
                 linewidth=0.9,
                 marker=curve.marker,
                 markevery=max(1, len(normal) // 8),
-                gid=f"{curve.label}/{track.label}",
+                label=f"{curve.label}/{track.label}",
                 **draw.marker_look(curve.colour),
             )
     draw.fit(axes, zero=True)
@@ -252,7 +252,12 @@ def _impulses(axes: Axes, tracks: Tracks) -> None:
                 at = len(names)
                 axes.plot([at, at], [0.0, normal[impact, contact]], color=NORMAL, linewidth=0.9)
                 axes.plot(
-                    at, normal[impact, contact], "o", color=NORMAL, markersize=4, gid=f"normal/{track.label}"
+                    at,
+                    normal[impact, contact],
+                    "o",
+                    color=NORMAL,
+                    markersize=4,
+                    label=f"normal/{track.label}",
                 )
                 axes.plot(at, tangential[impact, contact], "s", color=TANGENTIAL, markersize=4)
                 axes.plot(at, cone[impact, contact], "_", color=style.BLACK, markersize=10)

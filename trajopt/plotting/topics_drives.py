@@ -122,7 +122,7 @@ def _plane(axes: Axes, tracks: Tracks, axis: Axis, drive: Drive) -> None:
         motion = track.dense
         axes.plot(
             motion.rates[:, row], motion.drive_torque[:, row], color=style.BLUE, linewidth=0.9,
-            linestyle=style.LINES[number % len(style.LINES)], gid=f"{axis.name}/{track.label}",
+            linestyle=style.LINES[number % len(style.LINES)], label=f"{axis.name}/{track.label}",
         )  # fmt: skip
         if number == 0:
             points, rows = track.points, track.points.solution.collocation

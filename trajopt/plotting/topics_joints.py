@@ -70,7 +70,8 @@ def limit_of(kind: str, axis: Axis) -> tuple[float, float]:
 def joint_pages(tracks: Tracks) -> list[Page]:
     """Position, velocity and torque of every limb's joints, against their limits."""
     found = limbs(tracks)
-    rows = [row for limb in found for row in limb_rows(limb, wide=len(found) <= WIDE_LIMBS)]
+    wide, alone = len(found) <= WIDE_LIMBS, len(found) == 1
+    rows = [row for limb in found for row in limb_rows(limb, wide=wide, alone=alone)]
     note = (
         "Curves are the solution's own interpolation, dots its collocation points. Dashed: limits that "
         "values come near, in the joint's colour; black, hatched beyond, where a panel's joints share them."
@@ -79,22 +80,26 @@ def joint_pages(tracks: Tracks) -> list[Page]:
     return [Page(name="joints", title="joints", rows=tuple(part), note=note) for part in parts]
 
 
-def limb_rows(limb: Limb, *, wide: bool) -> list[Row]:
-    """Position, velocity and torque of a limb's joints side by side, or ``wide`` below one another."""
+def limb_rows(limb: Limb, *, wide: bool, alone: bool = False) -> list[Row]:
+    """Position, velocity and torque of a limb's joints side by side, or ``wide`` below one another.
+
+    A limb that is ``alone`` needs no name beside what its joints' names begin with.
+    """
     legend = tuple(Curve(label=short, values=_nothing, number=i).entry for i, short in enumerate(limb.short))
     panels = [
         Panel(
             name=f"{kind}:{limb.name}",
             ylabel=f"{_word(kind, limb)} {SYMBOLS[kind]} [{_unit(kind, limb)}]",
             draw=partial(_limb, limb=limb, kind=kind),
-            gap=0.58,
+            gap=0.66,
         )
         for kind in KINDS
         if kind != "torque" or any(axis.torque is not None for axis in limb.axes)
     ]
     if not wide:
         return [Row(title=limb.name, panels=tuple(panels), legend=legend)]
-    titles = [f"{limb.name}: {_word(kind, limb)}" for kind in KINDS]
+    name = limb.prefix if alone else limb.name
+    titles = [f"{name}: {_word(kind, limb)}" if name else _word(kind, limb) for kind in KINDS]
     return [
         Row(title=title, panels=(panel,), legend=legend) for title, panel in zip(titles, panels, strict=False)
     ]

@@ -10,7 +10,7 @@ import numpy as np
 
 from trajopt.plotting import draw, style
 from trajopt.plotting.draw import Curve
-from trajopt.plotting.joints import Axis, Limb
+from trajopt.plotting.joints import Axis
 from trajopt.plotting.motion import Motion
 from trajopt.plotting.page import Page, Panel, Row, Tracks
 from trajopt.plotting.share_map import share_map
@@ -31,7 +31,7 @@ def limit_pages(tracks: Tracks) -> list[Page]:
     """Maps of the shares of all limits over time, for each solution."""
     found = limbs(tracks)
     rows = [axis for limb in found for axis in limb.axes]
-    names = [name for limb in found for name in long_names(limb)]
+    names = [name for limb in found for name in limb.long]
     if not rows:
         return []
     height = max(LEAST_MAP, MAP_ROW * len(rows))
@@ -75,14 +75,6 @@ def used_row(tracks: Tracks, kind: str, axes: Sequence[Axis], names: Sequence[st
 def _used(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
     draw.curves(axes, tracks, drawn)
     draw.share_axis(axes)
-
-
-def long_names(limb: Limb) -> list[str]:
-    """Names of a limb's axes that say which limb it is."""
-    pairs = list(zip(limb.short, limb.axes, strict=True))
-    if all(short == axis.name for short, axis in pairs):
-        return list(limb.short)
-    return [f"{limb.name} {short}" for short in limb.short]
 
 
 def map_row(

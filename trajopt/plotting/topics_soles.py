@@ -28,7 +28,7 @@ def sole_pages(tracks: Tracks) -> list[Page]:
     soles = [
         i for i in contacts(tracks) if i < len(sizes) and sizes[i] and bool(is_sole(tracks[0].solution)[i])
     ]
-    if not soles:
+    if not any(np.isfinite(track.dense.pressure_centre[:, soles]).any() for track in tracks):
         return []
     frames, rows = tracks[0].solution.contact_frames, []
     for start in range(0, len(soles), CONTACTS_A_ROW):
@@ -89,7 +89,7 @@ def _sole(axes: Axes, tracks: Tracks, contact: int) -> None:
             )
         along, across = (partial(_pressure_at, contact=contact, axis=axis) for axis in (0, 1))
         look = {"color": style.GREY, "linewidth": 0.6, "linestyle": style.LINES[number % len(style.LINES)]}
-        axes.plot(*track.pair(along, across), gid=f"pressure/{track.label}", **look)
+        axes.plot(*track.pair(along, across), label=f"pressure/{track.label}", **look)
     axes.set_aspect("equal", adjustable="box", anchor="NW")
     axes.set_xlim(-AROUND * length, AROUND * length)
     axes.set_ylim(-AROUND * width, AROUND * width)

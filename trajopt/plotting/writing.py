@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from trajopt.errors import InputError
 from trajopt.plotting.heading import title_of
 from trajopt.plotting.page import Page, Tracks, figure_of
@@ -63,9 +65,10 @@ def report(
     _require_place(place)
     given = [solutions] if isinstance(solutions, Solution | str | Path) else list(solutions)
     read = [one if isinstance(one, Solution) else Solution.load(one) for one in given]
-    tracks = tracks_of(read, labels)
-    chosen = pages_of(tracks, pages or DEFAULT_PAGES[ending])
-    content = _content(chosen, tracks, ending)
+    with np.errstate(all="ignore"):  # an iterate that is no motion may overflow
+        tracks = tracks_of(read, labels)
+        chosen = pages_of(tracks, pages or DEFAULT_PAGES[ending])
+        content = _content(chosen, tracks, ending)
     _write(place, content)
     return Plotted(path=place, size=len(content), pages=tuple(page.name for page in chosen))
 
