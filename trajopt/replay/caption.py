@@ -38,11 +38,11 @@ def title(solution: Solution) -> str:
 def _about(scene: Scene, solutions: Sequence[Solution]) -> list[Line]:
     if len(solutions) == 1:
         return [_line(figures(solutions[0]), "quiet"), *_unsolved(solutions[0])]
+    names = [title(solution) for solution in solutions]
     lines = []
-    for run, solution in zip(scene.facts["runs"], solutions, strict=True):
-        name = title(solution)
-        own = run["label"] if run["label"].startswith(name) else f"{run['label']}: {name}"
-        lines += [_line(own, "run", run["colour"]), _line(figures(solution), "quiet"), *_unsolved(solution)]
+    for run, solution, name in zip(scene.facts["runs"], solutions, names, strict=True):
+        said = run["label"] if len(set(names)) == 1 else f"{run['label']}: {name}"
+        lines += [_line(said, "run", run["colour"]), _line(figures(solution), "quiet"), *_unsolved(solution)]
     return lines
 
 

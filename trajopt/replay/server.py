@@ -15,6 +15,9 @@ from typing import Any
 
 import tornado.web
 from meshcat.servers import zmqserver
+from meshcat.servers.tree import walk
+
+HOST = "127.0.0.1"
 
 # Messages beside those of Meshcat: ("page", "", HTML) and ("trajopt", path, msgpack), of which the last one
 # of each path is also told to browsers that connect later, after the scene.
@@ -51,19 +54,27 @@ class Nothing(tornado.web.RequestHandler):
         self.set_status(204)
 
 
+class LocalApplication(tornado.web.Application):
+    """One that only this machine can reach; Meshcat's answers on every network."""
+
+    def listen(self, port: int, address: str | None = None, **options: Any) -> Any:
+        """Take a port; raises `OSError` if it is not free."""
+        return super().listen(port, address=address or HOST, **options)
+
+
 class Bridge(zmqserver.ZMQWebSocketBridge):
     """Meshcat's server between Python and browsers, with a page."""
 
     def __init__(self) -> None:
         self.page = b""
         self.own: dict[str, bytes] = {}
-        super().__init__()
+        super().__init__(host=HOST)
         self.web_url = f"http://{self.host}:{self.fileserver_port}/"
 
     def make_app(self) -> tornado.web.Application:
         """Meshcat's addresses, and what we add."""
         static = {"path": zmqserver.VIEWER_ROOT, "default_filename": zmqserver.VIEWER_HTML}
-        return tornado.web.Application(
+        return LocalApplication(
             [
                 (r"/static/(.*)", zmqserver.StaticFileHandlerNoCache, static),
                 (r"/favicon.ico", Nothing),
@@ -85,10 +96,15 @@ class Bridge(zmqserver.ZMQWebSocketBridge):
         self.zmq_socket.send(b"ok")
 
     def send_scene(self, websocket: Any) -> None:
-        """Tell one browser everything."""
-        super().send_scene(websocket)
-        for data in self.own.values():
-            websocket.write_message(data, binary=True)
+        """Tell one browser everything: animations after the objects that they move."""
+        nodes = list(walk(self.tree))
+        for node in nodes:
+            for data in (node.object, *node.properties, node.transform):
+                if data is not None:
+                    websocket.write_message(data, binary=True)
+        for data in (*(node.animation for node in nodes), *self.own.values()):
+            if data is not None:
+                websocket.write_message(data, binary=True)
 
 
 def _end_with_standard_input() -> None:

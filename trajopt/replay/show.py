@@ -98,10 +98,13 @@ def serve(shown: Replay) -> None:
 
 def _target(target: Path) -> Path:
     """The file to write, refused before anything is computed for it."""
-    if target.is_dir():
-        raise _refused(target, "it is a folder")
-    if not target.parent.is_dir():
-        raise _refused(target, f"the folder {target.parent} does not exist")
+    try:
+        if target.is_dir():
+            raise _refused(target, "it is a folder")
+        if not target.parent.is_dir():
+            raise _refused(target, f"the folder {target.parent} does not exist")
+    except OSError as error:  # as of a name that is too long
+        raise _refused(target, error.strerror or str(error)) from None
     return target
 
 

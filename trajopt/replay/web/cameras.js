@@ -12,7 +12,7 @@ const VIEWS = {
     free: {},
 };
 const MARGIN = 1.05;  // of the picture around what is framed
-const AROUND = 0.65;  // radius that a view which follows shows around the base, in robot extents
+const AROUND = 0.7;  // radius that a view which follows shows around the base, in robot extents
 const STILL = 0.02;  // a base that moves less than this many robot extents is none to follow
 const SAMPLES = 60;  // of the path, a second
 // The path is smoothed over this many times sqrt(extent / g), the time of a step; its height over more.
