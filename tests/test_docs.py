@@ -13,6 +13,7 @@ DOCUMENTS = (
     "docs/robots.md",
     "docs/warm-starts.md",
     "docs/suite.md",
+    "docs/watching.md",
     "docs/accuracy.md",
     "docs/front.md",
     "docs/refinement.md",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 import warnings
@@ -22,6 +23,9 @@ from trajopt.watching.iterate import Iterate
 RATE = 5.0
 # Part of a processor that drawing takes at most, the scene of a new problem aside.
 SHARE = 0.1
+# Seconds that the solver's thread waits at most for Python while the viewer's thread runs; Python's own is
+# 5 ms, which would be a tenth of an iteration of a jump.
+SWITCH = 5e-4
 # Milliseconds after which a server that does not answer is given up.
 ANSWER = 5000
 
@@ -39,6 +43,8 @@ class Viewer:
         self._window = LiveWindow()
         for option in (zmq.RCVTIMEO, zmq.SNDTIMEO):
             self._window.zmq_socket.setsockopt(option, ANSWER)
+        self._switch = sys.getswitchinterval()
+        sys.setswitchinterval(min(SWITCH, self._switch))
         self._scene, self._wake = IterateScene(), threading.Condition()
         self._next: Iterate | Solution | None = None
         self._busy = self._closed = self._failed = False
@@ -85,7 +91,10 @@ class Viewer:
         self._window.server_proc.wait()
 
     def close(self) -> None:
-        """End the thread and the server."""
+        """End the thread and the server; nothing where that was done."""
+        if self._closed:
+            return
+        sys.setswitchinterval(self._switch)
         with self._wake:
             self._closed = True
             self._wake.notify_all()
