@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -30,8 +33,9 @@ WORLD = """
     root.updateWorldMatrix(true, true);
     const back = root.matrixWorld.clone().invert();
 """
-PLACES = """paths => {%s
-    return paths.map(path => at(path).matrixWorld.clone().premultiply(back).elements);
+PLACES = """([paths, below]) => {%s
+    const inverse = below ? at(below).matrixWorld.clone().invert() : back;
+    return paths.map(path => at(path).matrixWorld.clone().premultiply(inverse).elements);
 }"""
 TO_PICTURE = """() => {%s
     const {camera} = trajopt.viewer;
@@ -122,9 +126,9 @@ def _swing(robot: Robot) -> np.ndarray:
     return swing
 
 
-def placements(view: OpenedPage, paths: list[str]) -> np.ndarray:
-    """Matrices (n, 4, 4) of parts of the scene tree in the solution's world."""
-    return np.reshape(view.evaluate(PLACES % WORLD, paths), (-1, 4, 4)).transpose(0, 2, 1)
+def placements(view: OpenedPage, paths: list[str], below: str = "") -> np.ndarray:
+    """Matrices (n, 4, 4) of parts of the scene tree in the world, or in that of the solution at ``below``."""
+    return np.reshape(view.evaluate(PLACES % WORLD, [paths, below]), (-1, 4, 4)).transpose(0, 2, 1)
 
 
 def boxes(view: OpenedPage, paths: list[str]) -> np.ndarray:
@@ -161,3 +165,20 @@ def until(view: OpenedPage, script: str) -> None:
         look();
     }})"""
     assert view.evaluate(looking, 1e3 * PATIENCE), f"{script} never holds"
+
+
+def descendants() -> dict[int, str]:
+    """Name by number of every process that this one has started, directly or not."""
+    parents, names = {}, {}
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it has just ended
+            number, name, rest = re.fullmatch(
+                r"(\d+) \((.*)\) \S (\d+) .*", status.read_text(), re.S
+            ).groups()
+            parents[int(number)], names[int(number)] = int(rest), name
+    found: dict[int, str] = {}
+    mine = {os.getpid()}
+    while mine:
+        mine = {number for number, parent in parents.items() if parent in mine}
+        found |= {number: names[number] for number in mine}
+    return found
