@@ -13,9 +13,10 @@ from trajopt.accuracy.natural_units import NaturalUnits
 from trajopt.actuators.drive import Drive
 from trajopt.actuators.on_robot import drive_torque_values
 from trajopt.certify.closing import image
-from trajopt.certify.payloads import payload_wrenches
+from trajopt.certify.payloads import carrying_model, payload_wrenches
 from trajopt.certify.reintegration import lagrange_coefficients
 from trajopt.errors import InputError
+from trajopt.model_quantities import contact_jacobian
 from trajopt.simulation.settings import HOLD, Settings
 from trajopt.solution import Solution
 from trajopt.solution_motion import SolutionMotion
@@ -186,6 +187,26 @@ def rows_of(model: pin.Model, frame: str) -> set[int]:
     return found
 
 
+def _at_rest(plan: Solution, reference: Reference) -> tuple[np.ndarray, np.ndarray]:
+    """Torques (nu,) and contact forces (nc, 6) that hold the plan's end: the forces nearest to its last ones.
+
+    A plan that has come to rest may still accelerate: its last torques would move it away again.
+    """
+    model, q, first = carrying_model(plan, int(plan.phase[-1])), plan.q[-1], plan.n_unactuated
+    gravity = pin.computeGeneralizedGravity(model, model.createData(), q)
+    sizes = [3 if kind == "point" else 6 for kind in plan.meta["contact_kinds"]]
+    picked = [(i, size) for i, size in enumerate(sizes) if plan.active[-1, i]]
+    jacobian = contact_jacobian(model, q, [(plan.contact_frames[i], size) for i, size in picked])
+    forces = np.concatenate([np.zeros(0), *(reference.f[-1, i, :size] for i, size in picked)])
+    missing = gravity[:first] - jacobian[:, :first].T @ forces
+    forces += np.linalg.lstsq(jacobian[:, :first].T, missing, rcond=None)[0]
+    found, row = np.zeros_like(reference.f[-1]), 0
+    for index, size in picked:
+        found[index, :size] = forces[row : row + size]
+        row += size
+    return gravity[first:] - jacobian[:, first:].T @ forces, found
+
+
 def _with_hold(plan: Solution, reference: Reference) -> Reference:
     """The reference with its end held for a while, where the plan ends at rest."""
     units = NaturalUnits.of(plan.model)
@@ -193,11 +214,12 @@ def _with_hold(plan: Solution, reference: Reference) -> Reference:
     if plan.meta.get("periodicity") or speed.max(initial=0.0) > REST:
         return reference
     held = math.ceil(HOLD * units.time / reference.period)
+    torque, force = _at_rest(plan, reference)
     last = {
         "q": plan.q[-1],
         "v": np.zeros(plan.model.nv),
-        "torque": _torques(plan, plan.interval_t[-1:, 1])[0],
-        "f": reference.f[-1],
+        "torque": torque,
+        "f": force,
         "active": reference.active[-1],
         "phase": np.array(len(reference.phase_names)),
         "source": reference.source[-1],
