@@ -18,15 +18,16 @@ const SAMPLES = 60;  // of the path, a second
 // The path is smoothed over this many times sqrt(extent / g), the time of a step; its height over more.
 const LEVEL_SMOOTHING = 0.6, HEIGHT_SMOOTHING = 1.5, GRAVITY = 9.81;
 
-// Gaussian average of rows of even samples, which keeps both ends and their slope: it is mirrored there.
-function smoothed(values, deviation) {
+// Gaussian average of even samples, mirrored at both ends: in the end point too if it `moves` on there.
+function smoothed(values, deviation, moves) {
     const n = values.length, reach = Math.min(n - 1, Math.ceil(3 * deviation));
     if (!(deviation > 0) || reach < 1) return values.slice();
     const weights = Array.from({length: 2 * reach + 1}, (_, k) => Math.exp(-0.5 * ((k - reach) / deviation) ** 2));
     const total = weights.reduce((sum, weight) => sum + weight, 0);
+    const turned = (end, value) => moves ? 2 * end - value : value;
     const at = k => {
-        if (k < 0) return 2 * values[0] - values[-k];
-        return k < n ? values[k] : 2 * values[n - 1] - values[2 * n - 2 - k];
+        if (k < 0) return turned(values[0], values[-k]);
+        return k < n ? values[k] : turned(values[n - 1], values[2 * n - 2 - k]);
     };
     return values.map((_, i) => weights.reduce((sum, weight, k) => sum + weight * at(i + k - reach), 0) / total);
 }
@@ -106,9 +107,9 @@ class Cameras {
     smooth(points) {
         const step = this.clock.playback * this.clock.facts.speed / (points.length - 1);
         const time = Math.sqrt(this.size / GRAVITY) / step;
-        const x = smoothed(points.map(point => point.x), LEVEL_SMOOTHING * time);
-        const y = smoothed(points.map(point => point.y), HEIGHT_SMOOTHING * time);
-        const z = smoothed(points.map(point => point.z), LEVEL_SMOOTHING * time);
+        const x = smoothed(points.map(point => point.x), LEVEL_SMOOTHING * time, true);
+        const y = smoothed(points.map(point => point.y), HEIGHT_SMOOTHING * time, false);
+        const z = smoothed(points.map(point => point.z), LEVEL_SMOOTHING * time, true);
         return points.map((_, k) => new MeshCat.THREE.Vector3(x[k], y[k], z[k]));
     }
 
