@@ -26,6 +26,7 @@ from trajopt.plotting import report, style
 from trajopt.plotting.joints import limbs_of
 from trajopt.plotting.page import figure_of
 from trajopt.plotting.summary import PAGES, pages_of
+from trajopt.plotting.topics_contacts import stances
 from trajopt.plotting.track import Track, tracks_of
 from trajopt.robot import Robot
 from trajopt.schedule import Phase, Schedule
@@ -180,6 +181,17 @@ def test_contact_force_lines_are_the_files_forces() -> None:
     force = solution.f[solution.collocation & solution.active[:, 0], 0, 2]
     dense = np.interp(points, t, y)  # the curve is linear between two points of degree two
     assert_allclose(dense, force, atol=1e-3 * np.abs(force).max())
+
+
+def test_stances_are_where_contacts_are_active_whatever_the_phases() -> None:
+    solution = jump()
+    assert_allclose(stances(track_of(solution), 0), [[0.0, 0.3], [0.5, 0.8]], atol=ROUNDING)
+    active = solution.active.copy()
+    active[solution.interval == 0] = False  # as a simulation may find: contacts come and go within a phase
+    changed = stances(track_of(replace(solution, active=active)), 0)
+    assert_allclose(changed[0], [solution.interval_t[0, 1], 0.3], atol=ROUNDING)
+    force = lines(drawn(solution, "forces"), "force:foot")["normal"][0]
+    assert not ((force > 0.3) & (force < 0.5)).any()
 
 
 def test_the_centre_of_pressure_is_where_tangential_moments_vanish() -> None:

@@ -135,7 +135,8 @@ def share_axis(axes: Axes) -> None:
     room(axes, 0.0, max(SHOWN, high))
     axes.axhline(1.0, color=style.BLACK, linewidth=0.8, linestyle=LIMIT_DASHES)
     axes.axhspan(1.0, axes.get_ylim()[1], facecolor="none", edgecolor=style.GREY, hatch="////", lw=0)
-    axes.set_yticks([0.0, 0.25, 0.5, 0.75, 1.0] if high <= SHOWN else axes.get_yticks())
+    if high <= SHOWN:
+        axes.set_yticks([0.0, 0.25, 0.5, 0.75, 1.0])
 
 
 def room(axes: Axes, bottom: float, top: float, least: float = 0.0) -> None:

@@ -25,6 +25,8 @@ TITLE, LINE, GAP, X_AXIS, BETWEEN = 0.5, 0.17, 0.13, 0.36, 0.62
 UNIT, GROWTH = 1.3, 1.6
 # Widths in inches of a letter and of a legend's handle with its spaces, at the small font.
 LETTER, TITLE_LETTER, HANDLE = 0.06, 0.072, 0.48
+# Points between the top of the axes and a power of ten that their numbers share.
+OFFSET_TEXT = 2
 # Letters in a line of a note.
 NOTE_LETTERS = 155
 
@@ -188,7 +190,8 @@ def _draw_row(figure: Figure, row: Row, place: _Place, tracks: Tracks) -> None:
         )
         axes = figure.add_axes(box, label=panel.name)
         axes.set_ylabel(panel.ylabel, labelpad=2.0)
-        axes.yaxis.get_offset_text().set(fontsize=6.0, va="top")  # below the heading
+        axes.yaxis.get_offset_text().set(fontsize=6.0, va="top")  # inside, below the heading
+        axes.yaxis.OFFSETTEXTPAD = -OFFSET_TEXT
         if panel.timed:
             over_time(axes, tracks, labelled=place.labelled, strip=place.phases)
         panel.draw(axes, tracks)

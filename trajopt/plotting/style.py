@@ -40,7 +40,7 @@ RC: dict[str, Any] = {
     "axes.edgecolor": GREY,
     "axes.grid": True,
     "axes.axisbelow": True,
-    "axes.formatter.limits": (-2, 4),
+    "axes.formatter.limits": (-3, 4),
     "axes.formatter.useoffset": False,
     "grid.color": GRID,
     "grid.linewidth": 0.4,

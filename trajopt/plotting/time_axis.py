@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 # Inches of a letter in the names of phases, and their font.
 PHASE_LETTER, PHASE_FONT = 0.05, 6.0
 # Inches that a tick of the axis takes with its number.
-TICK = 0.6
+TICK = 0.5
 
 
 def over_time(axes: Axes, tracks: Tracks, *, labelled: bool, strip: float) -> None:
@@ -24,7 +24,7 @@ def over_time(axes: Axes, tracks: Tracks, *, labelled: bool, strip: float) -> No
     start = min(track.phases[0].start for track in tracks)
     end = max(track.phases[-1].end for track in tracks)
     axes.set_xlim(start, end)
-    count = max(2, int(axes.get_position().width * style.WIDTH / TICK))
+    count = max(2, round(axes.get_position().width * style.WIDTH / TICK))
     axes.xaxis.set_major_locator(MaxNLocator(nbins=count, steps=[1, 2, 2.5, 5, 10]))
     for number, phase in enumerate(tracks[0].phases):
         if number % 2:

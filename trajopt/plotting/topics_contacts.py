@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -51,16 +51,25 @@ def _stances(axes: Axes, tracks: Tracks, found: Sequence[int]) -> None:
     tall = BAR / len(tracks)
     for number, track in enumerate(tracks):
         shade = style.BLACK if number == 0 else style.GREY
-        for phase in track.phases:
-            for row, contact in enumerate(found):
-                if phase.active[contact]:
-                    at = row - BAR / 2 + (number + 0.5) * tall
-                    length = phase.end - phase.start
-                    axes.barh(at, length, height=0.9 * tall, left=phase.start, color=shade, linewidth=0)
+        for row, contact in enumerate(found):
+            at = row - BAR / 2 + (number + 0.5) * tall
+            for start, end in stances(track, contact):
+                axes.barh(at, end - start, height=0.9 * tall, left=start, color=shade, linewidth=0)
     axes.set_yticks(range(len(names)), names)
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.grid(axis="y", visible=False)
+
+
+def stances(track: Track, contact: int) -> list[tuple[float, float]]:
+    """Start and end, s, of every stretch of intervals in which a contact is active."""
+    plan = track.solution
+    active = np.array([plan.active[rows.start, contact] for rows in plan.intervals])
+    changes = np.flatnonzero(np.diff(np.concatenate([[False], active, [False]]).astype(int)))
+    return [
+        (float(plan.interval_t[first, 0]), float(plan.interval_t[stop - 1, 1]))
+        for first, stop in zip(changes[::2], changes[1::2], strict=True)
+    ]
 
 
 def normal_row(tracks: Tracks) -> Row:
@@ -251,14 +260,7 @@ def _impulses(axes: Axes, tracks: Tracks) -> None:
             for contact in np.flatnonzero(normal[impact]):
                 at = len(names)
                 axes.plot([at, at], [0.0, normal[impact, contact]], color=NORMAL, linewidth=0.9)
-                axes.plot(
-                    at,
-                    normal[impact, contact],
-                    "o",
-                    color=NORMAL,
-                    markersize=4,
-                    label=f"normal/{track.label}",
-                )
+                axes.plot(at, normal[impact, contact], "o", color=NORMAL, markersize=4, label="normal/")
                 axes.plot(at, tangential[impact, contact], "s", color=TANGENTIAL, markersize=4)
                 axes.plot(at, cone[impact, contact], "_", color=style.BLACK, markersize=10)
                 which = f"{track.label}\n" if len(tracks) > 1 else ""
