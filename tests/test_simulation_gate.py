@@ -12,6 +12,7 @@ import pytest
 from test_suite_data import outcome_of
 
 from trajopt import Solution
+from trajopt.cli import main
 from trajopt.errors import InputError
 from trajopt.suite import data
 from trajopt.suite.cases import Case
@@ -21,6 +22,7 @@ from trajopt.suite.records import Records
 from trajopt.suite.run import SIMULATED, run
 from trajopt.suite.settings import Settings
 from trajopt.suite.table import line, summary, table
+from trajopt.suite.versions import versions
 
 pytest.importorskip("mujoco")
 
@@ -127,3 +129,27 @@ def test_line_table_and_summary_tell_of_physics():
     titles = [str(column.header) for column in table(outcomes, 200).columns]
     assert titles[-10:-6] == ["physics", "base end", "most", "slips"]
     assert "physics" not in [str(column.header) for column in table([outcome_of()], 200).columns]
+
+
+@pytest.mark.parametrize("word", WORDS)
+@pytest.mark.parametrize("before", [None, *WORDS])
+def test_a_fall_fails_a_suite_unless_the_data_know_of_it(
+    word: str, before: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    outcome = replace(found(word), problem="hopper-hop", robot="hopper", starts=())
+    records = Records(tmp_path, SETTINGS, versions())
+    records.open(resume=False)
+    records.add(outcome)  # taken over below: nothing is solved here
+    arguments = ["suite", "--problems", "hopper-hop", "--robots", "hopper", "--simulate", "--json"]
+    arguments += ["--compile", "none", "--output-dir", str(tmp_path), "--resume"]
+    if before is not None:
+        entry = replace(data.entry_of(outcome, SETTINGS), physics=before)
+        data.write(tmp_path / "bands.csv", {entry.name: entry}, {})
+        arguments += ["--compare", str(tmp_path / "bands.csv")]
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["summary"]["physics"][word] == 1
+    worse = word == FELL if before is None else WORDS.index(word) < WORDS.index(before)
+    assert ended.value.code == int(worse)
+    assert bool(printed["outside"]) == (worse and before is not None)
