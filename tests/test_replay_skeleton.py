@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+import pytest
 from numpy.testing import assert_allclose
 from replay_pages import hopping, objects_of, placements_of, shown, with_meta
 from synthetic import Motion, arm_motion, sampled
 
 import robots
 from robots.hopper import SLENDERNESS, TORSO_CENTRE, TORSO_LENGTH
+from trajopt.replay.visuals import mesh_points, visuals_of
+from trajopt.robot_data import robot_file
 
 INTERVALS, DURATION = 3, 0.2  # s
 SINGLE_PRECISION = 2e-6  # of lengths around one
@@ -57,3 +62,57 @@ def test_base_without_mass_or_extent_has_no_trunk(tmp_path):
         model.inertias[1] = inertia
         scene = shown(replace(bones, model_text=model.saveToString()), tmp_path)
         assert not any(path.endswith("/trunk") for path in objects_of(scene))
+
+
+# Meshes that are found, and those that are not
+
+
+@pytest.mark.parametrize("name", ["solo12", "anymal_c", "ur5", "talos"])
+def test_visuals_are_those_that_pinocchio_reads(name):
+    robot = robots.load(name)
+    found, whole = visuals_of(robot.visual, robot.model), robot.visual.geometry(robot.model)
+    assert not found.missing
+    assert [entry.name for entry in found.geometry.geometryObjects] == [e.name for e in whole.geometryObjects]
+    for own, other in zip(found.geometry.geometryObjects, whole.geometryObjects, strict=True):
+        assert own.parentJoint == other.parentJoint
+        assert own.placement == other.placement
+        assert_allclose(own.meshColor, other.meshColor)
+        if own.name in found.meshes:
+            assert Path(own.meshPath) == Path(other.meshPath)
+            assert_allclose(own.meshScale, other.meshScale)
+
+
+@pytest.mark.parametrize("name", ["solo12", "ur5"])
+def test_points_of_meshes_span_what_pinocchio_loads(name):
+    robot = robots.load(name)
+    for entry in robot.visual.geometry(robot.model).geometryObjects:
+        points, whole = mesh_points(entry.meshPath, entry.meshScale), entry.geometry.vertices()
+        for extreme in (np.min, np.max):
+            assert_allclose(extreme(points, axis=0), extreme(whole, axis=0), atol=SINGLE_PRECISION)
+
+
+def partly_there(tmp_path: Path, *, damaged: bool) -> Path:
+    """A copy of Solo12's description in which one mesh file is missing, or holds no mesh."""
+    source = robot_file("solo_description")
+    copied = tmp_path / "share" / "example-robot-data" / "robots" / "solo_description"
+    shutil.copytree(source, copied)
+    lost = sorted((copied / "meshes").rglob("solo12/solo12_hip_fe_fl.stl"))[0]
+    lost.unlink()
+    if damaged:
+        lost.write_text("no mesh")
+    return tmp_path / "share"
+
+
+@pytest.mark.parametrize("damaged", [False, True])
+def test_robot_is_drawn_without_the_mesh_that_is_missing_and_one_line_names_it(tmp_path, capsys, damaged):
+    share = partly_there(tmp_path, damaged=damaged)
+    urdf = share / "example-robot-data/robots/solo_description/robots/solo12.urdf"
+    told = with_meta(hopping(), visual={"urdf": str(urdf), "package_dirs": [str(share)]})
+    page = shown(told, tmp_path)
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert ("FL_SHOULDER" if damaged else "solo12_hip_fe_fl.stl") in said
+    assert "skeleton" not in said
+    drawn = [path for path in objects_of(page) if path.startswith("robot/")]
+    assert len(drawn) == 17 - 1
+    assert not any("FL_SHOULDER" in path for path in drawn)

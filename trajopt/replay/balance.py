@@ -82,16 +82,15 @@ def centres_of_mass(solution: Solution, motion: Motion) -> np.ndarray:
 
 def outer_wrenches(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Force (K, 3) N and moment about the world's origin (K, 3) N m of the surroundings at the samples."""
-    force, moment = np.empty((2, solution.n_samples, 3))
+    force, moment, com = np.empty((3, solution.n_samples, 3))
     for phase in np.unique(solution.phase):
         model = carrying_model(solution, int(phase))
         data, weight = model.createData(), mass_of(model) * model.gravity.linear
         for row in np.flatnonzero(solution.phase == phase):
             state = (solution.q[row], solution.v[row], solution.a[row])
             rate = pin.computeCentroidalMomentumTimeVariation(model, data, *state)
-            force[row] = rate.linear - weight
-            moment[row] = rate.angular + np.cross(data.com[0], force[row])
-    return force, moment
+            force[row], moment[row], com[row] = rate.linear - weight, rate.angular, data.com[0]
+    return force, moment + np.cross(com, force)
 
 
 def supports_of(solution: Solution, motion: Motion, touched: Touched) -> list[Support]:
@@ -100,12 +99,12 @@ def supports_of(solution: Solution, motion: Motion, touched: Touched) -> list[Su
     found: list[Support] = []
     for phase in np.unique(motion.phase):
         rows = motion.phase == phase
-        middle = np.flatnonzero(rows)[rows.sum() // 2]
+        middle = int(np.flatnonzero(rows)[rows.sum() // 2])
         contacts = np.flatnonzero(pressing[middle])
         if not len(contacts):
             continue
         plane = _plane(solution, motion, touched, middle, contacts)
-        points = np.concatenate([_touching(solution, motion, middle, contact) for contact in contacts])
+        points = np.concatenate([_touching(solution, motion, middle, int(contact)) for contact in contacts])
         hull = _hull(points, plane)
         previous = found[-1] if found else None
         if previous is not None and previous.hull.shape == hull.shape and np.allclose(previous.hull, hull):

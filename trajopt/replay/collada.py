@@ -11,11 +11,14 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as Tree
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 TRANSFORMATIONS = ("matrix", "translate", "scale", "rotate")
+# Files that are kept once read.
+MOST_FILES = 64
 GREY = np.array([0.8, 0.8, 0.8])
 
 
@@ -33,11 +36,22 @@ class ColouredMesh:
     triangles: np.ndarray
 
 
+@lru_cache(maxsize=MOST_FILES)
+def _read_once(path: Path, changed: float, plain: tuple[float, ...]) -> ColouredMesh:
+    """The mesh of a file that was ``changed`` then: robots have one file at several places."""
+    return _read(path, np.array(plain))
+
+
 def read(path: str | Path, plain: np.ndarray = GREY) -> ColouredMesh:
     """Return the mesh of a file in m; ``plain`` (3,) colours what has no plain colour in the file.
 
     Raises `ColladaError`, or `OSError` if the file cannot be opened.
     """
+    file = Path(path)
+    return _read_once(file, file.stat().st_mtime, tuple(float(part) for part in plain))
+
+
+def _read(path: Path, plain: np.ndarray) -> ColouredMesh:
     try:
         root = Tree.parse(path).getroot()
         for element in root.iter():
@@ -62,7 +76,9 @@ class _Reader:
         corners, normals = (np.concatenate([part[k] for part in self._parts]) for k in (0, 1))
         colours = np.concatenate([np.tile(colour, (len(points), 1)) for points, _, colour in self._parts])
         rows = np.column_stack([corners, normals, colours]).astype(np.float32)
-        distinct, index = np.unique(rows, axis=0, return_inverse=True)
+        bits = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1]))).ravel()  # sorted without meaning
+        _, first, index = np.unique(bits, return_index=True, return_inverse=True)
+        distinct = rows[first]
         return ColouredMesh(
             vertices=distinct[:, :3],
             normals=distinct[:, 3:6],
@@ -108,9 +124,9 @@ class _Reader:
         """Position and normal of every corner, three rows a triangle."""
         inputs = {entry.get("semantic"): entry for entry in primitive.findall("input")}
         stride = 1 + max(int(entry.get("offset", 0)) for entry in primitive.findall("input"))
-        index = np.array((primitive.findtext("p") or "").split(), dtype=int).reshape(-1, stride)
+        index = np.fromstring(primitive.findtext("p") or "", dtype=int, sep=" ").reshape(-1, stride)
         if primitive.tag == "polylist":
-            index = index[_fans(np.array((primitive.findtext("vcount") or "").split(), dtype=int))]
+            index = index[_fans(np.fromstring(primitive.findtext("vcount") or "", dtype=int, sep=" "))]
         vertices = self._by_id[inputs["VERTEX"].get("source", "")]
         attributes = {entry.get("semantic"): entry for entry in vertices.findall("input")}
         at = index[:, int(inputs["VERTEX"].get("offset", 0))]
@@ -127,7 +143,7 @@ class _Reader:
         source = self._by_id[entry.get("source", "")]
         accessor = next(source.iter("accessor"))
         stride = int(accessor.get("stride", 1))
-        numbers = np.array((source.findtext("float_array") or "").split(), dtype=float)
+        numbers = np.fromstring(source.findtext("float_array") or "", sep=" ")
         return numbers.reshape(-1, stride)[:, :3]
 
     def _colour(self, material: str | None) -> np.ndarray:

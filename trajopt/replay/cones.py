@@ -76,7 +76,7 @@ def _draw(node: Any) -> None:
     index = np.array([(0, 1 + i, 1 + (i + 1) % ROUND) for i in range(ROUND)], dtype=np.uint32)
     mesh = ColouredMesh(
         vertices=points.astype(np.float32),
-        normals=np.tile(np.float32([0, 0, 1]), (len(points), 1)),
+        normals=np.tile(np.array([0, 0, 1], dtype=np.float32), (len(points), 1)),
         colours=np.ones((len(points), 3), dtype=np.float32),
         triangles=index,
     )

@@ -74,11 +74,12 @@ def two_tone_ball(radius: float, dark: np.ndarray = DARK) -> Triangles:
     """A ball whose eight octants are dark and bright in turn, the usual mark of a centre of mass."""
     pieces = ROUND // 4
     grid = np.linspace(0, np.pi / 2, pieces + 1)
-    points, colours, triangles = [], [], []
+    points: list[np.ndarray] = []
+    colours, triangles = [], []
     for up, quarter in itertools.product((1, -1), range(4)):
         elevation, turn = (part.ravel() for part in np.meshgrid(grid, grid + quarter * np.pi / 2))
         level = np.cos(elevation)
-        start = sum(map(len, points))
+        start = sum(len(part) for part in points)
         points.append(np.column_stack([level * np.cos(turn), level * np.sin(turn), up * np.sin(elevation)]))
         colours.append(np.tile(dark if (up > 0) == (quarter % 2 == 0) else BRIGHT, (len(turn), 1)))
         triangles.append(_cells(pieces, start)[:, ::up])
@@ -88,10 +89,11 @@ def two_tone_ball(radius: float, dark: np.ndarray = DARK) -> Triangles:
 
 def two_tone_disc(radius: float, dark: np.ndarray = DARK) -> Triangles:
     """A disc across z whose quarters are dark and bright in turn: where that centre is projected to."""
-    points, colours, triangles = [], [], []
+    points: list[np.ndarray] = []
+    colours, triangles = [], []
     for quarter in range(4):
         turn = np.linspace(0, np.pi / 2, ROUND // 4 + 1) + quarter * np.pi / 2
-        start = sum(map(len, points))
+        start = sum(len(part) for part in points)
         rim = np.column_stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)])
         points.append(np.vstack([np.zeros(3), rim]))
         colours.append(np.tile(BRIGHT if quarter % 2 else dark, (len(rim) + 1, 1)))
@@ -123,9 +125,10 @@ def bullseye(radius: float, colour: int) -> Triangles:
     """A disc across z of a coloured point, a bright ring and a coloured ring: the zero-moment point."""
     turn = np.linspace(0, 2 * np.pi, ROUND + 1)
     rim = np.column_stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)])
-    ink, points, colours, triangles = colour_array(colour), [], [], []
+    points: list[np.ndarray] = []
+    ink, colours, triangles = colour_array(colour), [], []
     for inner, outer, tone in ((0.0, 0.4, ink), (0.4, 0.72, BRIGHT), (0.72, 1.0, ink)):
-        start = sum(map(len, points))
+        start = sum(len(part) for part in points)
         points.append(np.vstack([inner * rim, outer * rim]))
         colours.append(np.tile(tone, (2 * len(rim), 1)))
         a = start + np.arange(ROUND)

@@ -16,6 +16,7 @@ from pinocchio.visualize.meshcat_visualizer import MeshcatVisualizer, loadMesh
 from trajopt.errors import InputError
 from trajopt.replay import collada
 from trajopt.replay.parts import Triangles
+from trajopt.replay.visuals import Visuals, mesh_points, visuals_of
 from trajopt.robot_building import BASE_JOINT, base_of, reach
 from trajopt.robot_data import VisualSource
 from trajopt.solution import Solution
@@ -54,14 +55,14 @@ def draw_robot(vis: Any, solution: Solution) -> DrawnRobot:
     try:
         if not visual:
             raise InputError("the solution names no URDF file")
-        geometry = VisualSource.from_meta(visual).geometry(solution.model)
-        if geometry.ngeoms == 0:
+        visuals = visuals_of(VisualSource.from_meta(visual), solution.model)
+        if visuals.geometry.ngeoms == 0:
             raise InputError(f"{visual['urdf']} has no visual geometry")
     except InputError as error:
         drawn = draw_skeleton(vis, solution)
         drawn.note = f"'{name}' is drawn as a skeleton: {error}"
         return drawn
-    return _draw_meshes(vis, solution.model, geometry)
+    return _draw_meshes(vis, solution.model, visuals)
 
 
 class _JointTree(MeshcatVisualizer):
@@ -70,42 +71,60 @@ class _JointTree(MeshcatVisualizer):
     def getViewerNodeName(self, geometry_object: Any, geometry_type: Any) -> str:
         return f"{joint_path(self.model, geometry_object.parentJoint)}/{_plain(geometry_object.name)}"
 
+    def loadViewerGeometryObject(self, geometry_object: Any, *args: Any, **options: Any) -> None:
+        if geometry_object.name in self.meshes:  # a box stands for it, see `visuals`
+            geometry_object.geometry = coal.BVHModelOBBRSS()
+        super().loadViewerGeometryObject(geometry_object, *args, **options)
+
     def loadMeshFromFile(self, geometry_object: Any) -> Any:
         if not geometry_object.meshPath.lower().endswith(".dae"):
             return super().loadMeshFromFile(geometry_object)
         try:
             mesh = collada.read(geometry_object.meshPath, np.asarray(geometry_object.meshColor)[:3])
         except collada.ColladaError:
-            whole = loadMesh(geometry_object.geometry)  # one colour; scaled already, as the node does
-            whole.vertices = whole.vertices / np.asarray(geometry_object.meshScale, dtype=np.float32)
-            return whole
+            return loadMesh(coal.MeshLoader().load(geometry_object.meshPath))  # of one colour
         return shapes.Mesh(Triangles(mesh), shapes.MeshPhongMaterial(vertexColors=True))
 
 
-def _draw_meshes(vis: Any, model: pin.Model, geometry: pin.GeometryModel) -> DrawnRobot:
-    loader, drawn, missing = _JointTree(model, None, geometry), DrawnRobot(), []
+def _draw_meshes(vis: Any, model: pin.Model, visuals: Visuals) -> DrawnRobot:
+    loader, drawn, unreadable = _JointTree(model, None, visuals.geometry), DrawnRobot(), []
+    loader.meshes = visuals.meshes
     loader.initViewer(viewer=vis)
-    for entry in geometry.geometryObjects:
+    for entry in visuals.geometry.geometryObjects:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            loader.loadViewerGeometryObject(entry, pin.GeometryType.VISUAL)
-        if any(issubclass(warning.category, UserWarning) for warning in caught):
-            missing.append(entry.name)
+            vertices = _points(entry, entry.name in visuals.meshes)
+            if vertices is not None:
+                loader.loadViewerGeometryObject(entry, pin.GeometryType.VISUAL)
+        if vertices is None or any(issubclass(warning.category, UserWarning) for warning in caught):
+            unreadable.append(entry.name)
             continue
         node = vis[loader.getViewerNodeName(entry, pin.GeometryType.VISUAL)]
         scale = np.diag([*entry.meshScale, 1.0])
         node.set_transform(entry.placement.homogeneous @ scale)
-        vertices = _vertices(entry.geometry)
         drawn.add(entry.parentJoint, vertices @ entry.placement.rotation.T + entry.placement.translation)
-    if missing:
-        drawn.note = f"geometry that Meshcat cannot show is left out: {', '.join(missing)}"
+    drawn.note = _left_out(visuals.missing, unreadable)
     return drawn
 
 
-def _vertices(geometry: Any) -> np.ndarray:
-    """Points (k, 3) that span a geometry; those of a mesh are scaled already, as Pinocchio loads them."""
-    if isinstance(geometry, coal.BVHModelBase):
-        return np.asarray(geometry.vertices())
+def _left_out(missing: dict[str, str], unreadable: list[str]) -> str:
+    """One line on what is not drawn of a robot; empty if that is nothing."""
+    parts = []
+    if missing:
+        parts.append(f"without mesh files that are not found: {', '.join(sorted(set(missing.values())))}")
+    if unreadable:
+        parts.append(f"without geometry that Meshcat cannot show: {', '.join(unreadable)}")
+    return f"the robot is drawn {'; '.join(parts)}" if parts else ""
+
+
+def _points(entry: Any, is_mesh: bool) -> np.ndarray | None:
+    """Points (k, 3) that span a geometry, in its own frame, scaled, m; None of an unreadable file."""
+    if is_mesh:
+        try:
+            return mesh_points(entry.meshPath, entry.meshScale, np.asarray(entry.meshColor)[:3])
+        except InputError:
+            return None
+    geometry = entry.geometry
     if isinstance(geometry, coal.Sphere):
         return geometry.radius * _round_probes()
     geometry.computeLocalAABB()

@@ -23,6 +23,8 @@ RUN_COLOURS = (0x5B6570, 0x0072B2, 0xD55E00, 0x009E73, 0xCC79A7, 0xE69F00, 0x56B
 GAP = 0.4
 # Frames at which the extent of a motion is measured.
 MEASURED_FRAMES = 12
+# Points of a mesh of which it is measured.
+MEASURED_POINTS = 300
 # A motion travels if its base goes further along the ground than this many times the robot.
 TRAVELS_FROM = 3.0
 
@@ -119,11 +121,20 @@ def _with_robot(run: Run) -> Run:
     parts = [np.zeros((len(rows), 0, 3))]
     for joint, points in robot.points.items():
         placement = run.motion.joints[rows, joint]
-        local = np.concatenate(points)
+        local = np.concatenate([few(part) for part in points])
         parts.append(local @ placement[:, :3, :3].transpose(0, 2, 1) + placement[:, None, :3, 3])
     cloud = np.concatenate(parts, axis=1)
     extent = float(np.ptp(cloud[0], axis=0).max()) if cloud.size else 0.0
     return replace(run, robot=robot, cloud=cloud.reshape(-1, 3), size=max(extent, 1e-3))
+
+
+def few(points: np.ndarray) -> np.ndarray:
+    """Some of many ``points`` (k, 3), those furthest along each axis among them: enough for their extent."""
+    if len(points) <= MEASURED_POINTS:
+        return points
+    extremes = np.concatenate([points.argmin(axis=0), points.argmax(axis=0)])
+    every = np.arange(0, len(points), len(points) // MEASURED_POINTS)
+    return np.asarray(points[np.concatenate([extremes, every])])
 
 
 def _aside(runs: list[Run]) -> list[Run]:
