@@ -152,6 +152,11 @@ def takeoff(robot: Robot, effort: float | None = None) -> Takeoff:
         if best is None or found.merit >= best.merit:
             best = found
     assert best is not None  # the last height is the extension, 0 or more
+    if heights[-1] < EXTENSION_ERROR * robot.length:
+        raise InputError(
+            f"'{robot.name}' cannot leave the ground: its legs are straight in the reference posture",
+            "allowed: bent knees (trajopt robot says more)",
+        )
     return best
 
 

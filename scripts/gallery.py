@@ -13,10 +13,11 @@ import io
 import sys
 import tempfile
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -24,7 +25,7 @@ from PIL import Image
 from trajopt.catalogue import families
 from trajopt.errors import InputError, TrajoptError
 from trajopt.replay import replay
-from trajopt.replay.browser import Chromium, OpenedPage, chromium
+from trajopt.replay.browser import Chromium, chromium
 from trajopt.solution import Solution
 
 # Title, page of docs/problems, and patterns of names: the first that fits counts.
@@ -37,15 +38,15 @@ GROUPS = (
     ("Hoppers and classics", "classics.md", ("*",)),
 )
 # Pictures of a strip, pixels of each (taken twice as large, for smooth edges), and bytes of a strip at most.
-PICTURES, WIDTH, HEIGHT, LARGER, MOST_BYTES = 4, 240, 200, 2, 30_000
-# A flight is shown with this part of its duration before and after it.
-AROUND = 0.5
+PICTURES, WIDTH, HEIGHT, LARGER, MOST_BYTES = 5, 200, 200, 2, 30_000
+# A leap is shown from this part of its flight's duration before take-off to as much after touchdown.
+AROUND = 0.25
 # Qualities of WebP, tried in this order until the strip is small enough.
 QUALITIES = (80, 70, 60, 50, 40, 30, 20)
 # What would hide a small robot.
 HIDDEN = ("com", "zmp", "support", "cones", "ghosts")
-# Views by preference: of what travels, the one that goes along.
-CAMERAS = ("follow", "overview")
+# What hangs lower than this part of its extent under the ground is shown without it.
+UNDER = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,9 +64,9 @@ class Entry:
 
 
 def chosen(folder: Path) -> tuple[Path, ...]:
-    """One solution file for each problem: of the robot taken least so far, problems with fewest choosing first.
+    """One solution file for each problem: of the robot taken least so far; problems with fewest choose first.
 
-    Raises `InputError` for a folder without files ``PROBLEM@ROBOT.npz``, as ``trajopt suite --output-dir`` writes.
+    Raises `InputError` for a folder without files ``PROBLEM@ROBOT.npz``, those of ``trajopt suite``.
     """
     files: dict[str, list[Path]] = defaultdict(list)
     for path in sorted(folder.glob("*@*.npz")):
@@ -98,29 +99,30 @@ def entry_of(name: str, solution: Solution) -> Entry:
 
 
 def times_of(solution: Solution) -> np.ndarray:
-    """Times (PICTURES,) in s that show what happens: around the only flight, or over the whole motion."""
+    """Times (PICTURES,) in s that show what happens: around a leap's flight, or over the whole motion."""
     start, end = float(solution.t[0]), float(solution.t[-1])
-    flights = [phase for phase in solution.phases if not solution.active[list(phase)].any()]
-    touches = bool(solution.active.any())
-    if touches and len(flights) == 1 and len(solution.phases) <= 3:
+    flights = [rows for rows in solution.phases if not solution.active[rows.start : rows.stop].any()]
+    leaps = solution.active.any() and len(flights) == 1 and not solution.meta.get("periodicity")
+    if leaps:
         first, last = (float(solution.t[flights[0][index]]) for index in (0, -1))
         margin = AROUND * (last - first)
         start, end = max(start, first - margin), min(end, last + margin)
     return np.linspace(start, end, PICTURES)
 
 
-def strip(view: OpenedPage, times: Iterable[float]) -> Image.Image:
-    """Pictures of an opened page side by side, each at half the size that it was taken at."""
-    view.camera(next(name for name in CAMERAS if name in view.cameras))
-    for name in set(HIDDEN) & set(view.layers):
-        view.layer(name, False)
-    pictures = []
-    for time in times:
-        view.seek(time)
-        pictures.append(Image.fromarray(view.picture()).resize((WIDTH, HEIGHT), Image.Resampling.LANCZOS))
-    whole = Image.new("RGB", (WIDTH * len(pictures), HEIGHT))
-    for index, picture in enumerate(pictures):
-        whole.paste(picture, (index * WIDTH, 0))
+def strip_of(browser: Chromium, page: Path, solution: Solution, facts: Mapping[str, Any]) -> Image.Image:
+    """Pictures of a solution in its page side by side, `WIDTH` by `HEIGHT` each; the camera stands still."""
+    buried = facts["box"][0][2] < -UNDER * facts["size"] and not solution.active.any()
+    hidden = {*HIDDEN, "terrain"} if buried else set(HIDDEN)
+    with browser.opened(page, (LARGER * WIDTH, LARGER * HEIGHT), "bare") as view:
+        view.camera("overview")
+        for name in hidden & set(view.layers):
+            view.layer(name, False)
+        whole = Image.new("RGB", (WIDTH * PICTURES, HEIGHT))
+        for number, time in enumerate(times_of(solution)):
+            view.seek(float(time))
+            picture = Image.fromarray(view.picture()).resize((WIDTH, HEIGHT), Image.Resampling.LANCZOS)
+            whole.paste(picture, (number * WIDTH, 0))
     return whole
 
 
@@ -141,9 +143,8 @@ def add(browser: Chromium, path: Path, target: Path, keep_page: bool) -> Entry:
     solution = Solution.load(path)
     with tempfile.TemporaryDirectory() as folder:
         page = (target if keep_page else Path(folder)) / f"{path.stem}.html"
-        replay(solution, html=page)
-        with browser.opened(page, (LARGER * WIDTH, LARGER * HEIGHT), "bare") as view:
-            picture = strip(view, times_of(solution))
+        shown = replay(solution, html=page)
+        picture = strip_of(browser, page, solution, shown.facts)
     (target / f"{path.stem}.webp").write_bytes(packed(picture))
     return entry_of(path.stem, solution)
 
@@ -153,8 +154,8 @@ def readme(entries: Sequence[Entry]) -> str:
     lines = [
         "# Gallery",
         "",
-        f"{len(entries)} of the library's motions, each on one of its robots, solved with default parameters from"
-        " their own guess. Time runs from left to right; red arrows are contact forces.",
+        f"{len(entries)} of the library's motions, each on one of its robots, solved with default parameters"
+        " from their own guess. Time runs from left to right; red arrows are contact forces.",
         "",
         "    trajopt suite --compile none --output-dir out",
         "    python -m scripts.gallery --solutions out -o docs/gallery",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
@@ -45,6 +46,8 @@ def warnings_of(robot: Robot, standing: Standing) -> tuple[str, ...]:
     found = [*_bodies(robot), *_limits(robot), *_reference(robot, standing)]
     if legged:
         found += [*_feet(robot, standing), *_legs(robot, standing), *_sides(robot)]
+    else:
+        found += _tool(robot)
     return tuple(found)
 
 
@@ -183,6 +186,18 @@ def _legs(robot: Robot, standing: Standing) -> Sayings:
         )
 
 
+def _tool(robot: Robot) -> Sayings:
+    """An arm with six joints and more that cannot move or turn its last frame in some direction."""
+    if robot.nv < 6:
+        return
+    frame = [f.name for f in robot.model.frames if f.parentJoint == robot.model.njoints - 1][-1]
+    jacobian = contact_jacobian(robot.model, robot.reference, [(frame, 6)])
+    jacobian[:3] /= robot.length
+    values = np.linalg.svd(jacobian, compute_uv=False)
+    if values[-1] < SINGULAR * values[0]:
+        yield f"the reference posture is singular, '{frame}' is stuck in some direction: bend the arm"
+
+
 def _drawn_feet(robot: Robot, standing: Standing) -> Sayings:
     """Contact frames far above the lowest drawn point of their body: an ankle or a knee, no sole."""
     below = lowest_drawn(robot, standing)
@@ -194,11 +209,11 @@ def _drawn_feet(robot: Robot, standing: Standing) -> Sayings:
 
 def lowest_drawn(robot: Robot, standing: Standing) -> dict[str, float]:
     """How far what is drawn of a foot's body reaches below its contact frame, m; empty without meshes."""
-    if robot.visual is None:
-        return {}
     try:
-        geometry = robot.visual.geometry(robot.model)
+        geometry = shapes_of(robot)
     except InputError:
+        return {}
+    if geometry is None:
         return {}
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, robot.reference)
@@ -214,6 +229,12 @@ def lowest_drawn(robot: Robot, standing: Standing) -> dict[str, float]:
         if any(np.isfinite(lowest)):
             depths[name] = float(place - np.min(lowest))
     return depths
+
+
+@lru_cache(maxsize=1)
+def shapes_of(robot: Robot) -> pin.GeometryModel | None:
+    """What a robot is drawn with, None where nothing says so. Raises `InputError` for a missing file."""
+    return None if robot.visual is None else robot.visual.geometry(robot.model)
 
 
 def _lowest(shape: object, place: pin.SE3, scale: np.ndarray) -> float:

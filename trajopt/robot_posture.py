@@ -7,19 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trajopt.objectives import effort_costs
 from trajopt.problem import Problem
 from trajopt.robot import Robot
 from trajopt.robot_standing import standing_feet
 from trajopt.schedule import FlatGround, Phase, Schedule
 from trajopt.solving import solve
-from trajopt.terms import FrictionPyramid, SoleCone
+from trajopt.terms import AccelerationCost, FrictionPyramid, SoleCone, WrenchCost
 
 if TYPE_CHECKING:
     from trajopt.replay import Replay
 
 # Long enough to look at, s; what rests needs no grid.
 DURATION, INTERVALS = 1.0, 4
+# Weight of wrenches beside that of accelerations: forces in balance are spread, and move nothing for it.
+SPREAD = 1e-6
 # Rubber on a dry floor.
 FRICTION = 0.7
 
@@ -27,12 +28,13 @@ FRICTION = 0.7
 def rest(robot: Robot, duration: float = DURATION) -> Problem:
     """Return the problem to stay in the reference posture for ``duration`` s, on the feet if it has some.
 
-    Costs are those of effort, so that forces are spread. Torques are not limited, and the robot starts at
-    rest: a posture that falls over falls.
+    Accelerations cost, and wrenches very little, so that they are spread. Torques are not limited, and the
+    robot starts at rest: a posture that falls over falls.
     """
     feet = standing_feet(robot)
     kinds = {contact.kind for contact in feet}
     cones = [cone for kind, cone in (("point", FrictionPyramid()), ("surface", SoleCone())) if kind in kinds]
+    spread = (WrenchCost(weight=SPREAD),) if feet else ()
     return Problem(
         name="rest",
         robot=robot,
@@ -40,7 +42,7 @@ def rest(robot: Robot, duration: float = DURATION) -> Problem:
         terrain=FlatGround(friction=FRICTION),
         initial_q=robot.reference,
         initial_v=np.zeros(robot.nv),
-        terms=(*effort_costs(), *cones),
+        terms=(AccelerationCost(weight=1.0), *spread, *cones),
         guess=lambda _: robot.reference,
         default_intervals=INTERVALS,
     )

@@ -10,7 +10,7 @@ import numpy as np
 from trajopt.errors import InputError
 from trajopt.kinematics import contact_positions
 from trajopt.robot import Robot
-from trajopt.robot_faults import listed, lowest_drawn, warnings_of
+from trajopt.robot_faults import listed, lowest_drawn, shapes_of, warnings_of
 from trajopt.robot_standing import standing
 
 
@@ -169,7 +169,8 @@ def _notes(robot: Robot) -> tuple[str, ...]:
         notes.append("no description with meshes: a replay draws a skeleton")
         return tuple(notes)
     try:
-        count = robot.visual.geometry(robot.model).ngeoms
+        shapes = shapes_of(robot)
+        count = 0 if shapes is None else shapes.ngeoms
         notes.append(f"{count} shapes to draw" if count else "nothing to draw: a replay draws a skeleton")
     except InputError as error:
         notes.append(f"a replay draws a skeleton: {error}")
