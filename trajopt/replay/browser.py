@@ -197,11 +197,9 @@ def chromium() -> Iterator[Chromium]:
     Raises `InputError`, one line that says what to install, without Chromium or Playwright, and
     `TrajoptError` if Chromium does not start.
     """
-    executable = find_chromium()
-    try:
-        from playwright.async_api import async_playwright
-    except ImportError:
-        raise InputError("pictures of a replay need playwright", INSTALL_EXTRA) from None
+    executable = installed()
+    from playwright.async_api import async_playwright
+
     calls, manager = _Calls(), async_playwright()
     try:
         driver = calls(manager.__aenter__(), READY_LIMIT, "playwright")
@@ -230,6 +228,15 @@ def opened(
     """Open one page in a Chromium of its own: `chromium` and its ``opened`` in one."""
     with chromium() as browser, browser.opened(page, size, fragment, limit) as view:
         yield view
+
+
+def installed() -> str:
+    """Return the Chromium to use; raises `InputError`, one line, where it or Playwright is missing."""
+    try:
+        import playwright.async_api  # noqa: F401
+    except ImportError:
+        raise InputError("pictures of a replay need playwright", INSTALL_EXTRA) from None
+    return find_chromium()
 
 
 def find_chromium() -> str:

@@ -15,7 +15,7 @@ import numpy as np
 
 from trajopt.errors import InputError
 from trajopt.replay import video
-from trajopt.replay.browser import AT_START, OpenedPage, opened
+from trajopt.replay.browser import AT_START, OpenedPage, installed, opened
 from trajopt.replay.shots import GAP, Shots, telling_moment
 from trajopt.replay.show import replay
 from trajopt.solution import Solution
@@ -25,6 +25,8 @@ Progress = Callable[[int, int], None]
 # Height of a strip's text over that of its pictures, and its distance from the edge over its height.
 TEXT, TEXT_MARGIN = 0.055, 0.5
 INK = (27, 37, 48)
+# The page has 60 frames a second of playback: of this slow a motion 600 for each of its seconds, enough.
+SLOWEST = 0.1
 # Poses at changes of phase: a strip shows poses itself.
 GHOSTS = "ghosts"
 
@@ -61,15 +63,14 @@ def render(
     several = [solutions] if isinstance(solutions, Solution) else list(solutions)
     target = Path(target).expanduser()
     shots = Shots(ending=target.suffix.lower(), **options)
+    installed()
     if shots.is_video:
         video.find_ffmpeg()
+    times = shots.times(*_span(several), telling_moment(several[0]))
     with _replacing(target) as unfinished, tempfile.TemporaryDirectory(prefix="trajopt-") as folder:
         page = Path(folder, "page.html")
-        shown = replay(
-            several, html=page, open_browser=False, speed=shots.speed, layout=layout, labels=labels
-        )
-        first = float(shown.facts["start"])
-        times = shots.times(first, first + shown.duration * shots.speed, telling_moment(several[0]))
+        speed = min(max(shots.speed, SLOWEST), 1.0)  # of slow motion the page has more frames
+        replay(several, html=page, open_browser=False, speed=speed, layout=layout, labels=labels)
         with opened(page, shots.pixels, _fragment(shots)) as view:
             _arrange(view, shots)
             _write(unfinished, shots, times, _pictures(view, times, progress))
@@ -83,6 +84,13 @@ def render(
         height=height,
         size=size,
     )
+
+
+def _span(solutions: Sequence[Solution]) -> tuple[float, float]:
+    """First and last time of all, s."""
+    if not solutions:
+        raise InputError("there is nothing to render", "one or more solutions")
+    return min(float(s.t[0]) for s in solutions), max(float(s.t[-1]) for s in solutions)
 
 
 def _fragment(shots: Shots) -> str:
