@@ -85,7 +85,8 @@ def test_robot_falls_as_it_must_without_ground(stand):
     t = np.append(found.reference.t, found.reference.t[-1] + found.reference.period)
     centre = [pin.centerOfMass(plan.model, plan.model.createData(), q)[2] for q in _configurations(found)]
     fallen = centre[0] - 9.81 * t**2 / 2
-    np.testing.assert_allclose(centre, fallen, atol=CLOSED_FORM)
+    falling = found.reference.planned + 1  # then it would be held
+    np.testing.assert_allclose(centre[:falling], fallen[:falling], atol=CLOSED_FORM)
 
 
 def _configurations(found):
