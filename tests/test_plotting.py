@@ -35,8 +35,8 @@ from trajopt.solution_motion import SolutionMotion
 
 # Two computations of the same numbers differ by rounding.
 ROUNDING = 1e-9
-# CIE 1976 distance of two colours: about 2.3 is a just noticeable difference, 10 is told apart at a glance.
-APART = 10.0
+# CIE 1976 distance of two colours: about 2.3 is a just noticeable difference, 15 is told apart at a glance.
+APART = 15.0
 # Overlap of two texts' boxes in pixels that is no contact of letters: boxes have empty edges.
 EDGE = 2.0
 TALOS = "cmeel.prefix/share/example-robot-data/robots/talos_data/robots/talos_full_v2.urdf"
@@ -381,9 +381,10 @@ def test_an_iterate_that_is_not_finite_is_plotted_as_far_as_it_goes(tmp_path: Pa
     assert report(broken, tmp_path / "broken.html").size > 0
 
 
-def test_one_interval_and_one_joint_are_enough(tmp_path: Path) -> None:
+@pytest.mark.parametrize("actuation", ["torque", "velocity", "acceleration"])
+def test_one_interval_and_one_joint_are_enough(tmp_path: Path, actuation: str) -> None:
     robot = one_joint_arm()
-    solution = sampled(robot, [arm_motion(robot)], 1)
+    solution = sampled(robot, [arm_motion(robot)], 1, actuation=actuation)
     assert report(solution, tmp_path / "one.png", pages=list(PAGES)).size > 0
 
 
