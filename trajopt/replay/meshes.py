@@ -25,6 +25,8 @@ NORMAL_LEVELS = 254
 LEAST_CORNERS = 300
 # A binary STL file: a header with the number of triangles, and 50 bytes for each.
 STL_HEADER, STL_TRIANGLE = 84, 50
+# Rows of whole numbers are compared as one number, up to this one.
+LARGEST_KEY = 2**62
 # Bytes of the differences of each column.
 PLANES = {"position": 2, "normal": 2, "colour": 4}
 # A file whose normals make this many vertices of one draws every face flat: the page makes better ones.
@@ -104,6 +106,8 @@ def _packed(mesh: Triangles) -> dict[str, Any] | None:
         if len(with_normals[1]["position"]) <= FACETED * len(welded[1]["position"]):
             welded = with_normals
     index, vertices = welded
+    if len(index) == 0:
+        return None
     packed |= {
         "vertices": len(vertices["position"]),
         "corners": len(index),
@@ -124,11 +128,8 @@ def _welded(columns: dict[str, np.ndarray], index: np.ndarray) -> tuple[np.ndarr
 
     columns: whole numbers (n, k), not negative. Triangles that have shrunk to a line are left out.
     """
-    key = np.zeros(len(columns["position"]), dtype=np.int64)
-    for column in np.column_stack(list(columns.values())).T:
-        key = np.unique(key * (int(column.max(initial=0)) + 1) + column, return_inverse=True)[1]
-    _, first = np.unique(key, return_index=True)
-    triangles = key[index].reshape(-1, 3)
+    first, number = _distinct(np.column_stack(list(columns.values())))
+    triangles = number[index].reshape(-1, 3)
     a, b, c = triangles.T
     corners = triangles[(a != b) & (b != c) & (a != c)].ravel()
     place = np.full(len(first), len(corners))
@@ -137,6 +138,19 @@ def _welded(columns: dict[str, np.ndarray], index: np.ndarray) -> tuple[np.ndarr
     rank = np.zeros(len(first), dtype=np.int64)
     rank[order] = np.arange(len(order))
     return rank[corners], {name: rows[first[order]] for name, rows in columns.items()}
+
+
+def _distinct(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where each distinct row (n, k) of whole numbers is first, and the number of every row (n,)."""
+    key, span = np.zeros(len(rows), dtype=np.int64), 1
+    for column in rows.T:
+        width = int(column.max(initial=0)) + 1
+        if span * width > LARGEST_KEY:
+            key = np.unique(key, return_inverse=True)[1]
+            span = len(rows)
+        key, span = key * width + column, span * width
+    _, first, number = np.unique(key, return_index=True, return_inverse=True)
+    return first, number
 
 
 def _backward(index: np.ndarray) -> np.ndarray:
