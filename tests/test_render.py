@@ -1,4 +1,4 @@
-"""Videos, GIFs, pictures: exact frames and durations, as the page shows them; bad input; nothing half done."""
+"""Videos, GIFs, pictures: exact frames and durations, as the page shows them; bad input; all or nothing."""
 
 from __future__ import annotations
 
