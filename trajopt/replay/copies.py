@@ -17,6 +17,8 @@ TINT_OPACITY = 0.55
 GHOST_COLOUR, GHOST_OPACITY = 0x5F7FA6, 0.2
 # At most this many ghosts, each with some point of the robot this part of its extent away from every other.
 MOST_GHOSTS, APART = 6, 0.35
+# Of a long gait so many changes of phase are looked at.
+MOST_COMPARED = 40
 
 
 def drawn_at(recorder: Recorder, place: str) -> list[dict[str, Any]]:
@@ -93,12 +95,17 @@ def draw_ghosts(recorder: Recorder, run: Run, joints: Sequence[tuple[int, str]],
 def ghost_frames(motion: Motion, size: float) -> list[int]:
     """Frames of the start, the changes of phase and the end whose poses differ, spread if they are many."""
     changes = (np.flatnonzero(np.diff(motion.phase)) + 1).tolist()
-    wanted = [0, *changes, motion.n_frames - 1]
+    wanted = _spread([0, *changes, motion.n_frames - 1], MOST_COMPARED)
     kept: list[int] = []
     for frame in wanted:
         place = motion.joints[frame, 1:, :3, 3]
         ways = [np.linalg.norm(motion.joints[other, 1:, :3, 3] - place, axis=1) for other in kept]
         if all(way.max(initial=0.0) > APART * size for way in ways):
             kept.append(frame)
-    spread = np.unique(np.linspace(0, len(kept) - 1, min(len(kept), MOST_GHOSTS)).round().astype(int))
-    return [kept[index] for index in spread]
+    return _spread(kept, MOST_GHOSTS)
+
+
+def _spread(frames: list[int], most: int) -> list[int]:
+    """At most that many of the frames, evenly chosen, with the first and the last."""
+    chosen = np.linspace(0, len(frames) - 1, min(len(frames), most)).round().astype(int)
+    return [frames[index] for index in np.unique(chosen)]
