@@ -190,7 +190,7 @@ BAD = {
     "no command": ((), ["Missing command"]),
     "unknown command": (
         ("sole",),
-        ["sole", "allowed: check, continue, diagnose, list, reference, replay, solve"],
+        ["sole", "allowed: check, continue, diagnose, list"],
     ),
     "no problem": (("solve",), ["PROBLEM"]),
     "unknown problem": (("solve", "solo12-jmp"), ["did you mean solo12-jump?"]),
