@@ -11,7 +11,7 @@ import numpy as np
 from trajopt.plotting import draw, style
 from trajopt.plotting.draw import Curve
 from trajopt.plotting.motion import Motion
-from trajopt.plotting.page import Entry, Page, Panel, Row, Tracks
+from trajopt.plotting.page import LEFT, Entry, Page, Panel, Row, Tracks
 from trajopt.plotting.time_axis import impact_times
 from trajopt.plotting.track import Track
 
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # A row of the diagram of stances in units of a row's height; height of its bars.
 STANCE_ROW, BAR = 0.11, 0.62
+# Inches of a letter in the names of contacts.
+NAME_LETTER = 0.06
 # Panels of contacts side by side, and rows of them on a page.
 CONTACTS_A_ROW, ROWS_A_PAGE = 2, 3
 NORMAL, TANGENTIAL = style.BLUE, style.RED
@@ -36,7 +38,7 @@ def stance_row(tracks: Tracks) -> Row | None:
     found, frames = contacts(tracks), tracks[0].solution.contact_frames
     if not found:
         return None
-    left = max(0.72, 0.2 + 0.055 * max(len(frames[i]) for i in found))
+    left = max(LEFT, 0.25 + NAME_LETTER * max(len(frames[i]) for i in found))
     return Row(
         title="contacts",
         panels=(Panel(name="contacts", ylabel="", draw=partial(_stances, found=found)),),

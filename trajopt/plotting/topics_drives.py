@@ -70,7 +70,22 @@ def drive_pages(tracks: Tracks) -> list[Page]:
                 )
                 legend = tuple(curve.entry for curve in drawn)
                 rows.append(Row(title=title, panels=(panel,), legend=legend))
-    planes = [
+    planes = _plane_rows(found)
+    note = (
+        "Torque that the drive delivers, with joint friction. Shaded: what voltage and current allow. Dots: "
+        "collocation points. Dashed red: the joint's velocity limit."
+    )
+    pages = [Page(name="drives", title="drives", rows=tuple(rows + planes[:2]), note=note)]
+    for start in range(2, len(planes), ROWS_A_PAGE):
+        pages.append(
+            Page(name="drives", title="drives", rows=tuple(planes[start : start + ROWS_A_PAGE]), note=note)
+        )
+    return pages
+
+
+def _plane_rows(found: Sequence[tuple[Axis, Drive]]) -> list[Row]:
+    """Each drive in its torque-speed plane."""
+    return [
         Row(
             title="torque over speed, joint side" if start == 0 else "",
             panels=tuple(
@@ -87,16 +102,6 @@ def drive_pages(tracks: Tracks) -> list[Page]:
         )
         for start in range(0, len(found), PLANES_A_ROW)
     ]
-    note = (
-        "Torque that the drive delivers, with joint friction. Shaded: what voltage and current allow. Dots: "
-        "collocation points. Dashed red: the joint's velocity limit."
-    )
-    pages = [Page(name="drives", title="drives", rows=tuple(rows + planes[:2]), note=note)]
-    for start in range(2, len(planes), ROWS_A_PAGE):
-        pages.append(
-            Page(name="drives", title="drives", rows=tuple(planes[start : start + ROWS_A_PAGE]), note=note)
-        )
-    return pages
 
 
 def _shares(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
