@@ -45,13 +45,13 @@ class Touched:
         return np.where(self.known, self.along_normal(position - self.point), np.nan)
 
 
-def touched(plan: Solution, position: np.ndarray, phase: np.ndarray | None = None) -> Touched:
+def touched(plan: Solution, position: np.ndarray, phases: np.ndarray | None = None) -> Touched:
     """Read terrain, friction and surfaces of a consistent solution. Raises `SolutionFileError`.
 
     ``position`` (K, nc, 3) m: of the contacts; ground that is no plane is what lies under them.
-    ``phase`` (K,): of the times of these positions where they are not the samples.
+    ``phases`` (K,): of the times of these positions where they are not the samples.
     """
-    frames, rows = list(plan.contact_frames), plan.phase if phase is None else phase
+    frames, rows = list(plan.contact_frames), plan.phase if phases is None else phases
     point, normal, known = _ground(terrain_of(plan.meta["terrain"]), position)
     friction = np.tile(np.array(plan.meta["friction"], dtype=float), (len(rows), 1))
     bilateral, slip = np.zeros(friction.shape, dtype=bool), np.full(friction.shape, np.nan)
