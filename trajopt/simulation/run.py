@@ -30,9 +30,10 @@ PUSHED = 0.1
 class Record:
     """What happened at the starts of n periods (and at the end), in MuJoCo's coordinates.
 
-    qpos (n + 1, nq'), qvel (n + 1, nv), qacc (n, nv); torque (n, nu) of the drives, saturated (n, nu); force
-    (n, nc, 6) of the surroundings on contacts, world axes, at the frame's origin; feet (n, nc, 3) m and turns
-    (n, nc, 3, 3) of the contact frames; touched (n,) a link touches the ground; hit (n,) an obstacle.
+    qpos (n + 1, nq'), qvel (n + 1, nv), qacc (n, nv); torque (n, nu) of the drives, where they are saturated
+    (n, nu), and friction (n, nu) on them; force (n, nc, 6) of the surroundings on contacts, world axes, at the
+    frame's origin; feet (n, nc, 3) m and turns (n, nc, 3, 3) of the contact frames; touched (n,) a link
+    touches the ground; hit (n,) an obstacle.
     """
 
     qpos: np.ndarray
@@ -40,6 +41,7 @@ class Record:
     qacc: np.ndarray
     torque: np.ndarray
     saturated: np.ndarray
+    friction: np.ndarray
     force: np.ndarray
     feet: np.ndarray
     turns: np.ndarray
@@ -83,6 +85,7 @@ class _Run:
             qacc=np.zeros((count, model.nv)),
             torque=np.zeros((count, len(self.rows))),
             saturated=np.zeros((count, len(self.rows)), dtype=bool),
+            friction=np.zeros((count, len(self.rows))),
             force=np.zeros((count, contacts, 6)),
             feet=np.zeros((count, contacts, 3)),
             turns=np.zeros((count, contacts, 3, 3)),
@@ -100,7 +103,7 @@ class _Run:
             self.mujoco.mj_forward(model, data)  # forces of this state: stages of a step leave others behind
             if not self._is_sane():
                 return _until(found, k)
-            found.qacc[k] = data.qacc
+            found.qacc[k], found.friction[k] = data.qacc, self._friction()
             found.feet[k] = data.site_xpos[self.world.sites]
             found.turns[k] = data.site_xmat[self.world.sites].reshape(-1, 3, 3)
             found.touched[k], found.hit[k] = self._contacts(found.force[k], found.feet[k])
@@ -155,6 +158,13 @@ class _Run:
         torque = np.clip(wanted, low, high)
         self.data.qfrc_applied[self.rows] = torque
         return torque, torque != wanted
+
+    def _friction(self) -> np.ndarray:
+        """Torques (nu,) of friction in the drives on their joints: viscous, and Coulomb's as a constraint."""
+        whole = self.data.qfrc_passive.copy()
+        own = self.data.efc_type == self.mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
+        np.add.at(whole, self.data.efc_id[own], self.data.efc_force[own])
+        return np.asarray(whole[self.rows])
 
     def _contacts(self, force: np.ndarray, feet: np.ndarray) -> tuple[bool, bool]:
         """Add this step's contacts to ``force`` (nc, 6); whether a link touches ground, or an obstacle."""

@@ -19,7 +19,7 @@ from trajopt.certify.touched import held_samples
 from trajopt.extraction import VERSIONED
 from trajopt.simulation.bodies import mujoco_package
 from trajopt.simulation.figures import loads
-from trajopt.simulation.reference import Reference, drives_of
+from trajopt.simulation.reference import Reference
 from trajopt.simulation.report import Report
 from trajopt.simulation.run import Record
 from trajopt.simulation.world import World
@@ -71,7 +71,7 @@ def simulated_solution(
         q=q[rows],
         v=v[rows],
         a=a[last],
-        tau=record.torque[last] - _drive_friction(plan, record)[last],
+        tau=(record.torque + record.friction)[last],
         f=record.force[last],
         active=np.repeat(_active(plan, reference, record, world, chunks), 3, axis=0),
     )
@@ -102,16 +102,6 @@ def _active(
         found.append(own)
         before = reference.phase[first]
     return np.array(found)
-
-
-def _drive_friction(plan: Solution, record: Record) -> np.ndarray:
-    """What joint friction takes of the torques (n, nu): ``tau`` of a file is what moves the robot."""
-    rates = record.qvel[: len(record.torque)]
-    friction = np.zeros_like(record.torque)
-    for row, drive in enumerate(drives_of(plan)):
-        if drive is not None:
-            friction[:, row] = drive.friction_torque(rates[:, plan.n_unactuated + row])
-    return friction
 
 
 def _meta(plan: Solution, reference: Reference, report: Report, phase: np.ndarray) -> dict[str, Any]:
