@@ -160,8 +160,8 @@ def readme(entries: Sequence[Entry]) -> str:
         "    trajopt suite --compile none --output-dir out",
         "    python -m scripts.gallery --solutions out -o docs/gallery",
         "",
-        "makes such a page, of one robot for each problem among the solutions; with `--pages` also an `index.html`"
-        " whose pictures open pages that play.",
+        "makes such a page, of one robot for each problem among the solutions; with `--pages` also an"
+        " `index.html` whose pictures open pages that play.",
     ]
     for number, (title, document, _) in enumerate(GROUPS):
         members = [entry for entry in entries if entry.group == number]
