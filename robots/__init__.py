@@ -123,6 +123,9 @@ def _module(name: str) -> ModuleType:
         if not path.is_file():
             raise InputError(f"robot file {path} does not exist")
         return _from_file(path, path.stat().st_mtime_ns)
+    if name.endswith((".urdf", ".xml")):
+        made = "trajopt robot FILE.urdf --write FILE.py makes one of a URDF"
+        raise InputError(f"'{name}' is a description, no robot", f"a .py file with build(): {made}")
     if name not in names():
         raise InputError(
             f"robot '{name}' is unknown", "a .py file with build(), or one of " + ", ".join(names())

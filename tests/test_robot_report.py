@@ -233,3 +233,10 @@ def test_bad_input_is_one_line(words: tuple[str, ...], line: str) -> None:
     assert status == 2
     assert line in text
     assert len(text.strip().splitlines()) == 1
+
+
+def test_a_description_in_place_of_a_robot_is_told_how_to_become_one() -> None:
+    status, text = run("solve", "quadruped-jump-up", "--set", f"robot={URDF}")
+    assert status == 2
+    assert "--write FILE.py" in text
+    assert len(text.strip().splitlines()) == 1
