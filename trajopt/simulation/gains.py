@@ -13,12 +13,14 @@ springs: where a foot is late, its joints are as free as in the swing.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
 
+from trajopt.certify.payloads import carrying_model
 from trajopt.robot_building import base_of
-from trajopt.simulation.bodies import mujoco_package
+from trajopt.simulation.bodies import mujoco_package, write_inertias
 from trajopt.simulation.reference import Reference, rows_of
 from trajopt.simulation.settings import FEEDBACK_TIME, Settings
 from trajopt.simulation.world import World
@@ -45,7 +47,7 @@ def gains_of(plan: Solution, world: World, reference: Reference, settings: Setti
     """Gains for every period of a reference."""
     picked = np.arange(0, len(reference.t), EVERY)
     rows = world.coordinates.rows[plan.n_unactuated :]
-    matrices = _inertias(world, reference.q[picked])
+    matrices = _inertias(plan, world, reference, picked)
     inertia = np.diagonal(matrices, axis1=1, axis2=2)[:, rows]
     rate = 1.0 / (FEEDBACK_TIME * world.units.time)
     kp = np.maximum(rate**2 * inertia, _holding(plan, world, reference.active[picked]))
@@ -57,11 +59,17 @@ def gains_of(plan: Solution, world: World, reference: Reference, settings: Setti
     return Gains(kp=settings.kp * (weaker * kp)[spread], kd=settings.kd * (weaker * kd)[spread], rate=rate)
 
 
-def _inertias(world: World, q: np.ndarray) -> np.ndarray:
-    """Mass matrices (n, nv, nv) at Pinocchio's q (n, nq), in MuJoCo's coordinates."""
-    mujoco, model = mujoco_package(), world.compiled
-    data, found = mujoco.MjData(model), np.zeros((len(q), model.nv, model.nv))
-    for qpos, matrix in zip(world.coordinates.to_mujoco(q), found, strict=True):
+def _inertias(plan: Solution, world: World, reference: Reference, picked: np.ndarray) -> np.ndarray:
+    """Mass matrices (n, nv, nv) of the picked periods, with what is carried, in MuJoCo's coordinates."""
+    mujoco, model = mujoco_package(), copy.copy(world.compiled)
+    data, found = mujoco.MjData(model), np.zeros((len(picked), model.nv, model.nv))
+    phases, carried = reference.source[picked], -1
+    for qpos, phase, matrix in zip(
+        world.coordinates.to_mujoco(reference.q[picked]), phases, found, strict=True
+    ):
+        if phase != carried and plan.meta.get("payloads"):
+            write_inertias(model, carrying_model(plan, int(phase)))
+            carried = phase
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)

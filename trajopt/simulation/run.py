@@ -31,8 +31,8 @@ class Record:
     """What happened at the starts of n periods (and at the end), in MuJoCo's coordinates.
 
     qpos (n + 1, nq'), qvel (n + 1, nv), qacc (n, nv); torque (n, nu) of the drives, where they are saturated
-    (n, nu), and friction (n, nu) on them; force (n, nc, 6) of the surroundings on contacts, world axes, at the
-    frame's origin; feet (n, nc, 3) m and turns (n, nc, 3, 3) of the contact frames; touched (n,) a link
+    (n, nu), and friction (n, nu) on them; force (n, nc, 6) of the surroundings on contacts, world axes, at
+    the frame's origin; feet (n, nc, 3) m and turns (n, nc, 3, 3) of the contact frames; touched (n,) a link
     touches the ground; hit (n,) an obstacle.
     """
 
