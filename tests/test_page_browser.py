@@ -268,3 +268,23 @@ def smoothed_path(base: np.ndarray, step: float, size: float) -> np.ndarray:
         filtered = gaussian_filter1d(np.concatenate(padded), width * time, radius=reach)
         columns.append(filtered[reach : reach + len(values)])
     return np.column_stack(columns)
+
+
+def test_page_plays_when_it_is_opened_and_stops_for_who_says_so_at_once(browser, page):
+    with browser.opened(page, SMALL, "") as shown:
+        assert shown.state()["playing"]
+        until(shown, "trajopt.state().time > 0.02")
+        act(shown, shown._page.reload())
+        shown.evaluate("trajopt.ready.then(() => trajopt.pause())")
+        shown.evaluate("new Promise(done => setTimeout(done, 300))")
+        assert not shown.state()["playing"]
+        assert shown.errors == []
+
+
+def test_parts_of_one_mesh_file_share_what_the_graphics_card_holds(view):
+    script = """() => {
+        const parts = [], robot = trajopt.viewer.scene_tree.find(["meshcat", "robot"]).object;
+        robot.traverse(part => part.isMesh && parts.push(part));
+        return [parts.length, new Set(parts.map(part => part.geometry)).size];
+    }"""
+    assert view.evaluate(script) == [17, 10]

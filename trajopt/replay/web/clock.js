@@ -59,7 +59,7 @@ class Clock {
 
     play() {
         if (this.time >= this.end) this.show(this.start);
-        this.last = performance.now();
+        this.last = null;  // time passes from the first picture on
         this.playing = true;
         this.changed();
     }
@@ -102,7 +102,7 @@ class Clock {
 
     tick() {
         if (!this.playing) return;
-        const now = performance.now(), passed = (now - this.last) / 1000;
+        const now = performance.now(), passed = this.last === null ? 0 : (now - this.last) / 1000;
         this.last = now;
         if (this.time < this.end) {
             this.show(this.time + passed * this.rate);

@@ -93,6 +93,26 @@ function creased(position, index, colour) {
     return {attributes: attributes(points, normal, shades)};
 }
 
+// A binary STL file as a server sends it, drawn as those of a page are; null for any other.
+function smoothStl(bytes) {
+    const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+    const faces = bytes.byteLength >= 84 ? view.getUint32(80, true) : 0;
+    if (!faces || bytes.byteLength !== 84 + 50 * faces) return null;
+    const position = new Float32Array(9 * faces), index = new Uint32Array(3 * faces);
+    const bits = new Int32Array(position.buffer), table = new Int32Array(2 ** Math.ceil(Math.log2(6 * faces)));
+    let count = 0;
+    for (let corner = 0; corner < index.length; corner++) {
+        const from = 84 + 50 * Math.floor(corner / 3) + 12 + 12 * (corner % 3), place = 3 * count;
+        for (let axis = 0; axis < 3; axis++) position[place + axis] = view.getFloat32(from + 4 * axis, true);
+        const same = vertex => [0, 1, 2].every(axis => bits[3 * vertex + axis] === bits[place + axis]);
+        let slot = Math.imul(bits[place] ^ Math.imul(bits[place + 1], 73856093) ^ Math.imul(bits[place + 2], 19349663), 83492791) >>> 0;
+        for (slot %= table.length; table[slot] && !same(table[slot] - 1);) slot = (slot + 1) % table.length;
+        if (!table[slot]) table[slot] = ++count;
+        index[corner] = table[slot] - 1;
+    }
+    return creased(position.subarray(0, 3 * count), index, null);
+}
+
 // Normal of a face, as long as twice its area.
 function faceNormal(position, index, f) {
     const [a, b, c] = [3 * index[3 * f], 3 * index[3 * f + 1], 3 * index[3 * f + 2]];

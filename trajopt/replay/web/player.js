@@ -96,7 +96,7 @@ async function start() {
     obey(location.hash, clock, cameras, false);
     viewer.render();
     window.addEventListener("hashchange", () => obey(location.hash, clock, cameras, true));
-    if (!/[#&]t=/.test(location.hash)) requestAnimationFrame(() => requestAnimationFrame(() => clock.play()));
+    if (!/[#&]t=/.test(location.hash)) clock.play();
 }
 
 // Resolves when the scene is there; whatever is told later is shown as it comes.

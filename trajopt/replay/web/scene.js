@@ -27,16 +27,32 @@ function restore(content, meshes) {
         if (part.data && part.data.corners !== undefined) {
             part.data = meshes[part.shared] = restoredMesh(part.data);
         }
-        // it was a mesh file, or it is one by the name that Meshcat gave those first
+        // Meshcat has renamed mesh files, and warns of the old name
+        if (part.type === "_meshfile") part.type = "_meshfile_geometry";
+        if (part.format === "stl" && ArrayBuffer.isView(part.data)) part.data = smoothStl(part.data) || part.data;
         if (part.data && part.data.attributes) part.type = "BufferGeometry";
-        else if (part.type === "_meshfile") part.type = "_meshfile_geometry";
     }
 }
 
-function tell(viewer, command, meshes) {
+// Copies of a mesh share what the graphics card holds: the first one is kept in `drawn`, by its number.
+function share(viewer, command, drawn) {
+    const parts = command.object.geometries || [], number = parts.length === 1 ? parts[0].shared : undefined;
+    if (number === undefined) return () => {};
+    if (drawn.has(number)) Object.assign(parts[0], {type: "BufferGeometry", data: {attributes: {}}, shared: undefined});
+    return () => {
+        const object = objectAt(viewer, command.path + "/<object>");
+        if (!object.geometry) return;
+        if (drawn.has(number)) object.geometry = drawn.get(number);
+        else drawn.set(number, object.geometry);
+    };
+}
+
+function tell(viewer, command, meshes, drawn) {
     try {
+        const shared = command.object ? share(viewer, command, drawn) : () => {};
         if (command.object) restore(command.object, meshes);
         Object.getPrototypeOf(viewer).handle_command.call(viewer, command);
+        shared();
     } catch (error) {  // one part that the viewer cannot read leaves the others
         console.error(command.path, error);
     }
@@ -54,7 +70,8 @@ function decoded(viewer, bytes) {
 async function loadScene(viewer) {
     const bytes = new Uint8Array(await new Response(await unpacked("scene")).arrayBuffer());
     const scene = decoded(viewer, bytes);
-    for (const command of scene.commands) tell(viewer, command, scene.meshes);
+    const drawn = new Map();
+    for (const command of scene.commands) tell(viewer, command, scene.meshes, drawn);
 }
 
 // Messages of a server: those of Meshcat for the viewer, and ours: {type: "trajopt", path, value}.
@@ -62,7 +79,7 @@ async function loadScene(viewer) {
 function listen(viewer, hear) {
     viewer.handle_command = command => {
         if (command.type === "trajopt") hear(command.path, command.value);
-        else tell(viewer, command, []);
+        else tell(viewer, command, [], new Map());
     };
     viewer.connect(location.origin.replace(/^http/, "ws") + "/");
     return new Promise(resolve => viewer.connection.addEventListener("close", resolve));
