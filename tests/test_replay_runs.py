@@ -163,7 +163,7 @@ def test_facts_tell_phases_layers_and_where_the_base_is(bones):
             assert any(place.startswith(f"{path}/") for place in drawn)
     shown_first = {layer["name"]: layer["visible"] for layer in facts["layers"]}
     assert shown_first["robot"]
-    assert not shown_first["ghosts"] if "ghosts" in shown_first else True
+    assert not shown_first["ghosts"]
 
 
 @pytest.mark.parametrize(("way", "travels"), [(0.0, False), (1.0, False), (5.0, True)])
