@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from trajopt.cli_input import values_of
+from trajopt.cli_input import options_of
 from trajopt.errors import InputError
 from trajopt.simulation import Simulation, simulate
 from trajopt.solution import Solution
@@ -42,9 +42,7 @@ def main(places: tuple[Path, ...], only: str, settings: tuple[str, ...]) -> None
     files = [
         file for place in places for file in (sorted(place.glob("*.npz")) if place.is_dir() else [place])
     ]
-    given = {name: float(value) for name, value in values_of(settings, "--set").items()}
-    if "cycles" in given:
-        given["cycles"] = int(given["cycles"])
+    given = options_of(settings)
     click.echo("| " + " | ".join(HEAD) + " |")
     click.echo("|" + "---|" * len(HEAD))
     tracked = count = 0
