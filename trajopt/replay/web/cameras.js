@@ -14,7 +14,7 @@ const VIEWS = {
 const MARGIN = 1.05;  // of the picture around what is framed
 const AROUND = 0.7;  // radius that a view which follows shows around the base, in robot extents
 const STILL = 0.02;  // a base that moves less than this many robot extents is none to follow
-const SAMPLES = 60;  // of the path, a second
+const SAMPLES = 60;  // of the path, a second of the solution: as many however slowly it plays
 // The path is smoothed over this many times sqrt(extent / g), the time of a step; its height over more.
 const LEVEL_SMOOTHING = 0.6, HEIGHT_SMOOTHING = 1.5, GRAVITY = 9.81;
 
@@ -72,7 +72,7 @@ class Cameras {
         const THREE = MeshCat.THREE, node = objectAt(this.viewer, path), parent = node.parent.matrixWorld;
         const action = this.viewer.animator.actions.find(entry => entry.getRoot() === node);
         const track = name => action && action.getClip().tracks.find(entry => entry.name === name);
-        const count = Math.max(2, Math.round(this.clock.playback * SAMPLES));
+        const count = Math.max(2, Math.round((this.clock.end - this.clock.start) * SAMPLES));
         const position = track(".position"), turn = track(".quaternion");
         const place = position && position.createInterpolant(new Float32Array(3));
         const points = Array.from({length: count + 1}, (_, k) => {
