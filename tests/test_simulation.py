@@ -293,6 +293,11 @@ def test_jumps_and_trots_end_within_five_centimetres(problem, robot):
         ({"mass_scale": float("nan")}, "mass_scale of a simulation is nan; allowed: a finite number"),
         ({"cycles": 0}, "cycles of a simulation is 0; allowed: a whole number >= 1"),
         ({"cycles": 2}, "the solution is not periodic; allowed: --cycles 1"),
+        (
+            {"gain": 2.0},
+            "a simulation has no setting gain; allowed: timestep, control_rate, kp, kd, friction_scale, "
+            "mass_scale, noise, seed, cycles, push",
+        ),
         ({"noise": "much"}, "noise of a simulation is 'much'; allowed: a finite number"),
     ],
 )

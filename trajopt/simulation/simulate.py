@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from trajopt.errors import InputError
 from trajopt.robot_building import base_of
 from trajopt.simulation import figures
 from trajopt.simulation.reference import Reference, reference_of
@@ -49,6 +50,10 @@ def simulate(solution: Solution | str | Path, **settings: Any) -> Simulation:
     model that cannot be simulated, or where MuJoCo is not installed.
     """
     plan = solution if isinstance(solution, Solution) else Solution.load(solution)
+    known = [field.name for field in fields(Settings)]
+    unknown = ", ".join(sorted(set(settings) - set(known)))
+    if unknown:
+        raise InputError(f"a simulation has no setting {unknown}", f"allowed: {', '.join(known)}")
     wanted = Settings(**settings)
     reference = reference_of(plan, wanted)
     world = build_world(plan, wanted)
