@@ -66,24 +66,22 @@ class _Reader:
         self._plain = plain
         self._root = root
         self._by_id = {f"#{element.get('id')}": element for element in root.iter() if element.get("id")}
-        self._parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []  # corners, normals, colour
+        self._parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
 
     def mesh(self) -> ColouredMesh:
         for node in self._child(self._root, "scene/instance_visual_scene", "url"):
             self._node(node, np.eye(4))
         if not self._parts:
             raise ColladaError("no triangles")
-        corners, normals = (np.concatenate([part[k] for part in self._parts]) for k in (0, 1))
-        colours = np.concatenate([np.tile(colour, (len(points), 1)) for points, _, colour in self._parts])
-        rows = np.column_stack([corners, normals, colours]).astype(np.float32)
-        bits = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1]))).ravel()  # sorted without meaning
-        _, first, index = np.unique(bits, return_index=True, return_inverse=True)
-        distinct = rows[first]
+        sizes = [len(points) for points, *_ in self._parts]
+        starts = np.cumsum([0, *sizes[:-1]])
+        triangles = [index + start for (_, _, _, index), start in zip(self._parts, starts, strict=True)]
+        colours = [np.tile(colour, (len(points), 1)) for points, _, colour, _ in self._parts]
         return ColouredMesh(
-            vertices=distinct[:, :3],
-            normals=distinct[:, 3:6],
-            colours=distinct[:, 6:],
-            triangles=index.reshape(-1, 3).astype(np.uint32),
+            vertices=np.concatenate([points for points, *_ in self._parts]).astype(np.float32),
+            normals=np.concatenate([normals for _, normals, *_ in self._parts]).astype(np.float32),
+            colours=np.concatenate(colours).astype(np.float32),
+            triangles=np.concatenate(triangles).reshape(-1, 3).astype(np.uint32),
         )
 
     def _child(self, parent: Tree.Element, path: str, attribute: str) -> Tree.Element:
@@ -112,16 +110,16 @@ class _Reader:
         turn = np.linalg.inv(placement[:3, :3])  # normals go with the inverse transpose
         for primitive in self._by_id[instance.get("url", "")].iterfind("mesh/*"):
             if primitive.tag in ("triangles", "polylist"):
-                points, normals = self._corners(primitive)
+                points, normals, index = self._corners(primitive)
                 points, normals = points @ placement[:3, :3].T + placement[:3, 3], normals @ turn
                 if np.linalg.det(placement[:3, :3]) < 0:
-                    points, normals = _turned_over(points), _turned_over(normals)
+                    index = index.reshape(-1, 3)[:, ::-1].ravel()
                 length = np.linalg.norm(normals, axis=1, keepdims=True)
                 colour = self._colour(bound.get(primitive.get("material")))
-                self._parts.append((points, normals / np.where(length > 0, length, 1.0), colour))
+                self._parts.append((points, normals / np.where(length > 0, length, 1.0), colour, index))
 
-    def _corners(self, primitive: Tree.Element) -> tuple[np.ndarray, np.ndarray]:
-        """Position and normal of every corner, three rows a triangle."""
+    def _corners(self, primitive: Tree.Element) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions and normals (n, 3) of distinct corners, and which one each corner of a triangle is."""
         inputs = {entry.get("semantic"): entry for entry in primitive.findall("input")}
         stride = 1 + max(int(entry.get("offset", 0)) for entry in primitive.findall("input"))
         index = np.fromstring(primitive.findtext("p") or "", dtype=int, sep=" ").reshape(-1, stride)
@@ -130,14 +128,21 @@ class _Reader:
         vertices = self._by_id[inputs["VERTEX"].get("source", "")]
         attributes = {entry.get("semantic"): entry for entry in vertices.findall("input")}
         at = index[:, int(inputs["VERTEX"].get("offset", 0))]
-        points = self._source(attributes["POSITION"])[at]
+        positions = self._source(attributes["POSITION"])
         if "NORMAL" in inputs:
-            return points, self._source(inputs["NORMAL"])[index[:, int(inputs["NORMAL"].get("offset", 0))]]
+            turned = index[:, int(inputs["NORMAL"].get("offset", 0))]
+            normals = self._source(inputs["NORMAL"])
+            if index.min(initial=0) < 0 or turned.max(initial=0) >= len(normals):
+                raise ColladaError("a triangle with a normal that is not there")
+            pairs, corner = np.unique(at * len(normals) + turned, return_inverse=True)
+            return positions[pairs // len(normals)], normals[pairs % len(normals)], corner
         if "NORMAL" in attributes:
-            return points, self._source(attributes["NORMAL"])[at]
+            used, corner = np.unique(at, return_inverse=True)
+            return positions[used], self._source(attributes["NORMAL"])[used], corner
+        points = positions[at]
         sides = points.reshape(-1, 3, 3)
         flat = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])
-        return points, np.repeat(flat, 3, axis=0)
+        return points, np.repeat(flat, 3, axis=0), np.arange(len(points))
 
     def _source(self, entry: Tree.Element) -> np.ndarray:
         source = self._by_id[entry.get("source", "")]
@@ -152,11 +157,6 @@ class _Reader:
         effect = self._child(self._by_id[material], "instance_effect", "url")
         text = effect.findtext(".//diffuse/color")
         return np.array(text.split()[:3], dtype=float) if text else self._plain
-
-
-def _turned_over(corners: np.ndarray) -> np.ndarray:
-    """The corners of every triangle in the other order."""
-    return corners.reshape(-1, 3, 3)[:, ::-1].reshape(-1, 3)
 
 
 def _transform(node: Tree.Element) -> np.ndarray:

@@ -27,6 +27,8 @@ BONE_RADIUS, JOINT_RADIUS = 0.012, 0.02
 TRUNK_OPACITY = 0.7
 # The thinnest side of a box over its longest: flat links stay visible.
 THINNEST = 0.02
+# Points that tell how far a mesh reaches: some have a million vertices, tenths of a millimetre apart.
+MOST_POINTS = 10_000
 # Directions in which a round shape is probed for its extent: 2 % of its radius.
 ROUND_PROBES = 200
 
@@ -102,7 +104,8 @@ def _draw_meshes(vis: Any, model: pin.Model, visuals: Visuals) -> DrawnRobot:
         node = vis[loader.getViewerNodeName(entry, pin.GeometryType.VISUAL)]
         scale = np.diag([*entry.meshScale, 1.0])
         node.set_transform(entry.placement.homogeneous @ scale)
-        drawn.add(entry.parentJoint, vertices @ entry.placement.rotation.T + entry.placement.translation)
+        spread = _spread(vertices)
+        drawn.add(entry.parentJoint, spread @ entry.placement.rotation.T + entry.placement.translation)
     drawn.note = _left_out(visuals.missing, unreadable)
     return drawn
 
@@ -130,6 +133,14 @@ def _points(entry: Any, is_mesh: bool) -> np.ndarray | None:
     geometry.computeLocalAABB()
     corners = np.array([geometry.aabb_local.min_, geometry.aabb_local.max_])
     return np.array(list(itertools.product(*corners.T)))
+
+
+def _spread(points: np.ndarray) -> np.ndarray:
+    """At most about `MOST_POINTS` of (k, 3) points, those furthest along the axes among them."""
+    if len(points) <= MOST_POINTS:
+        return points
+    furthest = np.concatenate([points.argmin(axis=0), points.argmax(axis=0)])
+    return np.concatenate([points[:: len(points) // MOST_POINTS], points[furthest]])
 
 
 def _round_probes() -> np.ndarray:
