@@ -26,6 +26,8 @@ SHARE = 0.1
 # Seconds that the solver's thread waits at most for Python while the viewer's thread runs; Python's own is
 # 5 ms, which would be a tenth of an iteration of a jump.
 SWITCH = 5e-4
+# Seconds that a solve waits at most for the picture of its guess.
+FIRST = 10.0
 # Milliseconds after which a server that does not answer is given up.
 ANSWER = 5000
 
@@ -61,13 +63,18 @@ class Viewer:
         return self._window.web_url
 
     def __call__(self, iterate: Iterate) -> None:
-        """Take in an iterate if it is time to; guesses and ends always. Returns at once."""
+        """Take in an iterate if it is time to; guesses and ends always.
+
+        Returns at once while the solver runs; a guess and its problem's scene are drawn before it starts.
+        """
         if not self.alive:
             return
         if iterate.stage == "iteration" and (self._busy or time.perf_counter() < self._free):
             return
         if iterate.unknowns is not None:  # read now: they are known only while the solver calls
             self._put(iterate)
+        if iterate.stage == "guess":
+            self.flush(FIRST)
 
     def show(self, solution: Solution) -> None:
         """Show the replay of a solution in place of the iterates."""
