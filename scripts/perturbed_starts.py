@@ -36,7 +36,7 @@ def main(
     results = []
     for seed in range(seeds):
         start = perturbed(prepared.transcription, prepared.guess, seed, sigma)
-        results.append(run(prepared.nlp, start, solver, Stop(), {}, lambda _: True))
+        results.append(run(prepared.nlp, start, solver, Stop(), {}, lambda *_: True))
     solved = [result for result in results if result.status is Status.SOLVED]
     scheme = prepared.transcription.layout.mesh.transcription
     click.echo(f"{problem} {solver} {scheme} sigma {sigma}: {len(solved)} of {seeds}")

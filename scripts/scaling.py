@@ -61,7 +61,7 @@ def _solve(prepared: Prepared, solver: str, seed: int, sigma: float) -> tuple[in
     """Iterations, None where it was not solved, and CPU seconds."""
     start = perturbed(prepared.transcription, prepared.guess, seed, sigma) if sigma else prepared.guess
     begun = time.process_time()
-    result = run(prepared.nlp, start, solver, Stop(), {}, lambda _: True)
+    result = run(prepared.nlp, start, solver, Stop(), {}, lambda *_: True)
     return (result.iterations if result.status is Status.SOLVED else None), time.process_time() - begun
 
 
