@@ -187,7 +187,9 @@ def test_fatrop_starts_from_given_multipliers(nlp, problem):
     for name, lam in {"own": None, "given": solution["lam_g"]}.items():
         start = GroupedProblem(**{**vars(problem), "x0": solution["x"]})
         first = []
-        solve_fatrop(nlp, start, {"mu_init": 1e-9}, lambda info, _, first=first: first.append(info), lam_g0=lam)
+        solve_fatrop(
+            nlp, start, {"mu_init": 1e-9}, lambda info, _, first=first: first.append(info), lam_g0=lam
+        )
         residual[name] = first[0]["dual"]
     assert residual["given"] != residual["own"]
 

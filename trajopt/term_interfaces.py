@@ -48,7 +48,7 @@ class Term:
         return self.phases is None or phase in self.phases
 
     def targets(self) -> tuple[Target, ...]:
-        """Places and postures that the term asks for at a moment, for pictures of a solution; default: none."""
+        """Places and postures that the term asks for at a moment, for pictures; default: none."""
         return ()
 
 
