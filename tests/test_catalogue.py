@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from command_lines import assert_refused
 
 from trajopt import catalogue
 from trajopt.cli import main
@@ -16,12 +17,6 @@ from trajopt.family import Parameter
 
 def trajopt(*arguments: str) -> Result:
     return CliRunner().invoke(main, arguments)
-
-
-def assert_refused(result: Result, *words: str) -> None:
-    assert (result.exit_code, result.stdout) == (2, "")
-    assert result.stderr.count("\n") == 1
-    assert all(word in result.stderr for word in words)
 
 
 def test_an_empty_group_of_problems_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

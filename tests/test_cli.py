@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from command_lines import assert_refused
 
 from trajopt import Solution, catalogue
 from trajopt.cli import main
@@ -48,15 +49,6 @@ def strict(text: str) -> dict:  # type: ignore[type-arg]
     found = json.loads(text, parse_constant=refuse)
     assert isinstance(found, dict)
     return found
-
-
-def assert_refused(result: Result, *words: str) -> None:
-    assert result.exit_code == 2, result.output
-    assert result.stdout == ""
-    assert result.stderr.startswith("trajopt: ")
-    assert result.stderr.count("\n") == 1
-    for word in words:
-        assert word in result.stderr
 
 
 @pytest.fixture(scope="module")

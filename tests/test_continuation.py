@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from command_lines import assert_refused
 from numpy.testing import assert_allclose
 from problems_for_tests import REACH_TIME, reach
 
@@ -53,15 +54,6 @@ def swings(values: tuple[float, ...] = VALUES, **settings: object) -> Continuati
 
 def command(*arguments: object) -> Result:
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-
-def assert_refused(result: Result, *words: str) -> None:
-    assert result.exit_code == 2, result.output
-    assert result.stdout == ""
-    assert result.stderr.startswith("trajopt: ")
-    assert result.stderr.count("\n") == 1
-    for word in words:
-        assert word in result.stderr
 
 
 # Sequences

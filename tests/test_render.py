@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from browser_for_tests import in_motion, running_chromium
 from click.testing import CliRunner, Result
+from command_lines import assert_refused
 from PIL import Image
 from synthetic import arm_motion, sampled
 
@@ -200,15 +201,6 @@ def test_times_outside_the_motion_are_refused_in_one_line(options, told):
 
 def command(*arguments: object) -> Result:
     return CliRunner().invoke(main, ["render", *map(str, arguments)])
-
-
-def assert_refused(result: Result, *words: str) -> None:
-    assert result.exit_code == 2, result.output
-    assert result.stdout == ""
-    assert result.stderr.startswith("trajopt: ")
-    assert result.stderr.count("\n") == 1
-    for word in words:
-        assert word in result.stderr
 
 
 def test_bad_input_is_one_line_and_writes_nothing(hop_file, tmp_path, monkeypatch):

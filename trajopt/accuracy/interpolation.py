@@ -12,6 +12,7 @@ over it takes up the difference, as in `solution_motion`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -85,6 +86,9 @@ def _read(plan: Solution, rows: range) -> _Interval:
     return replace(open_end, gap=gap)
 
 
+Sampler = Callable[[Solution, int, np.ndarray], Sampled]
+
+
 def sample_interval(plan: Solution, number: int, fractions: np.ndarray) -> Sampled:
     """The motion of one interval at ``fractions`` (n,) of it."""
     interval = _read(plan, plan.intervals[number])
@@ -98,13 +102,14 @@ def sample_interval(plan: Solution, number: int, fractions: np.ndarray) -> Sampl
     return Sampled(q=q, v=v, a=a, tau=powers @ interval.tau, f=force.reshape(len(q), *plan.f.shape[1:]))
 
 
-def resampled(plan: Solution, fractions: np.ndarray) -> Solution:
+def resampled(plan: Solution, fractions: np.ndarray, sample: Sampler = sample_interval) -> Solution:
     """The same motion with samples at ``fractions`` (n,) of every interval, each marked as a point.
 
     It is for figures alone: it has no impulses and no multipliers, and rows of the dynamics do not vanish at
     its points. ``fractions`` are from 0 to 1, both of which make the samples start and end with the nodes.
+    ``sample`` gives those of one interval.
     """
-    parts = [sample_interval(plan, number, fractions) for number in range(plan.n_intervals)]
+    parts = [sample(plan, number, fractions) for number in range(plan.n_intervals)]
     first = np.repeat([rows.start for rows in plan.intervals], len(fractions))
     steps = np.diff(plan.interval_t, axis=1)
     arrays: dict[str, Any] = {

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
 
-from trajopt.accuracy.interpolation import Sampled, sample_interval
+from trajopt.accuracy.interpolation import Sampled, resampled, sample_interval
 from trajopt.accuracy.measures import Accuracy, measure
 from trajopt.accuracy.open_loop import interval_drifts
 from trajopt.certify.report import Report
@@ -158,27 +158,7 @@ def between_points(plan: Solution) -> Solution:
     An interval with a number that is not finite keeps what its samples are, joined by straight lines.
     """
     count = int(np.clip(round(DRAWN / plan.n_intervals), LEAST, MOST))
-    fractions = np.linspace(0.0, 1.0, count)
-    parts = [_interval(plan, number, fractions) for number in range(plan.n_intervals)]
-    first = np.repeat([rows.start for rows in plan.intervals], count)
-    steps = np.diff(plan.interval_t, axis=1)
-    arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in Sampled.__dataclass_fields__
-    }
-    dense = replace(
-        plan,
-        t=(plan.interval_t[:, :1] + steps * fractions).ravel(),
-        phase=plan.phase[first],
-        interval=plan.interval[first],
-        active=plan.active[first],
-        collocation=np.ones(len(first), dtype=bool),
-        impulse=None,
-        impact_index=None,
-        row_multiplier=None,
-        row_place=None,
-        bound_multiplier=None,
-        **arrays,
-    )
+    dense = resampled(plan, np.linspace(0.0, 1.0, count), _interval)
     dense.__dict__["model"] = plan.model
     return dense
 

@@ -1,0 +1,15 @@
+"""What every command does with bad input."""
+
+from __future__ import annotations
+
+from click.testing import Result
+
+
+def assert_refused(result: Result, *words: str) -> None:
+    """Exit status 2, nothing on stdout, one line on stderr that has all ``words``."""
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    assert result.stderr.startswith("trajopt: ")
+    assert result.stderr.count("\n") == 1
+    for word in words:
+        assert word in result.stderr
