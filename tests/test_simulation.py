@@ -162,6 +162,33 @@ def test_feedback_takes_out_an_error_of_the_start(stand):
     assert held.joint_error_end < 0.1 * free.joint_error_end
 
 
+@pytest.mark.parametrize("scale", [0.1, 4.0])
+def test_robots_of_any_size_do_the_same_in_their_own_units(scale, stand):
+    # Lengths times s, masses times s^3: times go with sqrt(s), forces with s^3, torques with s^4.
+    model = pin.Model(stand.model)
+    for index in range(1, model.njoints):
+        own, inertia = model.jointPlacements[index], model.inertias[index]
+        model.jointPlacements[index] = pin.SE3(own.rotation, scale * own.translation)
+        model.inertias[index] = pin.Inertia(
+            scale**3 * inertia.mass, scale * inertia.lever, scale**5 * inertia.inertia
+        )
+    for frame in range(model.nframes):
+        own = model.frames[frame].placement
+        model.frames[frame].placement = pin.SE3(own.rotation, scale * own.translation)
+    model.armature[:] *= scale**5
+    slow, q = np.sqrt(scale), stand.q.copy()
+    q[:, :3] *= scale
+    scaled = replace(
+        stand, model_text=model.saveToString(), q=q, t=slow * stand.t, interval_t=slow * stand.interval_t,
+        tau=scale**4 * stand.tau, f=scale**3 * stand.f, meta={**stand.meta, "effort_limit": None},
+    )  # fmt: skip
+    free = replace(stand, meta={**stand.meta, "effort_limit": None})
+    mine = simulate(free, noise=0.005).report
+    other = simulate(scaled, noise=0.005, control_rate=1000 / slow).report
+    assert other.base_error_max / scale == pytest.approx(mine.base_error_max, rel=SOLVER)
+    assert other.joint_error_max == pytest.approx(mine.joint_error_max, rel=SOLVER)
+
+
 def test_same_seed_gives_the_same_motion_and_another_one_another(stand):
     first, again, other = (simulate(stand, noise=0.01, seed=seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first.record.qpos, again.record.qpos)

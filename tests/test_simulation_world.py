@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -14,12 +15,15 @@ from trajopt import Solution
 from trajopt.actuators.drive import Drive
 from trajopt.certify.samples import evaluate
 from trajopt.collision.shapes import LinkCapsule, SphereObstacle
-from trajopt.simulation import simulate
+from trajopt.simulation import Settings, simulate
+from trajopt.simulation.world import build_world
 from trajopt.surface import UP, Surface
 from trajopt.terrain import Bump, PiecewiseTerrain, SmoothTerrain
 
 # A standing robot moves by what its contacts give way, m.
 STANDS = 1e-3
+# Friction that holds gives way while it is loaded, m/s.
+CREEPS = 1e-2
 # MuJoCo's iterations on constraints end here, N m: some 1e-6 of what moves the arm.
 SOLVER = 1e-4
 
@@ -132,3 +136,43 @@ def test_joints_that_the_plan_takes_into_the_ground_are_named(stand):
     buried = replace(stand, q=stand.q - np.eye(stand.q.shape[1])[2] * 0.2)
     notes = simulate(buried).report.notes
     assert any("KFE" in note and "mm into the ground" in note for note in notes)
+
+
+def test_friction_of_a_phase_holds_in_that_phase_alone():
+    # On a slope of 0.2 that is icy while the second phase lasts, by surfaces on the plane of the ground.
+    robot, slope = robots.load("solo12"), 0.2
+    motion = standing(robot, 0.1)
+    model = pin.Model(robot.model)
+    model.gravity.linear = 9.81 * np.array([np.sin(np.arctan(slope)), 0.0, -np.cos(np.arctan(slope))])
+    plan = replace(sampled(robot, [motion, motion], 4), model_text=model.saveToString())
+    frames = plan.meta["contact_frames"]
+    speeds = {}
+    for friction in (0.7, 0.1):
+        ice = Surface(point=np.zeros(3), normal=np.array(UP), friction=friction).describe()
+        found = simulate(with_meta(plan, surfaces=[{}, dict.fromkeys(frames, ice)]))
+        half = found.reference.planned // 2
+        speeds[friction] = [found.record.qvel[row, 0] for row in (half, 2 * half)]
+    assert np.abs(speeds[0.7]).max() < CREEPS
+    assert abs(speeds[0.1][0]) < CREEPS
+    # Feet that slide: a = g (sin - mu cos), but for what the legs' feedback takes up.
+    sliding = 9.81 * np.cos(np.arctan(slope)) * (slope - 0.1) * 0.1
+    assert speeds[0.1][1] == pytest.approx(sliding, rel=0.2)
+
+
+def test_board_carries_whole_soles():
+    robot = robots.load("talos")
+    feet = [contact for contact in robot.contacts if contact.kind == "surface"]
+    plan = sampled(robot, [standing(robot, 0.01)], 1)
+    sizes = [[c.half_length, c.half_width] if c in feet else None for c in robot.contacts]
+    board = Surface(point=np.zeros(3), normal=np.array(UP)).describe()
+    plan = with_meta(plan, terrain=None, contact_sizes=sizes, surfaces=[{feet[0].frame: board}])
+    world = build_world(plan, Settings())
+    state = mujoco.MjData(world.compiled)
+    state.qpos[:] = world.coordinates.to_mujoco(plan.q[:1])[0]
+    mujoco.mj_kinematics(world.compiled, state)
+    board = world.compiled.geom("board0").id
+    number = plan.contact_frames.index(feet[0].frame)
+    for ball in np.flatnonzero(world.contact_of == number):
+        turn = state.geom_xmat[board].reshape(3, 3)
+        local = turn.T @ (state.geom_xpos[ball] - state.geom_xpos[board])
+        assert (world.compiled.geom_size[board][:2] - np.abs(local[:2]) > 0.05 * world.place.reach).all()

@@ -5,10 +5,10 @@ With w the feedback's rate, m g l the robot's weight times its reach and n the c
     K_p = max(w^2 M_ii, 4 m g l / n)      in legs that the plan has on the ground, else w^2 M_ii
     K_d = 2 sqrt(K_p M_ii)
 
-so that every joint alone takes out an error without overshoot, in the same time whatever it carries. The
-joints of a stance leg have to hold the body up, an inverted pendulum that falls where they are softer than
-m g l / n together. Dampers that would be unstable in discrete time on the free leg are weaker, with their
-springs: where a foot is late, its joints are as free as in the swing.
+(4 m g / (l n) of joints that slide) so that every joint alone takes out an error without overshoot, in the
+same time whatever it carries. The joints of a stance leg have to hold the body up, an inverted pendulum that
+falls where they are softer than m g l / n together. Dampers that would be unstable in discrete time on the
+free leg are weaker, with their springs: where a foot is late, its joints are as free as in the swing.
 """
 
 from __future__ import annotations
@@ -84,10 +84,11 @@ def _holding(plan: Solution, world: World, active: np.ndarray) -> np.ndarray:
     if base_of(plan.model) == "fixed":
         return found
     standing = np.maximum(active.sum(axis=1), 1)
-    stiffness = STIFFER * world.units.weight * world.units.length / standing
+    units, first = world.units, plan.n_unactuated
+    force = units.generalized_force(plan.model)[first:]
+    stiffness = STIFFER * np.where(force == units.weight, force / units.length, force)  # N/m, or N m
     for contact, frame in enumerate(plan.contact_frames):
-        own = sorted(row - plan.n_unactuated for row in rows_of(plan.model, frame))
-        own = [row for row in own if row >= 0]
-        held = np.where(active[:, contact], stiffness, 0.0)
-        found[:, own] = np.maximum(found[:, own], held[:, None])
+        own = sorted(row - first for row in rows_of(plan.model, frame) if row >= first)
+        held = np.where(active[:, contact, None], stiffness[own] / standing[:, None], 0.0)
+        found[:, own] = np.maximum(found[:, own], held)
     return found

@@ -30,10 +30,13 @@ MOST_CELLS = 500
 
 @dataclass(frozen=True, kw_only=True)
 class Ground:
-    """Geoms to touch: ``names``, coefficients ``friction`` for each contact, contacts that may touch them."""
+    """Geoms to touch: ``names``, the contacts that may touch them, and which of them are the terrain.
+
+    friction: (phases, geoms, nc), that of a contact on a geom in a phase of the file.
+    """
 
     names: tuple[str, ...]
-    friction: tuple[tuple[float, ...], ...]
+    friction: np.ndarray
     touched_by: tuple[tuple[int, ...], ...]
     is_terrain: tuple[bool, ...]
 
@@ -62,26 +65,45 @@ def place_of(plan: Solution, feet: np.ndarray, bodies: np.ndarray, reach: float)
 
 def add_ground(spec: Any, plan: Solution, place: Place) -> Ground:
     """Add terrain and boards to a specification."""
-    found: list[tuple[str, tuple[float, ...], tuple[int, ...], bool]] = []
+    found: list[tuple[str, Surface | None, tuple[float, ...], tuple[int, ...], bool]] = []
     frames = list(plan.contact_frames)
     terrain = terrain_of(plan.meta["terrain"])
     own = _own_surfaces(plan, terrain)
     standing = _standing(plan, own)
     own_friction = tuple(float(mu) for mu in plan.meta["friction"])
     if isinstance(terrain, Surface):
-        found.append((_plane(spec, terrain, place), own_friction, standing, True))
+        found.append((_plane(spec, terrain, place), terrain, own_friction, standing, True))
     elif isinstance(terrain, PiecewiseTerrain):
         for number, face in enumerate(terrain.faces):
             name = _prism(spec, f"face{number}", face, place)
             if name:
-                found.append((name, (face.surface.friction,) * len(frames), standing, True))
+                found.append((name, face.surface, (face.surface.friction,) * len(frames), standing, True))
     elif isinstance(terrain, SmoothTerrain):
-        found.append((_field(spec, terrain, place), (terrain.friction,) * len(frames), standing, True))
+        field = _field(spec, terrain, place)
+        found.append((field, None, (terrain.friction,) * len(frames), standing, True))
     for number, (surface, contacts, points) in enumerate(_boards(plan, own, place)):
         name = _board(spec, f"board{number}", surface, points, place)
-        found.append((name, (surface.friction,) * len(frames), contacts, False))
-    names, friction, touched_by, is_terrain = zip(*found, strict=True) if found else ((), (), (), ())
+        found.append((name, surface, (surface.friction,) * len(frames), contacts, False))
+    names, planes, usual, touched_by, is_terrain = zip(*found, strict=True) if found else ((),) * 5
+    friction = _by_phase(plan, planes, np.array(usual, dtype=float).reshape(len(names), len(frames)))
     return Ground(names=names, friction=friction, touched_by=touched_by, is_terrain=is_terrain)
+
+
+def _by_phase(plan: Solution, planes: Sequence[Surface | None], usual: np.ndarray) -> np.ndarray:
+    """Friction (phases, geoms, nc): ``usual`` (geoms, nc) but where a phase has its own on a geom's plane.
+
+    A contact in the air has that of its next stance, for which it may be early.
+    """
+    found, frames = np.tile(usual, (len(plan.phases), 1, 1)), list(plan.contact_frames)
+    for phase, surfaces in enumerate(surfaces_of(plan.meta.get("surfaces"))):
+        for frame, surface in surfaces.items():
+            for geom, plane in enumerate(planes):
+                if not surface.bilateral and surface.same_plane(plane):
+                    found[phase, geom, frames.index(frame)] = surface.friction
+    for phase in reversed(range(len(plan.phases) - 1)):
+        swings = ~plan.active[plan.phases[phase].start]
+        found[phase][:, swings] = found[phase + 1][:, swings]
+    return found
 
 
 def _own_surfaces(plan: Solution, terrain: Any) -> list[tuple[int, int, Surface]]:
@@ -116,7 +138,7 @@ def _standing(plan: Solution, own: Sequence[tuple[int, int, Surface]]) -> tuple[
 def _boards(
     plan: Solution, own: Sequence[tuple[int, int, Surface]], place: Place
 ) -> list[tuple[Surface, tuple[int, ...], np.ndarray]]:
-    """Planes that push, each with the contacts on it and their places (n, 3)."""
+    """Planes that push, each with the contacts on it and where they touch it (n, 3), soles at the corners."""
     groups: list[tuple[Surface, list[tuple[int, int]]]] = []
     for phase, contact, surface in own:
         if surface.bilateral:
@@ -130,10 +152,21 @@ def _boards(
         (
             surface,
             tuple(sorted({contact for _, contact in uses})),
-            np.concatenate([place.feet[plan.phase == phase, contact] for phase, contact in uses]),
+            np.concatenate([_under(plan, surface, place, *use) for use in uses]),
         )
         for surface, uses in groups
     ]
+
+
+def _under(plan: Solution, surface: Surface, place: Place, phase: int, contact: int) -> np.ndarray:
+    """Places (n, 3) of a contact in a phase; of a sole those of a square on the plane around its corners."""
+    places = place.feet[plan.phase == phase, contact]
+    sizes = plan.meta.get("contact_sizes") or [None] * len(plan.contact_frames)
+    if plan.meta["contact_kinds"][contact] != "surface" or not sizes[contact]:
+        return places
+    around = float(np.hypot(*sizes[contact])) * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
+    turn = frame_of_normal(surface.normal)
+    return np.concatenate([places + turn[:, :2] @ corner for corner in around])
 
 
 def _quaternion(rotation: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.actuators.drive import Drive
+from trajopt.errors import InputError
 from trajopt.robot_building import UNLIMITED, base_of
 from trajopt.simulation.bodies import body_name, mujoco_package, write_inertias
 from trajopt.simulation.gains import gains_of
@@ -24,6 +25,10 @@ from trajopt.solution import Solution
 
 # A push lasts this part of the motion, around its middle.
 PUSHED = 0.1
+# Steps of the physics in one simulation: minutes.
+MOST_STEPS = 20_000_000
+# Coefficients that MuJoCo takes to be positive are at least this, as by its own compiler.
+LEAST_FRICTION = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +66,9 @@ class _Run:
         self.model = world.compiled
         self.data = self.mujoco.MjData(self.model)
         self.substeps = max(1, int(np.ceil(reference.period / settings.step(world.units.time) - 1e-9)))
+        if self.substeps * len(reference.t) > MOST_STEPS:
+            steps = f"{self.substeps * len(reference.t):.3g}"
+            raise InputError(f"a simulation of {steps} steps", f"allowed: {MOST_STEPS}; a longer --timestep")
         self.model.opt.timestep = reference.period / self.substeps
         self.rows = world.coordinates.rows[plan.n_unactuated :]
         self.gains = gains_of(plan, world, reference, settings)
@@ -129,11 +137,13 @@ class _Run:
             self.data.qvel[:] += size * generator.standard_normal(self.model.nv) / self.world.units.time
 
     def _enter(self, phase: int) -> None:
-        """What changes with a phase of the plan: what is carried and what is held."""
+        """What changes with a phase of the plan: what is carried, what is held, friction under contacts."""
         if self.plan.meta.get("payloads") or self.settings.mass_scale != 1.0:
             write_inertias(self.model, self.world.models[phase])
         for grasp in self.world.grasps:
             self.data.eq_active[self.model.equality(grasp.name).id] = phase in grasp.phases
+        friction = np.maximum(self.world.friction[phase], LEAST_FRICTION)
+        self.model.pair_friction[self.world.pairs, :2] = friction[:, None]
 
     def _push(self, k: int) -> None:
         if not self.settings.push or base_of(self.plan.model) == "fixed":
@@ -207,8 +217,13 @@ class _Run:
 
 
 def _until(record: Record, count: int) -> Record:
-    """The first ``count`` periods of a record; at least one, so that there is a motion to look at."""
-    rows = max(count, 1)
+    """The periods of a record before the one, ``count``, in whose state MuJoCo has run away.
+
+    That state and the step to it are left out; of a record that ends at once one period at rest is left.
+    """
+    rows = max(count - 1, 1)
+    if count <= 1:
+        record.qpos[1], record.qvel[1] = record.qpos[0], record.qvel[0]
     return Record(
         **{
             name: getattr(record, name)[: rows + (name in ("qpos", "qvel"))]
@@ -226,9 +241,10 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def _sizes(world: World) -> np.ndarray:
     """Units (nv,) of positions: the reach of those that slide, a radian of those that turn."""
     sizes = np.ones(world.compiled.nv)
-    slide, free = mujoco_package().mjtJoint.mjJNT_SLIDE, mujoco_package().mjtJoint.mjJNT_FREE
+    kinds = mujoco_package().mjtJoint
+    slide, free = int(kinds.mjJNT_SLIDE), int(kinds.mjJNT_FREE)  # NumPy's numbers are not `in` enums
     for joint in range(world.compiled.njnt):
-        kind, row = world.compiled.jnt_type[joint], world.compiled.jnt_dofadr[joint]
+        kind, row = int(world.compiled.jnt_type[joint]), int(world.compiled.jnt_dofadr[joint])
         if kind in (slide, free):
             sizes[row : row + (3 if kind == free else 1)] = world.units.length
     return sizes

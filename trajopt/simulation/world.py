@@ -59,7 +59,7 @@ class World:
     sites: id of each contact frame's site (nc,). contact_of: for each geom the contact it belongs to, or -1.
     links: whether a geom is a link's. obstacles: whether it is an obstacle. models: the `pin.Model` of each
     phase of the plan, with what is carried. buried: depth, m, of joints that the plan takes into the ground:
-    they touch nothing.
+    they touch nothing. pairs: (n,) ids of feet on grounds, and their friction (phases, n), see `Ground`.
     """
 
     compiled: Any
@@ -74,6 +74,8 @@ class World:
     grasps: tuple[Grasp, ...]
     buried: dict[str, float]
     models: tuple[pin.Model, ...]
+    pairs: np.ndarray
+    friction: np.ndarray
 
 
 def build_world(plan: Solution, settings: Settings) -> World:
@@ -88,10 +90,10 @@ def build_world(plan: Solution, settings: Settings) -> World:
     links, capsules, obstacles = _add_links(bodies, plan, place, buried)
     grasps = _add_grasps(bodies, plan, samples, _stiffness(settings, units))
     _options(bodies.spec, settings.step(units.time))
-    _pairs(bodies.spec, plan, ground, feet, links, settings, units)
+    pairs, friction = _pairs(bodies.spec, ground, feet, links, settings, units)
     for capsule in capsules:
         for obstacle in obstacles:
-            _pair(bodies.spec, capsule, obstacle, LINK_FRICTION, settings, units)
+            _pair(bodies.spec, capsule, obstacle, settings.friction_scale * LINK_FRICTION, settings, units)
     compiled, coordinates = compile_bodies(bodies)
     _friction_of_drives(compiled, coordinates, plan)
     named = {geom: contact for contact, geoms in enumerate(feet) for geom in geoms}
@@ -109,6 +111,8 @@ def build_world(plan: Solution, settings: Settings) -> World:
         grasps=grasps,
         buried=buried,
         models=tuple(_scaled(carrying_model(plan, i), settings) for i in range(len(plan.phases))),
+        pairs=np.array([compiled.pair(name).id for name in pairs], dtype=int),
+        friction=friction,
     )
 
 
@@ -239,27 +243,31 @@ def _add_grasps(
 
 def _pairs(
     spec: Any,
-    plan: Solution,
     ground: Ground,
     feet: list[list[str]],
     links: list[str],
     settings: Settings,
     units: NaturalUnits,
-) -> None:
-    rows = zip(ground.names, ground.friction, ground.touched_by, ground.is_terrain, strict=True)
-    for name, friction, contacts, is_terrain in rows:
+) -> tuple[list[str], np.ndarray]:
+    """Pairs of what may touch; names of those of feet, and their friction by phase (phases, pairs)."""
+    names: list[str] = []
+    friction = [np.zeros((len(ground.friction), 0))]
+    for geom, (name, contacts) in enumerate(zip(ground.names, ground.touched_by, strict=True)):
         for contact in contacts:
+            own = settings.friction_scale * ground.friction[:, geom, contact]
             for ball in feet[contact]:
-                _pair(spec, ball, name, friction[contact], settings, units)
+                _pair(spec, ball, name, float(own.max()), settings, units)
+                friction.append(own[:, None])
+                names.append(f"{ball} {name}")
+    for name, is_terrain in zip(ground.names, ground.is_terrain, strict=True):
         for link in links if is_terrain else ():
-            _pair(spec, link, name, LINK_FRICTION, settings, units)
+            _pair(spec, link, name, settings.friction_scale * LINK_FRICTION, settings, units)
+    return names, np.hstack(friction)
 
 
-def _pair(
-    spec: Any, first: str, second: str, friction: float, settings: Settings, units: NaturalUnits
-) -> None:
-    mu = settings.friction_scale * friction
+def _pair(spec: Any, first: str, second: str, mu: float, settings: Settings, units: NaturalUnits) -> None:
     spec.add_pair(
+        name=f"{first} {second}",
         geomname1=first,
         geomname2=second,
         condim=3 if mu > 0 else 1,
