@@ -147,6 +147,23 @@ def test_mouse_drags_the_phase_bar_and_the_motion_goes_on_afterwards(view):
     assert view.state()["playing"]
 
 
+def test_time_that_the_page_was_hidden_for_does_not_pass(view):
+    # As after a minute behind another page: the last picture was drawn long ago.
+    times = view.evaluate("""() => {
+        const {clock} = trajopt, found = [];
+        for (const heard of [true, false]) {
+            clock.seek(0.1);
+            clock.play();
+            clock.last = performance.now() - 60000;
+            if (heard) document.dispatchEvent(new Event("visibilitychange"));
+            clock.tick();
+            found.push(clock.time);
+        }
+        return found;
+    }""")
+    assert times == pytest.approx([0.1, END])
+
+
 def test_button_that_was_clicked_leaves_the_space_bar_to_playing(view):
     act(view, view._page.click("#loop"))
     assert view.evaluate("trajopt.clock.loop") is False

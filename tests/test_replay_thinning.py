@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import meshcat
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 from replay_pages import hopping, key_frames_of, shown
 from scipy.spatial.transform import Rotation, Slerp
 
-from trajopt.replay.thinning import ANGLE_ERROR, FINER, held, kept_frames, rounded
+from trajopt.replay.commands import Recorder, Tracks
+from trajopt.replay.thinning import ANGLE_ERROR, FINER, POSITION_ERROR, held, kept_frames, rounded
 from trajopt.replay.turns import turns_to
 
 ERROR = 1e-3
@@ -41,6 +43,20 @@ def test_turning_track_stays_within_its_angle():
     error = (between.inv() * Rotation.from_rotvec(vectors)).magnitude()
     assert error.max() <= ANGLE_ERROR + ROUNDING
     assert len(kept) < 0.5 * 400
+
+
+def test_tracks_as_written_stay_within_their_stated_errors():
+    rotation = Rotation.from_rotvec(smooth(400, 3))
+    tracks, node = Tracks(400, 60.0, 1.0), meshcat.Visualizer(window=Recorder())["robot"]
+    tracks.add(node, "position", "vector3", smooth(400, 3))
+    tracks.add(node, "quaternion", "quaternion", rotation.as_quat())
+    position, turn = tracks.command().message["animations"][0]["clip"]["tracks"]
+    times, values = (np.frombuffer(position[name].data, np.float32) for name in ("times", "values"))
+    written = np.column_stack([np.interp(np.arange(400), times, row) for row in values.reshape(-1, 3).T])
+    assert np.linalg.norm(written - smooth(400, 3), axis=1).max() <= POSITION_ERROR
+    times, values = (np.frombuffer(turn[name].data, np.float32) for name in ("times", "values"))
+    error = Slerp(times, Rotation.from_quat(values.reshape(-1, 4)))(np.arange(400)).inv() * rotation
+    assert error.magnitude().max() <= ANGLE_ERROR
 
 
 def test_still_track_keeps_its_ends_and_a_jump_both_its_sides():

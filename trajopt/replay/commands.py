@@ -8,7 +8,14 @@ from typing import Any
 import numpy as np
 import umsgpack
 
-from trajopt.replay.thinning import ANGLE_ERROR, COLOUR_ERROR, POSITION_ERROR, kept_frames, rounded
+from trajopt.replay.thinning import (
+    ANGLE_ERROR,
+    COLOUR_ERROR,
+    POSITION_ERROR,
+    ROUNDING,
+    kept_frames,
+    rounded,
+)
 
 # msgpack extension of a Float32Array, as Meshcat's viewer decodes it.
 FLOAT32 = 0x17
@@ -64,7 +71,7 @@ class Tracks:
         its errors; a boolean holds until the next.
         """
         rows, error = np.asarray(values).reshape(self._n_frames, -1), self._error[kind]
-        kept = kept_frames(rows, kind, error)
+        kept = kept_frames(rows, kind, error * (1 - ROUNDING))
         if kind == "boolean":
             packed: Any = rows[kept].ravel().astype(bool).tolist()
         else:

@@ -11,6 +11,9 @@ ANGLE_ERROR = 5e-4
 COLOUR_ERROR = 2e-3
 # Values are rounded to a power of two this many times finer than their error: bits of noise do not compress.
 FINER = 8.0
+# Largest part of an error that rounding takes: half a step in each of a quaternion's four numbers is a step,
+# and twice that as an angle.
+ROUNDING = 2.0 / FINER
 
 
 def kept_frames(values: np.ndarray, kind: str, error: float) -> np.ndarray:

@@ -15,6 +15,8 @@ class Clock {
         this.held = 0;
         this.adopt(facts);
         this.takeOver();
+        // No picture is drawn of a page behind another: the motion goes on where it was left.
+        document.addEventListener("visibilitychange", () => { this.last = null; });
     }
 
     adopt(facts) {

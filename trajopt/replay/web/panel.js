@@ -179,7 +179,7 @@ class Panel {
         };
         let resumes = null;
         bar.addEventListener("pointerdown", event => {
-            if (event.button) return;
+            if (event.button || resumes !== null) return;  // a second finger changes nothing
             bar.setPointerCapture(event.pointerId);
             resumes = clock.playing;
             if (resumes) clock.pause();
