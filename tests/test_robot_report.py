@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -91,6 +92,19 @@ def test_a_posture_whose_centre_is_not_over_the_feet_falls_over() -> None:
     assert found.margin is not None
     assert found.margin < 0
     assert any("falls over" in text for text in report(robot).warnings)
+
+
+@pytest.mark.parametrize("lean", [0.0, 0.1, 0.35])
+def test_a_robot_on_soles_stands_while_its_centre_is_over_them(lean: float) -> None:
+    robot = robots.load("talos")
+    q = robot.reference.copy()
+    base = pin.XYZQUATToSE3(q[:7])
+    q[:7] = pin.SE3ToXYZQUAT(pin.SE3(pin.utils.rotate("y", lean), np.zeros(3)) * base)
+    for side in ("left", "right"):  # soles stay level
+        q[robot.model.joints[robot.model.getJointId(f"leg_{side}_5_joint")].idx_q] -= lean
+    found = standing(replace(robot, reference=q))
+    assert found.margin is not None
+    assert found.balanced == (found.margin > 0) == (lean < 0.2)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg import block_diag
 from scipy.optimize import lsq_linear
 
 from trajopt.contact import Contact
@@ -66,12 +67,11 @@ def standing(robot: Robot) -> Standing:
     rows = [(contact.frame, contact.rows) for contact in feet]
     jacobian = contact_jacobian(robot.model, robot.reference, rows)
     own = robot.n_unactuated
-    unit = np.array([1.0 if axis < 3 else robot.length for contact in feet for axis in contact.rows])
-    scale = robot.weight * unit
     scales = np.full(own, robot.weight * robot.length)
     scales[: 3 if own >= 6 else min(own, 2)] = robot.weight
-    share = _least_forces(weight_force[:own] / scales, jacobian[:, :own].T * scale / scales[:, None], feet)
-    wrench = share * scale
+    pushes, pushing = _pushes(robot, feet)
+    carried = robot.weight * jacobian[:, :own].T @ pushes / scales[:, None]
+    wrench = robot.weight * pushes @ _least_forces(weight_force[:own] / scales, carried, pushing)
     left = weight_force - jacobian.T @ wrench
     vertical = np.array([axis == 2 for contact in feet for axis in contact.rows], dtype=bool)
     centre = pin.centerOfMass(robot.model, robot.model.createData(), robot.reference)[:2]
@@ -85,26 +85,48 @@ def standing(robot: Robot) -> Standing:
     )
 
 
-def _least_forces(wanted: np.ndarray, carried: np.ndarray, feet: tuple[Contact, ...]) -> np.ndarray:
-    """Least forces f, parts of the weight, with ``carried`` f = ``wanted`` and no foot pulling."""
+def _pushes(robot: Robot, feet: tuple[Contact, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Wrench rows (n, k) of the feet for unit forces that act on them, and which of these push upwards (k,).
+
+    On a point the forces along its own rows, on a sole three at each corner.
+    """
+    poses = contact_poses(robot, robot.reference)
+    blocks, pushing = [np.zeros((0, 0))], np.zeros(0, dtype=bool)
+    for contact in feet:
+        axes = list(contact.rows)
+        block, up = np.eye(len(axes)), np.array(axes) == 2
+        if contact.kind == "surface":
+            arms = _corners_of(contact) @ poses[contact.name].rotation.T
+            block = np.hstack([np.vstack([np.eye(3), pin.skew(arm)])[axes] for arm in arms])
+            up = np.tile([False, False, True], len(arms))
+        blocks.append(block)
+        pushing = np.concatenate([pushing, up])
+    return block_diag(*blocks), pushing
+
+
+def _least_forces(wanted: np.ndarray, carried: np.ndarray, pushing: np.ndarray) -> np.ndarray:
+    """Least forces f (in weights) with ``carried`` f = ``wanted`` and none ``pushing`` that pulls."""
     count = carried.shape[1]
     if not count:
         return np.zeros(0)
-    pushing = np.array([axis == 2 for contact in feet for axis in contact.rows])
     system = np.vstack([BALANCE_WEIGHT * carried, np.eye(count)])
     target = np.concatenate([BALANCE_WEIGHT * wanted, np.zeros(count)])
     found = lsq_linear(system, target, (np.where(pushing, 0.0, -np.inf), np.inf), method="bvls")
     return np.asarray(found.x)
 
 
+def _corners_of(contact: Contact) -> np.ndarray:
+    """Corners (4, 3) of a sole in its frame, m; the origin of a point (1, 3)."""
+    if contact.kind != "surface":
+        return np.zeros((1, 3))
+    signs = np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
+    return signs * [contact.half_length, contact.half_width, 0.0]
+
+
 def corners(robot: Robot, feet: tuple[Contact, ...]) -> np.ndarray:
     """Points (k, 2) on which feet stand, world, m: the origins of points, the four corners of soles."""
     poses = contact_poses(robot, robot.reference)
-    points = []
-    for contact in feet:
-        for along, across in ((1, 1), (1, -1), (-1, 1), (-1, -1)) if contact.kind == "surface" else ((0, 0),):
-            corner = np.array([along * contact.half_length, across * contact.half_width, 0.0])
-            points.append(poses[contact.name].act(corner)[:2])
+    points = [poses[c.name].act(corner)[:2] for c in feet for corner in _corners_of(c)]
     return np.array(points).reshape(-1, 2)
 
 
