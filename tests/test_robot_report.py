@@ -195,6 +195,21 @@ def test_a_first_file_builds_the_robot_that_was_guessed(tmp_path: Path) -> None:
     assert report(built).warnings == ()
 
 
+def test_feet_of_a_root_on_the_ground_are_all_found(tmp_path: Path) -> None:
+    # Some descriptions have a root below the robot; one leg of this one is a millimetre longer.
+    text = URDF.read_text(encoding="utf-8")
+    under = '<link name="base_footprint"/><joint name="up" type="fixed"><parent link="base_footprint"/>'
+    under += '<child link="trunk"/><origin xyz="0 0 0.28"/></joint></robot>'
+    start = text.index('<child link="lf_foot"/>')
+    found = re.search(r'<origin xyz="(\S+) (\S+) (\S+)"', text[text.rindex("<joint", 0, start) :])
+    assert found is not None
+    at = text.rindex("<joint", 0, start) + found.start(3)
+    text = text[:at] + str(float(found[3]) - 1e-3) + text[at + len(found[3]) :]
+    path = tmp_path / "footprint.urdf"
+    path.write_text(text.replace("</robot>", under), encoding="utf-8")
+    assert {c.frame for c in guessed(path).contacts} == {f"{leg}_foot" for leg in LEGS}
+
+
 def test_a_chain_is_guessed_to_be_bolted_down(tmp_path: Path) -> None:
     source = robots.load("ur5").visual
     assert source is not None

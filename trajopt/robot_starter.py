@@ -124,7 +124,8 @@ def _lowest_tips(model: pin.Model) -> list[str]:
     pin.framesForwardKinematics(model, data, np.clip(pin.neutral(model), *position_limits(model)))
     heights = {name: data.oMf[model.getFrameId(name)].translation[2] for name in _tips(model).values()}
     lowest = min(heights.values(), default=0.0)
-    within = LIFTED * max(-lowest, 0.0)
+    # A root may lie on the ground, as base_footprint does: the height is that of all frames.
+    within = LIFTED * (max((place.translation[2] for place in data.oMf), default=0.0) - lowest)
     return [name for name, height in heights.items() if height - lowest <= within]
 
 
