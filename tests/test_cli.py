@@ -272,6 +272,11 @@ def test_replay_writes_a_page(hop_file: Path, tmp_path: Path) -> None:
     assert str(page) in result.stdout
     assert "<html" in page.read_text()[:1000]
     assert_refused(trajopt("replay", hop_file, "--html", tmp_path / "none" / "x.html"), "none/x.html")
+    before = hop_file.read_bytes()
+    assert_refused(trajopt("replay", hop_file, "--html", hop_file), "is what is read")
+    assert hop_file.read_bytes() == before
+    assert_refused(trajopt("replay", hop_file, "--html", "/dev/null"), "no regular file")
+    assert_refused(trajopt("replay", hop_file, "--html", page, "--speed", "1e-9"), "a higher speed")
 
 
 def test_module_and_version_run(tmp_path: Path) -> None:

@@ -121,6 +121,17 @@ def test_page_is_small_and_a_second_run_of_the_same_robot_adds_its_motion_only(h
     assert len([command for command in scene["commands"] if "/run1/robot/" in command["path"]]) >= 17
 
 
+def test_same_solution_gives_the_same_page_byte_by_byte(hop, tmp_path):
+    assert page_of([hop, hop], tmp_path)[0] == page_of([hop, hop], tmp_path)[0]
+
+
+def test_motion_that_flies_off_has_a_small_page(hop, page, tmp_path):
+    q = hop.q.copy()
+    q[:, 0] += 1e6 * hop.t
+    away, _ = page_of(replace(hop, q=q), tmp_path)
+    assert len(away) < 1.5 * len(page[0])
+
+
 @pytest.mark.parametrize("target", ["nowhere/page.html", ".", "/proc/page.html", "x" * 300 + ".html"])
 def test_page_that_cannot_be_written_is_refused_and_leaves_nothing(hop, tmp_path, target):
     with pytest.raises(InputError, match="cannot write"):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from command_lines import assert_refused
 from problems_for_tests import one_joint_arm
 from synthetic import arm_motion, sampled
 
@@ -65,3 +67,39 @@ def test_bad_input_is_refused_in_one_line(
     assert result.stderr.count("\n") == 1
     assert words in result.stderr
     assert [path.name for path in tmp_path.iterdir()] == [file.name]
+
+
+def test_the_file_that_is_read_is_not_replaced(tmp_path: Path, file: Path) -> None:
+    same = tmp_path / "arm.png"
+    same.write_bytes(file.read_bytes())
+    assert_refused(plot(same, "-o", same), "is what is read")
+    assert same.read_bytes() == file.read_bytes()
+
+
+@pytest.mark.parametrize("label", ["$x^{$", "50 % of \\frac", "word " * 60, "_hidden", "<b>&amp;"])
+def test_labels_are_drawn_as_they_are(file: Path, tmp_path: Path, label: str) -> None:
+    """A dollar is no mathematics, and a long name is cut."""
+    pages = ("-o", tmp_path / "two.png", "--page", "joints")
+    result = plot(file, file, *pages, "--label", label, "--label", "other")
+    assert result.exit_code == 0, result.output
+    assert result.stderr == ""
+
+
+def test_names_of_a_file_are_drawn_as_they_are(tmp_path: Path) -> None:
+    robot = one_joint_arm()
+    plan = sampled(robot, [arm_motion(robot), arm_motion(robot)], 2)
+    odd = "$\\frac{ <script>" + 200 * "name "
+    names = {"problem": odd, "robot": odd, "phase_names": [odd] * len(plan.phases)}
+    replace(plan, meta={**plan.meta, **names}).save(tmp_path / "odd.npz")
+    for ending in ("png", "html"):
+        result = plot(tmp_path / "odd.npz", "-o", tmp_path / f"odd.{ending}")
+        assert result.exit_code == 0, result.output
+    assert "<script>" not in (tmp_path / "odd.html").read_text()
+
+
+def test_a_report_has_the_same_bytes_whenever_it_is_written(file: Path, tmp_path: Path) -> None:
+    for ending in ("pdf", "svg", "png", "html"):
+        first, second = tmp_path / f"first.{ending}", tmp_path / f"second.{ending}"
+        for target in (first, second):
+            assert plot(file, "-o", target, "--page", "joints").exit_code == 0
+        assert first.read_bytes() == second.read_bytes()

@@ -315,8 +315,9 @@ def test_jumps_and_trots_end_within_five_centimetres(problem, robot):
 @pytest.mark.parametrize(
     ("settings", "line"),
     [
-        ({"timestep": 0.0}, "timestep of a simulation is 0; allowed: > 0"),
-        ({"kp": -1.0}, "kp of a simulation is -1; allowed: >= 0"),
+        ({"timestep": 0.0}, "timestep of a simulation is 0; allowed: 1e-09 to 1"),
+        ({"kp": -1.0}, "kp of a simulation is -1; allowed: 0 to 1e+06"),
+        ({"push": 1e300}, "push of a simulation is 1e+300; allowed: -1e+09 to 1e+09"),
         ({"mass_scale": float("nan")}, "mass_scale of a simulation is nan; allowed: a finite number"),
         ({"cycles": 0}, "cycles of a simulation is 0; allowed: a whole number >= 1"),
         ({"cycles": 2}, "the solution is not periodic; allowed: --cycles 1"),
@@ -332,6 +333,30 @@ def test_wrong_settings_are_refused_in_one_line(settings, line, stand):
     with pytest.raises(InputError) as refused:
         simulate(stand, **settings)
     assert str(refused.value) == line
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"timestep": 1e-9}, "steps; allowed: "),
+        ({"control_rate": 1e6}, "periods of its controller; allowed: "),
+    ],
+)
+def test_simulations_that_take_hours_are_refused(settings, words, jump):
+    with pytest.raises(InputError, match=words):
+        simulate(jump, **settings)
+
+
+def test_a_simulation_that_runs_away_ends_with_its_last_finite_state_and_says_so_in_the_report_alone(
+    jump, tmp_path, monkeypatch, capfd
+):
+    monkeypatch.chdir(tmp_path)  # where MuJoCo writes its log
+    found = simulate(jump, push=1e9)
+    assert found.report.fell
+    assert np.isfinite(found.record.qpos).all()
+    assert found.as_solution().save(tmp_path / "away.npz").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["away.npz"]
+    assert capfd.readouterr() == ("", "")
 
 
 def test_missing_mujoco_is_said_in_one_line(stand, monkeypatch):

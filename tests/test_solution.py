@@ -164,6 +164,14 @@ def test_foreign_file_is_refused(saved, write, message):
         ({"success": "yes"}, "success of meta"),
         ({"contact_sizes": [[0.1, 0.1]]}, "contact_sizes of meta"),
         ({"terrain": "drop"}, "meta lacks 'terrain'"),
+        ({"parameters": 7}, "parameters of meta is no object"),
+        ({"versions": None}, "versions of meta is no object"),
+        ({"tolerance": None}, "tolerance None of meta is no number"),
+        ({"phase_names": [1]}, "phase_names of meta is not a list of 1 texts"),
+        ({"phase_names": ["one", "two"]}, "phase_names of meta is not a list of 1 texts"),
+        ({"payloads": "box"}, "payloads of meta is not a list"),
+        ({"payloads": [3]}, "payloads of meta holds 3"),
+        ({"payloads": [{"frame": "paw", "mass": 1.0}]}, "payloads of meta holds"),
     ],
 )
 def test_inconsistent_meta_is_refused(saved, changes, message):

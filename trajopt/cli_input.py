@@ -96,6 +96,25 @@ def check_output(path: Path) -> Path:
     return target
 
 
+def check_apart(targets: Sequence[Path | None], sources: Sequence[Path]) -> None:
+    """Raise `InputError` where what is written would replace what is read, or is one file twice."""
+    read = {_place(source) for source in sources}
+    written: set[Path] = set()
+    for target in filter(None, targets):
+        place = _place(target)
+        if place in read:
+            raise InputError(f"{target} is what is read", "allowed: another name for what is written")
+        if place in written:
+            raise InputError(f"{target} is written twice", "allowed: a name of its own for each")
+        written.add(place)
+
+
+def _place(path: Path) -> Path:
+    with contextlib.suppress(OSError, RuntimeError):  # a loop of links, a home that is not known
+        return path.expanduser().resolve()
+    return path
+
+
 def _reason(target: Path) -> str:
     folder = target.parent
     with contextlib.suppress(OSError):

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from trajopt.cli_input import check_apart
+
 
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=Path, metavar="FILE...")
@@ -29,6 +31,7 @@ def plot(files: tuple[Path, ...], output: Path, labels: tuple[str, ...], pages: 
     """
     from trajopt.plotting import report
 
+    check_apart([output], files)
     names = [name.strip() for given in pages for name in given.split(",") if name.strip()]
     plotted = report(list(files), output, labels=labels or None, pages=names or None)
     shown = ", ".join(dict.fromkeys(plotted.pages))

@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from trajopt.cli_input import WholeNumber
+from trajopt.cli_input import WholeNumber, check_apart
 
 # Digits of a side: more are too many pixels in any case.
 _SIZE = re.compile(r"([0-9]{1,6})[xX×]([0-9]{1,6})", re.ASCII)
@@ -61,6 +61,7 @@ def render(
     from trajopt.replay.render import render as write
     from trajopt.solution import Solution
 
+    check_apart([output], files)
     solutions = [Solution.load(file) for file in files]
     with _progress(f"{output.name}") as shown:
         done = write(

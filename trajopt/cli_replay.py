@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from trajopt.cli_input import check_apart, check_output
+
 
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=Path, metavar="FILE...")
@@ -28,6 +30,9 @@ def replay(
     from trajopt.replay import serve
     from trajopt.solution import Solution
 
+    check_apart([html], files)
+    if html is not None:
+        check_output(html)
     shown = show(
         [Solution.load(file) for file in files],
         html=html,

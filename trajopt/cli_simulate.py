@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from trajopt import cli_report
-from trajopt.cli_input import COUNT, check_output
+from trajopt.cli_input import COUNT, check_apart, check_output
 
 NOT_TRACKED = 1
 
@@ -61,6 +61,7 @@ def simulate(file: Path, output: Path | None, html: Path | None, as_json: bool, 
     from trajopt.simulation import simulate as run
     from trajopt.solution import Solution
 
+    check_apart([output, html], [file])
     targets = [None if path is None else check_output(path) for path in (output, html)]
     plan = Solution.load(file)
     found = run(plan, **settings)

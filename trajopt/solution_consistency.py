@@ -51,6 +51,7 @@ def inconsistency(solution: Solution, meta: dict[str, Any]) -> str:
         or _wrong_time(solution)
         or _wrong_surfaces(solution, meta)
         or _wrong_collision(solution, meta)
+        or _wrong_phases(solution, meta)
     )
 
 
@@ -76,6 +77,11 @@ def _wrong_meta(meta: dict[str, Any]) -> str:
             return f"{key} of meta is not null or a list of numbers >= 0"
     if not isinstance(meta["success"], bool):
         return "success of meta is not true or false"
+    for key in ("parameters", "versions"):
+        if not isinstance(meta[key], dict):
+            return f"{key} of meta is no object"
+    if not _is_number(meta["tolerance"]):
+        return f"tolerance {meta['tolerance']!r} of meta is no number"
     return _wrong_sizes(meta.get("contact_sizes"), kinds) or _wrong_drives(meta.get("drives"))
 
 
@@ -134,6 +140,36 @@ def _wrong_surfaces(solution: Solution, meta: dict[str, Any]) -> str:
             if unknown:
                 return f"{key} of meta names {', '.join(sorted(unknown))}, not in contact in that phase"
     return ""
+
+
+def _wrong_phases(solution: Solution, meta: dict[str, Any]) -> str:
+    """Optional keys of meta: the name of each phase, and what is carried in which phases."""
+    names, count = meta.get("phase_names"), int(solution.phase[-1]) + 1
+    if names is not None and not (
+        isinstance(names, list) and len(names) == count and all(isinstance(name, str) for name in names)
+    ):
+        return f"phase_names of meta is not a list of {count} texts, one for each phase"
+    payloads = meta.get("payloads")
+    if payloads is None:
+        return ""
+    if not isinstance(payloads, list):
+        return "payloads of meta is not a list"
+    for entry in payloads:
+        if not _is_payload(entry, meta["contact_frames"]):
+            return f"payloads of meta holds {entry!r}, allowed: frame, mass, centre, inertia, phases"
+    return ""
+
+
+def _is_payload(entry: Any, frames: list[str]) -> bool:
+    if not isinstance(entry, dict) or entry.get("frame") not in frames:
+        return False
+    phases, mass = entry.get("phases"), entry.get("mass")
+    try:
+        shapes = [np.shape(np.array(entry[key], dtype=float)) for key in ("centre", "inertia")]
+    except (KeyError, TypeError, ValueError):
+        return False
+    indices = isinstance(phases, list) and all(type(phase) is int for phase in phases)
+    return indices and _is_number(mass) and shapes == [(3,), (3, 3)]
 
 
 def _is_number(value: Any) -> bool:

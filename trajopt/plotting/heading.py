@@ -11,15 +11,19 @@ from trajopt.plotting.track import Track
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+# Letters that the width of a page has room for: in the title beside the page's name, and in the legend.
+TITLE_LETTERS, LEGEND_LETTERS = 64, 120
+
 
 def draw_heading(figure: Figure, page: Page, tracks: Tracks, footer: str) -> None:
     """Write title, state of the solutions, note and footer."""
     width, height = figure.get_size_inches()
 
     def text(x: float, y: float, words: str, **options: object) -> None:
-        figure.text(x / width, 1 - y / height, words, **{"va": "top", **options})  # type: ignore[arg-type]
+        look = {"va": "top", **options}
+        figure.text(x / width, 1 - y / height, style.literal(words), **look)  # type: ignore[arg-type]
 
-    text(LEFT, TOP, title_of(tracks), fontsize=style.TITLE, weight="bold")
+    text(LEFT, TOP, style.short(title_of(tracks), TITLE_LETTERS), fontsize=style.TITLE, weight="bold")
     text(width - RIGHT, TOP + 0.02, page.title, fontsize=style.TITLE, ha="right", color=style.GREY)
     warning = warnings_of(tracks)
     below = TOP + 0.24
@@ -46,7 +50,11 @@ def _solutions(figure: Figure, tracks: Tracks, at: float) -> None:
         Line2D([], [], color=style.BLACK, linestyle=style.LINES[number % len(style.LINES)])
         for number in range(len(tracks))
     ]
-    names = [track.label + ("" if track.meta["success"] else " (not solved)") for track in tracks]
+    letters = LEGEND_LETTERS // len(tracks)
+    names = [
+        style.literal(style.short(track.label, letters)) + ("" if track.meta["success"] else " (not solved)")
+        for track in tracks
+    ]
     figure.legend(
         handles,
         names,

@@ -31,6 +31,21 @@ FONT, SMALL, TITLE = 8.0, 7.0, 11.0
 # Dots an inch of a picture; in a page of HTML of what is drawn as pixels.
 DOTS = 150
 
+# Letters of a name given by others: the longest of the library has 24.
+NAME_LETTERS = 32
+
+
+def short(name: str, letters: int = NAME_LETTERS) -> str:
+    """The name on one line, cut where it is longer than ``letters``."""
+    words = " ".join(name.split())
+    return words if len(words) <= letters else words[: letters - 1] + "\u2026"
+
+
+def literal(name: str) -> str:
+    """The name as Matplotlib shows it letter by letter: a dollar does not begin mathematics."""
+    return name.replace("$", r"\$")
+
+
 RC: dict[str, Any] = {
     "font.size": FONT,
     "font.family": "DejaVu Sans",

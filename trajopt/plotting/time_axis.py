@@ -87,7 +87,7 @@ def _phase_names(axes: Axes, tracks: Tracks, strip: float) -> None:
             if room < PHASE_LETTER * (len(text) + 0.5):
                 continue
         else:
-            text = phase.name
+            text = style.literal(phase.name)
             if upright and room < 0.09:
                 continue
         axes.annotate(

@@ -265,7 +265,7 @@ def _impulses(axes: Axes, tracks: Tracks) -> None:
                 axes.plot(at, normal[impact, contact], "o", color=NORMAL, markersize=4, label="normal/")
                 axes.plot(at, tangential[impact, contact], "s", color=TANGENTIAL, markersize=4)
                 axes.plot(at, cone[impact, contact], "_", color=style.BLACK, markersize=10)
-                which = f"{track.label}\n" if len(tracks) > 1 else ""
+                which = f"{style.literal(style.short(track.label))}\n" if len(tracks) > 1 else ""
                 names.append(f"{which}{track.solution.contact_frames[contact]}\n{time:.3f} s")
     axes.set_xticks(range(len(names)), names)
     axes.tick_params(axis="x", labelsize=6)

@@ -18,6 +18,7 @@ from trajopt.check import check, on_manifold
 from trajopt.errors import InputError, TrajoptError
 from trajopt.plotting.joints import Axis, axes_of
 from trajopt.plotting.motion import Motion
+from trajopt.plotting.style import short
 from trajopt.solution import Solution
 
 # About so many samples are drawn of a motion: a line across a page has no more dots.
@@ -86,7 +87,7 @@ class Track:
             number = int(plan.phase[rows.start])
             found.append(
                 Phase(
-                    name=str(names[number]) if number < len(names) else str(number),
+                    name=short(str(names[number])) if number < len(names) else str(number),
                     start=float(plan.t[rows.start]),
                     end=float(plan.t[rows.stop - 1]),
                     active=plan.active[rows.start],

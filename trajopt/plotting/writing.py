@@ -101,7 +101,8 @@ def _pdf(pages: Sequence[Page], tracks: Tracks) -> bytes:
     from matplotlib.backends.backend_pdf import PdfPages
 
     buffer = io.BytesIO()
-    with PdfPages(buffer, metadata={"Title": title_of(tracks), "Creator": "trajopt"}) as document:
+    facts = {"Title": title_of(tracks), "Creator": "trajopt", "CreationDate": None}  # one report, one text
+    with PdfPages(buffer, metadata=facts) as document:
         for figure in figures(pages, tracks, fixed=True):
             document.savefig(figure)
     return buffer.getvalue()

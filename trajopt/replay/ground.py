@@ -20,6 +20,8 @@ GROUND_COLOUR, GRID_COLOUR, GRID_STRONG = 0xDCE1E8, 0xAEB7C3, 0x808C9B
 GROUND_TINTS = (0xCDD4DD, 0xB9C3CF)
 # Grid cells over the robot's extent, rounded down to 1, 2 or 5 times a power of ten; bold every fifth.
 CELL_PART, BOLD_EVERY = 0.3, 5
+# A motion is at most about so many cells long: those of one that flies off are larger.
+MOST_CELLS = 250
 # Ground on each side of the motion, in robot extents.
 MARGIN = 8.0
 # Light from the sun and around it; together a level white surface is just white.
@@ -39,7 +41,8 @@ def draw_plane(vis: Any, box: np.ndarray, ground: Surface, size: float) -> None:
 
     The grid's lines run along the plane's tangents, every line at a round distance from the world's origin.
     """
-    cell = _round_cell(CELL_PART * size)
+    span = float(np.ptp(box, axis=0).max())
+    cell = _round_cell(max(CELL_PART * size, span / MOST_CELLS))
     step = BOLD_EVERY * cell
     corners = np.array(list(itertools.product(*box.T))) @ ground.tangents.T
     low = np.floor((corners.min(axis=0) - MARGIN * size) / step) * step

@@ -17,6 +17,8 @@ from trajopt.solution import Solution
 
 # Pictures a second of playback: what screens show.
 FRAME_RATE = 60.0
+# Every frame is computed and written before the first one is seen.
+MOST_FRAMES = 100_000
 # An impulse is shown this long (s of the solution), as the constant force that gives it in that time.
 FLASH = 0.1
 # A sole pressed with less than this part of the weight has no meaningful centre of pressure.
@@ -91,6 +93,9 @@ def motions_of(solutions: Sequence[Solution], speed: float = 1.0) -> list[Motion
             raise InputError("the solution lasts 0 s", "a replay needs a duration")
     start = float(min(solution.t[0] for solution in solutions))
     duration = float(max(solution.t[-1] for solution in solutions)) - start
+    if duration / speed * FRAME_RATE > MOST_FRAMES:
+        longest = MOST_FRAMES / FRAME_RATE
+        raise InputError(f"a replay of {duration / speed:g} s", f"allowed: {longest:g} s; a higher speed")
     steps = max(1, round(duration / speed * FRAME_RATE))
     t = start + duration * np.linspace(0.0, 1.0, steps + 1)
     return [_resampled(solution, t, steps * speed / duration, speed) for solution in solutions]

@@ -106,11 +106,41 @@ def plain(value: object) -> object:
 def packed_scene(scene: Scene) -> bytes:
     """Return the scene as compressed msgpack: ``{"meshes": [...], "commands": [...]}``, each mesh once."""
     meshes: dict[bytes, Any] = {}
-    commands = [_with_shared_meshes(command.lower(), meshes) for command in scene.commands]
+    names: dict[str, str] = {}
+    commands = [_with_shared_meshes(_numbered(command.lower(), names), meshes) for command in scene.commands]
     data = umsgpack.packb(
         {"meshes": list(meshes.values()), "commands": commands}, force_float_precision="single"
     )
     return gzip.compress(data, compresslevel=COMPRESSION, mtime=0)
+
+
+def _numbered(message: dict[str, Any], names: dict[str, str]) -> dict[str, Any]:
+    """Return the message with numbers for Meshcat's random names of its parts: one scene, one text.
+
+    ``names`` are the numbers so far; a part is named where it has its ``uuid``, before or after its use.
+    """
+
+    def collect(value: Any) -> None:
+        if isinstance(value, dict):
+            if isinstance(value.get("uuid"), str):
+                names.setdefault(value["uuid"], str(len(names)))
+            for entry in value.values():
+                collect(entry)
+        elif isinstance(value, list):
+            for entry in value:
+                collect(entry)
+
+    def renamed(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: renamed(entry) for key, entry in value.items()}
+        if isinstance(value, list):
+            return [renamed(entry) for entry in value]
+        return names.get(value, value) if isinstance(value, str) else value
+
+    if message["type"] != "set_object":
+        return message
+    collect(message["object"])
+    return {**message, "object": renamed(message["object"])}
 
 
 def _with_shared_meshes(message: dict[str, Any], meshes: dict[bytes, Any]) -> dict[str, Any]:

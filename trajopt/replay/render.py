@@ -148,6 +148,8 @@ def _replacing(target: Path) -> Iterator[Path]:
     allowed = "allowed: a file in an existing folder that can be written"
     if target.is_dir():
         raise InputError(f"{refused}: it is a folder", allowed)
+    if target.exists() and not target.is_file():
+        raise InputError(f"{refused}: it is no regular file", allowed)
     if not target.parent.is_dir():
         raise InputError(f"{refused}: the folder {target.parent} does not exist", allowed)
     try:

@@ -101,6 +101,8 @@ def _target(target: Path) -> Path:
     try:
         if target.is_dir():
             raise _refused(target, "it is a folder")
+        if target.exists() and not target.is_file():
+            raise _refused(target, "it is no regular file")
         if not target.parent.is_dir():
             raise _refused(target, f"the folder {target.parent} does not exist")
     except OSError as error:  # as of a name that is too long

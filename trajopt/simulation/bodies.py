@@ -7,6 +7,8 @@ compiled with a stand-in and their inertias written into the compiled model.
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,6 +33,21 @@ def mujoco_package() -> Any:
     except ImportError:
         raise InputError("simulating needs MuJoCo, which is not installed", PACKAGE_MISSING) from None
     return mujoco
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """MuJoCo says nothing meanwhile: its warnings go to stderr and into a file where the program runs.
+
+    A simulation that runs away is found by its numbers.
+    """
+    mujoco = mujoco_package()
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 @dataclass(frozen=True, kw_only=True)

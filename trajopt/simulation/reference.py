@@ -23,6 +23,8 @@ from trajopt.solution_motion import SolutionMotion
 
 # A plan that ends slower than this (reaches and radians over the natural time) ends at rest.
 REST = 1e-3
+# Periods of the controller in one simulation: each is sampled and recorded.
+MOST_PERIODS = 200_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,11 +64,17 @@ def drives_of(plan: Solution) -> list[Drive | None]:
 
 def reference_of(plan: Solution, settings: Settings) -> Reference:
     """Sample a plan, repeat it if asked to, and hold its end if it is at rest. Raises `InputError`."""
-    one = _once(plan, settings.control_rate)
     described = plan.meta.get("periodicity")
     whole = settings.cycles * (2 if described and described["mirror"] else 1)
+    periods = float(plan.interval_t[-1, 1] - plan.interval_t[0, 0]) * settings.control_rate * whole
+    if periods > MOST_PERIODS:
+        raise InputError(
+            f"a simulation of {periods:.3g} periods of its controller",
+            f"allowed: {MOST_PERIODS}; a lower --control-rate or fewer --cycles",
+        )
     if settings.cycles > 1 and not described:
         raise InputError("the solution is not periodic", "allowed: --cycles 1")
+    one = _once(plan, settings.control_rate)
     if described and (settings.cycles > 1 or whole > 1):
         one = _repeated(plan, one, described, whole)
     return _with_hold(plan, one)

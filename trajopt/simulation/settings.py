@@ -13,6 +13,17 @@ STEP, CONTACT_TIME, FEEDBACK_TIME = 1 / 500, 1 / 100, 1 / 25
 # After a plan that ends at rest its last posture is held this many natural times, to see whether it stands.
 HOLD = 2.0
 LONGEST_STEP = 1e-3
+# What is allowed: far beyond any robot, and still within the numbers of the physics.
+ALLOWED = {
+    "timestep": (1e-9, 1.0),
+    "control_rate": (1e-3, 1e6),
+    "kp": (0.0, 1e6),
+    "kd": (0.0, 1e6),
+    "friction_scale": (0.0, 1e3),
+    "mass_scale": (1e-6, 1e6),
+    "noise": (0.0, 1.0),
+    "push": (-1e9, 1e9),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,17 +49,17 @@ class Settings:
     push: float = 0.0
 
     def __post_init__(self) -> None:
-        positive = ("timestep", "control_rate", "mass_scale")
         for field in fields(self):
             value = getattr(self, field.name)
-            if value is None:
+            if value is None and field.name == "timestep":
                 continue
             if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
                 raise InputError(f"{field.name} of a simulation is {value!r}", "allowed: a finite number")
-            if field.name in positive and not value > 0:
-                raise InputError(f"{field.name} of a simulation is {value:g}", "allowed: > 0")
-            if field.name not in ("push", "seed") and value < 0:
-                raise InputError(f"{field.name} of a simulation is {value:g}", "allowed: >= 0")
+            least, most = ALLOWED.get(field.name, (-math.inf, math.inf))
+            if not least <= value <= most:
+                raise InputError(
+                    f"{field.name} of a simulation is {value:g}", f"allowed: {least:g} to {most:g}"
+                )
         for name, least in (("cycles", 1), ("seed", 0)):
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:

@@ -13,6 +13,7 @@ import numpy as np
 from trajopt.errors import InputError
 from trajopt.robot_building import base_of
 from trajopt.simulation import figures
+from trajopt.simulation.bodies import quiet
 from trajopt.simulation.reference import Reference, reference_of
 from trajopt.simulation.report import ContactReport, Report
 from trajopt.simulation.run import Record, run
@@ -55,11 +56,12 @@ def simulate(solution: Solution | str | Path, **settings: Any) -> Simulation:
     if unknown:
         raise InputError(f"a simulation has no setting {unknown}", f"allowed: {', '.join(known)}")
     wanted = Settings(**settings)
-    reference = reference_of(plan, wanted)
-    world = build_world(plan, wanted)
-    begin = time.perf_counter()
-    record = run(plan, reference, world, wanted)
-    spent = time.perf_counter() - begin
+    with quiet():
+        reference = reference_of(plan, wanted)
+        world = build_world(plan, wanted)
+        begin = time.perf_counter()
+        record = run(plan, reference, world, wanted)
+        spent = time.perf_counter() - begin
     return Simulation(
         plan=plan,
         settings=wanted,
