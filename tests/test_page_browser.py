@@ -164,6 +164,17 @@ def test_time_that_the_page_was_hidden_for_does_not_pass(view):
     assert times == pytest.approx([0.1, END])
 
 
+def test_picture_has_the_pixels_of_the_screen_it_is_moved_to(view):
+    ratio = """value => {
+        Object.defineProperty(window, "devicePixelRatio", {value, configurable: true});
+        trajopt.view.resized();
+        const canvas = trajopt.viewer.renderer.domElement;
+        return [trajopt.viewer.renderer.getPixelRatio(), canvas.width / canvas.clientWidth];
+    }"""
+    for value in (2, 1):
+        assert view.evaluate(ratio, value) == [value, value]
+
+
 def test_button_that_was_clicked_leaves_the_space_bar_to_playing(view):
     act(view, view._page.click("#loop"))
     assert view.evaluate("trajopt.clock.loop") is False

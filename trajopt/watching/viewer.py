@@ -131,13 +131,14 @@ class Viewer:
             try:
                 self._draw(what)
             except Exception as error:
+                self._failed = True
                 if not self._closed:
                     text = " ".join(f"{type(error).__name__}: {error}".split())
                     warnings.warn(f"the viewer has stopped, solving goes on: {text}", stacklevel=2)
-                self._failed = True
-            with self._wake:
-                self._busy = False
-                self._wake.notify_all()
+            finally:  # a warning may be an error, too, and who waits has to be told
+                with self._wake:
+                    self._busy = False
+                    self._wake.notify_all()
             if self._failed:
                 return
 

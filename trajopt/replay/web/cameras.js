@@ -99,7 +99,8 @@ class Cameras {
         if (!this.moves) return;
         const heading = paths[0].forward.setY(0);
         if (heading.length() > 0.3) this.forward = heading.normalize();
-        const apart = Math.max(...paths.flatMap(path => path.points.map((point, k) => point.distanceTo(mean[k]))));
+        const apart = paths.reduce((far, path) =>
+            path.points.reduce((most, point, k) => Math.max(most, point.distanceTo(mean[k])), far), 0);
         this.radius += apart;
         this.path = this.smooth(mean);
     }
@@ -144,6 +145,8 @@ class Cameras {
     }
 
     resized() {
+        // Another screen, or a zoom of the browser's, has other pixels.
+        if (this.viewer.renderer.getPixelRatio() !== window.devicePixelRatio) this.viewer.renderer.setPixelRatio(window.devicePixelRatio);
         this.shift();
         if (this.fitted && this.path) this.frame(VIEWS[this.name]);
     }
