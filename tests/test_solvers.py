@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -25,7 +27,10 @@ AGREEMENT = 1e-4
 SAME_OPTIMUM = 1e-6
 
 
-def go_on(_: dict) -> bool:
+Unknowns = Callable[[], np.ndarray]
+
+
+def go_on(_: dict, __: Unknowns) -> bool:
     return True
 
 
@@ -61,7 +66,7 @@ def test_compiled_functions_give_the_numbers_of_the_virtual_machine():
 def test_callback_that_says_stop_returns_the_iterate_of_that_moment(solver):
     made, seen = prepared(), []
 
-    def stop_at_three(info: dict) -> bool:
+    def stop_at_three(info: dict, _: Unknowns) -> bool:
         seen.append(info)
         return info["iteration"] < 3
 
@@ -76,7 +81,7 @@ def test_callback_that_says_stop_returns_the_iterate_of_that_moment(solver):
 def test_exception_in_a_callback_reaches_the_caller(solver):
     made = prepared()
 
-    def fail(info: dict) -> bool:
+    def fail(info: dict, _: Unknowns) -> bool:
         raise ZeroDivisionError(f"at iteration {info['iteration']}")
 
     with pytest.raises(ZeroDivisionError, match="at iteration 0"):
