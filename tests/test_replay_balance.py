@@ -173,6 +173,16 @@ def test_contacts_on_different_planes_have_a_level_virtual_plane_through_their_m
     assert_allclose(found.zmp[0, 2], feet[:, 2].mean(), atol=EXACT)
 
 
+def test_wall_is_no_support_of_feet_on_the_ground(bones):
+    wall = Surface(point=np.zeros(3), normal=np.array([-1.0, 0.0, 0.0]))
+    leaning = balance(on_surface(bones, {"FL_FOOT": wall})).supports[0]
+    feet = motion_of(bones).feet[0]
+    own = [name != "FL_FOOT" for name in bones.contact_frames]
+    assert len(leaning.hull) == 3
+    assert_allclose(sorted(leaning.hull[:, 0]), sorted(feet[own, 0]), atol=EXACT)
+    assert_allclose(leaning.plane.point[2], 0.0, atol=EXACT)
+
+
 def test_two_feet_support_along_a_segment_and_one_at_a_point(bones):
     for count in (2, 1):
         active = bones.active.copy()

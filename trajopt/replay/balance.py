@@ -8,7 +8,8 @@ with linear and angular momentum h, k (about the centre of mass c). The zero-mom
 of the contacts, of normal n: n x M_z = 0, so z = p + n x M_p / (n . F) for any p of that plane (Sardain and
 Bessonnet, "Forces acting on a biped robot. Center of pressure - zero moment point", IEEE Trans. SMC A 34,
 2004). Where all contacts that press are on one plane it is the centre of pressure of their forces. Where
-they are not, no such plane exists: a virtual one is taken, level and through the mean of the contacts.
+they are not, no such plane exists: a virtual one is taken, level and through the mean of the contacts. Walls
+and handles are no support of a robot that stands on something else; their forces move the point.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ from trajopt.sole import centre_of_pressure
 from trajopt.solution import Solution
 from trajopt.surface import SAME_PLANE, UP, Surface
 
+# A surface whose normal is nearer to level than to vertical is a wall: it steadies and does not carry.
+LEVEL = np.sqrt(0.5)
 _CORNERS = np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])
 
 
@@ -94,13 +97,19 @@ def outer_wrenches(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
 
 
 def supports_of(solution: Solution, motion: Motion, touched: Touched) -> list[Support]:
-    """One support for each phase with contacts that press; phases that follow with the same are joined."""
+    """One support for each phase with contacts that press; phases that follow with the same are joined.
+
+    Of contacts on the ground and on walls those on the ground.
+    """
     pressing = motion.active & ~touched.bilateral
+    level = touched.normal @ upward(solution.model) > LEVEL
     found: list[Support] = []
     for phase in np.unique(motion.phase):
         rows = motion.phase == phase
         middle = int(np.flatnonzero(rows)[rows.sum() // 2])
-        contacts = np.flatnonzero(pressing[middle])
+        contacts = np.flatnonzero(pressing[middle] & level[middle])
+        if not len(contacts):  # nothing but steep ground
+            contacts = np.flatnonzero(pressing[middle])
         if not len(contacts):
             continue
         plane = _plane(solution, motion, touched, middle, contacts)
