@@ -159,6 +159,14 @@ def test_friction_of_a_phase_holds_in_that_phase_alone():
     assert speeds[0.1][1] == pytest.approx(sliding, rel=0.2)
 
 
+def test_contact_that_slides_in_a_part_of_its_stance_does_not_slip(stand):
+    robot = robots.load("solo12")
+    plan, frames = sampled(robot, [standing(robot, 0.05)] * 2, 2), stand.meta["contact_frames"]
+    belt = Surface(point=np.zeros(3), normal=np.array(UP), slip_speed=0.1).describe()
+    found = simulate(with_meta(plan, surfaces=[{}, dict.fromkeys(frames[:2], belt)])).report.contacts
+    assert [contact.travel is None for contact in found] == [True, True, False, False]
+
+
 def test_board_carries_whole_soles():
     robot = robots.load("talos")
     feet = [contact for contact in robot.contacts if contact.kind == "surface"]

@@ -96,7 +96,8 @@ def stances(plan: Solution, reference: Reference, record: Record, world: World) 
             # Until the middle of the stance: what comes later is no touchdown.
             touch = np.flatnonzero(loaded[window : (first + end) // 2 + 1, contact])
             phase = reference.source[first]
-            free = surfaces.bilateral[phase, contact] or np.isfinite(surfaces.slip[phase, contact])
+            own = np.unique(reference.source[first:end])
+            free = bool((surfaces.bilateral | surfaces.slides)[own, contact].any())
             late = (window + int(touch[0]) - first) * reference.period if len(touch) else None
             found.append(
                 Stance(
