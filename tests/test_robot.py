@@ -254,6 +254,14 @@ def test_missing_and_malformed_files_are_refused_in_one_line(tmp_path):
         assert "\n" not in str(caught.value)
 
 
+def test_urdf_that_is_no_xml_is_told_by_line_and_column_and_nothing_else_is_printed(tmp_path, capfd):
+    bad = tmp_path / "bad.urdf"
+    bad.write_text("<robot name='a'>\n<link>\n</robot>")
+    with pytest.raises(InputError, match="line 3, column"):
+        Robot.from_urdf(bad)
+    assert capfd.readouterr() == ("", "")
+
+
 @pytest.mark.parametrize("size", [{}, {"half_length": 0.1}, {"half_length": -0.1, "half_width": 0.1}])
 def test_surface_contact_without_a_sole_is_refused(size):
     with pytest.raises(InputError, match="positive lengths"):

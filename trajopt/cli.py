@@ -26,7 +26,7 @@ from trajopt.cli_aim import aim_options, solve_aimed, wants_aim
 from trajopt.cli_check import check
 from trajopt.cli_continue import continue_
 from trajopt.cli_diagnose import diagnose, diagnose_option, diagnosis_of
-from trajopt.cli_input import COUNT, GRID, THREADS, check_output, options_of, values_of
+from trajopt.cli_input import COUNT, GRID, THREADS, check_apart, check_output, options_of, values_of
 from trajopt.cli_plot import plot
 from trajopt.cli_reference import reference
 from trajopt.cli_render import render
@@ -196,7 +196,7 @@ def list_problems(problems: tuple[str, ...], robot: str | None, brief: bool, as_
 @aim_options
 @diagnose_option
 @watch_options
-@click.option("--output", type=Path, metavar="FILE", help="Solution file.  [default: PROBLEM.npz]")
+@click.option("-o", "--output", type=Path, metavar="FILE", help="Solution file.  [default: PROBLEM.npz]")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def solve(
     problem: str,
@@ -228,6 +228,10 @@ def solve(
     options = options_of(solver_options)
     loaded = choose(families(), problem).load(values_of(settings, "--set"))
     target = check_output(output or Path(f"{problem}.npz"))
+    if arguments["log"] not in (None, "-"):  # the start may be replaced by its solution, not by a table
+        start = arguments.get("start")
+        check_apart([target, Path(arguments["log"])], [])
+        check_apart([Path(arguments["log"])], [Path(start)] if start else [])
     scene = _scene(loaded, keep, arguments) if smallest or explain or keep else None
     if scene is not None and explain and not as_json:
         click.echo(str(scene.report))

@@ -37,7 +37,9 @@ NOT_REACHED = 1
 )
 @click.option("--compile", default="quick", metavar="LEVEL", show_default=True, help="none, quick or fast.")
 @click.option("--threads", type=THREADS, default=1, metavar="N", show_default=True, help="For functions.")
-@click.option("--output", type=Path, metavar="FILE", help="Solution file.  [default: PROBLEM-reference.npz]")
+@click.option(
+    "-o", "--output", type=Path, metavar="FILE", help="Solution file.  [default: PROBLEM-reference.npz]"
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def reference(
     problem: str,

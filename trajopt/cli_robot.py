@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, cast
 import click
 
 from trajopt import cli_report
+from trajopt.cli_input import check_apart, check_output
 
 if TYPE_CHECKING:
     from trajopt.robot import Robot
@@ -35,6 +36,9 @@ def robot(robot: str, base: str | None, write: Path | None, html: Path | None, a
     """
     from trajopt.robot_report import report
 
+    check_apart([write, html], [Path(robot)])
+    if html is not None:
+        check_output(html)
     loaded = _loaded(robot, base, write)
     text = None if write is None else _starter(loaded, write)
     found = report(loaded)

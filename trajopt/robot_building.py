@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -40,6 +41,7 @@ def read_urdf(path: str | Path, base: Base) -> pin.Model:
     """Read a URDF file with the given base; raises `InputError` if it is missing or malformed."""
     source = existing_file(path, "URDF")
     require_base(base)
+    require_xml(source)
     try:
         if base == "fixed":
             return pin.buildModelFromUrdf(str(source))
@@ -49,6 +51,14 @@ def read_urdf(path: str | Path, base: Base) -> pin.Model:
         return sagittal(pin.buildModelFromUrdf(str(source), pin.JointModelPlanar()))
     except (ValueError, RuntimeError) as error:
         raise InputError(f"{source} is not a readable URDF file: {_first_line(error)}") from None
+
+
+def require_xml(source: Path) -> None:
+    """Raise `InputError`, with line and column, for a file that is no XML: parsers of URDF print lines."""
+    try:
+        ElementTree.parse(source)
+    except (ElementTree.ParseError, ValueError) as error:  # the second: an unknown encoding
+        raise InputError(f"{source} is not a readable URDF file: {error}") from None
 
 
 def read_mjcf(path: str | Path, base: Base | None) -> pin.Model:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Letters that the width of a page has room for: in the title beside the page's name, and in the legend.
-TITLE_LETTERS, LEGEND_LETTERS = 64, 120
+TITLE_LETTERS, LEGEND_LETTERS = 64, 112
 
 
 def draw_heading(figure: Figure, page: Page, tracks: Tracks, footer: str) -> None:

@@ -207,7 +207,7 @@ def tracks_of(solutions: Sequence[Solution], labels: Sequence[str] | None = None
                 f"'{first.meta['robot']}' and '{other.meta['robot']}' have other joints or contacts",
                 "allowed: solutions of one robot",
             )
-    names = list(labels) if labels else _labels(solutions)
+    names = [str(label) for label in labels] if labels else _labels(solutions)
     return tuple(
         Track(label=label, solution=solution) for label, solution in zip(names, solutions, strict=True)
     )

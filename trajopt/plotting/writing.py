@@ -19,6 +19,7 @@ from trajopt.plotting.sheet import png_sheet, svg_of, svg_sheet
 from trajopt.plotting.summary import PAGES, pages_of
 from trajopt.plotting.track import tracks_of
 from trajopt.solution import Solution
+from trajopt.solution_input import solutions_of
 from trajopt.versions import installed_version
 
 if TYPE_CHECKING:
@@ -63,8 +64,10 @@ def report(
             f"cannot plot to {place}: its ending is '{ending}'", f"allowed: {', '.join(ENDINGS)}"
         )
     _require_place(place)
-    given = [solutions] if isinstance(solutions, Solution | str | Path) else list(solutions)
-    read = [one if isinstance(one, Solution) else Solution.load(one) for one in given]
+    read = solutions_of(solutions)
+    for one in read:
+        if one.n_samples < 2:
+            raise InputError(f"the solution has {one.n_samples} samples", "allowed: two or more")
     with np.errstate(all="ignore"):  # an iterate that is no motion may overflow
         tracks = tracks_of(read, labels)
         chosen = pages_of(tracks, pages or DEFAULT_PAGES[ending])

@@ -39,9 +39,11 @@ def _about(scene: Scene, solutions: Sequence[Solution]) -> list[Line]:
     if len(solutions) == 1:
         return [_line(figures(solutions[0]), "quiet"), *_unsolved(solutions[0])]
     names = [title(solution) for solution in solutions]
+    own = [label.replace(" – ", " ") for label in names]  # as runs are called that are given no label
     lines = []
-    for run, solution, name in zip(scene.facts["runs"], solutions, names, strict=True):
-        said = run["label"] if len(set(names)) == 1 else f"{run['label']}: {name}"
+    for run, solution, name, usual in zip(scene.facts["runs"], solutions, names, own, strict=True):
+        told = len(set(names)) == 1 or run["label"] == usual
+        said = run["label"] if told else f"{run['label']}: {name}"
         lines += [_line(said, "run", run["colour"]), _line(figures(solution), "quiet"), *_unsolved(solution)]
     return lines
 

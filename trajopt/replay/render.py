@@ -7,7 +7,7 @@ import io
 import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from trajopt.replay.browser import AT_START, OpenedPage, installed, opened
 from trajopt.replay.shots import GAP, Shots, telling_moment
 from trajopt.replay.show import replay
 from trajopt.solution import Solution
+from trajopt.solution_input import Given, require_motion, solutions_of
 
 Progress = Callable[[int, int], None]
 
@@ -44,7 +45,7 @@ class Rendering:
 
 
 def render(
-    solutions: Solution | Sequence[Solution],
+    solutions: Given | Sequence[Given],
     target: str | Path,
     *,
     layout: str = "overlaid",
@@ -60,8 +61,12 @@ def render(
     The file is written whole or not at all. Raises `InputError`, one line, for values that are not allowed, a
     folder that does not exist, a missing Chromium or extra, and `TrajoptError` if Chromium or ffmpeg fails.
     """
-    several = [solutions] if isinstance(solutions, Solution) else list(solutions)
+    several = [require_motion(solution) for solution in solutions_of(solutions)]
     target = Path(target).expanduser()
+    known = [field.name for field in fields(Shots) if field.name != "ending"]
+    unknown = ", ".join(sorted(set(options) - set(known)))
+    if unknown:
+        raise InputError(f"a rendering has no option {unknown}", f"allowed: {', '.join(known)}")
     shots = Shots(ending=target.suffix.lower(), **options)
     installed()
     if shots.is_video:

@@ -61,6 +61,7 @@ class Shots:
         if self.ending not in SIZES:
             name = f"'{self.ending}'" if self.ending else "missing"
             raise InputError(f"the ending of the output is {name}", "allowed: " + ", ".join(SIZES))
+        self._check_kinds()
         self._check_use()
         self._check_size()
         self._check_rates()
@@ -121,6 +122,19 @@ class Shots:
             return np.append(times, end)
         times[-1] = end
         return times
+
+    def _check_kinds(self) -> None:
+        """Numbers where numbers are meant: a script may give anything."""
+        if self.size is not None:
+            pair = isinstance(self.size, Sequence) and len(self.size) == 2
+            if not pair or not all(isinstance(side, int) for side in self.size):
+                raise InputError(f"size is {self.size!r}", "allowed: (width, height) in whole pixels")
+        if self.strip is not None and not isinstance(self.strip, int):
+            raise InputError(f"a strip of {self.strip!r} pictures", f"allowed: 2 to {MOST_STRIP}")
+        for name in ("fps", "speed", "start", "end", "time"):
+            value = getattr(self, name)
+            if not isinstance(value, int | float) and (value is not None or name == "speed"):
+                raise InputError(f"{name} is {value!r}", "allowed: a number")
 
     def _check_use(self) -> None:
         """Every value that is given has a meaning for this kind of file."""

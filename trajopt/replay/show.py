@@ -17,7 +17,7 @@ from trajopt.replay.live import LiveWindow, where
 from trajopt.replay.motion import motions_of
 from trajopt.replay.page import page
 from trajopt.replay.scene import build_scene
-from trajopt.solution import Solution
+from trajopt.solution_input import Given, require_motion, solutions_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,7 @@ class Replay:
 
 
 def replay(
-    solutions: Solution | Sequence[Solution],
+    solutions: Given | Sequence[Given],
     html: str | Path | None = None,
     open_browser: bool = True,
     speed: float = 1.0,
@@ -56,6 +56,7 @@ def replay(
 ) -> Replay:
     """Show solutions in Meshcat, or write them to the self-contained page ``html``; does not block.
 
+    solutions: one or several, or the paths of their files.
     open_browser: without ``html``, open the server's page, where there is a screen. speed: at which it plays
     first; 1 is real time, 0.2 five times slower. layout: of several solutions, "overlaid" or "side-by-side";
     labels: their names. Without meshes a robot is drawn as a skeleton, which one line on stderr says.
@@ -63,10 +64,10 @@ def replay(
     speed that is not positive, a solution of no duration, an unknown layout, labels of another number, or a
     file that cannot be written; `TrajoptError` if the server does not start.
     """
-    if not (math.isfinite(speed) and speed > 0):
-        raise InputError(f"speed is {speed:g}", "a positive number; 1 is real time")
+    if not isinstance(speed, int | float) or not (math.isfinite(speed) and speed > 0):
+        raise InputError(f"speed is {speed}", "a positive number; 1 is real time")
     target = None if html is None else _target(Path(html).expanduser())
-    several = [solutions] if isinstance(solutions, Solution) else list(solutions)
+    several = [require_motion(solution) for solution in solutions_of(solutions)]
     motions = motions_of(several, speed)
     scene = build_scene(several, motions, layout, labels)
     facts = page_facts(scene, several, motions)

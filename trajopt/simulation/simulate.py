@@ -21,6 +21,7 @@ from trajopt.simulation.settings import FEEDBACK_TIME, Settings
 from trajopt.simulation.simulated import simulated_solution
 from trajopt.simulation.world import World, build_world
 from trajopt.solution import Solution
+from trajopt.solution_input import require_motion, solutions_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +51,9 @@ def simulate(solution: Solution | str | Path, **settings: Any) -> Simulation:
     solution: or the file at that path. settings: fields of `Settings`. Raises `InputError` for settings or a
     model that cannot be simulated, or where MuJoCo is not installed.
     """
-    plan = solution if isinstance(solution, Solution) else Solution.load(solution)
+    if not isinstance(solution, Solution | str | Path):
+        raise InputError(f"{solution!r:.60} is no solution", "allowed: a Solution or the path of its file")
+    plan = require_motion(*solutions_of(solution))
     known = [field.name for field in fields(Settings)]
     unknown = ", ".join(sorted(set(settings) - set(known)))
     if unknown:
