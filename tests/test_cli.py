@@ -288,3 +288,12 @@ def test_module_and_version_run(tmp_path: Path) -> None:
 def test_numbers_that_are_not_finite_are_null_in_json() -> None:
     text = to_json({"a": math.nan, "b": [math.inf, 1.0], "c": {"d": -math.inf}})
     assert strict(text) == {"a": None, "b": [None, 1.0], "c": {"d": None}}
+
+
+def test_a_log_replaces_neither_the_solution_nor_the_start(hop_file: Path, tmp_path: Path) -> None:
+    before = hop_file.read_bytes()
+    solve = ("solve", "hopper-hop", "--compile", "none", "--log", hop_file)
+    assert_refused(trajopt(*solve, "-o", hop_file), "written twice")
+    assert_refused(trajopt(*solve, "-o", tmp_path / "new.npz", "--start", hop_file), "is what is read")
+    assert hop_file.read_bytes() == before
+    assert not (tmp_path / "new.npz").exists()
