@@ -202,6 +202,22 @@ def test_push_moves_the_base_to_its_side(stand):
     assert side.max() > 1e-3
 
 
+def test_push_on_a_planar_robot_is_within_its_plane():
+    plan = solve(problems.load("hopper-hop"), intervals=12, compile="none")
+    ahead = simulate(plan, push=5.0).record.qpos - simulate(plan).record.qpos
+    assert np.abs(ahead[:, 0]).max() > 1e-3
+
+
+def test_push_is_to_the_left_of_a_robot_that_looks_elsewhere(stand):
+    quarter = pin.SE3(pin.utils.rotate("z", np.pi / 2), np.zeros(3))
+    q = stand.q.copy()
+    q[:, :7] = [pin.SE3ToXYZQUAT(quarter * pin.XYZQUATToSE3(row)) for row in q[:, :7]]
+    turned = replace(stand, q=q, f=stand.f @ np.kron(np.eye(2), quarter.rotation.T))
+    side = simulate(turned, push=7.0).record.qpos - simulate(turned).record.qpos
+    assert side[:, 0].min() < -1e-3
+    assert np.abs(side[:, 0]).max() > 5 * np.abs(side[:, 1]).max()
+
+
 def test_torques_stay_within_the_limits(stand):
     limit = 1.05 * np.abs(stand.tau).max()
     weak = replace(stand, meta={**stand.meta, "effort_limit": [limit] * stand.tau.shape[1]})

@@ -49,7 +49,7 @@ NOT_TRACKED = 1
     default=0.0,
     metavar="N",
     show_default=True,
-    help="Force on the base, sideways, in mid motion.",
+    help="Force on the base to its left, in mid motion.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def simulate(file: Path, output: Path | None, html: Path | None, as_json: bool, **settings: Any) -> int:

@@ -15,7 +15,7 @@ import numpy as np
 
 from trajopt.actuators.drive import Drive
 from trajopt.errors import InputError
-from trajopt.robot_building import UNLIMITED, base_of
+from trajopt.robot_building import BASE_JOINT, UNLIMITED, base_of
 from trajopt.simulation.bodies import body_name, mujoco_package, write_inertias
 from trajopt.simulation.gains import gains_of
 from trajopt.simulation.reference import Reference, drives_of
@@ -23,6 +23,8 @@ from trajopt.simulation.settings import Settings
 from trajopt.simulation.world import World
 from trajopt.solution import Solution
 
+# A base whose nose points up or down is pushed by less: it has no side.
+LEAST_LEVEL = 0.1
 # A push lasts this part of the motion, around its middle.
 PUSHED = 0.1
 # Steps of the physics in one simulation: minutes.
@@ -64,6 +66,8 @@ class _Run:
         self.mujoco, self.plan, self.reference, self.world = mujoco_package(), plan, reference, world
         self.settings = settings
         self.model = world.compiled
+        gravity = np.linalg.norm(self.model.opt.gravity)
+        self.up = -self.model.opt.gravity / gravity if gravity > 0 else np.array([0.0, 0.0, 1.0])
         self.data = self.mujoco.MjData(self.model)
         self.substeps = max(1, int(np.ceil(reference.period / settings.step(world.units.time) - 1e-9)))
         if self.substeps * len(reference.t) > MOST_STEPS:
@@ -146,11 +150,16 @@ class _Run:
         self.model.pair_friction[self.world.pairs, :2] = friction[:, None]
 
     def _push(self, k: int) -> None:
-        if not self.settings.push or base_of(self.plan.model) == "fixed":
+        kind = base_of(self.plan.model)
+        if not self.settings.push or kind == "fixed":
             return
+        body = self.model.body(body_name(BASE_JOINT[kind])).id
+        ahead = self.data.xmat[body].reshape(3, 3)[:, 0]
+        level = ahead - self.up * (self.up @ ahead)
+        aside = level if kind == "planar" else np.cross(self.up, level)
         middle = abs(k / self.reference.planned - 0.5) < PUSHED / 2
-        body = self.model.body(body_name(1)).id
-        self.data.xfrc_applied[body, 1] = self.settings.push if middle else 0.0
+        scale = self.settings.push / max(float(np.linalg.norm(aside)), LEAST_LEVEL)
+        self.data.xfrc_applied[body, :3] = scale * aside if middle else 0.0
 
     def _drive(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Apply the torques of period ``k``; returns them, and where they were cut off."""

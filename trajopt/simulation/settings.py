@@ -34,7 +34,8 @@ class Settings:
     gains. friction_scale, mass_scale: factors on all coefficients of friction and on all masses and
     inertias, of which the plan knows nothing. noise: standard deviation of the start's error, in reaches
     (m), rad, and their rates over the natural time. seed: of the noise. cycles: of a periodic plan. push: N,
-    sideways on the base for a tenth of the motion, in its middle. Raises `InputError`.
+    level on the base for a tenth of the motion, in its middle, to its left; in a plane to its front.
+    Raises `InputError`.
     """
 
     timestep: float | None = None
