@@ -16,6 +16,7 @@ from trajopt.certify.closing import image
 from trajopt.certify.samples import evaluate
 from trajopt.errors import InputError
 from trajopt.simulation import Settings, simulate
+from trajopt.simulation.figures import farthest_travel
 from trajopt.simulation.reference import reference_of
 
 # The figure that jumps and gaits have to meet, m: of the base at the end.
@@ -216,6 +217,17 @@ def test_push_is_to_the_left_of_a_robot_that_looks_elsewhere(stand):
     side = simulate(turned, push=7.0).record.qpos - simulate(turned).record.qpos
     assert side[:, 0].min() < -1e-3
     assert np.abs(side[:, 0]).max() > 5 * np.abs(side[:, 1]).max()
+
+
+def test_sole_that_spins_on_the_spot_travels_by_the_chord_of_its_corners():
+    corner, turn = np.array([0.1, 0.05, 0.0]), 0.5
+    angles = np.linspace(0.0, turn, 20)
+    places = np.array(
+        [[side * pin.utils.rotate("z", angle) @ corner for side in (1, -1)] for angle in angles]
+    )
+    loaded, up = np.ones(len(angles), dtype=bool), np.array([0.0, 0.0, 1.0])
+    chord = 2 * np.linalg.norm(corner) * np.sin(turn / 2)
+    assert farthest_travel(places, loaded, up) == pytest.approx(chord, rel=1e-12)
 
 
 def test_torques_stay_within_the_limits(stand):

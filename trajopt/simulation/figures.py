@@ -13,7 +13,7 @@ from trajopt.certify.touched import Touched, touched
 from trajopt.robot_building import BASE_JOINT, base_of
 from trajopt.simulation.reference import Reference
 from trajopt.simulation.run import Record
-from trajopt.simulation.world import World
+from trajopt.simulation.world import World, touching_places
 from trajopt.solution import Solution
 
 # A contact carries load from this part of the weight on: far above rounding, far below a leg's share.
@@ -41,7 +41,8 @@ class Stance:
     """One planned stance of a contact in the simulation.
 
     touchdown: s, simulated minus planned; None for one that lasts from the start, or never is loaded
-    (``missed``). travel: m along the surface while loaded; None where it is held or meant to slide.
+    (``missed``). travel: m along the surface while loaded, of a sole that of its corners; None where it is
+    held or meant to slide.
     """
 
     contact: int
@@ -107,8 +108,9 @@ def stances(plan: Solution, reference: Reference, record: Record, world: World) 
                     missed=not loaded[first:end, contact].any() and not free,
                     travel=None
                     if free
-                    else _travel(
-                        record.feet[first:end, contact],
+                    else farthest_travel(
+                        record.feet[first:end, contact, None]
+                        + touching_places(plan, contact) @ record.turns[first:end, contact].mT,
                         _without_gaps(loaded[first:end, contact], gap),
                         surfaces.normal[phase, contact],
                     ),
@@ -132,13 +134,13 @@ def _without_gaps(loaded: np.ndarray, gap: int) -> np.ndarray:
     return closed
 
 
-def _travel(feet: np.ndarray, loaded: np.ndarray, normal: np.ndarray) -> float:
-    """Farthest that a contact at ``feet`` (n, 3) moves along its plane without being lifted."""
+def farthest_travel(places: np.ndarray, loaded: np.ndarray, normal: np.ndarray) -> float:
+    """Farthest that one of ``places`` (n, c, 3) of a contact moves along its plane without being lifted."""
     farthest = 0.0
     for first, end in _runs(loaded):
-        moved = feet[first:end] - feet[first]
-        along = moved - np.outer(moved @ normal, normal)
-        farthest = max(farthest, float(np.linalg.norm(along, axis=1).max()))
+        moved = places[first:end] - places[first]
+        along = moved - (moved @ normal)[..., None] * normal
+        farthest = max(farthest, float(np.linalg.norm(along, axis=-1).max()))
     return farthest
 
 

@@ -152,9 +152,17 @@ def _options(spec: Any, step: float) -> None:
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
 
+def touching_places(plan: Solution, contact: int) -> np.ndarray:
+    """Where a contact touches, in its frame: (1, 3) its origin, (4, 3) the corners of a sole, m."""
+    sizes = plan.meta.get("contact_sizes") or [None] * len(plan.contact_frames)
+    if plan.meta["contact_kinds"][contact] != "surface" or not sizes[contact]:
+        return np.zeros((1, 3))
+    x, y = sizes[contact]
+    return np.array([[x, y, 0.0], [x, -y, 0.0], [-x, -y, 0.0], [-x, y, 0.0]])
+
+
 def _add_feet(bodies: Bodies, plan: Solution, place: Place) -> list[list[str]]:
     """A site and balls at each contact frame; names of the balls."""
-    sizes = plan.meta.get("contact_sizes") or [None] * len(plan.contact_frames)
     names = []
     for number, frame in enumerate(plan.contact_frames):
         own = bodies.model.frames[bodies.model.getFrameId(frame)]
@@ -163,10 +171,7 @@ def _add_feet(bodies: Bodies, plan: Solution, place: Place) -> list[list[str]]:
         body.add_site(
             name=f"contact{number}", pos=own.placement.translation, quat=[turn.w, turn.x, turn.y, turn.z]
         )
-        corners = np.zeros((1, 3))
-        if plan.meta["contact_kinds"][number] == "surface" and sizes[number]:
-            x, y = sizes[number]
-            corners = np.array([[x, y, 0], [x, -y, 0], [-x, -y, 0], [-x, y, 0]])
+        corners = touching_places(plan, number)
         names.append([f"ball{number}.{i}" for i in range(len(corners))])
         for name, corner in zip(names[-1], corners, strict=True):
             body.add_geom(
