@@ -280,3 +280,12 @@ def test_contact_of_a_planar_robot_keeps_the_rows_of_its_plane():
 def test_contact_rows_beyond_its_kind_are_refused():
     with pytest.raises(InputError, match=r"contact 'toe' has rows \(3,\); some of \(0, 1, 2\)"):
         Contact(frame="toe", rows=(3,))
+
+
+def test_complaints_of_the_urdf_parser_are_the_reason_and_nothing_else_is_printed(tmp_path, capfd):
+    file = tmp_path / "bad.urdf"
+    joint = '<joint name="a" type="revolute"><parent link="b"/><child link="c"/></joint>'
+    file.write_text(f'<robot name="x"><link name="b"/><link name="c"/>{joint}</robot>')
+    with pytest.raises(InputError, match=r"readable URDF file: Joint \[a\] is of type REVOLUTE .* limits"):
+        Robot.from_urdf(file)
+    assert capfd.readouterr() == ("", "")

@@ -22,6 +22,7 @@ from trajopt.model_quantities import gravity_of, mass_of
 from trajopt.robot_building import Base
 from trajopt.robot_conversion import lock, on_virtual_base
 from trajopt.robot_data import VisualSource, package_directories
+from trajopt.robot_reading import read_mjcf, read_urdf
 from trajopt.robot_validation import require_contacts, require_inertias, require_limits, require_reference
 
 # A base lower than this part of the reach does not stand on its contacts: it lies, or hangs.
@@ -219,7 +220,7 @@ class Robot:
 
         Raises `InputError` for a missing or malformed file and whatever `Robot` refuses.
         """
-        model = building.read_urdf(path, base)
+        model = read_urdf(path, base)
         source = Path(path).expanduser().absolute()
         given = None if package_dirs is None else tuple(Path(entry).absolute() for entry in package_dirs)
         directories = package_directories(source) if given is None else given
@@ -241,7 +242,7 @@ class Robot:
         base: None takes the root joint of the file; a kind that contradicts it raises `InputError`.
         MJCF actuator limits are not read by Pinocchio: the effort limit comes from the joints alone.
         """
-        model = building.read_mjcf(path, base)
+        model = read_mjcf(path, base)
         return cls.from_model(model, base=base, **options)
 
     @classmethod

@@ -1,17 +1,15 @@
-"""From a description file to a numeric `pin.Model` and the arrays of a `Robot`."""
+"""From a numeric `pin.Model` to the arrays of a `Robot`: base, limits, reference."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Literal
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from trajopt.bases.virtual_base import virtual_model, virtual_order
+from trajopt.bases.virtual_base import virtual_order
 from trajopt.contact import Contact
 from trajopt.errors import InputError, UnsupportedJointError
 
@@ -35,65 +33,6 @@ PARALLEL = 1e-6
 # Pinocchio's planar joint moves in its own x-y plane. This placement lays it in the
 # sagittal plane: its x is the world's x, its y is up, and it turns about the world's -y.
 SAGITTAL = pin.SE3(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]), np.zeros(3))
-
-
-def read_urdf(path: str | Path, base: Base) -> pin.Model:
-    """Read a URDF file with the given base; raises `InputError` if it is missing or malformed."""
-    source = existing_file(path, "URDF")
-    require_base(base)
-    require_xml(source)
-    try:
-        if base == "fixed":
-            return pin.buildModelFromUrdf(str(source))
-        if base in ("freeflyer", "virtual"):
-            model = pin.buildModelFromUrdf(str(source), pin.JointModelFreeFlyer())
-            return virtual_model(model) if base == "virtual" else model
-        return sagittal(pin.buildModelFromUrdf(str(source), pin.JointModelPlanar()))
-    except (ValueError, RuntimeError) as error:
-        raise InputError(f"{source} is not a readable URDF file: {_first_line(error)}") from None
-
-
-def require_xml(source: Path) -> None:
-    """Raise `InputError`, with line and column, for a file that is no XML: parsers of URDF print lines."""
-    try:
-        ElementTree.parse(source)
-    except (ElementTree.ParseError, ValueError) as error:  # the second: an unknown encoding
-        raise InputError(f"{source} is not a readable URDF file: {error}") from None
-
-
-def read_mjcf(path: str | Path, base: Base | None) -> pin.Model:
-    """Read an MJCF file; ``base=None`` takes the base that the file has.
-
-    A file with a free joint of its own gives a floating base, whatever else is asked for:
-    a different ``base`` raises `InputError`. A file without one gets the base asked for.
-    """
-    source = existing_file(path, "MJCF")
-    try:
-        model = pin.buildModelFromMJCF(str(source))
-        own = base_of(model)
-        if base is None or base == own:
-            return model
-        require_base(base)
-        if (own, base) == ("freeflyer", "virtual"):
-            return virtual_model(model)
-        if own != "fixed":
-            raise InputError(
-                f"{source} has a {own} root joint of its own, base={base!r} contradicts it", f"{own!r}"
-            )
-        root = pin.JointModelPlanar() if base == "planar" else pin.JointModelFreeFlyer()
-        model = pin.buildModelFromMJCFAndRootJoint(str(source), pin.JointModel(root))
-    except (ValueError, RuntimeError) as error:
-        raise InputError(f"{source} is not a readable MJCF file: {_first_line(error)}") from None
-    if base == "virtual":
-        return virtual_model(model)
-    return sagittal(model) if base == "planar" else model
-
-
-def existing_file(path: str | Path, kind: str) -> Path:
-    source = Path(path).expanduser().absolute()
-    if not source.is_file():
-        raise InputError(f"{kind} file {source} does not exist")
-    return source
 
 
 def require_base(base: str) -> None:
@@ -295,7 +234,3 @@ def reach(model: pin.Model) -> float:
         along[joint] + np.linalg.norm(model.inertias[joint].lever) for joint in range(1, model.njoints)
     ]
     return float(max([*tips, *centres], default=0.0))
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__

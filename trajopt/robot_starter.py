@@ -12,7 +12,8 @@ from trajopt.errors import InputError
 from trajopt.kinematics import contact_positions, inverse_kinematics
 from trajopt.legs import LIFTED
 from trajopt.robot import Robot
-from trajopt.robot_building import Base, position_limits, read_urdf
+from trajopt.robot_building import Base, position_limits
+from trajopt.robot_reading import read_urdf
 
 # How much of its height over the feet the base sinks from the posture with all joints at zero: bent knees.
 BENT = 0.15
