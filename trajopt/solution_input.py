@@ -6,11 +6,14 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 
 from trajopt.errors import InputError
 from trajopt.solution import Solution
 
 Given = Solution | str | Path
+# Norms of rotations may be this far from one: interpolation and single precision stay well below.
+UNIT = 1e-2
 
 
 def solutions_of(given: Given | Iterable[Given]) -> list[Solution]:
@@ -29,10 +32,13 @@ def solutions_of(given: Given | Iterable[Given]) -> list[Solution]:
 
 
 def require_motion(solution: Solution) -> Solution:
-    """Return the solution; raises `InputError` where it has less than two samples or is not finite."""
+    """Return the solution; raises `InputError` for one that is too short or no finite motion."""
     if solution.n_samples < 2:
         raise InputError(f"the solution has {solution.n_samples} samples", "allowed: two or more")
     for name in ("t", "q", "v", "a", "tau", "f"):
         if not np.isfinite(getattr(solution, name)).all():
             raise InputError(f"'{name}' of the solution holds NaN or infinity", "allowed: finite numbers")
+    bent = [row for row, q in enumerate(solution.q) if not pin.isNormalized(solution.model, q, UNIT)]
+    if bent:
+        raise InputError(f"'q' of the solution holds no rotation at sample {bent[0]}", "allowed: unit norms")
     return solution
