@@ -65,15 +65,20 @@ ONLY = """wanted => {
 DIFFERENT = 24
 
 
-@contextmanager
-def running_chromium() -> Iterator[Chromium]:
-    """Chromium; where it is missing the test is skipped, but in CI it fails."""
+def require_chromium() -> str:
+    """Chromium's executable; where there is none the test is skipped, but in CI it fails."""
     try:
-        find_chromium()
+        return find_chromium()
     except InputError as error:
         if os.environ.get("CI"):
             raise
         pytest.skip(str(error))
+
+
+@contextmanager
+def running_chromium() -> Iterator[Chromium]:
+    """A running Chromium, as `require_chromium` demands it."""
+    require_chromium()
     with chromium() as running:
         yield running
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser_for_tests import require_chromium
 from PIL import Image
 from problems_for_tests import hop
 
@@ -16,7 +17,6 @@ import problems
 import trajopt
 from scripts import gallery
 from trajopt.errors import InputError
-from trajopt.replay.browser import find_chromium
 from trajopt.solution import Solution
 
 GALLERY = Path(__file__).parent.parent / "docs" / "gallery"
@@ -96,11 +96,7 @@ def test_a_picture_is_packed_into_its_size() -> None:
 
 
 def test_gallery_of_two_solutions(folder: Path, tmp_path: Path) -> None:
-    try:
-        find_chromium()
-    except InputError as error:
-        pytest.skip(str(error))
-    pytest.importorskip("playwright")
+    require_chromium()
     target = tmp_path / "gallery"
     entries = gallery.make(folder, target, pages=True)
     assert [entry.name for entry in entries] == ["arm-reach@ur5", "quadruped-jump-up@mine"]

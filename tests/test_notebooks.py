@@ -8,12 +8,15 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from browser_for_tests import require_chromium
 from nbclient import NotebookClient
+from playwright.sync_api import sync_playwright
 from problems_for_tests import reach
 
 import trajopt
 from trajopt.errors import InputError
 from trajopt.notebook import plots, show
+from trajopt.replay.browser import FLAGS
 from trajopt.solution import Solution
 
 ROOT = Path(__file__).parent.parent
@@ -75,19 +78,13 @@ def test_a_replay_is_a_frame_that_holds_its_whole_page(solution: Solution) -> No
 
 def test_a_replay_in_a_frame_plays_in_a_browser(solution: Solution, tmp_path: Path) -> None:
     """Look into the frame from outside, as a notebook has it: the page is ready and seeks."""
-    browser = pytest.importorskip("playwright.sync_api")
-    from trajopt.replay.browser import FLAGS, find_chromium
-
-    try:
-        executable = find_chromium()
-    except InputError as error:
-        pytest.skip(str(error))
+    executable = require_chromium()
     page = tmp_path / "notebook.html"
     page.write_text(
         f"<!DOCTYPE html><html><body>{show(solution)._repr_html_()}</body></html>", encoding="utf-8"
     )
     errors: list[str] = []
-    with browser.sync_playwright() as driver:
+    with sync_playwright() as driver:
         chromium = driver.chromium.launch(executable_path=executable, args=list(FLAGS))
         view = chromium.new_page()
         view.on("pageerror", lambda error: errors.append(str(error)))
