@@ -36,3 +36,8 @@ class SolutionFileError(InputError):
 
 class VersionMismatchError(TrajoptError):
     """The installed wheels are not the ones the extension was built against."""
+
+
+def first_line(error: Exception) -> str:
+    """What a library's exception says first, or its kind where it says nothing."""
+    return next(iter(str(error).strip().splitlines()), type(error).__name__)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pinocchio as pin
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, first_line
 
 DATA_PACKAGE = "example-robot-data"
 # The wheel is built by cmeel: its files lie under this prefix of site-packages.
@@ -86,7 +86,7 @@ class VisualSource:
                 model, str(self.urdf), pin.GeometryType.VISUAL, package_dirs=directories
             )
         except (ValueError, RuntimeError) as error:
-            raise InputError(f"meshes of {self.urdf} cannot be read: {_first_line(error)}") from None
+            raise InputError(f"meshes of {self.urdf} cannot be read: {first_line(error)}") from None
 
 
 def _portable(path: Path) -> str:
@@ -100,7 +100,3 @@ def _portable(path: Path) -> str:
 def _located(text: str) -> Path:
     path = Path(text)
     return path if path.is_absolute() else data_share() / path
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import pinocchio as pin
 
 from trajopt.bases.virtual_base import virtual_model
-from trajopt.errors import InputError
+from trajopt.errors import InputError, first_line
 from trajopt.robot_building import Base, base_of, require_base, sagittal
 
 # How urdfdom begins a line that says what is wrong.
@@ -36,7 +36,7 @@ def read_urdf(path: str | Path, base: Base) -> pin.Model:
         return virtual_model(model) if base == "virtual" else model
     except (ValueError, RuntimeError) as error:
         complaints = [line.removeprefix(COMPLAINT).strip(" .") for line in said if line.startswith(COMPLAINT)]
-        reason = "; ".join(complaints) or _first_line(error)
+        reason = "; ".join(complaints) or first_line(error)
         raise InputError(f"{source} is not a readable URDF file: {reason}") from None
 
 
@@ -91,7 +91,7 @@ def read_mjcf(path: str | Path, base: Base | None) -> pin.Model:
         root = pin.JointModelPlanar() if base == "planar" else pin.JointModelFreeFlyer()
         model = pin.buildModelFromMJCFAndRootJoint(str(source), pin.JointModel(root))
     except (ValueError, RuntimeError) as error:
-        raise InputError(f"{source} is not a readable MJCF file: {_first_line(error)}") from None
+        raise InputError(f"{source} is not a readable MJCF file: {first_line(error)}") from None
     if base == "virtual":
         return virtual_model(model)
     return sagittal(model) if base == "planar" else model
@@ -102,7 +102,3 @@ def existing_file(path: str | Path, kind: str) -> Path:
     if not source.is_file():
         raise InputError(f"{kind} file {source} does not exist")
     return source
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__

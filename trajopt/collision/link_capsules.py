@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from trajopt.collision.fitting import Segment, enclosing_capsule, round_corners
 from trajopt.collision.shapes import LinkCapsule, require_different_names
-from trajopt.errors import InputError
+from trajopt.errors import InputError, first_line
 from trajopt.robot import Robot
 from trajopt.robot_data import VisualSource
 
@@ -126,8 +126,7 @@ def _geometry(model: pin.Model, visual: VisualSource, kind: pin.GeometryType) ->
     try:
         return pin.buildGeomFromUrdf(model, str(visual.urdf), kind, package_dirs=directories)
     except (ValueError, RuntimeError) as error:
-        first = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise InputError(f"collision geometry of {visual.urdf} cannot be read: {first}") from None
+        raise InputError(f"collision geometry of {visual.urdf} cannot be read: {first_line(error)}") from None
 
 
 def _solid(geometry: Any) -> bool:

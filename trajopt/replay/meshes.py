@@ -17,14 +17,14 @@ from typing import Any
 
 import numpy as np
 
+from trajopt.replay import stl
+
 # Steps of a position over the extent along an axis: 1 m in steps of 0.06 mm.
 LEVELS = 2**14 - 1
 # Steps of each of the two coordinates of a normal.
 NORMAL_LEVELS = 254
 # Smaller meshes are left as they are: there is nothing to gain.
 LEAST_CORNERS = 300
-# A binary STL file: a header with the number of triangles, and 50 bytes for each.
-STL_HEADER, STL_TRIANGLE = 84, 50
 # Rows of whole numbers are compared as one number, up to this one.
 LARGEST_KEY = 2**62
 # Bytes of the differences of each column.
@@ -80,14 +80,10 @@ def _array(entry: dict[str, Any]) -> np.ndarray:
 
 
 def _stl_triangles(data: bytes) -> Triangles | None:
-    if len(data) < STL_HEADER:
-        return None
-    count = int(np.frombuffer(data, "<u4", 1, STL_HEADER - 4)[0])
-    if len(data) != STL_HEADER + STL_TRIANGLE * count or count == 0:
+    corners = stl.corners(data)
+    if corners is None or len(corners) == 0 or len(corners) != 3 * stl.told_triangles(data):
         return None  # text, or damaged: the viewer may make something of it
-    rows = np.frombuffer(data, np.uint8, offset=STL_HEADER).reshape(count, STL_TRIANGLE)
-    numbers = np.ascontiguousarray(rows[:, 12:48]).view("<f4").reshape(-1, 3)
-    return Triangles(position=numbers, index=np.arange(3 * count))
+    return Triangles(position=corners, index=np.arange(len(corners)))
 
 
 def _packed(mesh: Triangles) -> dict[str, Any] | None:

@@ -16,14 +16,11 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from trajopt.errors import InputError
-from trajopt.replay import collada
+from trajopt.errors import InputError, first_line
+from trajopt.replay import collada, stl
 from trajopt.replay.collada import GREY
 from trajopt.robot_data import VisualSource
 
-# A binary STL file: a header with the number of triangles, and 50 bytes for each.
-STL_HEADER = 84
-STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 SCHEMES = ("package://", "model://", "file://")
 
 
@@ -46,8 +43,7 @@ def visuals_of(source: VisualSource, model: pin.Model) -> Visuals:
         text = Tree.tostring(root, encoding="unicode")
         geometry = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL)
     except (Tree.ParseError, ValueError, RuntimeError) as error:
-        reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
-        raise InputError(f"meshes of {source.urdf} cannot be read: {reason}") from None
+        raise InputError(f"meshes of {source.urdf} cannot be read: {first_line(error)}") from None
     paths = {name: _located(uri, source) for name, (uri, _) in files.items()}
     missing = {name: files[name][0] for name, path in paths.items() if path is None}
     for name in missing:
@@ -98,7 +94,7 @@ def mesh_points(path: str, scale: Sequence[float] | np.ndarray, colour: np.ndarr
     points = None
     try:
         if file.suffix.lower() == ".stl":
-            points = _stl_points(file.read_bytes())
+            points = stl.corners(file.read_bytes())
         elif file.suffix.lower() == ".dae":
             points = collada.read(file, colour).vertices
     except (OSError, collada.ColladaError):
@@ -110,12 +106,3 @@ def mesh_points(path: str, scale: Sequence[float] | np.ndarray, colour: np.ndarr
         return np.array(mesh.vertices())
     except (RuntimeError, ValueError) as error:
         raise InputError(f"mesh file {path} cannot be read: {str(error).strip()}") from None
-
-
-def _stl_points(data: bytes) -> np.ndarray | None:
-    """Corners (k, 3) of a binary STL file; None for one that is written in words."""
-    count = (len(data) - STL_HEADER) // STL_TRIANGLE.itemsize
-    if count < 0 or len(data) != STL_HEADER + count * STL_TRIANGLE.itemsize:
-        return None
-    corners = np.frombuffer(data, STL_TRIANGLE, count, STL_HEADER)["corners"]
-    return np.asarray(corners.reshape(-1, 3))
