@@ -7,9 +7,9 @@ import pkgutil
 from functools import lru_cache
 
 import robots
-from trajopt.family import Family, choose
-from trajopt.problem import Problem
-from trajopt.robot import Robot
+from trajopt.problem.family import Family, choose
+from trajopt.problem.problem import Problem
+from trajopt.robot.robot import Robot
 
 
 @lru_cache(maxsize=1)

@@ -11,19 +11,28 @@ import pinocchio as pin
 
 import robots
 from problems import common
-from trajopt.collision.avoidance import with_obstacles
-from trajopt.collision.link_capsules import robot_capsules
-from trajopt.collision.near import CollisionScene
-from trajopt.collision.shapes import BoxObstacle, CapsuleObstacle, Obstacle
 from trajopt.errors import InputError
-from trajopt.family import Family, Parameter
-from trajopt.kinematics import frame_pose, inverse_kinematics
-from trajopt.node_terms import FramePose, TerminalRest
-from trajopt.problem import Problem
-from trajopt.reduced.foot_motion import smooth_step
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.terms import AccelerationCost, EffortLimits, PositionLimits, Term, TorqueCost, VelocityLimits
+from trajopt.problem.family import Family, Parameter
+from trajopt.problem.problem import Problem
+from trajopt.robot.collision.link_capsules import robot_capsules
+from trajopt.robot.collision.near import CollisionScene
+from trajopt.robot.collision.shapes import BoxObstacle, CapsuleObstacle, Obstacle
+from trajopt.robot.kinematics import frame_pose, inverse_kinematics
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solving.avoidance import with_obstacles
+from trajopt.terms import (
+    AccelerationCost,
+    EffortLimits,
+    FramePose,
+    PositionLimits,
+    Term,
+    TerminalRest,
+    TorqueCost,
+    VelocityLimits,
+)
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.swing_profile import smooth_step
 
 # Over the robot's reach: the tool's distance from the base's axis and its height at start and goal.
 RADIUS, HEIGHT = 0.4, 0.25

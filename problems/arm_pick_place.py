@@ -10,17 +10,17 @@ import numpy as np
 import pinocchio as pin
 
 from problems import arms, common
-from trajopt.contact import Contact
+from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
 from trajopt.errors import InputError
-from trajopt.family import Choice, Family, Parameter
-from trajopt.model_quantities import contact_jacobian, gravity_of
-from trajopt.node_terms import FramePose, FrameVelocity, TerminalRest
-from trajopt.payload import Payload
-from trajopt.problem import Problem
-from trajopt.reduced.foot_motion import smooth_step
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.terms import AccelerationCost, Term, TimeCost, TorqueCost
+from trajopt.problem.family import Choice, Family, Parameter
+from trajopt.problem.problem import Problem
+from trajopt.robot.contact import Contact
+from trajopt.robot.payload import Payload
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms import AccelerationCost, FramePose, FrameVelocity, Term, TerminalRest, TimeCost, TorqueCost
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.swing_profile import smooth_step
 
 TOOL = "tool"
 PHASES = ("approach", "descend", "lift", "carry", "lower", "retreat")

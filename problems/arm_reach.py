@@ -9,12 +9,12 @@ import pinocchio as pin
 
 from problems import arms, common
 from trajopt.errors import InputError
-from trajopt.family import Family, Parameter
-from trajopt.kinematics import inverse_kinematics
-from trajopt.node_terms import FramePose, TerminalRest
-from trajopt.problem import Problem
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.terms import AccelerationCost, TorqueCost
+from trajopt.problem.family import Family, Parameter
+from trajopt.problem.problem import Problem
+from trajopt.robot.kinematics import inverse_kinematics
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms import AccelerationCost, FramePose, TerminalRest, TorqueCost
+from trajopt.terrain.flat import FlatGround
 
 # The goal where none is given: the tool of the reference turned about the base and raised.
 TURN = math.radians(60)

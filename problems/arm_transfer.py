@@ -9,11 +9,11 @@ import numpy as np
 
 from problems import arms, common
 from trajopt.errors import InputError
-from trajopt.family import Choice, Family, Parameter
-from trajopt.node_terms import TerminalRest, TerminalState
-from trajopt.problem import Problem
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.terms import AccelerationCost, Term, TimeCost, TorqueCost
+from trajopt.problem.family import Choice, Family, Parameter
+from trajopt.problem.problem import Problem
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms import AccelerationCost, Term, TerminalRest, TerminalState, TimeCost, TorqueCost
+from trajopt.terrain.flat import FlatGround
 
 GOALS = ("time", "effort")
 # Weights of what makes every direction of the motion priced: small against torques (mean squares of about

@@ -11,15 +11,16 @@ import pinocchio as pin
 
 from problems import arms, common
 from problems.strokes import Facing, RestOnStroke, Stroke, StrokeMotion
-from trajopt.contact import Contact
 from trajopt.errors import InputError
-from trajopt.family import Choice, Family, Parameter
-from trajopt.kinematics import inverse_kinematics
-from trajopt.problem import Problem
-from trajopt.reduced.foot_motion import smooth_step
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.surface import Surface
+from trajopt.problem.family import Choice, Family, Parameter
+from trajopt.problem.problem import Problem
+from trajopt.robot.contact import Contact
+from trajopt.robot.kinematics import inverse_kinematics
+from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import AccelerationCost, NormalForce, TorqueCost
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.surface import Surface
+from trajopt.terrain.swing_profile import smooth_step
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline

@@ -11,12 +11,11 @@ import numpy as np
 import pinocchio as pin
 
 import robots
-from trajopt.actuators.terms import DriveLimits
 from trajopt.errors import InputError
-from trajopt.kinematics import Posture, frame_pose, inverse_kinematics
-from trajopt.reduced.foot_motion import smooth_step
-from trajopt.robot import Robot
-from trajopt.terms import EffortLimits, PositionLimits, Term, VelocityLimits
+from trajopt.robot.kinematics import Posture, frame_pose, inverse_kinematics
+from trajopt.robot.robot import Robot
+from trajopt.terms import DriveLimits, EffortLimits, PositionLimits, Term, VelocityLimits
+from trajopt.terrain.swing_profile import smooth_step
 
 # Arms on which families are tested; any other works by its name or file.
 ARMS = ("ur5", "panda", "kinova", "irb1600", "z1", "xarm7")

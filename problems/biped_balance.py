@@ -11,15 +11,16 @@ import numpy as np
 import pinocchio as pin
 
 from problems import bipeds, common, leaping
-from trajopt.family import Choice, Family, Parameter
-from trajopt.kinematics import contact_positions
-from trajopt.legs import biped_legs
-from trajopt.model_quantities import contact_jacobian, gravity_of
-from trajopt.node_terms import SwingClearance, TerminalRest, TerminalState
-from trajopt.problem import Problem
+from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
+from trajopt.problem.family import Choice, Family, Parameter
+from trajopt.problem.problem import Problem
 from trajopt.reduced.legged_guess import legged_guess
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.legs import biped_legs
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms import SwingClearance, TerminalRest, TerminalState
+from trajopt.terrain.flat import FlatGround
 
 # Push over mass times sqrt(g l): the pendulum's capture point then moves by this part of the robot's length.
 PUSH = 0.05

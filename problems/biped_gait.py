@@ -8,16 +8,16 @@ import numpy as np
 
 from problems import bipeds, common
 from problems.gait_common import Style
-from trajopt.family import Choice, Family, Parameter
-from trajopt.legs import biped_legs
-from trajopt.named_gaits import BIPED, gait_of
-from trajopt.periodicity import Periodicity
-from trajopt.problem import Problem
+from trajopt.problem.family import Choice, Family, Parameter
+from trajopt.problem.periodicity import Periodicity
+from trajopt.problem.problem import Problem
 from trajopt.reduced.gait_guess import Pace, commanded_motion, plan_of_cycle
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Schedule
-from trajopt.swing_terms import swing_arcs
-from trajopt.term_interfaces import Term
+from trajopt.robot.legs import biped_legs
+from trajopt.robot.robot import Robot
+from trajopt.schedule.named_gaits import BIPED, gait_of
+from trajopt.schedule.schedule import Schedule
+from trajopt.terms import Term, swing_arcs
+from trajopt.terrain.flat import FlatGround
 
 # Froude numbers of a slow walk and of a jog; stride lengths follow from them as of other animals.
 STYLES = {

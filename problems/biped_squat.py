@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from problems import bipeds, common, leaping
-from trajopt.family import Family, Parameter
-from trajopt.node_terms import FrameHeight, TerminalRest, TerminalState
-from trajopt.problem import Problem
+from trajopt.problem.family import Family, Parameter
+from trajopt.problem.problem import Problem
 from trajopt.reduced.legged_guess import legged_guess
-from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms import FrameHeight, TerminalRest, TerminalState
+from trajopt.terrain.flat import FlatGround
 
 # Depth as a part of the robot's length; duration in units of sqrt(l / g): two seconds for a human's leg.
 DEPTH, DURATION = 0.2, 6.0

@@ -6,18 +6,17 @@ import numpy as np
 
 from problems import bipeds, common, leaping
 from trajopt.errors import InputError
-from trajopt.family import Family, Parameter
-from trajopt.kinematics import contact_positions
-from trajopt.legs import biped_legs
-from trajopt.node_terms import TerminalRest, TerminalState
-from trajopt.problem import Problem
+from trajopt.problem.family import Family, Parameter
+from trajopt.problem.problem import Problem
 from trajopt.reduced.base_path import BaseWaypoint
 from trajopt.reduced.legged_guess import legged_guess
-from trajopt.robot import Robot
-from trajopt.schedule import Phase, Schedule
-from trajopt.terrain import PiecewiseTerrain
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.legs import biped_legs
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms import TerminalRest, TerminalState, swing_clearance
+from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.swing_path import swing_path
-from trajopt.terrain.swing_terms import swing_clearance
 
 # Height of the box and way forward, parts of the robot's length; a way of so many soles at least.
 HEIGHT, FORWARD, SOLES = 0.15, 0.4, 1.6

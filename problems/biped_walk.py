@@ -12,18 +12,18 @@ import numpy as np
 import pinocchio as pin
 
 from problems import bipeds, common
+from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
-from trajopt.family import Family, Parameter
-from trajopt.model_quantities import gravity_of
-from trajopt.node_terms import SwingClearance, TerminalRest
-from trajopt.problem import Motion, Problem
+from trajopt.problem.family import Family, Parameter
+from trajopt.problem.problem import Problem
 from trajopt.reduced.com_program import CenterOfMassProgram
 from trajopt.reduced.foot_motion import guess_from_lip
 from trajopt.reduced.footsteps import FootstepPlan, Walk
 from trajopt.reduced.lip import Pendulum
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround
-from trajopt.term_interfaces import Term
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Motion
+from trajopt.terms import SwingClearance, Term, TerminalRest
+from trajopt.terrain.flat import FlatGround
 
 # Part of the soles that the pendulum's ZMP keeps away from: the robot is no pendulum.
 MARGIN = 0.5

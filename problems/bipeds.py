@@ -8,12 +8,11 @@ import numpy as np
 
 import robots
 from problems import common
-from trajopt.legs import biped_legs
-from trajopt.problem import Motion
 from trajopt.reduced.base_path import BaseWaypoint
-from trajopt.robot import Robot
-from trajopt.terms import PositionLimits, Term, VelocityLimits
-from trajopt.tracking import TrackingCost
+from trajopt.robot.legs import biped_legs
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Motion
+from trajopt.terms import PositionLimits, Term, TrackingCost, VelocityLimits
 
 ROBOTS = ("talos", "g1", "bolt")
 # Price of accelerations, for smooth motions.

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajopt.family import Choice, Parameter
-from trajopt.objectives import effort_costs
+from trajopt.problem.family import Choice, Parameter
 from trajopt.reduced.base_path import hermite as hermite
-from trajopt.reduced.foot_motion import smooth_step
-from trajopt.robot import Robot
-from trajopt.schedule import Phase, Schedule
-from trajopt.terms import EffortLimits, FrictionPyramid, SoleCone, Term
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms import EffortLimits, FrictionPyramid, SoleCone, Term, effort_costs
+from trajopt.terrain.swing_profile import smooth_step
 
 # Least height of a foot over the ground in mid flight, m.
 CLEARANCE = 0.03

@@ -6,16 +6,16 @@ import math
 from dataclasses import dataclass
 
 from problems import common
-from trajopt.family import Choice, Parameter
-from trajopt.gaits import Gait
-from trajopt.model_quantities import gravity_of
-from trajopt.named_gaits import QUADRUPED, gait_of
-from trajopt.objectives import REST, goal_terms
+from trajopt.dynamics.model_quantities import gravity_of
+from trajopt.problem.family import Choice, Parameter
 from trajopt.reduced.gait_guess import Pace, commanded_motion
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Schedule
-from trajopt.terms import FrictionPyramid, PositionLimits, Term, VelocityLimits
-from trajopt.tracking import TrackingCost
+from trajopt.robot.robot import Robot
+from trajopt.schedule.gaits import Gait
+from trajopt.schedule.named_gaits import QUADRUPED, gait_of
+from trajopt.schedule.schedule import Schedule
+from trajopt.terms import FrictionPyramid, PositionLimits, Term, TrackingCost, VelocityLimits, goal_terms
+from trajopt.terms.objectives import REST
+from trajopt.terrain.flat import FlatGround
 
 ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
 # Least height of a foot in mid swing as a part of the robot's length; swings of the guess are higher.

@@ -8,16 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from problems import common, hoppers
-from trajopt.family import Choice, Family, Parameter
-from trajopt.model_quantities import gravity_of
-from trajopt.node_terms import SwingClearance
-from trajopt.objectives import goal_terms
-from trajopt.periodicity import Periodicity
-from trajopt.problem import Problem
-from trajopt.reduced.foot_motion import smooth_step
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.terms import FrictionPyramid, PositionLimits, VelocityLimits
+from trajopt.dynamics.model_quantities import gravity_of
+from trajopt.problem.family import Choice, Family, Parameter
+from trajopt.problem.periodicity import Periodicity
+from trajopt.problem.problem import Problem
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms import FrictionPyramid, PositionLimits, SwingClearance, VelocityLimits, goal_terms
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.swing_profile import smooth_step
 
 # Speed by default as a Froude number u^2 / (g l), and a stride's length in leg lengths as of animals:
 # 1.9 froude^0.40 (Alexander, Jayes, "A dynamic similarity hypothesis for the gaits of quadrupedal mammals",

@@ -10,24 +10,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from problems import common, hoppers
+from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
-from trajopt.family import Choice, Family
-from trajopt.mode import Mode
-from trajopt.model_quantities import gravity_of
-from trajopt.node_terms import NodeConstraint, SwingClearance, TerminalRest, TerminalState
-from trajopt.objectives import effort_costs, goal_terms
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Schedule
-from trajopt.terminal_terms import TerminalPosture
+from trajopt.problem.family import Choice, Family
+from trajopt.problem.problem import Problem
+from trajopt.robot.robot import Robot
+from trajopt.robot.stance.mode import Mode
+from trajopt.schedule.schedule import Schedule
 from trajopt.terms import (
     EffortLimits,
     FrictionPyramid,
     ImpulseCost,
+    NodeConstraint,
     PositionLimits,
+    SwingClearance,
     Term,
+    TerminalPosture,
+    TerminalRest,
+    TerminalState,
     VelocityLimits,
+    effort_costs,
+    goal_terms,
 )
+from trajopt.terrain.flat import FlatGround
 
 # The base rises by this part of the robot's length while the leg stretches, in the guess.
 RISE = 0.17

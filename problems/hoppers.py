@@ -6,8 +6,8 @@ import numpy as np
 
 import robots
 from trajopt.errors import InputError
-from trajopt.kinematics import contact_positions, inverse_kinematics
-from trajopt.robot import Robot
+from trajopt.robot.kinematics import contact_positions, inverse_kinematics
+from trajopt.robot.robot import Robot
 
 ROBOTS = ("hopper", "hopper_space")
 # Coordinates of the base along the world's x and z, by kind of base.

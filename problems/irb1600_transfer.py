@@ -10,15 +10,24 @@ import pinocchio as pin
 
 from problems import common
 from robots import irb1600
-from trajopt.actuators.terms import DriveLimits, MotorTorqueCost
 from trajopt.errors import InputError
-from trajopt.family import Choice, Family, Parameter
-from trajopt.kinematics import inverse_kinematics_branches
-from trajopt.node_terms import TerminalRest, TerminalState
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.terms import AccelerationCost, PositionLimits, Term, TimeCost, VelocityLimits
+from trajopt.problem.family import Choice, Family, Parameter
+from trajopt.problem.problem import Problem
+from trajopt.robot.kinematics import inverse_kinematics_branches
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms import (
+    AccelerationCost,
+    DriveLimits,
+    MotorTorqueCost,
+    PositionLimits,
+    Term,
+    TerminalRest,
+    TerminalState,
+    TimeCost,
+    VelocityLimits,
+)
+from trajopt.terrain.flat import FlatGround
 
 GOALS = ("effort", "time")
 # Weights of what makes every direction of the motion priced: small against the motors' torques (mean

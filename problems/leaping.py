@@ -16,25 +16,17 @@ import pinocchio as pin
 
 import robots
 from problems import common
+from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
 from trajopt.errors import InputError
-from trajopt.family import Parameter
-from trajopt.frame_terms import FramesAbove, leg_joints
-from trajopt.kinematics import (
-    Posture,
-    contact_poses,
-    contact_positions,
-    frame_pose,
-    inverse_kinematics,
-)
-from trajopt.legs import quadruped_legs
-from trajopt.model_quantities import contact_jacobian, gravity_of
-from trajopt.problem import Motion
+from trajopt.problem.family import Parameter
 from trajopt.reduced.base_path import BaseWaypoint
-from trajopt.robot import Robot
-from trajopt.schedule import Schedule
-from trajopt.terms import EffortLimits, PositionLimits, Term, VelocityLimits
-from trajopt.terrain import Terrain
-from trajopt.terrain.swing_terms import swing_clearance
+from trajopt.robot.kinematics import Posture, contact_poses, contact_positions, frame_pose, inverse_kinematics
+from trajopt.robot.legs import quadruped_legs
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Motion, Schedule
+from trajopt.terms import EffortLimits, FramesAbove, PositionLimits, Term, VelocityLimits, swing_clearance
+from trajopt.terms.frames import leg_joints
+from trajopt.terrain.terrain import Terrain
 
 # Of the extension that legs have left, the guess uses this part at take-off and at touchdown.
 EXTENSION_PART = 0.6

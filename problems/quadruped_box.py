@@ -9,13 +9,13 @@ import numpy as np
 
 from problems import common, leaping
 from trajopt.errors import InputError
-from trajopt.family import Family
-from trajopt.kinematics import contact_positions
-from trajopt.node_terms import TerminalRest, TerminalState
-from trajopt.problem import Problem
+from trajopt.problem.family import Family
+from trajopt.problem.problem import Problem
 from trajopt.reduced.legged_guess import legged_guess
-from trajopt.robot import Robot
-from trajopt.terrain import PiecewiseTerrain
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.robot import Robot
+from trajopt.terms import TerminalRest, TerminalState
+from trajopt.terrain.piecewise import PiecewiseTerrain
 
 # Robots whose joints are fast enough to carry all feet over an edge in one flight: anymal_c's 7.5 rad/s
 # allow a flight of 0.13 s (docs/problems/jumps.md).

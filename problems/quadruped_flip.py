@@ -15,18 +15,17 @@ import numpy as np
 import pinocchio as pin
 
 from problems import common, leaping
-from trajopt.family import Family
-from trajopt.frame_terms import FrameDirection
-from trajopt.kinematics import contact_positions
-from trajopt.legs import quadruped_legs
-from trajopt.model_quantities import gravity_of
-from trajopt.node_terms import TerminalRest, TerminalState
-from trajopt.problem import Problem
+from trajopt.dynamics.model_quantities import gravity_of
+from trajopt.problem.family import Family
+from trajopt.problem.problem import Problem
 from trajopt.reduced.base_path import BaseWaypoint
 from trajopt.reduced.legged_guess import legged_guess
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.term_interfaces import Term
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.legs import quadruped_legs
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms import FrameDirection, Term, TerminalRest, TerminalState
+from trajopt.terrain.flat import FlatGround
 
 ROBOTS = ("solo12", "go2", "a1", "hyq")
 # A backflip takes hyq to its torque limits throughout (docs/problems/jumps.md).

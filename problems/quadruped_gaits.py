@@ -15,16 +15,17 @@ import robots
 from problems import common, gait_common
 from problems.gait_common import HIGHER, RARE, ROBOTS, STYLES, gait_terms
 from trajopt.errors import InputError
-from trajopt.family import Choice, Family
-from trajopt.gaits import Gait
-from trajopt.legs import quadruped_legs
-from trajopt.named_gaits import QUADRUPED
-from trajopt.periodicity import Periodicity
-from trajopt.problem import Problem
+from trajopt.problem.family import Choice, Family
+from trajopt.problem.periodicity import Periodicity
+from trajopt.problem.problem import Problem
 from trajopt.reduced.gait_guess import Pace, commanded_motion, plan_of_cycle
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Schedule
-from trajopt.swing_terms import swing_arcs
+from trajopt.robot.legs import quadruped_legs
+from trajopt.robot.robot import Robot
+from trajopt.schedule.gaits import Gait
+from trajopt.schedule.named_gaits import QUADRUPED
+from trajopt.schedule.schedule import Schedule
+from trajopt.terms import swing_arcs
+from trajopt.terrain.flat import FlatGround
 
 # Free durations are between these parts of the nominal ones; their sum, the period, is not free.
 FREE = (0.6, 1.5)

@@ -6,15 +6,15 @@ import numpy as np
 
 from problems import common, leaping
 from trajopt.errors import InputError
-from trajopt.family import Choice, Family
-from trajopt.kinematics import frame_pose
-from trajopt.node_terms import TerminalRest, TerminalState
-from trajopt.problem import Problem
+from trajopt.problem.family import Choice, Family
+from trajopt.problem.problem import Problem
 from trajopt.reduced.base_path import BaseWaypoint
 from trajopt.reduced.legged_guess import legged_guess
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.terms import TimeCost
+from trajopt.robot.kinematics import frame_pose
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms import TerminalRest, TerminalState, TimeCost
+from trajopt.terrain.flat import FlatGround
 
 ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
 # Default duration in units of sqrt(l / g); free, it stays within these multiples of it.

@@ -11,10 +11,14 @@ from problems import common
 from problems.gait_common import ROBOTS
 from problems.terrain_walks import Walker, parameters, problem_over, walker
 from trajopt.errors import InputError
-from trajopt.family import Choice, Family, Parameter
-from trajopt.problem import Problem
-from trajopt.terrain import FlatGround, Patch, PiecewiseTerrain, SmoothTerrain, Terrain, Wave
-from trajopt.terrain.piecewise import REACH
+from trajopt.problem.family import Choice, Family, Parameter
+from trajopt.problem.problem import Problem
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.patch import Patch
+from trajopt.terrain.piecewise import REACH, PiecewiseTerrain
+from trajopt.terrain.shapes import Wave
+from trajopt.terrain.smooth import SmoothTerrain
+from trajopt.terrain.terrain import Terrain
 
 # Rise and depth of a stair as parts of the robot's length; their ratio is that of stairs in houses.
 RISE, RUN, STAIRS = 0.2, 0.6, 3

@@ -17,16 +17,16 @@ import robots
 from problems import common, gait_common
 from problems.gait_common import HIGHER, ROBOTS, STYLES, gait_terms
 from trajopt.errors import InputError
-from trajopt.family import Choice, Family, Parameter
-from trajopt.gait_transitions import transition
-from trajopt.legs import quadruped_legs
-from trajopt.named_gaits import QUADRUPED
-from trajopt.node_terms import TerminalRest, TerminalState, TerminalVelocity
-from trajopt.problem import Problem
+from trajopt.problem.family import Choice, Family, Parameter
+from trajopt.problem.problem import Problem
 from trajopt.reduced.gait_guess import Pace, Plan, plan_of_part
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.swing_terms import swing_arcs
+from trajopt.robot.legs import quadruped_legs
+from trajopt.robot.robot import Robot
+from trajopt.schedule.gait_transitions import transition
+from trajopt.schedule.named_gaits import QUADRUPED
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms import TerminalRest, TerminalState, TerminalVelocity, swing_arcs
+from trajopt.terrain.flat import FlatGround
 
 # Of every period of the gait, standing included.
 INTERVALS_PER_PERIOD = 20

@@ -10,16 +10,26 @@ import pinocchio as pin
 import robots
 from problems import common
 from robots.solo12 import BASE
-from trajopt.bases.base_conversion import with_virtual_base
-from trajopt.bases.virtual_base import DEFAULT_ORDER, ORDERS
-from trajopt.family import Choice, Family
-from trajopt.kinematics import contact_positions, inverse_kinematics
-from trajopt.model_quantities import STANDARD_GRAVITY
-from trajopt.node_terms import FrameHeight, FramePose, SwingClearance
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.terms import EffortLimits, FrictionPyramid, PositionLimits, Term, VelocityLimits
+from trajopt.dynamics.base_joint import ORDERS
+from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
+from trajopt.dynamics.virtual_base import DEFAULT_ORDER
+from trajopt.problem.family import Choice, Family
+from trajopt.problem.problem import Problem
+from trajopt.reduced.base_conversion import with_virtual_base
+from trajopt.robot.kinematics import contact_positions, inverse_kinematics
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms import (
+    EffortLimits,
+    FrameHeight,
+    FramePose,
+    FrictionPyramid,
+    PositionLimits,
+    SwingClearance,
+    Term,
+    VelocityLimits,
+)
+from trajopt.terrain.flat import FlatGround
 
 # In the guess the base rises by this much, m, and turns by this part of the whole, while the feet stand.
 RISE = 0.04

@@ -10,16 +10,26 @@ import pinocchio as pin
 import robots
 from problems import common
 from robots import solo12
-from trajopt.actuators.terms import DriveLimits
+from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.errors import InputError
-from trajopt.family import Family, Parameter
-from trajopt.kinematics import contact_positions, inverse_kinematics
-from trajopt.model_quantities import STANDARD_GRAVITY
-from trajopt.node_terms import FrameHeight, SwingClearance, TerminalRest, TerminalState
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround
-from trajopt.terms import EffortLimits, FrictionPyramid, ImpulseCost, PositionLimits, Term, VelocityLimits
+from trajopt.problem.family import Family, Parameter
+from trajopt.problem.problem import Problem
+from trajopt.robot.kinematics import contact_positions, inverse_kinematics
+from trajopt.robot.robot import Robot
+from trajopt.terms import (
+    DriveLimits,
+    EffortLimits,
+    FrameHeight,
+    FrictionPyramid,
+    ImpulseCost,
+    PositionLimits,
+    SwingClearance,
+    Term,
+    TerminalRest,
+    TerminalState,
+    VelocityLimits,
+)
+from trajopt.terrain.flat import FlatGround
 
 # A flight shorter than this leaves no time to move the feet to their new places, s.
 SHORTEST_FLIGHT = 0.3

@@ -10,14 +10,23 @@ import pinocchio as pin
 import robots
 from problems import common
 from robots.solo12 import BASE
-from trajopt.family import Family
-from trajopt.kinematics import contact_positions
-from trajopt.model_quantities import STANDARD_GRAVITY
-from trajopt.node_terms import FrameHeight, SwingClearance, TerminalRest, TerminalState
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround
-from trajopt.terms import EffortLimits, FrictionCone, PositionLimits, Term, VelocityLimits
+from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
+from trajopt.problem.family import Family
+from trajopt.problem.problem import Problem
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.robot import Robot
+from trajopt.terms import (
+    EffortLimits,
+    FrameHeight,
+    FrictionCone,
+    PositionLimits,
+    SwingClearance,
+    Term,
+    TerminalRest,
+    TerminalState,
+    VelocityLimits,
+)
+from trajopt.terrain.flat import FlatGround
 
 # A flight shorter than this leaves no time to move the feet, s.
 SHORTEST_FLIGHT = 0.2

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from trajopt.context import Context
-from trajopt.node_terms import NodeConstraint, NodePlace, free_directions
-from trajopt.reduced.foot_motion import smooth_step
-from trajopt.term_interfaces import PointConstraint, Rows
-from trajopt.units import Units
+from trajopt.robot.units import Units
+from trajopt.terms import Context, NodeConstraint, NodePlace, PointConstraint, Rows
+from trajopt.terms.terminal import free_directions
+from trajopt.terrain.swing_profile import smooth_step
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,16 +10,22 @@ import pinocchio as pin
 
 import robots
 from problems import common
+from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
-from trajopt.family import Family
-from trajopt.manifold import Coordinates
-from trajopt.node_terms import TerminalRest, TerminalState
-from trajopt.objectives import effort_costs, goal_terms
-from trajopt.problem import Problem
-from trajopt.reduced.foot_motion import smooth_step
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.terms import PositionLimits, VelocityLimits
+from trajopt.problem.family import Family
+from trajopt.problem.problem import Problem
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms import (
+    PositionLimits,
+    TerminalRest,
+    TerminalState,
+    VelocityLimits,
+    effort_costs,
+    goal_terms,
+)
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.swing_profile import smooth_step
 
 # Duration by default in periods of the hanging links: time for some swings, or the guess of the least time.
 PERIODS = {"effort": 2.5, "time": 1.5}

@@ -8,14 +8,11 @@ import pinocchio as pin
 import robots
 from problems import common
 from robots.talos import HAND, SIDES, SOLES
-from trajopt.family import Family, Parameter
-from trajopt.kinematics import frame_pose, inverse_kinematics
-from trajopt.node_terms import TerminalRest
-from trajopt.problem import Problem
-from trajopt.reduced.foot_motion import smooth_step
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.surface import Surface
+from trajopt.problem.family import Family, Parameter
+from trajopt.problem.problem import Problem
+from trajopt.robot.kinematics import frame_pose, inverse_kinematics
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import (
     EffortLimits,
     FrictionCone,
@@ -23,8 +20,12 @@ from trajopt.terms import (
     PositionLimits,
     SoleCone,
     Term,
+    TerminalRest,
     VelocityLimits,
 )
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.surface import Surface
+from trajopt.terrain.swing_profile import smooth_step
 
 # Where the hand goes across, m: in front of the left shoulder.
 ACROSS = 0.3

@@ -11,24 +11,31 @@ import robots
 from problems import common
 from problems.gait_common import CLEARANCE, STYLES, TRACKING
 from trajopt.errors import InputError
-from trajopt.family import Choice, Parameter
-from trajopt.gait_transitions import transition
-from trajopt.gaits import Gait
-from trajopt.kinematics import contact_positions
-from trajopt.legs import Legs, quadruped_legs
-from trajopt.named_gaits import gait_of
-from trajopt.node_terms import TerminalRest, TerminalState
-from trajopt.objectives import effort_costs
-from trajopt.problem import Motion, Problem
+from trajopt.problem.family import Choice, Parameter
+from trajopt.problem.problem import Problem
 from trajopt.reduced.gait_guess import Pace
 from trajopt.reduced.terrain_guess import plan_over_terrain
-from trajopt.robot import Robot
-from trajopt.schedule import Schedule
-from trajopt.swing_terms import swing_arcs
-from trajopt.terms import FrictionPyramid, PositionLimits, Term, VelocityLimits
-from trajopt.terrain import PiecewiseTerrain, Terrain
-from trajopt.terrain.swing_terms import swing_clearance
-from trajopt.tracking import TrackingCost
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.legs import Legs, quadruped_legs
+from trajopt.robot.robot import Robot
+from trajopt.schedule.gait_transitions import transition
+from trajopt.schedule.gaits import Gait
+from trajopt.schedule.named_gaits import gait_of
+from trajopt.schedule.schedule import Motion, Schedule
+from trajopt.terms import (
+    FrictionPyramid,
+    PositionLimits,
+    Term,
+    TerminalRest,
+    TerminalState,
+    TrackingCost,
+    VelocityLimits,
+    effort_costs,
+    swing_arcs,
+    swing_clearance,
+)
+from trajopt.terrain.piecewise import PiecewiseTerrain
+from trajopt.terrain.terrain import Terrain
 
 # Gaits without flights: there are always feet on the ground.
 GAITS = ("trot", "walk")

@@ -11,13 +11,12 @@ import pinocchio as pin
 import robots
 from problems import common
 from robots.ur5 import TOOL
-from trajopt.contact import Contact
-from trajopt.family import Family, Parameter
-from trajopt.kinematics import frame_pose, inverse_kinematics
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.surface import Surface
+from trajopt.problem.family import Family, Parameter
+from trajopt.problem.problem import Problem
+from trajopt.robot.contact import Contact
+from trajopt.robot.kinematics import frame_pose, inverse_kinematics
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import (
     AccelerationCost,
     NormalForce,
@@ -26,6 +25,8 @@ from trajopt.terms import (
     VelocityLimits,
     WrenchCost,
 )
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.surface import Surface
 
 GRIP = "grip"
 # Half sizes of the gripped handle, m; a grasp transmits any wrench, so nothing but the drawing uses them.

@@ -10,21 +10,23 @@ import pinocchio as pin
 import robots
 from problems import common
 from robots.ur5 import TOOL
-from trajopt.context_symbols import ACTUATIONS, Actuation
-from trajopt.family import Choice, Family, Parameter
-from trajopt.kinematics import frame_pose, inverse_kinematics
-from trajopt.node_terms import FramePose, TerminalRest
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.problem.family import Choice, Family, Parameter
+from trajopt.problem.problem import Problem
+from trajopt.robot.kinematics import frame_pose, inverse_kinematics
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import (
     AccelerationCost,
+    FramePose,
     PositionLimits,
     Term,
+    TerminalRest,
     TorqueCost,
     VelocityCost,
     VelocityLimits,
 )
+from trajopt.terms.context_symbols import ACTUATIONS, Actuation
+from trajopt.terrain.flat import FlatGround
 
 
 def _effort(robot: Robot, share: float, end: np.ndarray) -> dict[Actuation, tuple[Term, ...]]:

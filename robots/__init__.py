@@ -11,8 +11,8 @@ from pathlib import Path
 from types import ModuleType
 
 from trajopt.errors import InputError, TrajoptError
-from trajopt.kinematics import contact_positions
-from trajopt.robot import Robot
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.robot import Robot
 
 KINDS = ("arm", "quadruped", "biped", "hopper", "pendulum")
 # Robots with a free base by the number of feet that they stand on.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from robots.double_pendulum import hanging, weight_moments
-from trajopt.robot import Robot
+from trajopt.robot.robot import Robot
 
 KIND = "pendulum"
 

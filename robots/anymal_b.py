@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from robots._quadrupeds import anymal
-from trajopt.robot import Robot
+from trajopt.robot.robot import Robot
 
 KIND = "quadruped"
 

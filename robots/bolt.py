@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from robots import solo12
-from trajopt.contact import Contact
-from trajopt.robot import Robot
-from trajopt.robot_data import robot_file
+from trajopt.robot.contact import Contact
+from trajopt.robot.data import robot_file
+from trajopt.robot.robot import Robot
 
 KIND = "biped"
 SIDES = {"left": "FL", "right": "FR"}

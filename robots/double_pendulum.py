@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from trajopt.robot import Robot
-from trajopt.robot_data import robot_file
+from trajopt.robot.data import robot_file
+from trajopt.robot.robot import Robot
 
 KIND = "pendulum"
 # The links point up at zero.

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from trajopt.contact import Contact
-from trajopt.robot import Robot
-from trajopt.robot_data import robot_file
+from trajopt.robot.contact import Contact
+from trajopt.robot.data import robot_file
+from trajopt.robot.robot import Robot
 
 KIND = "biped"
 SIDES = ("left", "right")

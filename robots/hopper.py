@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from trajopt.robot import Robot
-from trajopt.robot_building import sagittal
+from trajopt.robot.building import sagittal
+from trajopt.robot.robot import Robot
 
 KIND = "hopper"
 FOOT = "foot"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pinocchio as pin
 
 from robots.hopper import FOOT, add_joint, add_leg, add_torso, standing
-from trajopt.robot import Robot
+from trajopt.robot.robot import Robot
 
 KIND = "hopper"
 ROLL_RANGE = (-0.8, 0.8)  # rad, leg to the left is negative

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from trajopt.contact import Contact
-from trajopt.robot import Robot
-from trajopt.robot_data import robot_file
+from trajopt.robot.contact import Contact
+from trajopt.robot.data import robot_file
+from trajopt.robot.robot import Robot
 
 KIND = "quadruped"
 LEGS = ("lf", "rf", "lh", "rh")

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from trajopt.actuators.beams import Beam
-from trajopt.actuators.drive import Drive
 from trajopt.errors import InputError
-from trajopt.robot import Robot
+from trajopt.robot.actuators.beams import Beam
+from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.robot import Robot
 
 KIND = "arm"
 # Flange frame in the convention of ABB: z out of the flange, x down when the arm is at zero.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from trajopt.robot import Robot
-from trajopt.robot_data import robot_file
+from trajopt.robot.data import robot_file
+from trajopt.robot.robot import Robot
 
 KIND = "arm"
 # Between the fingers, x out of the hand.

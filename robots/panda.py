@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from trajopt.robot import Robot
-from trajopt.robot_data import robot_file
+from trajopt.robot.data import robot_file
+from trajopt.robot.robot import Robot
 
 KIND = "arm"
 # Between the finger tips, z out of the hand.

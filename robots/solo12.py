@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from trajopt.actuators.drive import Drive
-from trajopt.robot import Robot
-from trajopt.robot_data import robot_file
+from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.data import robot_file
+from trajopt.robot.robot import Robot
 
 KIND = "quadruped"
 BASE = "base_link"

@@ -12,8 +12,8 @@ import numpy as np
 
 import problems
 import trajopt
-from trajopt.accuracy import measure
-from trajopt.schemes import scheme
+from trajopt.certify.accuracy.measures import measure
+from trajopt.transcription.schemes import scheme
 
 SCHEMES = (
     *(f"legendre:{degree}" for degree in (1, 2, 3)),

@@ -10,12 +10,13 @@ import numpy as np
 import pinocchio as pin
 
 import problems
-from trajopt.bases.base_conversion import with_virtual_base
-from trajopt.bases.virtual_base import ORDERS, to_free_flyer, virtual_order
-from trajopt.problem import Problem
-from trajopt.solution import Solution
+from trajopt.dynamics.base_joint import ORDERS, virtual_order
+from trajopt.dynamics.virtual_base import to_free_flyer
+from trajopt.problem.problem import Problem
+from trajopt.reduced.base_conversion import with_virtual_base
+from trajopt.solution.solution import Solution
 from trajopt.solvers.drivers import SOLVERS
-from trajopt.solving import solve
+from trajopt.solving.solving import solve
 
 QUATERNION = "quaternion"
 HEADER = (

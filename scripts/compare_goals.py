@@ -11,14 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 import problems
-from trajopt.check import check
-from trajopt.costs import TimeCost
-from trajopt.objectives import REST_OF_LINEAR
-from trajopt.power import PowerCost, cost_of_transport
-from trajopt.problem import Problem
-from trajopt.solution import Solution
-from trajopt.solving import solve
-from trajopt.term_interfaces import Cost
+from trajopt.certify.check import check
+from trajopt.certify.energy import cost_of_transport
+from trajopt.problem.problem import Problem
+from trajopt.solution.solution import Solution
+from trajopt.solving.solving import solve
+from trajopt.terms import Cost, PowerCost, TimeCost
+from trajopt.terms.objectives import REST_OF_LINEAR
 
 # Starts beside a problem's own guess, with the suite's noise in natural units.
 SEEDS, NOISE = (0, 1, 2), 0.1

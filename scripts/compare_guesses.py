@@ -19,15 +19,16 @@ import numpy as np
 
 import problems
 import trajopt
-from trajopt.guess import perturbed
-from trajopt.problem import Problem
+from trajopt.problem.problem import Problem
 from trajopt.reduced.body_guess import guess_from_srb
 from trajopt.reduced.foot_motion import DEFAULT_CLEARANCE, FootMotion, guess_from_lip
 from trajopt.reduced.footsteps import feet_of
 from trajopt.reduced.single_rigid_body import body_problem, footholds_of
-from trajopt.solvers import Status, run
-from trajopt.solvers.drivers import SOLVERS, Stop
-from trajopt.solving import prepare
+from trajopt.solvers.drivers import SOLVERS, run
+from trajopt.solvers.result import Stop
+from trajopt.solvers.status import Status
+from trajopt.solving.solving import prepare
+from trajopt.transcription.guess import perturbed
 
 JUMPS = (
     {"distance": 0.3},

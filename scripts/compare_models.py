@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 import click
 
 import problems
-from trajopt.bases.base_conversion import with_virtual_base
-from trajopt.check import check
-from trajopt.problem import Problem
-from trajopt.schedule import Schedule
-from trajopt.solution import Solution
+from trajopt.certify.check import check
+from trajopt.problem.problem import Problem
+from trajopt.reduced.base_conversion import with_virtual_base
+from trajopt.schedule.schedule import Schedule
+from trajopt.solution.solution import Solution
 from trajopt.solvers.drivers import SOLVERS
-from trajopt.solving import solve
+from trajopt.solving.solving import solve
 from trajopt.terms import TimeCost
 
 HEADER = (

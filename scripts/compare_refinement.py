@@ -15,12 +15,11 @@ import click
 
 import problems
 from trajopt import solve
-from trajopt.accuracy import measure
-from trajopt.cli_input import values_of
-from trajopt.problem import Problem
-from trajopt.refinement import Refinement, refine
-from trajopt.refinement.refine import phase_errors, tolerance_for
-from trajopt.solution import Solution
+from trajopt.certify.accuracy.measures import measure
+from trajopt.cli.input import values_of
+from trajopt.problem.problem import Problem
+from trajopt.solution.solution import Solution
+from trajopt.solving.refine import Refinement, phase_errors, refine, tolerance_for
 
 # A uniform mesh of more intervals than this times the problem's own is not tried.
 MOST = 16

@@ -17,11 +17,12 @@ import robots
 import trajopt
 from robots import solo12, talos
 from trajopt import Contact, Phase, Problem, Robot, Schedule
-from trajopt.compilation import LEVELS
-from trajopt.robot_building import reference_posture
-from trajopt.robot_data import robot_file
-from trajopt.scenes import Scene, scene, smallest
+from trajopt.reduced.scenes.goals import scene
+from trajopt.reduced.scenes.smallest import Scene, smallest
+from trajopt.robot.building import reference_posture
+from trajopt.robot.data import robot_file
 from trajopt.solvers.drivers import SOLVERS
+from trajopt.transcription.compilation import LEVELS
 
 DISTANCE = 0.2  # m, of the jump from upright legs
 STANCE, FLIGHT, LANDING = 0.4, 0.3, 0.5  # s

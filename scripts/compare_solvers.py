@@ -21,11 +21,12 @@ import numpy as np
 
 import problems
 from trajopt.errors import InputError
-from trajopt.guess import perturbed
-from trajopt.nlp import Nlp
-from trajopt.solvers import Result, Status, run
-from trajopt.solvers.drivers import Stop, Warm, check_hessian
-from trajopt.solving import prepare, solve
+from trajopt.solvers.drivers import check_hessian, run
+from trajopt.solvers.result import Result, Stop, Warm
+from trajopt.solvers.status import Status
+from trajopt.solving.solving import prepare, solve
+from trajopt.transcription.guess import perturbed
+from trajopt.transcription.nlp import Nlp
 
 PAIRS = (
     ("ipopt", "exact"),

@@ -17,16 +17,17 @@ import numpy as np
 
 import problems
 import trajopt
-from trajopt.extraction import extract
-from trajopt.problem import Problem
+from trajopt.problem.problem import Problem
 from trajopt.reduced.two_stage import recover_torques, without_torques
 from trajopt.reduced.wrench_distribution import redistributed
-from trajopt.solution import Solution
-from trajopt.solvers import Result, Status, run
-from trajopt.solvers.drivers import SOLVERS, Stop
-from trajopt.solving import Prepared, prepare
-from trajopt.stage_functions import derivatives
-from trajopt.transcription import Transcription
+from trajopt.solution.solution import Solution
+from trajopt.solvers.drivers import SOLVERS, run
+from trajopt.solvers.result import Result, Stop
+from trajopt.solvers.status import Status
+from trajopt.solving.extraction import extract
+from trajopt.solving.solving import Prepared, prepare
+from trajopt.transcription.stage_functions import derivatives
+from trajopt.transcription.transcription import Transcription
 
 CASES = (
     ("solo12-jump", {}),

@@ -18,10 +18,10 @@ from dataclasses import dataclass, field, replace
 import click
 
 import problems
-from trajopt.problem import Problem
-from trajopt.solution import Solution
+from trajopt.problem.problem import Problem
+from trajopt.solution.solution import Solution
 from trajopt.solvers.drivers import SOLVERS
-from trajopt.solving import prepare, solve_prepared
+from trajopt.solving.solving import prepare, solve_prepared
 
 Values = Mapping[str, object]
 Grid = tuple[str | None, int | None]

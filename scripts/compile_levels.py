@@ -17,8 +17,8 @@ import click
 import numpy as np
 
 import problems
-from trajopt.compilation import CACHE_VARIABLE, LEVELS
-from trajopt.solving import prepare
+from trajopt.solving.solving import prepare
+from trajopt.transcription.compilation import CACHE_VARIABLE, LEVELS
 
 REPETITIONS = 60
 # A step that makes each evaluation point new to the engine, and changes nothing else.

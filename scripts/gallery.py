@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from trajopt.catalogue import families
 from trajopt.errors import InputError, TrajoptError
-from trajopt.replay import replay
-from trajopt.replay.browser import Chromium, chromium
-from trajopt.solution import Solution
+from trajopt.problem.catalogue import families
+from trajopt.solution.solution import Solution
+from trajopt.view.replay.browser import Chromium, chromium
+from trajopt.view.replay.show import replay
 
 # Title, page of docs/problems, and patterns of names: the first that fits counts.
 GROUPS = (

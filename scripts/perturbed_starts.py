@@ -12,10 +12,11 @@ import click
 import numpy as np
 
 import problems
-from trajopt.guess import perturbed
-from trajopt.solvers import Status, run
-from trajopt.solvers.drivers import SOLVERS, Stop
-from trajopt.solving import prepare
+from trajopt.solvers.drivers import SOLVERS, run
+from trajopt.solvers.result import Stop
+from trajopt.solvers.status import Status
+from trajopt.solving.solving import prepare
+from trajopt.transcription.guess import perturbed
 
 # Objectives closer than this belong to one optimum.
 SAME_OPTIMUM = 1e-3

@@ -16,12 +16,12 @@ from typing import Any
 
 import click
 
-from trajopt.catalogue import families
-from trajopt.family import choose
-from trajopt.sweep.cores import physical_cores
-from trajopt.sweep.plan import own_setting
-from trajopt.sweep.process import Pool
-from trajopt.sweep.result import Job, Run
+from trajopt.problem.catalogue import families
+from trajopt.problem.family import choose
+from trajopt.study.sweep.cores import physical_cores
+from trajopt.study.sweep.plan import own_setting
+from trajopt.study.sweep.process import Pool
+from trajopt.study.sweep.result import Job, Run
 
 LIMIT = 600.0
 FIGURES = ("wall_time", "function_time", "calibration")

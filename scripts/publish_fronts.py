@@ -25,8 +25,8 @@ from pathlib import Path
 import click
 
 from scripts import pinned_workers
-from trajopt.sweep.front import FOLDER, load_front
-from trajopt.sweep.tables import SETTINGS
+from trajopt.study.sweep.front import FOLDER, load_front
+from trajopt.study.sweep.tables import SETTINGS
 
 DOCUMENT = Path(__file__).parent.parent / "docs" / "front.md"
 DOCS = DOCUMENT.parent / "front"

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from trajopt.replay import replay
-from trajopt.replay.browser import chromium
-from trajopt.solution import Solution
+from trajopt.solution.solution import Solution
+from trajopt.view.replay.browser import chromium
+from trajopt.view.replay.show import replay
 
 SIZES = ((480, 270), (640, 360), (1280, 720), (1920, 1080))
 PICTURES = 20

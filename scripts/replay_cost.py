@@ -25,7 +25,7 @@ import click
 import numpy as np
 
 if TYPE_CHECKING:
-    from trajopt.solution import Solution
+    from trajopt.solution.solution import Solution
 
 # Of a solution that a motion put after itself has no more.
 LOST_ARRAYS = ("impulse", "impact_index", "row_multiplier", "row_place", "bound_multiplier")
@@ -37,11 +37,11 @@ PARTS = ("viewer", "meshes", "motion", "rest")
 
 def measured(file: Path, seconds: float) -> dict[str, float]:
     """Seconds of the wall and of the processor, with the solution loaded, as after a solve; bytes by part."""
-    from trajopt.solution import Solution
+    from trajopt.solution.solution import Solution
 
     solution = repeated(Solution.load(file), seconds)
     begun, busy = time.perf_counter(), time.process_time()
-    from trajopt.replay import replay
+    from trajopt.view.replay.show import replay
 
     marks = [time.perf_counter() - begun]
     with tempfile.TemporaryDirectory() as folder:
@@ -77,7 +77,7 @@ def _parts(text: str, frames: int) -> dict[str, float]:
 
 def repeated(solution: Solution, seconds: float) -> Solution:
     """The motion one time after the other until it lasts ``seconds``; the base goes on along the level."""
-    from trajopt.solution import SAMPLED
+    from trajopt.solution.solution import SAMPLED
 
     length = float(solution.t[-1] - solution.t[0])
     if seconds <= length:

@@ -22,8 +22,8 @@ import click
 
 from trajopt.errors import InputError
 from trajopt.solvers.drivers import SOLVERS
-from trajopt.suite.outcome import Outcome, quantile
-from trajopt.suite.records import FILE
+from trajopt.study.suite.outcome import Outcome, quantile
+from trajopt.study.suite.records import FILE
 
 # Problem and robot; of the biped the one whose solves are fastest.
 PAIRS = {"ur5-reach": "ur5", "solo12-jump": "solo12", "hopper-hop": "hopper", "biped-squat": "bolt"}

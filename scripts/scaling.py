@@ -13,12 +13,12 @@ import click
 import numpy as np
 
 import problems
-from trajopt.guess import perturbed
-from trajopt.problem import Problem
-from trajopt.solvers import Status, run
-from trajopt.solvers.drivers import SOLVERS
+from trajopt.problem.problem import Problem
+from trajopt.solvers.drivers import SOLVERS, run
 from trajopt.solvers.result import Stop
-from trajopt.solving import Prepared, prepare
+from trajopt.solvers.status import Status
+from trajopt.solving.solving import Prepared, prepare
+from trajopt.transcription.guess import perturbed
 
 
 @dataclass(frozen=True, kw_only=True)

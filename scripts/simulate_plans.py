@@ -12,10 +12,10 @@ from pathlib import Path
 
 import click
 
-from trajopt.cli_input import options_of
+from trajopt.certify.simulation.simulate import Simulation, simulate
+from trajopt.cli.input import options_of
 from trajopt.errors import InputError
-from trajopt.simulation import Simulation, simulate
-from trajopt.solution import Solution
+from trajopt.solution.solution import Solution
 
 HEAD = (
     "plan",

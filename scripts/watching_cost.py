@@ -18,11 +18,11 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import problems
-from trajopt.solving import DEFAULT_SOLVER, Prepared, prepare, solve_prepared
-from trajopt.watching import Iterate, Watch
-from trajopt.watching.history import History
-from trajopt.watching.record import Table
-from trajopt.watching.viewer import Viewer
+from trajopt.solving.iterate import Iterate, Watch
+from trajopt.solving.solving import DEFAULT_SOLVER, Prepared, prepare, solve_prepared
+from trajopt.view.watching.history import History
+from trajopt.view.watching.record import Table
+from trajopt.view.watching.viewer import Viewer
 
 MODES = ("alone", "panel", "log", "viewer")
 

@@ -14,11 +14,11 @@ import pinocchio as pin
 import pytest
 from synthetic import Motion, sampled
 
+from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.errors import InputError
-from trajopt.model_quantities import gravity_of, mass_of
-from trajopt.replay.browser import Chromium, OpenedPage, chromium, find_chromium
-from trajopt.robot import Robot
-from trajopt.solution import Solution
+from trajopt.robot.robot import Robot
+from trajopt.solution.solution import Solution
+from trajopt.view.replay.browser import Chromium, OpenedPage, chromium, find_chromium
 
 # A joint swings by half of the room it has, at most by so many rad or m.
 MOST_SWING = 0.4

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from robots_for_tests import robot
 
-from trajopt.dynamics.contact_set import ContactSet
+from trajopt.certify.contact.contact_set import ContactSet
 
 FEET = tuple(f"{leg}_FOOT" for leg in ("FL", "FR", "HL", "HR"))
 

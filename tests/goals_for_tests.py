@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from trajopt.extraction import extract
-from trajopt.node_costs import NodeCost
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.schemes import scheme
-from trajopt.solution import Solution
-from trajopt.solving import prepare
-from trajopt.term_interfaces import Cost
+from trajopt.problem.problem import Problem
+from trajopt.robot.robot import Robot
+from trajopt.solution.solution import Solution
+from trajopt.solving.extraction import extract
+from trajopt.solving.solving import prepare
+from trajopt.terms import Cost, NodeCost
+from trajopt.transcription.schemes import scheme
 
 
 def objective(problem: Problem, x: np.ndarray | None = None, **settings: object) -> float:

@@ -8,8 +8,8 @@ import numpy as np
 import pinocchio as pin
 from robots_for_tests import ROBOTS, hand_built, random_state, robot
 
-from trajopt.robot_data import robot_file
-from trajopt.robot_reading import read_urdf
+from trajopt.robot.data import robot_file
+from trajopt.robot.reading import read_urdf
 
 THIGH, SHANK = 0.35, 0.3  # m
 HALF_TORSO = 0.15  # m

@@ -8,30 +8,34 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 
-from trajopt.context import Context
-from trajopt.manifold import Coordinates
-from trajopt.node_terms import FrameHeight, TerminalRest, TerminalState
-from trajopt.problem import Problem
-from trajopt.robot import Contact, Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.stage_functions import PointFunction, point_function
+from trajopt.dynamics.manifold import Coordinates
+from trajopt.problem.problem import Problem
+from trajopt.robot.contact import Contact
+from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import (
     AccelerationCost,
     BaseDynamics,
     ContactAcceleration,
+    Context,
     Cost,
     EffortLimits,
+    FrameHeight,
     FrictionCone,
     PointConstraint,
     PositionLimits,
     SoleLimits,
     Term,
+    TerminalRest,
+    TerminalState,
     TorqueCost,
     VelocityCost,
     VelocityLimits,
     WrenchCost,
 )
-from trajopt.units import Units
+from trajopt.terrain.flat import FlatGround
+from trajopt.transcription.stage_functions import PointFunction, point_function
 
 # Every scheme of the toolkit up to degree 3, with its order at the nodes.
 SCHEME_ORDERS = {

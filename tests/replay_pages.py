@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation, Slerp
 from synthetic import Motion, sampled, standing
 
 import robots
-from trajopt.replay import replay as show
-from trajopt.robot import Robot
-from trajopt.solution import Solution
-from trajopt.surface import Surface
+from trajopt.robot.robot import Robot
+from trajopt.solution.solution import Solution
+from trajopt.terrain.surface import Surface
+from trajopt.view.replay.show import replay as show
 
 INTERVALS = 3
 STANCE, FLIGHT = 0.2, 0.1  # s

@@ -9,18 +9,20 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt import Contact, FlatGround, Phase, Problem, Robot, Schedule
-from trajopt.actuators.drive import Drive
-from trajopt.bases.rerooting import joint_slices
-from trajopt.kinematics import inverse_kinematics
-from trajopt.mirror import find_mirror, pairs, reflected, reflected_inertia
-from trajopt.node_terms import SwingClearance, TerminalRest, TerminalState
+from trajopt.dynamics.rerooting import joint_slices
+from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.kinematics import inverse_kinematics
+from trajopt.robot.mirror import find_mirror, pairs, reflected, reflected_inertia
 from trajopt.terms import (
     AccelerationCost,
     EffortLimits,
     FrictionCone,
     PositionLimits,
     PostureCost,
+    SwingClearance,
     Term,
+    TerminalRest,
+    TerminalState,
     TorqueCost,
     VelocityCost,
     VelocityLimits,

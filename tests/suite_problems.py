@@ -13,11 +13,10 @@ import numpy as np
 from problems_for_tests import hop, reach
 
 from trajopt.errors import InputError
-from trajopt.family import Family
-from trajopt.node_terms import TerminalState
-from trajopt.problem import Problem
-from trajopt.suite import run
-from trajopt.terms import AccelerationCost, EffortLimits
+from trajopt.problem.family import Family
+from trajopt.problem.problem import Problem
+from trajopt.study.suite import run
+from trajopt.terms import AccelerationCost, EffortLimits, TerminalState
 
 # Far below what swings the arm to its goal in time, N m.
 FEEBLE = 1e-3

@@ -12,8 +12,8 @@ import numpy as np
 from problems_for_tests import REACH_TIME, reach
 
 from trajopt.errors import InputError
-from trajopt.family import Family, Parameter
-from trajopt.problem import Problem
+from trajopt.problem.family import Family, Parameter
+from trajopt.problem.problem import Problem
 
 # Times of nodes agree to rounding, s.
 SAME_TIME = 1e-9

@@ -17,15 +17,16 @@ from test_transitions import landing, still
 import problems
 import robots
 import trajopt
-from trajopt.accuracy import interval_errors, measure, table
-from trajopt.accuracy.natural_units import NaturalUnits
+from trajopt.certify.accuracy.measures import interval_errors, measure
+from trajopt.certify.accuracy.natural_units import NaturalUnits
+from trajopt.certify.accuracy.table import table
+from trajopt.certify.contact.impact import impact
 from trajopt.certify.reintegration import active_contacts
-from trajopt.dynamics.impact import impact
 from trajopt.errors import InputError, SolutionFileError
-from trajopt.mesh import Mesh, PhaseMesh
-from trajopt.payload import loaded_model
-from trajopt.robot import Robot
-from trajopt.solution import Solution
+from trajopt.robot.payload import loaded_model
+from trajopt.robot.robot import Robot
+from trajopt.solution.solution import Solution
+from trajopt.transcription.mesh import Mesh, PhaseMesh
 
 # Motions are of order one and integrated to 1e-10 relative; differences lose some digits.
 EXACT = 1e-8

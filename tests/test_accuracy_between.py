@@ -16,14 +16,15 @@ from test_transitions import landing, still
 
 import robots
 import trajopt
-from trajopt.accuracy import compare, measure
-from trajopt.accuracy.interpolation import sample_interval
-from trajopt.accuracy.named_points import NamedPoints
-from trajopt.accuracy.natural_units import NaturalUnits
-from trajopt.certify.local_states import local_state, state_from_local
+from trajopt.certify.accuracy.comparison import compare
+from trajopt.certify.accuracy.interpolation import sample_interval
+from trajopt.certify.accuracy.measures import measure
+from trajopt.certify.accuracy.named_points import NamedPoints
+from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.errors import InputError
-from trajopt.solution import Solution
-from trajopt.solution_motion import SolutionMotion
+from trajopt.solution.local_states import local_state, state_from_local
+from trajopt.solution.motion import SolutionMotion
+from trajopt.solution.solution import Solution
 
 ROUNDING = 1e-12
 # Derivatives of rotations' coordinates come from central differences, here or there.

@@ -14,14 +14,16 @@ from numpy.testing import assert_allclose
 from problems_for_tests import lean, reach
 
 import trajopt
-from trajopt.accuracy import Agreement, NoReferenceError, in_other_optimum, measure, reference
-from trajopt.cli import main
+from trajopt.certify.accuracy.measures import measure
+from trajopt.cli.main import main
 from trajopt.errors import InputError
-from trajopt.frame_terms import FrameDirection
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.terms import AccelerationCost, PostureCost, TorqueCost
+from trajopt.problem.problem import Problem
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solving.optima import in_other_optimum
+from trajopt.solving.reference import Agreement, NoReferenceError, reference
+from trajopt.terms import AccelerationCost, FrameDirection, PostureCost, TorqueCost
+from trajopt.terrain.flat import FlatGround
 
 TURN = 1.2  # rad
 # On a busy machine a solve, or what comes after it, is what the time ends.

@@ -12,12 +12,13 @@ import pytest
 from problems import arm_avoid
 from problems.common import smooth_step
 from trajopt import solve
-from trajopt.check import check
-from trajopt.collision.avoidance import missed_pairs, scene_of
-from trajopt.collision.terms import Clearance
+from trajopt.certify.check import check
 from trajopt.errors import InputError
-from trajopt.kinematics import frame_pose
-from trajopt.problem import Problem
+from trajopt.problem.problem import Problem
+from trajopt.robot.kinematics import frame_pose
+from trajopt.solving.avoidance import missed_pairs
+from trajopt.terms import Clearance
+from trajopt.terms.clearance import collision_scene
 
 POSE = 1e-6  # m and 1; what the solver's tolerance leaves
 OTHERS = ("xarm7", "z1")  # arms that the family does not name
@@ -36,7 +37,11 @@ def clearance_term(built: Problem) -> Clearance:
 @pytest.mark.parametrize("robot", [*arm_avoid.FAMILY.robots, *OTHERS])
 def test_straight_joint_path_collides_and_the_guess_does_not(robot):
     built = problem(robot)
-    scene, model, duration = scene_of(built), built.robot.model, built.schedule.phases[0].duration
+    scene, model, duration = (
+        collision_scene(built.terms),
+        built.robot.model,
+        built.schedule.phases[0].duration,
+    )
     start, goal = built.guess(0.0), built.guess(duration)
     way = pin.difference(model, start, goal)
     times = np.linspace(0.0, 1.0, 60)
@@ -85,7 +90,8 @@ def test_other_arms_get_past_too(robot):
 
 def test_obstacles_scale_with_the_arm():
     sizes = [
-        next(o for o in scene_of(problem(r)).obstacles if o.name == "post").radius / problem(r).robot.length
+        next(o for o in collision_scene(problem(r).terms).obstacles if o.name == "post").radius
+        / problem(r).robot.length
         for r in ("ur5", "irb1600")
     ]
     assert sizes[0] == pytest.approx(sizes[1])

@@ -13,7 +13,7 @@ import trajopt
 from problems import arm_reach, arm_transfer, arm_wipe, arms
 from problems.strokes import Stroke
 from trajopt.errors import InputError
-from trajopt.kinematics import frame_pose
+from trajopt.robot.kinematics import frame_pose
 
 # Rows of a solved problem hold to 1e-6 of the reach.
 PLACE = 1e-5  # m

@@ -4,8 +4,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from trajopt.actuators.beams import DENSITY, Beam, assembled
 from trajopt.errors import InputError
+from trajopt.robot.actuators.beams import DENSITY, Beam, assembled
 
 # Sums of a few products of doubles.
 ROUNDING = 1e-13

@@ -12,19 +12,17 @@ import problems
 import robots
 import trajopt
 from problems import biped_balance, bipeds, leaping
-from trajopt.context import Context
+from trajopt.dynamics.manifold import Coordinates
+from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
-from trajopt.kinematics import contact_poses, contact_positions, inverse_kinematics
-from trajopt.landing_terms import SwingClearance, corners
-from trajopt.legs import biped_legs
-from trajopt.manifold import Coordinates
-from trajopt.mesh import equal_fractions
-from trajopt.model_quantities import contact_jacobian
-from trajopt.node_interfaces import NodePlace
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.swing_terms import swing_arcs
-from trajopt.terrain.swing_terms import SwingOver
-from trajopt.units import Units
+from trajopt.robot.kinematics import contact_poses, contact_positions, inverse_kinematics
+from trajopt.robot.legs import biped_legs
+from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms import Context, NodePlace, SwingClearance, SwingOver, swing_arcs
+from trajopt.terms.landing import corners
+from trajopt.terrain.flat import FlatGround
+from trajopt.transcription.mesh import equal_fractions
 
 # Linear algebra in double precision on numbers of order one to a hundred.
 ROUNDING = 1e-9

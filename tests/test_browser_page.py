@@ -24,12 +24,12 @@ from synthetic import arm_motion, sampled
 
 import robots
 import trajopt
-from trajopt.catalogue import families
 from trajopt.errors import InputError, TrajoptError
-from trajopt.replay import replay
-from trajopt.replay.browser import EXECUTABLE_VARIABLE, chromium, find_chromium, opened
-from trajopt.replay.robot import joint_path
-from trajopt.solution import Solution
+from trajopt.problem.catalogue import families
+from trajopt.solution.solution import Solution
+from trajopt.view.replay.browser import EXECUTABLE_VARIABLE, chromium, find_chromium, opened
+from trajopt.view.replay.robot import joint_path
+from trajopt.view.replay.show import replay
 
 SIZE = (480, 360)
 INTERVALS = 20

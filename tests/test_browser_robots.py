@@ -20,10 +20,11 @@ from browser_for_tests import (
 )
 
 import robots
-from trajopt.replay import collada, replay
-from trajopt.replay.robot import joint_path
-from trajopt.robot import Robot
-from trajopt.solution import Solution
+from trajopt.robot.robot import Robot
+from trajopt.solution.solution import Solution
+from trajopt.view.replay import collada
+from trajopt.view.replay.robot import joint_path
+from trajopt.view.replay.show import replay
 
 SIZE = (320, 240)
 LARGE = ("b1", "go1")  # more than a million vertices

@@ -8,11 +8,11 @@ import pinocchio as pin
 import pytest
 
 import robots
-from trajopt.collision.fitting import enclosing_capsule, least_circle
-from trajopt.collision.link_capsules import inflated, robot_capsules, spanning_points
-from trajopt.collision.shapes import LinkCapsule
 from trajopt.errors import InputError
-from trajopt.robot import Robot
+from trajopt.robot.collision.fitting import enclosing_capsule, least_circle
+from trajopt.robot.collision.link_capsules import inflated, robot_capsules, spanning_points
+from trajopt.robot.collision.shapes import LinkCapsule
+from trajopt.robot.robot import Robot
 
 ROUNDING = 1e-9  # m; sums of numbers around one
 

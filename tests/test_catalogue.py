@@ -9,10 +9,10 @@ import pytest
 from click.testing import CliRunner, Result
 from command_lines import assert_refused
 
-from trajopt import catalogue
-from trajopt.cli import main
+from trajopt.cli.main import main
 from trajopt.errors import InputError
-from trajopt.family import Parameter
+from trajopt.problem import catalogue
+from trajopt.problem.family import Parameter
 
 
 def trajopt(*arguments: str) -> Result:

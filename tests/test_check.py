@@ -13,11 +13,11 @@ import pytest
 from synthetic import arm_motion, planar_flight, pushing_off, sampled, standing, tumbling_flight
 
 import robots
+from trajopt.certify.check import check
 from trajopt.certify.report import Tolerances
-from trajopt.check import check
 from trajopt.errors import InputError, SolutionFileError
-from trajopt.robot import Robot
-from trajopt.solution import Solution
+from trajopt.robot.robot import Robot
+from trajopt.solution.solution import Solution
 
 INTERVALS = 20
 EXACT = 1e-9  # motions are integrated to 1e-13; differences of accelerations lose some digits

@@ -12,7 +12,7 @@ from test_transitions import landing, still
 import problems
 import trajopt
 from trajopt.errors import InputError
-from trajopt.solution import Solution
+from trajopt.solution.solution import Solution
 
 # What a solver leaves that stops at 1e-6 in units of weight and length.
 MET = 1e-6

@@ -9,8 +9,9 @@ import pinocchio as pin
 import pytest
 from synthetic import Motion, sampled
 
-from trajopt.check import check
-from trajopt.robot import Contact, Robot
+from trajopt.certify.check import check
+from trajopt.robot.contact import Contact
+from trajopt.robot.robot import Robot
 
 EXACT = 1e-9  # a body at rest; only rounding remains
 

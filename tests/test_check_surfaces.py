@@ -9,12 +9,13 @@ import pinocchio as pin
 import pytest
 from synthetic import Motion, sampled
 
-from trajopt.check import check
+from trajopt.certify.check import check
 from trajopt.errors import InputError, SolutionFileError
-from trajopt.robot import Contact, Robot
-from trajopt.schedule import FlatGround
-from trajopt.solution import Solution
-from trajopt.surface import Surface
+from trajopt.robot.contact import Contact
+from trajopt.robot.robot import Robot
+from trajopt.solution.solution import Solution
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.surface import Surface
 
 EXACT = 1e-9  # a body at rest; only rounding remains
 MASS, GRAVITY = 2.0, 9.81

@@ -9,17 +9,17 @@ from click.testing import CliRunner
 from numpy.testing import assert_allclose
 from problems_for_tests import hop, reach
 
-from trajopt.accuracy import measure
-from trajopt.choosing import choices_by_time, choose_for_accuracy, solve_to_accuracy, solve_within
-from trajopt.choosing.choice import front_for
-from trajopt.cli import main
-from trajopt.cli_aim import Seconds
+from trajopt.certify.accuracy.measures import measure
+from trajopt.cli.aim import Seconds
+from trajopt.cli.main import main
 from trajopt.errors import InputError
-from trajopt.refinement.refine import phase_errors, size_of
-from trajopt.sweep import load_front, packaged_fronts
-from trajopt.sweep.calibration import Load
-from trajopt.sweep.likeness import motion_kind
-from trajopt.units import Units
+from trajopt.robot.units import Units
+from trajopt.solving.refine import phase_errors, size_of
+from trajopt.study.choosing.choice import choices_by_time, choose_for_accuracy, front_for
+from trajopt.study.choosing.solve_to import solve_to_accuracy, solve_within
+from trajopt.study.sweep.calibration import Load
+from trajopt.study.sweep.front import load_front, packaged_fronts
+from trajopt.study.sweep.likeness import motion_kind
 
 # Points of a made-up front: scheme, intervals by natural time, solver, Hessian, time in s, error over length,
 # part of the runs that were solved.

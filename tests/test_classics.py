@@ -11,13 +11,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 import problems
-from trajopt.check import check
+from trajopt.certify.check import check
+from trajopt.certify.energy import cost_of_transport
 from trajopt.errors import InputError
-from trajopt.kinematics import contact_positions
-from trajopt.power import cost_of_transport
-from trajopt.problem import Problem
-from trajopt.solution import Solution
-from trajopt.solving import solve
+from trajopt.problem.problem import Problem
+from trajopt.robot.kinematics import contact_positions
+from trajopt.solution.solution import Solution
+from trajopt.solving.solving import solve
 
 # Ten times the solver's default tolerance, on rows of about a radian, a metre and their rates.
 SOLVED = 1e-5

@@ -14,9 +14,10 @@ import pytest
 from click.testing import CliRunner, Result
 from command_lines import assert_refused
 
-from trajopt import Solution, catalogue
-from trajopt.cli import main
-from trajopt.cli_report import to_json
+from trajopt import Solution
+from trajopt.cli.main import main
+from trajopt.cli.report import to_json
+from trajopt.problem import catalogue
 
 # A small hop on a coarse grid: solved within a second, its foot drift is beyond a check's tolerance.
 HOP = ("solve", "solo12-jump", "--set", "distance=10cm", "--intervals", "12")

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from trajopt.replay import collada
-from trajopt.robot_data import robot_file
+from trajopt.robot.data import robot_file
+from trajopt.view.replay import collada
 
 UR5 = sorted(robot_file("ur_description/meshes/ur5/visual").glob("*.dae"))
 SINGLE_PRECISION = 1e-6  # of lengths below a metre

@@ -11,10 +11,11 @@ import pinocchio as pin
 import pytest
 
 import robots
-from trajopt.collision.distances import Axis, Box, box_distance, segment_distance
-from trajopt.collision.link_capsules import robot_capsules
-from trajopt.collision.near import CollisionScene, separable_pairs
-from trajopt.collision.shapes import (
+from trajopt.errors import InputError
+from trajopt.robot.collision.distances import Axis, Box, box_distance, segment_distance
+from trajopt.robot.collision.link_capsules import robot_capsules
+from trajopt.robot.collision.near import CollisionScene, separable_pairs
+from trajopt.robot.collision.shapes import (
     BoxObstacle,
     CapsuleObstacle,
     LinkCapsule,
@@ -23,7 +24,6 @@ from trajopt.collision.shapes import (
     coal_obstacle,
     obstacle_from_description,
 )
-from trajopt.errors import InputError
 
 COAL = 1e-6  # m; what Coal's iterations for a box stop at
 SMOOTHING = 1e-3

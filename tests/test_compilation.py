@@ -12,14 +12,20 @@ import pytest
 from numpy.testing import assert_allclose
 from problems_for_tests import hop, hopper, reach
 
-from trajopt import compilation
-from trajopt.compilation import CACHE_VARIABLE, CompiledPoint, compile_points, effective_level, entry_key
 from trajopt.errors import InputError, TrajoptError
-from trajopt.problem import Problem
-from trajopt.solving import prepare, solve
-from trajopt.stage_functions import PointFunction
+from trajopt.problem.problem import Problem
+from trajopt.solving.solving import prepare, solve
 from trajopt.terms import FrictionPyramid, TorqueCost
-from trajopt.transcription import transcribe
+from trajopt.transcription import compilation
+from trajopt.transcription.compilation import (
+    CACHE_VARIABLE,
+    CompiledPoint,
+    compile_points,
+    effective_level,
+    entry_key,
+)
+from trajopt.transcription.stage_functions import PointFunction
+from trajopt.transcription.transcription import transcribe
 
 # Virtual machine and -O1 evaluate one graph in one order, entries up to 1e3.
 SAME = {"rtol": 1e-12, "atol": 1e-12}

@@ -8,18 +8,18 @@ import pytest
 from contact_cases import INDEPENDENT, Case, body, close, independent, pinocchio_constraints, vanishes
 from robots_for_tests import robot
 
-from trajopt.dynamics.contact_dynamics import (
+from trajopt.certify.contact.contact_dynamics import (
     ContactDynamics,
     ContactMotion,
     actuated_force,
     forward_dynamics,
     inverse_dynamics,
 )
-from trajopt.dynamics.contact_set import ContactSet, contact_kinematics
-from trajopt.dynamics.impact import impact
+from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
+from trajopt.certify.contact.impact import impact
+from trajopt.dynamics.base_joint import base_of
+from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
-from trajopt.model_quantities import contact_jacobian
-from trajopt.robot_building import base_of
 
 # Two ways to the same numbers, in a well-conditioned problem.
 RELATIVE = 1e-9

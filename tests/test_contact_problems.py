@@ -11,13 +11,13 @@ from numpy.testing import assert_allclose
 from scipy.optimize import linprog
 
 import problems
-from trajopt.check import check
-from trajopt.model_quantities import contact_jacobian, gravity_of, mass_of
-from trajopt.problem import Problem
-from trajopt.sole import centre_of_pressure
-from trajopt.solution import Solution
-from trajopt.solving import solve
-from trajopt.surface import Surface
+from trajopt.certify.check import check
+from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of, mass_of
+from trajopt.problem.problem import Problem
+from trajopt.robot.sole import centre_of_pressure
+from trajopt.solution.solution import Solution
+from trajopt.solving.solving import solve
+from trajopt.terrain.surface import Surface
 
 MOST_ITERATIONS = 60
 TOLERANCE = 1e-8

@@ -9,15 +9,15 @@ import pinocchio as pin
 import pytest
 from contact_cases import INDEPENDENT, Case, body, close, independent, vanishes
 
-from trajopt.dynamics.contact_dynamics import actuated_force, forward_dynamics, unactuated_rows
-from trajopt.dynamics.contact_projection import (
+from trajopt.certify.contact.contact_dynamics import actuated_force, forward_dynamics, unactuated_rows
+from trajopt.certify.contact.contact_projection import (
     consistent_projector,
     least_norm_inverse_dynamics,
     null_space_projector,
     projected_forward_dynamics,
     projected_inverse_dynamics,
 )
-from trajopt.dynamics.contact_set import ContactSet, contact_kinematics
+from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
 from trajopt.errors import InputError
 
 # Two ways to the same numbers; P depends on metres and radians of v, which costs digits.

@@ -7,11 +7,11 @@ import pinocchio as pin
 from contact_cases import FEET, body, close, independent, vanishes
 from robots_for_tests import robot
 
-from trajopt.contact import Contact
-from trajopt.dynamics.contact_dynamics import ContactDynamics, actuated_force, forward_dynamics
-from trajopt.dynamics.contact_set import ContactSet
-from trajopt.model_quantities import contact_jacobian
-from trajopt.robot_data import robot_file
+from trajopt.certify.contact.contact_dynamics import ContactDynamics, actuated_force, forward_dynamics
+from trajopt.certify.contact.contact_set import ContactSet
+from trajopt.dynamics.model_quantities import contact_jacobian
+from trajopt.robot.contact import Contact
+from trajopt.robot.data import robot_file
 
 # Two ways to the same numbers, in a well-conditioned problem.
 RELATIVE = 1e-9

@@ -16,12 +16,11 @@ from problems_for_tests import REACH_TIME, reach
 import problems
 import trajopt
 from trajopt import Solution, continuation, solve_ladder
-from trajopt.cli import main
-from trajopt.continuation import Continuation
+from trajopt.cli.main import main
 from trajopt.errors import InputError
-from trajopt.node_terms import TerminalRest, TerminalState
-from trajopt.problem import Problem
-from trajopt.terms import TorqueCost, VelocityCost
+from trajopt.problem.problem import Problem
+from trajopt.solving.continuation import Continuation
+from trajopt.terms import TerminalRest, TerminalState, TorqueCost, VelocityCost
 
 VALUES = (0.2, 0.5, 0.8)
 # One optimum, to what the solver's tolerance leaves.

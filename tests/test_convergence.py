@@ -13,13 +13,14 @@ from numpy.testing import assert_allclose
 from problems_for_tests import SCHEME_ORDERS, hopper
 from scipy.integrate import solve_ivp
 
-from trajopt import rigid_body
-from trajopt.extraction import extract
-from trajopt.manifold import Coordinates
-from trajopt.problem import Problem
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.schemes import Scheme, scheme
-from trajopt.solving import prepare
+from trajopt.dynamics import rigid_body
+from trajopt.dynamics.manifold import Coordinates
+from trajopt.problem.problem import Problem
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solving.extraction import extract
+from trajopt.solving.solving import prepare
+from trajopt.terrain.flat import FlatGround
+from trajopt.transcription.schemes import Scheme, scheme
 
 DURATION = 0.4  # s: the body turns by more than a radian
 TORQUE = np.array([1.5, 6.0])  # N m, N

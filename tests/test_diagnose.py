@@ -13,20 +13,27 @@ from test_redundancy import corners, solo_hop
 
 import problems
 import trajopt
-import trajopt.term_functions as term_functions
 from trajopt import Problem, Robot, Solution
-from trajopt.context import Context
-from trajopt.diagnose import Diagnosis, diagnose
-from trajopt.diagnose.conflict import BOX
-from trajopt.diagnose.contacts import _rank
-from trajopt.diagnose.snapshot import Snapshot
 from trajopt.errors import InputError
-from trajopt.extraction import extract
-from trajopt.node_terms import TerminalState
-from trajopt.solving import Prepared, prepare
-from trajopt.term_interfaces import PointConstraint, Rows
-from trajopt.terms import AccelerationCost, EffortLimits, PositionLimits, TorqueCost
-from trajopt.units import Units
+from trajopt.robot.units import Units
+from trajopt.solving.extraction import extract
+from trajopt.solving.solving import Prepared, prepare
+from trajopt.study.diagnosis.conflict import BOX
+from trajopt.study.diagnosis.contacts import _rank
+from trajopt.study.diagnosis.diagnose import diagnose
+from trajopt.study.diagnosis.diagnosis import Diagnosis
+from trajopt.study.diagnosis.snapshot import Snapshot
+from trajopt.terms import (
+    AccelerationCost,
+    Context,
+    EffortLimits,
+    PointConstraint,
+    PositionLimits,
+    Rows,
+    TerminalState,
+    TorqueCost,
+)
+from trajopt.transcription import term_functions
 
 # Values of rows against the samples of the solution, relative to their unit.
 SAME = 1e-9
@@ -95,8 +102,8 @@ def test_the_rank_of_all_rows_is_that_of_a_dense_decomposition():
 
 
 def snapshot_of(problem: Problem, solution: Solution) -> Snapshot:
-    from trajopt.diagnose.sources import at_solution
-    from trajopt.mesh import mesh_of
+    from trajopt.solution.grid import mesh_of
+    from trajopt.study.diagnosis.sources import at_solution
 
     return at_solution(prepare(problem, mesh=mesh_of(solution), compile="none"), solution)
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import linalg, sparse
 
-from trajopt.diagnose import curvature as curving
-from trajopt.diagnose import rank
-from trajopt.diagnose.curvature import curvature, lanczos
-from trajopt.diagnose.rank import dependencies, spectrum
+from trajopt.study.diagnosis import curvature as curving
+from trajopt.study.diagnosis import rank
+from trajopt.study.diagnosis.curvature import curvature, lanczos
+from trajopt.study.diagnosis.rank import dependencies, spectrum
 
 # The largest singular value against LAPACK's, relative; the smallest is iterated as far as it is told to.
 SAME = 1e-6

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from trajopt.cli import main
+from trajopt.cli.main import main
 
 GRID = ("--intervals", "6", "--compile", "none")
 
@@ -84,7 +84,7 @@ def test_bad_input_is_one_line_and_status_2(capsys, folder, words, message):
 def test_a_file_of_a_problem_that_nobody_knows_is_refused(capsys, folder):
     from dataclasses import replace
 
-    from trajopt.solution import Solution
+    from trajopt.solution.solution import Solution
 
     file = folder / "known.npz"
     run(capsys, "solve", "ur5-reach", "--intervals", "2", "--compile", "none", "--output", str(file))

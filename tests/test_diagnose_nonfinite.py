@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from problems_for_tests import hop, reach
 
-from trajopt.context import Context
-from trajopt.diagnose import Diagnosis, diagnose
-from trajopt.node_interfaces import NodeConstraint, NodePlace
-from trajopt.solving import prepare, solve
-from trajopt.term_interfaces import Cost, PointConstraint, Rows
-from trajopt.units import Units
+from trajopt.robot.units import Units
+from trajopt.solving.solving import prepare, solve
+from trajopt.study.diagnosis.diagnose import diagnose
+from trajopt.study.diagnosis.diagnosis import Diagnosis
+from trajopt.terms import Context, Cost, NodeConstraint, NodePlace, PointConstraint, Rows
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from trajopt.catalogue import families
-from trajopt.cli import main
+from trajopt.cli.main import main
+from trajopt.problem.catalogue import families
 
 ROOT = Path(__file__).parent.parent
 DOCUMENTS = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])

@@ -11,10 +11,10 @@ import pytest
 import robots
 from robots import solo12
 from tests.problems_for_tests import hopper, one_joint_arm
-from trajopt.actuators.drive import Drive
-from trajopt.actuators.on_robot import actuated_row_limit, drive_torque_values
 from trajopt.errors import InputError, UnsupportedJointError
-from trajopt.robot import Robot
+from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.actuators.on_robot import drive_torque_values
+from trajopt.robot.robot import Robot
 
 # A handful of products of doubles.
 ROUNDING = 1e-12
@@ -179,7 +179,7 @@ def test_joint_of_several_degrees_of_freedom_takes_no_drive():
 def test_actuated_rows_may_exceed_the_drive_by_what_friction_brakes():
     robot = one_joint_arm().with_drives({"joint": MOTOR})
     rate = robot.velocity_limit[0]
-    bound = actuated_row_limit(robot, robot.effort_limit)
+    bound = robot.actuated_row_limit(robot.effort_limit)
     braking = -robot.effort_limit[0] - MOTOR.friction_torque(rate)
     assert bound[0] == pytest.approx(-braking)
     delivered = drive_torque_values(robot.drives, np.array([[braking]]), np.array([[rate]]))

@@ -13,14 +13,12 @@ from scipy import sparse
 import problems
 import trajopt
 from tests.problems_for_tests import REACH, REACH_TIME, hopper, one_joint_arm, point_of, random_point, reach
-from trajopt.actuators.drive import Drive
-from trajopt.actuators.terms import DriveLimits, MotorTorqueCost
-from trajopt.context import Context
+from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError, SolutionFileError
-from trajopt.manifold import Coordinates
-from trajopt.schedule import Schedule
-from trajopt.terms import EffortLimits, TimeCost, TorqueCost
-from trajopt.units import Units
+from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Schedule
+from trajopt.terms import Context, DriveLimits, EffortLimits, MotorTorqueCost, TimeCost, TorqueCost
 
 # Symbolic and numeric evaluation of one formula.
 SAME = 1e-9

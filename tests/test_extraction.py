@@ -11,12 +11,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 from problems_for_tests import FOOT, hop, hopper, planar_hopper, reach
 
 from trajopt.certify.samples import evaluate
-from trajopt.extraction import extract
-from trajopt.guess import initial_guess
-from trajopt.schemes import scheme
-from trajopt.solution import Solution
-from trajopt.solving import solve
-from trajopt.transcription import transcribe
+from trajopt.solution.solution import Solution
+from trajopt.solving.extraction import extract
+from trajopt.solving.solving import solve
+from trajopt.transcription.guess import initial_guess
+from trajopt.transcription.schemes import scheme
+from trajopt.transcription.transcription import transcribe
 
 INTERVALS = 8
 # Rows of a solution to 1e-8 in natural units hold to this in units of the weight.

@@ -12,11 +12,12 @@ from numpy.testing import assert_allclose
 import robots
 from tests.robots_for_tests import random_state
 from trajopt.errors import InputError
-from trajopt.gaits import SHORTEST, Gait
-from trajopt.legs import biped_legs, feet_in_base, quadruped_legs
-from trajopt.named_gaits import BIPED, HOPPER, QUADRUPED, gait_of
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.swing_terms import swing_arcs
+from trajopt.robot.legs import biped_legs, feet_in_base, quadruped_legs
+from trajopt.schedule.gaits import SHORTEST, Gait
+from trajopt.schedule.named_gaits import BIPED, HOPPER, QUADRUPED, gait_of
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms import swing_arcs
+from trajopt.terrain.flat import FlatGround
 
 PERIOD = 0.8
 # Durations are sums and products of a few decimal fractions.

@@ -17,7 +17,7 @@ import problems
 import trajopt
 from scripts import gallery
 from trajopt.errors import InputError
-from trajopt.solution import Solution
+from trajopt.solution.solution import Solution
 
 GALLERY = Path(__file__).parent.parent / "docs" / "gallery"
 # Bytes of all committed pictures: a clone stays small.

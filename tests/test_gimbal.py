@@ -12,10 +12,9 @@ from problems_for_tests import hop, hopper
 import problems
 import robots
 import trajopt
-from trajopt.bases.base_conversion import with_virtual_base
-from trajopt.bases.virtual_base import (
+from trajopt.dynamics.base_joint import ORDERS
+from trajopt.dynamics.virtual_base import (
     LEAST_MARGIN,
-    ORDERS,
     from_free_flyer,
     gimbal_margin,
     gimbal_margin_along,
@@ -24,10 +23,11 @@ from trajopt.bases.virtual_base import (
     rotation_of,
 )
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.schedule import Phase, Schedule
-from trajopt.solvers import Status
+from trajopt.problem.problem import Problem
+from trajopt.reduced.base_conversion import with_virtual_base
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solvers.status import Status
 
 ROUNDING = 1e-12
 # Objectives of the same flip on two bases, solved to 1e-6 and to the order of the scheme.

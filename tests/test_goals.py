@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose
 
 import problems
 from robots.ur5 import TOOL
-from trajopt.node_terms import FramePose, FrameVelocity, TerminalRest
-from trajopt.solving import solve
+from trajopt.solving.solving import solve
+from trajopt.terms import FramePose, FrameVelocity, TerminalRest
 
 # Ten times the solver's default tolerance on rows of about a metre and a metre per second.
 SOLVED = 1e-5

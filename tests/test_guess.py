@@ -13,12 +13,13 @@ from robots_for_tests import hand_built, random_state
 
 import problems
 from trajopt.certify.samples import evaluate
-from trajopt.extraction import extract
-from trajopt.guess import initial_guess, perturbed
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.transcription import Transcription, transcribe
+from trajopt.problem.problem import Problem
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solving.extraction import extract
+from trajopt.terrain.flat import FlatGround
+from trajopt.transcription.guess import initial_guess, perturbed
+from trajopt.transcription.transcription import Transcription, transcribe
 
 ROUNDING = 1e-14
 # Wrenches carry the motion exactly; the points of the collocation map lie off it by its curvature in

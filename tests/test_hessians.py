@@ -15,26 +15,26 @@ from problems_for_tests import hop, hopper, one_joint_arm, planar_hopper, point_
 from scipy import sparse
 
 import robots
-from trajopt.actuators.drive import Drive
-from trajopt.cli import main
-from trajopt.compilation import CACHE_VARIABLE, compile_points
+from trajopt.cli.main import main
 from trajopt.errors import InputError
-from trajopt.guess import perturbed
-from trajopt.power import PowerCost
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.solving import Prepared, prepare, solve, solve_prepared
-from trajopt.stage_functions import PointFunction, derivatives
+from trajopt.problem.problem import Problem
+from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.robot import Robot
+from trajopt.solving.solving import Prepared, prepare, solve, solve_prepared
 from trajopt.terms import (
     AccelerationCost,
     EffortLimits,
     PostureCost,
+    PowerCost,
     TimeCost,
     TorqueCost,
+    TrackingCost,
     VelocityCost,
     WrenchCost,
 )
-from trajopt.tracking import TrackingCost
+from trajopt.transcription.compilation import CACHE_VARIABLE, compile_points
+from trajopt.transcription.guess import perturbed
+from trajopt.transcription.stage_functions import PointFunction, derivatives
 
 # Central differences with this step: truncation and rounding both about its square root's square, 1e-10
 # of slopes up to a few hundred.

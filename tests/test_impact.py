@@ -9,10 +9,10 @@ from contact_cases import INDEPENDENT, body, close, independent, pinocchio_const
 from robots_for_tests import robot
 from scipy.linalg import expm
 
-from trajopt.dynamics.contact_set import ContactSet, contact_kinematics
-from trajopt.dynamics.impact import cone_margins, impact, momentum, total_wrench
+from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
+from trajopt.certify.contact.impact import cone_margins, impact, momentum, total_wrench
+from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
-from trajopt.robot_building import base_of
 
 # Two ways to the same numbers, in a well-conditioned problem; rounding of what vanishes.
 RELATIVE = 1e-9

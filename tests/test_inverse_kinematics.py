@@ -10,9 +10,9 @@ import pytest
 import robots
 from robots import irb1600
 from trajopt.errors import InputError
-from trajopt.kinematics import contact_positions, frame_pose, inverse_kinematics_branches
-from trajopt.robot import Robot
-from trajopt.robot_data import robot_file
+from trajopt.robot.data import robot_file
+from trajopt.robot.kinematics import contact_positions, frame_pose, inverse_kinematics_branches
+from trajopt.robot.robot import Robot
 
 # Postures are refined until the pose error is below this, m and rad.
 REFINED = 1e-10

@@ -10,8 +10,7 @@ from models_for_structure import HALF_TORSO, THIGH, named, planar_hopper, three_
 from numpy.testing import assert_allclose
 from robots_for_tests import JOINT_KINDS, random_state, robot
 
-from trajopt import rigid_body
-from trajopt.dynamics import lagrange
+from trajopt.dynamics import lagrange, rigid_body
 from trajopt.dynamics.newton_euler import joint_forces
 from trajopt.dynamics.structure import mass_matrix, symbolic_mass_matrix_rate
 from trajopt.errors import UnsupportedJointError

@@ -11,12 +11,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robots
+from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.errors import InputError
-from trajopt.kinematics import contact_poses, contact_positions
-from trajopt.model_quantities import STANDARD_GRAVITY
 from trajopt.reduced.base_path import BaseWaypoint, WaypointPath, flights
 from trajopt.reduced.legged_guess import LeggedPosture, legged_guess
-from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.robot.kinematics import contact_poses, contact_positions
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terrain.flat import FlatGround
 
 # Feet by inverse kinematics, m.
 REACHED = 1e-8

@@ -19,8 +19,9 @@ from trajopt.reduced.com_program import CenterOfMassProgram
 from trajopt.reduced.foot_motion import FootMotion, Swing, guess_from_lip
 from trajopt.reduced.footsteps import Foothold, FootstepPlan, Support, Walk, feet_of, support_vertices
 from trajopt.reduced.lip import Pendulum, PendulumMotion, dcm_at_steps
-from trajopt.robot import Contact, Robot
-from trajopt.robot_data import robot_file
+from trajopt.robot.contact import Contact
+from trajopt.robot.data import robot_file
+from trajopt.robot.robot import Robot
 
 PENDULUM = Pendulum(height=0.9)
 COM, VELOCITY, ZMP = np.array([0.05, -0.02]), np.array([0.3, 0.1]), np.array([0.02, 0.03])

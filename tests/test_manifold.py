@@ -9,9 +9,9 @@ import pytest
 from numpy.testing import assert_allclose
 from robots_for_tests import JOINT_KINDS, hand_built, random_state, robot
 
+from trajopt.dynamics.manifold import Coordinates
+from trajopt.dynamics.rotations import body_rates, exp_quaternion, right_jacobian, rotation_matrix
 from trajopt.errors import UnsupportedJointError
-from trajopt.manifold import Coordinates
-from trajopt.rotations import body_rates, exp_quaternion, right_jacobian, rotation_matrix
 
 # A few roundings of numbers of order one.
 ROUNDING = 1e-14

@@ -9,10 +9,10 @@ from models_for_structure import named, three_joint_arm
 from numpy.testing import assert_allclose
 from robots_for_tests import robot
 
+from trajopt.dynamics.base_joint import position_limits
 from trajopt.dynamics.mass_bounds import a_priori_bounds, eigenvalue_range, random_postures
 from trajopt.dynamics.structure import mass_matrix
 from trajopt.errors import InputError
-from trajopt.robot_building import position_limits
 
 ROUNDING = 1e-12
 POSTURES = 200

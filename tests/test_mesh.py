@@ -5,15 +5,17 @@ import pytest
 from numpy.testing import assert_allclose
 from problems_for_tests import hop, lean
 
-from trajopt.check import check
+from trajopt.certify.check import check
+from trajopt.certify.energy import energy
 from trajopt.errors import InputError
-from trajopt.mesh import Mesh, PhaseMesh, equal_fractions, interpolated, mesh_of
-from trajopt.node_interfaces import NodePlace, nearest_node
-from trajopt.power import energy
-from trajopt.schedule import Phase
-from trajopt.solution import Solution
-from trajopt.solving import prepare, solve
-from trajopt.transcription import transcribe
+from trajopt.schedule.schedule import Phase
+from trajopt.solution.grid import interpolated, mesh_of
+from trajopt.solution.solution import Solution
+from trajopt.solving.solving import prepare, solve
+from trajopt.terms import NodePlace
+from trajopt.terms.node_interfaces import nearest_node
+from trajopt.transcription.mesh import Mesh, PhaseMesh, equal_fractions
+from trajopt.transcription.transcription import transcribe
 
 # Step of central differences, and what their truncation and rounding leave of entries of order one.
 STEP, DIFFERENCES = 1e-6, 1e-6

@@ -11,17 +11,19 @@ import pytest
 from problems_for_tests import FOOT, hopper
 
 import robots
-from trajopt.actuators.drive import Drive
-from trajopt.bases.minimal_coordinates import StanceMode, stance_mode
-from trajopt.check import check
+from trajopt.certify.check import check
 from trajopt.errors import InputError, UnsupportedJointError
-from trajopt.problem import Problem
-from trajopt.robot import Contact, Robot
-from trajopt.robot_data import robot_file
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.solving import solve
+from trajopt.problem.problem import Problem
+from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.contact import Contact
+from trajopt.robot.data import robot_file
+from trajopt.robot.robot import Robot
+from trajopt.robot.stance.minimal_coordinates import StanceMode, stance_mode
+from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solving.solving import solve
 from trajopt.terms import AccelerationCost, PostureCost, TorqueCost, VelocityCost
-from trajopt.units import Units
+from trajopt.terrain.flat import FlatGround
 
 # Rounding of algorithms over a dozen bodies with forces of tens of newtons.
 ROUNDING = 1e-10

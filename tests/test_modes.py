@@ -14,16 +14,24 @@ from test_transcription import Matrices, assert_derivatives, random_unknowns
 import problems
 import trajopt
 from trajopt.errors import InputError
-from trajopt.mode import Mode
-from trajopt.node_terms import SwingClearance
-from trajopt.robot import Robot
-from trajopt.robot_data import robot_file
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.solution import Solution
-from trajopt.solving import prepare
-from trajopt.terms import EffortLimits, FrictionCone, PostureCost, TorqueCost, VelocityCost, WrenchCost
-from trajopt.timeline import StageKind
-from trajopt.transcription import Transcription
+from trajopt.robot.data import robot_file
+from trajopt.robot.robot import Robot
+from trajopt.robot.stance.mode import Mode
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solution.solution import Solution
+from trajopt.solving.solving import prepare
+from trajopt.terms import (
+    EffortLimits,
+    FrictionCone,
+    PostureCost,
+    SwingClearance,
+    TorqueCost,
+    VelocityCost,
+    WrenchCost,
+)
+from trajopt.terrain.flat import FlatGround
+from trajopt.transcription.timeline import StageKind
+from trajopt.transcription.transcription import Transcription
 
 INTERVALS = 40
 # The transcriptions have different errors: measured 2.6e-4 of the optimum at 40 intervals, 2.3e-5 at 80,

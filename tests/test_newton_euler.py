@@ -10,9 +10,9 @@ from models_for_structure import named, three_joint_arm
 from numpy.testing import assert_allclose
 from robots_for_tests import JOINT_KINDS, random_state, robot
 
+from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.dynamics.newton_euler import joint_forces, newton_euler
 from trajopt.errors import InputError, UnsupportedJointError
-from trajopt.model_quantities import generalized_force
 
 # Both sides sum the same numbers of order 1 to 1e3 in another order.
 SAME = {"rtol": 1e-10, "atol": 1e-10}

@@ -15,9 +15,9 @@ from problems_for_tests import reach
 
 import trajopt
 from trajopt.errors import InputError
-from trajopt.notebook import plots, show
-from trajopt.replay.browser import FLAGS
-from trajopt.solution import Solution
+from trajopt.solution.solution import Solution
+from trajopt.view.notebook import plots, show
+from trajopt.view.replay.browser import FLAGS
 
 ROOT = Path(__file__).parent.parent
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))

@@ -14,19 +14,31 @@ from problems_for_tests import FOOT, REACH, hop, hopper, one_joint_arm, reach
 from scenes_for_tests import biped, push, usual
 from scipy import sparse
 
+from trajopt.certify.energy import energy
 from trajopt.errors import InputError
-from trajopt.kinematics import frame_pose
-from trajopt.node_costs import DistanceCost, FrameHeightCost
-from trajopt.node_terms import TerminalRest, TerminalState
-from trajopt.objectives import GOALS, REST, REST_OF_LINEAR, effort_costs, goal_terms
-from trajopt.power import PowerCost, energy
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.scenes import smallest
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.solving import prepare, solve
-from trajopt.terms import AccelerationCost, EffortLimits, TimeCost, TorqueCost
-from trajopt.tracking import TrackingCost, key_frames
+from trajopt.problem.problem import Problem
+from trajopt.reduced.scenes.smallest import smallest
+from trajopt.robot.kinematics import frame_pose
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solving.solving import prepare, solve
+from trajopt.terms import (
+    AccelerationCost,
+    DistanceCost,
+    EffortLimits,
+    FrameHeightCost,
+    PowerCost,
+    TerminalRest,
+    TerminalState,
+    TimeCost,
+    TorqueCost,
+    TrackingCost,
+    effort_costs,
+    goal_terms,
+)
+from trajopt.terms.objectives import GOALS, REST, REST_OF_LINEAR
+from trajopt.terms.tracking import key_frames
+from trajopt.terrain.flat import FlatGround
 
 # Central differences along a direction, step 1e-5, on values of order up to 1e3 in scaled units.
 STEP = 1e-5

@@ -14,22 +14,21 @@ from replay_pages import objects_of, placements_of, shown, with_meta
 import robots
 from problems.common import JointPath
 from trajopt import solve
-from trajopt.certify.clearance import finer
-from trajopt.check import check
-from trajopt.collision.avoidance import missed_pairs, scene_of, solve_clear, with_obstacles
-from trajopt.collision.shapes import BoxObstacle, CapsuleObstacle, LinkCapsule, SphereObstacle
-from trajopt.collision.terms import SMOOTHING, Clearance
-from trajopt.context import Context
+from trajopt.certify.check import check
+from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
-from trajopt.manifold import Coordinates
-from trajopt.node_terms import TerminalRest, TerminalState
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.solution import Solution
-from trajopt.stage_functions import point_function
-from trajopt.terms import AccelerationCost
-from trajopt.units import Units
+from trajopt.problem.problem import Problem
+from trajopt.robot.collision.shapes import BoxObstacle, CapsuleObstacle, LinkCapsule, SphereObstacle
+from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solution.clearance import finer
+from trajopt.solution.solution import Solution
+from trajopt.solving.avoidance import missed_pairs, solve_clear, with_obstacles
+from trajopt.terms import AccelerationCost, Clearance, Context, TerminalRest, TerminalState
+from trajopt.terms.clearance import SMOOTHING, collision_scene
+from trajopt.terrain.flat import FlatGround
+from trajopt.transcription.stage_functions import point_function
 
 MARGIN = 0.02
 POLYNOMIAL = 1e-9  # a cubic through its own values and rates: rounding
@@ -97,7 +96,7 @@ def test_only_what_comes_near_the_guess_becomes_rows():
 
 def test_straight_motion_collides_and_the_solution_does_not():
     problem, solution = avoided()
-    scene = scene_of(problem)
+    scene = collision_scene(problem.terms)
     straight = [problem.guess(t) for t in np.linspace(0, 1.5, 40)]
     assert scene.least_distances(straight).min() < -0.03
     assert solution.success, solution.meta["advice"]
@@ -112,7 +111,7 @@ def test_straight_motion_collides_and_the_solution_does_not():
 
 def test_constraint_binds_within_its_smoothing():
     problem, solution = avoided()
-    least = scene_of(problem).least_distances(solution.q[solution.collocation]).min()
+    least = collision_scene(problem.terms).least_distances(solution.q[solution.collocation]).min()
     assert least < MARGIN + SMOOTHING * problem.robot.length + DISTANCE
 
 
@@ -160,7 +159,7 @@ def test_links_keep_clear_of_each_other():
         terms=(AccelerationCost(weight=1.0), TerminalRest(q=folded)),
     )
     problem = with_obstacles(problem, [], margin=MARGIN, self_collision=True)
-    assert scene_of(problem).pairs == (("joint0", "joint2"),)
+    assert collision_scene(problem.terms).pairs == (("joint0", "joint2"),)
     solution = solve(problem, compile="none")
     assert check(solution).self_distance > 0
     assert check(solution).obstacle_distance is None

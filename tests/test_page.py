@@ -13,10 +13,10 @@ import pytest
 from click.testing import CliRunner
 from replay_pages import hopping, scene_of, with_meta
 
-from trajopt.cli import main
+from trajopt.cli.main import main
 from trajopt.errors import InputError
-from trajopt.replay import replay
-from trajopt.solution import Solution
+from trajopt.solution.solution import Solution
+from trajopt.view.replay.show import replay
 
 WEB = Path(__file__).parents[1] / "trajopt" / "replay" / "web"
 # Bytes: Meshcat's viewer takes 0.29 MB, solo12's meshes 0.15 MB; a second run of it adds tracks.

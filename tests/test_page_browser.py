@@ -11,9 +11,9 @@ from browser_for_tests import running_chromium, until
 from replay_pages import hopping, with_meta
 from scipy.ndimage import gaussian_filter1d
 
-from trajopt.replay import replay
-from trajopt.replay.browser import OpenedPage
-from trajopt.solution import Solution
+from trajopt.solution.solution import Solution
+from trajopt.view.replay.browser import OpenedPage
+from trajopt.view.replay.show import replay
 
 WIDE, SMALL = (1000, 650), (600, 400)
 LIMIT = 30.0  # s for one act of the mouse on a busy machine

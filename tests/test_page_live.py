@@ -18,9 +18,10 @@ import pytest
 from browser_for_tests import running_chromium
 from replay_pages import hopping, with_meta
 
-from trajopt.replay import live, replay
-from trajopt.replay.browser import FLAGS, find_chromium
-from trajopt.solution import Solution
+from trajopt.solution.solution import Solution
+from trajopt.view.replay import live
+from trajopt.view.replay.browser import FLAGS, find_chromium
+from trajopt.view.replay.show import replay
 
 WAIT = 10.0  # s within which a process ends on a busy machine
 SPHERE = "trajopt.viewer.scene_tree.find(['meshcat', 'added']).object.children.length"

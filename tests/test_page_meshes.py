@@ -11,7 +11,7 @@ import umsgpack
 from page_meshes import array_of, restored
 from scipy.spatial import ConvexHull
 
-from trajopt.replay.meshes import LEVELS, compacted
+from trajopt.view.replay.meshes import LEVELS, compacted
 
 HALF_STEP = 0.5 / LEVELS
 SINGLE_PRECISION = 1e-7  # of the step and the corner that are added up

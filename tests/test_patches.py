@@ -15,45 +15,45 @@ from synthetic import sampled, standing
 
 import problems
 import robots
-from trajopt.check import check
-from trajopt.context import Context
+from trajopt.certify.check import check
+from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError, SolutionFileError
-from trajopt.kinematics import contact_positions
-from trajopt.legs import quadruped_legs
-from trajopt.manifold import Coordinates
-from trajopt.mesh import equal_fractions
-from trajopt.node_terms import (
+from trajopt.problem.problem import Problem
+from trajopt.reduced.base_path import BaseWaypoint
+from trajopt.reduced.legged_guess import legged_guess
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.legs import quadruped_legs
+from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solution.solution import Solution
+from trajopt.solving.solving import solve
+from trajopt.terms import (
+    AccelerationCost,
     ContactLanding,
+    Context,
+    EffortLimits,
     FramePose,
+    FrictionPyramid,
     NodePlace,
+    PositionLimits,
+    PostureCost,
     SwingClearance,
     TerminalRest,
     TerminalState,
-)
-from trajopt.problem import Problem
-from trajopt.reduced.base_path import BaseWaypoint
-from trajopt.reduced.foot_motion import smooth_step
-from trajopt.reduced.legged_guess import legged_guess
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.solution import Solution
-from trajopt.solving import solve
-from trajopt.surface import Surface
-from trajopt.terms import (
-    AccelerationCost,
-    EffortLimits,
-    FrictionPyramid,
-    PositionLimits,
-    PostureCost,
     TorqueCost,
     VelocityCost,
     VelocityLimits,
     WrenchCost,
+    swing_clearance,
 )
-from trajopt.terrain import Patch, PiecewiseTerrain
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.patch import Patch
+from trajopt.terrain.piecewise import PiecewiseTerrain
+from trajopt.terrain.surface import Surface
 from trajopt.terrain.swing_path import swing_path
-from trajopt.terrain.swing_terms import swing_clearance
-from trajopt.units import Units
+from trajopt.terrain.swing_profile import smooth_step
+from trajopt.transcription.mesh import equal_fractions
 
 ROUNDING = 1e-12  # numbers of order one after a few products
 OPTIMISED = 1e-6  # a reference optimiser stops there

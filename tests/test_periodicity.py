@@ -14,23 +14,24 @@ import trajopt
 from robots import hopper, solo12
 from trajopt.certify.closing import image
 from trajopt.certify.report import RESIDUAL
+from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
-from trajopt.kinematics import contact_positions, inverse_kinematics
-from trajopt.manifold import Coordinates
-from trajopt.mirror import find_mirror, mirrored_configuration
-from trajopt.node_terms import SwingClearance
-from trajopt.periodicity import Periodicity, closing_map, landing_at_start
-from trajopt.problem import Problem
-from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.problem.periodicity import Periodicity, closing_map, landing_at_start
+from trajopt.problem.problem import Problem
+from trajopt.robot.kinematics import contact_positions, inverse_kinematics
+from trajopt.robot.mirror import find_mirror, mirrored_configuration
+from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import (
     AccelerationCost,
     EffortLimits,
     FrictionPyramid,
     PositionLimits,
+    SwingClearance,
     TorqueCost,
     VelocityCost,
     WrenchCost,
 )
+from trajopt.terrain.flat import FlatGround
 
 SPEED, PERIOD = 0.4, 0.4  # m/s, s
 # Two solves to 1e-6 of the same optimum, the whole cycle and twice its half, agree far closer than this.

@@ -8,16 +8,19 @@ import pytest
 
 import trajopt
 from trajopt import Contact, FlatGround, Phase, Problem, Robot, Schedule
-from trajopt.model_quantities import generalized_force
-from trajopt.node_terms import FrameHeight, SwingClearance, TerminalRest, TerminalState
-from trajopt.robot_building import Base
-from trajopt.robot_data import robot_file
+from trajopt.dynamics.base_joint import Base
+from trajopt.dynamics.model_quantities import generalized_force
+from trajopt.robot.data import robot_file
 from trajopt.terms import (
     AccelerationCost,
     EffortLimits,
+    FrameHeight,
     FrictionCone,
     PositionLimits,
     PostureCost,
+    SwingClearance,
+    TerminalRest,
+    TerminalState,
     TorqueCost,
     VelocityCost,
     VelocityLimits,

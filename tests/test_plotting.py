@@ -20,18 +20,19 @@ from synthetic import arm_motion, sampled, tumbling_flight
 
 import robots
 from trajopt import solve
-from trajopt.check import check
+from trajopt.certify.check import check
 from trajopt.errors import InputError
-from trajopt.plotting import report, style
-from trajopt.plotting.joints import limbs_of
-from trajopt.plotting.page import figure_of
-from trajopt.plotting.summary import PAGES, pages_of
-from trajopt.plotting.topics_contacts import stances
-from trajopt.plotting.track import Track, tracks_of
-from trajopt.robot import Robot
-from trajopt.schedule import Phase, Schedule
-from trajopt.solution import Solution
-from trajopt.solution_motion import SolutionMotion
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solution.motion import SolutionMotion
+from trajopt.solution.solution import Solution
+from trajopt.view.plotting import style
+from trajopt.view.plotting.figure import figure_of
+from trajopt.view.plotting.joints import limbs_of
+from trajopt.view.plotting.summary import PAGES, pages_of
+from trajopt.view.plotting.topics_contacts import stances
+from trajopt.view.plotting.track import Track, tracks_of
+from trajopt.view.plotting.writing import report
 
 # Two computations of the same numbers differ by rounding.
 ROUNDING = 1e-9

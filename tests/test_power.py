@@ -12,10 +12,12 @@ from goals_for_tests import integral, objective, sampled, wandering, with_terms
 from numpy.testing import assert_allclose
 from problems_for_tests import hop, hopper, one_joint_arm, reach
 
-from trajopt.actuators.drive import Drive
-from trajopt.power import PowerCost, cost_of_transport, energy, heat_coefficients
-from trajopt.solving import solve
-from trajopt.units import Units
+from trajopt.certify.energy import cost_of_transport, energy
+from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.units import Units
+from trajopt.solving.solving import solve
+from trajopt.terms import PowerCost
+from trajopt.terms.power import heat_coefficients
 
 # Sums of the same numbers in another order.
 ROUNDING = 1e-11

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from trajopt.catalogue import families
-from trajopt.suite import data
-from trajopt.suite.cases import Case, all_cases, representatives
-from trajopt.suite.run import measure
-from trajopt.suite.settings import Settings
+from trajopt.problem.catalogue import families
+from trajopt.study.suite import data
+from trajopt.study.suite.cases import Case, all_cases, representatives
+from trajopt.study.suite.run import measure
+from trajopt.study.suite.settings import Settings
 
 DATA = Path(__file__).parent / "data" / "suite.csv"
 SETTINGS = Settings(compile="none")

@@ -13,7 +13,7 @@ import problems
 import robots
 from problems import common
 from trajopt.errors import InputError
-from trajopt.kinematics import contact_positions
+from trajopt.robot.kinematics import contact_positions
 
 # Central differences over this step, s, of polynomials of order one.
 STEP, DIFFERENCE = 1e-5, 1e-8

@@ -18,14 +18,14 @@ from rich.cells import cell_len
 
 from trajopt import solve
 from trajopt.errors import InputError
-from trajopt.ladder import solve_ladder
-from trajopt.problem import Problem
+from trajopt.problem.problem import Problem
 from trajopt.solvers.drivers import SOLVERS
-from trajopt.watching import Iterate, combined
-from trajopt.watching.history import FIGURES, History
-from trajopt.watching.panel import lines
-from trajopt.watching.record import COLUMNS, Lines, Table
-from trajopt.watching.sparkline import ASCII, BLOCKS, MISSING, sparkline
+from trajopt.solving.iterate import Iterate, combined
+from trajopt.solving.ladder import solve_ladder
+from trajopt.view.watching.history import FIGURES, History
+from trajopt.view.watching.panel import lines
+from trajopt.view.watching.record import COLUMNS, Lines, Table
+from trajopt.view.watching.sparkline import ASCII, BLOCKS, MISSING, sparkline
 
 STUCK = """
 import time

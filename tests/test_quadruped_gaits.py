@@ -13,16 +13,16 @@ import problems
 import robots
 import trajopt
 from problems.gait_common import STYLES
+from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
 from trajopt.errors import InputError
-from trajopt.gait_transitions import transition
-from trajopt.kinematics import contact_positions
-from trajopt.legs import quadruped_legs
-from trajopt.mirror import find_mirror, mirrored_configuration
-from trajopt.model_quantities import contact_jacobian, gravity_of
-from trajopt.named_gaits import QUADRUPED
-from trajopt.node_terms import TerminalVelocity
 from trajopt.reduced.gait_guess import Pace, base_pose, plan_of_cycle
-from trajopt.schedule import Schedule
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.legs import quadruped_legs
+from trajopt.robot.mirror import find_mirror, mirrored_configuration
+from trajopt.schedule.gait_transitions import transition
+from trajopt.schedule.named_gaits import QUADRUPED
+from trajopt.schedule.schedule import Schedule
+from trajopt.terms import TerminalVelocity
 
 # Iterations within which every example is to solve from its own guess.
 MOST_ITERATIONS = 60

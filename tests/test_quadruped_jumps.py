@@ -14,12 +14,13 @@ from numpy.testing import assert_allclose
 import problems
 import robots
 from problems import leaping, quadruped_box, quadruped_flip, quadruped_jump, quadruped_stand_up
-from trajopt.check import check
+from trajopt.certify.check import check
 from trajopt.errors import InputError
-from trajopt.frame_terms import FrameDirection, FramesAbove, leg_joints
-from trajopt.kinematics import contact_positions, frame_pose
-from trajopt.legs import quadruped_legs
-from trajopt.solving import solve
+from trajopt.robot.kinematics import contact_positions, frame_pose
+from trajopt.robot.legs import quadruped_legs
+from trajopt.solving.solving import solve
+from trajopt.terms import FrameDirection, FramesAbove
+from trajopt.terms.frames import leg_joints
 
 FAMILIES = (
     *(family.name for family in quadruped_jump.FAMILIES),

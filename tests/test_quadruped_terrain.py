@@ -14,18 +14,20 @@ import problems
 import robots
 import trajopt
 from problems.gait_common import STYLES
+from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
-from trajopt.gait_transitions import transition
-from trajopt.kinematics import contact_positions
-from trajopt.legs import quadruped_legs
-from trajopt.model_quantities import gravity_of
-from trajopt.named_gaits import gait_of
-from trajopt.problem import Problem
+from trajopt.problem.problem import Problem
 from trajopt.reduced.gait_guess import Pace
 from trajopt.reduced.terrain_guess import plan_over_terrain, standing_on
-from trajopt.schedule import Schedule
-from trajopt.swing_profile import swing_profile
-from trajopt.terrain import FlatGround, PiecewiseTerrain, SmoothTerrain
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.legs import quadruped_legs
+from trajopt.schedule.gait_transitions import transition
+from trajopt.schedule.named_gaits import gait_of
+from trajopt.schedule.schedule import Schedule
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.piecewise import PiecewiseTerrain
+from trajopt.terrain.smooth import SmoothTerrain
+from trajopt.terrain.swing_profile import swing_profile
 
 FAMILIES = [f"quadruped-{name}" for name in ("slope", "stairs", "steps", "stepping-stones", "waves")]
 # Closed forms, m and rad.

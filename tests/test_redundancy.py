@@ -15,19 +15,21 @@ import problems
 import robots
 import trajopt
 from trajopt import Contact, FlatGround, Phase, Problem, Robot, Schedule
-from trajopt.node_terms import SwingClearance, TerminalRest, TerminalState
-from trajopt.redundancy import independent_rows
-from trajopt.robot_data import robot_file
-from trajopt.solving import prepare
+from trajopt.robot.data import robot_file
+from trajopt.solving.solving import prepare
 from trajopt.terms import (
     AccelerationCost,
     FrictionCone,
     PositionLimits,
     PostureCost,
+    SwingClearance,
+    TerminalRest,
+    TerminalState,
     TorqueCost,
     VelocityCost,
     WrenchCost,
 )
+from trajopt.transcription.redundancy import independent_rows
 
 # The price of the wrenches themselves differs between one sole and four corners: a millionth of the torques'.
 SAME_OPTIMUM = 1e-5

@@ -6,14 +6,14 @@ from numpy.testing import assert_allclose
 from problems_for_tests import hop, reach
 
 import problems
-from trajopt.accuracy import measure
+from trajopt.certify.accuracy.measures import measure
 from trajopt.errors import InputError
-from trajopt.mesh import Mesh, PhaseMesh, mesh_of
-from trajopt.refinement import refine
-from trajopt.refinement.refine import phase_errors, tolerance_for
-from trajopt.refinement.remeshing import MOST_PARTS, PhaseErrors, error_constant, remeshed
-from trajopt.schemes import scheme
-from trajopt.solving import solve
+from trajopt.solution.grid import mesh_of
+from trajopt.solving.refine import phase_errors, refine, tolerance_for
+from trajopt.solving.remeshing import MOST_PARTS, PhaseErrors, error_constant, remeshed
+from trajopt.solving.solving import solve
+from trajopt.transcription.mesh import Mesh, PhaseMesh
+from trajopt.transcription.schemes import scheme
 
 # Unknowns per node and per point of the made-up phases.
 SIZES = (10, 8)

@@ -22,13 +22,14 @@ from PIL import Image
 from synthetic import arm_motion, sampled
 
 import robots
-from trajopt.cli import main
+from trajopt.cli.main import main
 from trajopt.errors import InputError, TrajoptError
-from trajopt.replay import replay, video
-from trajopt.replay.browser import opened
-from trajopt.replay.render import render
-from trajopt.replay.shots import GAP, MOST_PICTURES, Shots, telling_moment
-from trajopt.solution import Solution
+from trajopt.solution.solution import Solution
+from trajopt.view.replay import video
+from trajopt.view.replay.browser import opened
+from trajopt.view.replay.render import render
+from trajopt.view.replay.shots import GAP, MOST_PICTURES, Shots, telling_moment
+from trajopt.view.replay.show import replay
 
 SMALL = (96, 64)
 RATE = Fraction(25)

@@ -19,14 +19,15 @@ from synthetic import Motion, arm_motion, meta_of, sampled, standing
 
 import robots
 from trajopt.errors import InputError
-from trajopt.replay import collada, replay, serve
-from trajopt.replay.motion import motion_of
-from trajopt.replay.robot import joint_path
-from trajopt.replay.scene import build_scene
-from trajopt.replay.thinning import ANGLE_ERROR, POSITION_ERROR
-from trajopt.robot import Robot
-from trajopt.robot_data import robot_file
-from trajopt.solution import Solution
+from trajopt.robot.data import robot_file
+from trajopt.robot.robot import Robot
+from trajopt.solution.solution import Solution
+from trajopt.view.replay import collada
+from trajopt.view.replay.motion import motion_of
+from trajopt.view.replay.robot import joint_path
+from trajopt.view.replay.scene import build_scene
+from trajopt.view.replay.show import replay, serve
+from trajopt.view.replay.thinning import ANGLE_ERROR, POSITION_ERROR
 
 SOLO_URDF = "example-robot-data/robots/solo_description/robots/solo12.urdf"
 INTERVALS = 6

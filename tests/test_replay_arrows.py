@@ -12,11 +12,12 @@ from numpy.testing import assert_allclose
 from replay_pages import FLIGHT, STANCE, hopping, objects_of, on_surface, shown, tracks_of, with_meta
 from synthetic import sampled, standing
 
-from trajopt.replay.motion import FLASH, motion_of
-from trajopt.robot import Contact, Robot
-from trajopt.robot_data import data_share, robot_file
-from trajopt.solution import Solution
-from trajopt.surface import Surface
+from trajopt.robot.contact import Contact
+from trajopt.robot.data import data_share, robot_file
+from trajopt.robot.robot import Robot
+from trajopt.solution.solution import Solution
+from trajopt.terrain.surface import Surface
+from trajopt.view.replay.motion import FLASH, motion_of
 
 INTERVALS, FOOT = 3, "FL_FOOT"
 ROUNDING = 1e-12

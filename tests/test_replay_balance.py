@@ -21,14 +21,14 @@ from synthetic import arm_motion, pushing_off, sampled, standing
 
 import robots
 from trajopt.certify.samples import evaluate
-from trajopt.certify.touched import touched
-from trajopt.payload import Payload, loaded, loaded_model
-from trajopt.replay.balance import Balance, balance_of, on_ground, outer_wrenches
-from trajopt.replay.balance_marks import SUPPORT_LIFT
-from trajopt.replay.motion import motion_of
-from trajopt.replay.scene import build_scene
-from trajopt.solution import Solution
-from trajopt.surface import Surface
+from trajopt.robot.payload import Payload, loaded, loaded_model
+from trajopt.solution.solution import Solution
+from trajopt.solution.touched import touched
+from trajopt.terrain.surface import Surface
+from trajopt.view.replay.balance import Balance, balance_of, on_ground, outer_wrenches
+from trajopt.view.replay.balance_marks import SUPPORT_LIFT
+from trajopt.view.replay.motion import motion_of
+from trajopt.view.replay.scene import build_scene
 
 INTERVALS = 4
 THINNED = 5e-4  # m: twice the stated error of a robot half a metre long, and rounding

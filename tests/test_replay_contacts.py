@@ -11,14 +11,15 @@ from numpy.testing import assert_allclose
 from replay_pages import STANCE, hopping, objects_of, on_surface, shown, tracks_of, with_meta
 from synthetic import sampled, standing
 
-from trajopt.replay.cones import COLOURS, SIDE
-from trajopt.replay.motion import motion_of
-from trajopt.replay.parts import colour_array
-from trajopt.replay.scene import build_scene
-from trajopt.robot import Contact, Robot
-from trajopt.robot_data import data_share, robot_file
-from trajopt.solution import Solution
-from trajopt.surface import Surface
+from trajopt.robot.contact import Contact
+from trajopt.robot.data import data_share, robot_file
+from trajopt.robot.robot import Robot
+from trajopt.solution.solution import Solution
+from trajopt.terrain.surface import Surface
+from trajopt.view.replay.cones import COLOURS, SIDE
+from trajopt.view.replay.motion import motion_of
+from trajopt.view.replay.parts import colour_array
+from trajopt.view.replay.scene import build_scene
 
 FOOT, FRICTION = "FL_FOOT", 0.7
 TALOS = "talos_data/robots/talos_reduced.urdf"

@@ -14,15 +14,15 @@ from synthetic import arm_motion, sampled
 
 import robots
 from trajopt.errors import InputError, SolutionFileError
-from trajopt.node_terms import FramePose, TerminalState
-from trajopt.replay import replay
-from trajopt.replay.copies import MOST_GHOSTS, ghost_frames
-from trajopt.replay.motion import motion_of, motions_of
-from trajopt.replay.robot import joint_path
-from trajopt.replay.runs import GAP
-from trajopt.replay.scene import Scene, build_scene
-from trajopt.solution import Solution
-from trajopt.targets import Target
+from trajopt.schedule.targets import Target
+from trajopt.solution.solution import Solution
+from trajopt.terms import FramePose, TerminalState
+from trajopt.view.replay.copies import MOST_GHOSTS, ghost_frames
+from trajopt.view.replay.motion import motion_of, motions_of
+from trajopt.view.replay.robot import joint_path
+from trajopt.view.replay.runs import GAP
+from trajopt.view.replay.scene import Scene, build_scene
+from trajopt.view.replay.show import replay
 
 INTERVALS = 3
 THINNED = 5e-4  # m: twice the stated error of a robot half a metre long, and rounding

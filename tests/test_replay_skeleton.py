@@ -15,8 +15,8 @@ from synthetic import Motion, arm_motion, sampled
 
 import robots
 from robots.hopper import SLENDERNESS, TORSO_CENTRE, TORSO_LENGTH
-from trajopt.replay.visuals import mesh_points, visuals_of
-from trajopt.robot_data import robot_file
+from trajopt.robot.data import robot_file
+from trajopt.view.replay.visuals import mesh_points, visuals_of
 
 INTERVALS, DURATION = 3, 0.2  # s
 SINGLE_PRECISION = 2e-6  # of lengths around one

@@ -21,11 +21,11 @@ from synthetic import sampled
 
 import robots
 from trajopt.errors import SolutionFileError
-from trajopt.replay import replay
-from trajopt.replay.ground import GRID_LIFT
-from trajopt.replay.surfaces import PATCH_MARGIN, THICKNESS
-from trajopt.solution import Solution
-from trajopt.surface import Surface
+from trajopt.solution.solution import Solution
+from trajopt.terrain.surface import Surface
+from trajopt.view.replay.ground import GRID_LIFT
+from trajopt.view.replay.show import replay
+from trajopt.view.replay.surfaces import PATCH_MARGIN, THICKNESS
 
 INTERVALS, FOOT = 3, "FL_FOOT"
 SINGLE_PRECISION = 2e-6  # of lengths around one

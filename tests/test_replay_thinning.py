@@ -9,9 +9,9 @@ from numpy.testing import assert_array_equal
 from replay_pages import hopping, key_frames_of, shown
 from scipy.spatial.transform import Rotation, Slerp
 
-from trajopt.replay.commands import Recorder, Tracks
-from trajopt.replay.thinning import ANGLE_ERROR, FINER, POSITION_ERROR, held, kept_frames, rounded
-from trajopt.replay.turns import turns_to
+from trajopt.view.replay.commands import Recorder, Tracks
+from trajopt.view.replay.thinning import ANGLE_ERROR, FINER, POSITION_ERROR, held, kept_frames, rounded
+from trajopt.view.replay.turns import turns_to
 
 ERROR = 1e-3
 ROUNDING = 1e-9

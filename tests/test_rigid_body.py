@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from robots_for_tests import JOINT_KINDS, ROBOTS, TIP, hand_built, random_state, robot
 
-from trajopt import rigid_body
+from trajopt.dynamics import rigid_body
 from trajopt.errors import InputError, UnsupportedJointError, VersionMismatchError
 from trajopt.versions import check_versions, installed_version
 

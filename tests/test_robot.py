@@ -11,8 +11,9 @@ import pytest
 
 import robots
 from trajopt.errors import InputError
-from trajopt.robot import Contact, Robot
-from trajopt.robot_data import VisualSource, robot_file
+from trajopt.robot.contact import Contact
+from trajopt.robot.data import VisualSource, robot_file
+from trajopt.robot.robot import Robot
 
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
 ROUNDING = 1e-12  # metres, after a few multiplications of numbers near one

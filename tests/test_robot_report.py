@@ -15,12 +15,12 @@ from click.testing import CliRunner
 import robots
 import trajopt
 from trajopt import Robot
-from trajopt.cli import main
-from trajopt.robot_faults import lowest_drawn
-from trajopt.robot_posture import rest
-from trajopt.robot_report import report
-from trajopt.robot_standing import inside, standing, standing_feet
-from trajopt.robot_starter import guessed, starter
+from trajopt.cli.main import main
+from trajopt.robot.inspection.faults import lowest_drawn
+from trajopt.robot.inspection.report import report
+from trajopt.robot.inspection.standing import inside, standing, standing_feet
+from trajopt.robot.inspection.starter import guessed, starter
+from trajopt.solving.rest import rest
 
 URDF = Path(__file__).parent.parent / "docs" / "tutorial" / "puppy" / "urdf" / "puppy.urdf"
 LEGS = ("lf", "rf", "lh", "rh")

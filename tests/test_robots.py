@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 
 import robots
 from trajopt.errors import InputError
-from trajopt.robot import Robot
+from trajopt.robot.robot import Robot
 
 ROUNDING = 1e-12  # metres, after a few multiplications of numbers near one
 # A robot may push off from where it stands only if its legs can lengthen by this part of their length.

@@ -17,12 +17,12 @@ from problems_for_tests import hop, hopper, planar_hopper, reach
 
 from scripts import robustness
 from trajopt import InputError, solve
-from trajopt.suite.cases import Case
-from trajopt.suite.optima import SAME_MOTION, counted, described, distances, embedded
-from trajopt.suite.outcome import Attempt, Outcome
-from trajopt.suite.pool import run_all
-from trajopt.suite.records import Records
-from trajopt.suite.settings import Settings
+from trajopt.study.suite.cases import Case
+from trajopt.study.suite.optima import SAME_MOTION, counted, described, distances, embedded
+from trajopt.study.suite.outcome import Attempt, Outcome
+from trajopt.study.suite.pool import run_all
+from trajopt.study.suite.records import Records
+from trajopt.study.suite.settings import Settings
 
 STARTS = Settings(compile="none", perturbed=3)
 CASE = Case(problem="t-reach", robot="arm", takes_robot=False)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import problems
-from trajopt.guess import perturbed
-from trajopt.solvers import Status, run
-from trajopt.solvers.drivers import mesh_weight
+from trajopt.solvers.drivers import mesh_weight, run
 from trajopt.solvers.result import Stop
-from trajopt.solving import Prepared, prepare
+from trajopt.solvers.status import Status
+from trajopt.solving.solving import Prepared, prepare
+from trajopt.transcription.guess import perturbed
 
 COARSE, FINE = 25, 200
 MOST = 1.3  # iterations on the fine mesh over those on the coarse one, or the other way round

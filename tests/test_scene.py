@@ -17,28 +17,36 @@ from scripts.compare_scenes import SQUAT_INTERVALS, sideways, talos_squat, uprig
 from tests.problems_for_tests import hopper, one_joint_arm, reach
 from tests.scenes_for_tests import FEET, biped, drive, push, symmetrised, usual
 from trajopt import Contact, FlatGround, InputError, Phase, Problem, Robot, Schedule, Solution
-from trajopt.actuators.terms import DriveLimits, MotorTorqueCost
-from trajopt.context import Context
-from trajopt.node_terms import FrameHeight, FramePose, NodeConstraint, NodePlace, TerminalState
-from trajopt.robot_building import leaving_plane
-from trajopt.robot_data import robot_file
-from trajopt.scenes import scene, smallest
-from trajopt.surface import Surface
-from trajopt.term_interfaces import Cost, PointConstraint, Rows
+from trajopt.reduced.scenes.goals import scene
+from trajopt.reduced.scenes.smallest import smallest
+from trajopt.robot.building import leaving_plane
+from trajopt.robot.data import robot_file
+from trajopt.robot.units import Units
 from trajopt.terms import (
     AccelerationCost,
+    Context,
+    Cost,
+    DriveLimits,
     EffortLimits,
+    FrameHeight,
+    FramePose,
     FrictionCone,
     ImpulseCost,
+    MotorTorqueCost,
+    NodeConstraint,
+    NodePlace,
     NormalForce,
+    PointConstraint,
     PositionLimits,
     PostureCost,
+    Rows,
+    TerminalState,
     TimeCost,
     TorqueCost,
     VelocityLimits,
     WrenchCost,
 )
-from trajopt.units import Units
+from trajopt.terrain.surface import Surface
 
 # Solvers stop at 1e-8 in natural units; two ways to write one problem differ by that over costs of 1e-3.
 SOLVED = 1e-8

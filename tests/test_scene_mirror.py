@@ -11,7 +11,13 @@ from numpy.testing import assert_allclose
 
 from tests.scenes_for_tests import FEET, biped, drive, push, symmetrised
 from trajopt import Contact, InputError, Robot
-from trajopt.mirror import (
+from trajopt.dynamics.model_quantities import generalized_force
+from trajopt.reduced.scenes.half import half_robot, turned_by_mirror
+from trajopt.reduced.scenes.lock import locked
+from trajopt.reduced.scenes.reduction import Reduction
+from trajopt.reduced.scenes.smallest import smallest
+from trajopt.robot.data import robot_file
+from trajopt.robot.mirror import (
     find_mirror,
     limit_differences,
     mirrored_configuration,
@@ -19,12 +25,6 @@ from trajopt.mirror import (
     paired_contacts,
     pairs,
 )
-from trajopt.model_quantities import generalized_force
-from trajopt.robot_data import robot_file
-from trajopt.scenes import smallest
-from trajopt.scenes.half import half_robot, turned_by_mirror
-from trajopt.scenes.lock import locked
-from trajopt.scenes.reduction import Reduction
 
 # Rounding of sums over some ten bodies, parts of the largest entry.
 ROUNDING = 1e-10

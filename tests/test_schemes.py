@@ -8,7 +8,7 @@ from numpy.polynomial import Polynomial
 from numpy.testing import assert_allclose
 
 from trajopt.errors import InputError
-from trajopt.schemes import MAX_DEGREE, scheme
+from trajopt.transcription.schemes import MAX_DEGREE, scheme
 
 # Integrals of Lagrange polynomials of degree up to 4 on [0, 1]: tens of roundings.
 ROUNDING = 1e-13

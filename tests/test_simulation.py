@@ -14,10 +14,11 @@ import robots
 from trajopt import Contact, Robot, Solution, solve
 from trajopt.certify.closing import image
 from trajopt.certify.samples import evaluate
+from trajopt.certify.simulation.figures import farthest_travel
+from trajopt.certify.simulation.reference import reference_of
+from trajopt.certify.simulation.settings import Settings
+from trajopt.certify.simulation.simulate import simulate
 from trajopt.errors import InputError
-from trajopt.simulation import Settings, simulate
-from trajopt.simulation.figures import farthest_travel
-from trajopt.simulation.reference import reference_of
 
 # The figure that jumps and gaits have to meet, m: of the base at the end.
 AT_THE_END = 0.05

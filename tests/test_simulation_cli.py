@@ -13,7 +13,7 @@ from synthetic import sampled, standing
 
 import robots
 from trajopt import Solution
-from trajopt.cli import main
+from trajopt.cli.main import main
 
 
 @pytest.fixture(scope="module")

@@ -12,17 +12,17 @@ import pytest
 from test_suite_data import outcome_of
 
 from trajopt import Solution
-from trajopt.cli import main
+from trajopt.cli.main import main
 from trajopt.errors import InputError
-from trajopt.suite import data
-from trajopt.suite.cases import Case
-from trajopt.suite.outcome import Ledger, Outcome
-from trajopt.suite.physics import FELL, OFF, TRACKED, WORDS, Physics
-from trajopt.suite.records import Records
-from trajopt.suite.run import SIMULATED, run
-from trajopt.suite.settings import Settings
-from trajopt.suite.table import line, summary, table
-from trajopt.suite.versions import versions
+from trajopt.study.suite import data
+from trajopt.study.suite.cases import Case
+from trajopt.study.suite.outcome import Ledger, Outcome
+from trajopt.study.suite.physics import FELL, OFF, TRACKED, WORDS, Physics
+from trajopt.study.suite.records import Records
+from trajopt.study.suite.run import SIMULATED, run
+from trajopt.study.suite.settings import Settings
+from trajopt.study.suite.table import line, summary, table
+from trajopt.study.suite.versions import versions
 
 pytest.importorskip("mujoco")
 

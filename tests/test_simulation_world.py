@@ -12,13 +12,16 @@ from synthetic import arm_motion, sampled, standing
 
 import robots
 from trajopt import Solution
-from trajopt.actuators.drive import Drive
 from trajopt.certify.samples import evaluate
-from trajopt.collision.shapes import LinkCapsule, SphereObstacle
-from trajopt.simulation import Settings, simulate
-from trajopt.simulation.world import build_world
-from trajopt.surface import UP, Surface
-from trajopt.terrain import Bump, PiecewiseTerrain, SmoothTerrain
+from trajopt.certify.simulation.settings import Settings
+from trajopt.certify.simulation.simulate import simulate
+from trajopt.certify.simulation.world import build_world
+from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.collision.shapes import LinkCapsule, SphereObstacle
+from trajopt.terrain.piecewise import PiecewiseTerrain
+from trajopt.terrain.shapes import Bump
+from trajopt.terrain.smooth import SmoothTerrain
+from trajopt.terrain.surface import UP, Surface
 
 # A standing robot moves by what its contacts give way, m.
 STANDS = 1e-3

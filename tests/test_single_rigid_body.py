@@ -16,10 +16,9 @@ import robots
 import trajopt
 from problems.biped_walk import talos_legs
 from tests.problems_for_tests import FOOT, hop, hopper, planar_hopper
-from trajopt.context import Context
+from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
-from trajopt.manifold import Coordinates
-from trajopt.problem import Problem
+from trajopt.problem.problem import Problem
 from trajopt.reduced.body_guess import BasePath, guess_from_srb
 from trajopt.reduced.footsteps import feet_of
 from trajopt.reduced.single_rigid_body import (
@@ -32,9 +31,10 @@ from trajopt.reduced.single_rigid_body import (
     footholds_of,
     rigid_body,
 )
-from trajopt.robot import Robot
-from trajopt.solution import Solution
-from trajopt.units import Units
+from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
+from trajopt.solution.solution import Solution
+from trajopt.terms import Context
 
 # Sums in another order.
 ROUNDING = 1e-10

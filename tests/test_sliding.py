@@ -10,13 +10,13 @@ import pytest
 
 import trajopt
 from trajopt import Contact, FlatGround, Phase, Problem, Robot, Schedule
+from trajopt.certify.contact.contact_dynamics import ContactDynamics
+from trajopt.certify.contact.contact_set import ContactSet
 from trajopt.certify.sliding import SlidingDynamics
-from trajopt.dynamics.contact_dynamics import ContactDynamics
-from trajopt.dynamics.contact_set import ContactSet
 from trajopt.errors import InputError
-from trajopt.sliding import require_sliding
-from trajopt.surface import Surface
 from trajopt.terms import AccelerationCost
+from trajopt.terms.sliding import require_sliding
+from trajopt.terrain.surface import Surface
 
 MASS, FRICTION, SPEED, GRAVITY = 2.0, 0.3, 1.5, 9.81
 # Far below the block's speed: friction is mu m g then, but for half the square of the ratio.

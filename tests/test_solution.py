@@ -13,7 +13,7 @@ from synthetic import arm_motion, sampled, standing, tumbling_flight
 
 import robots
 from trajopt.errors import InputError, SolutionFileError
-from trajopt.solution import OTHERS, SAMPLED, Solution
+from trajopt.solution.solution import OTHERS, SAMPLED, Solution
 
 INTERVALS = 4
 

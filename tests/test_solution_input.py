@@ -8,8 +8,8 @@ import pytest
 from replay_pages import hopping
 
 from trajopt.errors import InputError
-from trajopt.solution import Solution
-from trajopt.solution_input import require_motion, solutions_of
+from trajopt.solution.input import require_motion, solutions_of
+from trajopt.solution.solution import Solution
 
 
 @pytest.fixture(scope="module")

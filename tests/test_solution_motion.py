@@ -12,11 +12,11 @@ from problems_for_tests import SCHEME_ORDERS, hop
 from robots_for_tests import JOINT_KINDS, hand_built, random_state
 from test_warm_start import ROUNDING, SAME_STATE, solved, solved_hop
 
-from trajopt.guess import initial_guess
-from trajopt.local_motion import local_from_pinocchio
-from trajopt.manifold import Coordinates
-from trajopt.solution_motion import motion_of
-from trajopt.transcription import transcribe
+from trajopt.dynamics.local_motion import local_from_pinocchio
+from trajopt.dynamics.manifold import Coordinates
+from trajopt.solution.motion import motion_of
+from trajopt.transcription.guess import initial_guess
+from trajopt.transcription.transcription import transcribe
 
 
 @pytest.mark.parametrize("kind", JOINT_KINDS)

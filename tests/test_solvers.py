@@ -12,12 +12,13 @@ from problems_for_tests import hop, lean, reach
 
 import problems
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.solvers import SOLVERS, Status, run
-from trajopt.solvers.drivers import IPOPT_OPTIONS, Stop
-from trajopt.solving import Prepared, prepare, solve
+from trajopt.problem.problem import Problem
+from trajopt.solvers.drivers import IPOPT_OPTIONS, SOLVERS, run
+from trajopt.solvers.result import Stop
+from trajopt.solvers.status import Status
+from trajopt.solving.solving import Prepared, prepare, solve
 from trajopt.terms import TorqueCost
-from trajopt.transcription import Transcription
+from trajopt.transcription.transcription import Transcription
 
 # Two evaluations of one graph, by the virtual machine and by compiled C, entries up to 1e3.
 SAME = {"rtol": 1e-12, "atol": 1e-10}

@@ -10,12 +10,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 from problems_for_tests import REACH, REACH_TIME, SCHEME_ORDERS, hop, one_joint_arm, reach
 
 from trajopt.errors import InputError
-from trajopt.node_terms import TerminalState
-from trajopt.problem import Problem
-from trajopt.solvers import SOLVERS, Status
-from trajopt.solving import prepare, solve
-from trajopt.terms import AccelerationCost, EffortLimits, TorqueCost, VelocityCost
-from trajopt.units import Units
+from trajopt.problem.problem import Problem
+from trajopt.robot.units import Units
+from trajopt.solvers.drivers import SOLVERS
+from trajopt.solvers.status import Status
+from trajopt.solving.solving import prepare, solve
+from trajopt.terms import AccelerationCost, EffortLimits, TerminalState, TorqueCost, VelocityCost
 
 # The solver's tolerance on a problem of order one.
 SOLVED = 1e-7

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import sparse
 
-from trajopt.sparse_maps import DerivativeMap, hessian_map, jacobian_map
+from trajopt.transcription.sparse_maps import DerivativeMap, hessian_map, jacobian_map
 
 # Sums of a few products of numbers of order one.
 ROUNDING = 1e-13

@@ -16,17 +16,17 @@ from scipy.optimize import linprog
 
 import problems
 from trajopt.errors import InputError
-from trajopt.guess import perturbed
-from trajopt.nlp import Nlp
-from trajopt.problem import Problem
-from trajopt.solvers import Result, Status, run
+from trajopt.problem.problem import Problem
 from trajopt.solvers.convexification import Convexified
-from trajopt.solvers.drivers import Stop, Warm
+from trajopt.solvers.drivers import run
 from trajopt.solvers.qp import QpStep, Quadratic, StageQp
-from trajopt.solvers.result import Callback
+from trajopt.solvers.result import Callback, Result, Stop, Warm
 from trajopt.solvers.sqp_filter import Filter, Pair
-from trajopt.solving import Prepared, prepare, solve, solve_prepared
+from trajopt.solvers.status import Status
+from trajopt.solving.solving import Prepared, prepare, solve, solve_prepared
 from trajopt.terms import AccelerationCost, EffortLimits, TorqueCost, VelocityCost
+from trajopt.transcription.guess import perturbed
+from trajopt.transcription.nlp import Nlp
 
 Unknowns = Callable[[], np.ndarray]
 

@@ -12,13 +12,13 @@ from numpy.testing import assert_allclose
 from problems_for_tests import FOOT, hopper, one_joint_arm, planar_hopper, point_of, random_point
 
 import robots
-from trajopt.context import Context
-from trajopt.manifold import Coordinates
-from trajopt.robot import Robot
-from trajopt.stage_functions import Derivatives, PointFunction, derivatives
+from trajopt.dynamics.manifold import Coordinates
+from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
 from trajopt.terms import (
     AccelerationCost,
     ContactAcceleration,
+    Context,
     EffortLimits,
     FrictionCone,
     PositionLimits,
@@ -29,7 +29,7 @@ from trajopt.terms import (
     VelocityLimits,
     WrenchCost,
 )
-from trajopt.units import Units
+from trajopt.transcription.stage_functions import Derivatives, PointFunction, derivatives
 
 # Two graphs of one function in double precision, entries up to a few hundred.
 SAME = {"rtol": 1e-9, "atol": 1e-9}

@@ -22,8 +22,8 @@ from numpy.testing import assert_allclose
 from robots_for_tests import JOINT_KINDS, random_state
 
 from trajopt.dynamics import structure
+from trajopt.dynamics.model_quantities import mass_of
 from trajopt.errors import InputError, UnsupportedJointError
-from trajopt.model_quantities import mass_of
 
 # Two ways of summing the same numbers of order 1 to 1e3.
 SAME = {"rtol": 1e-9, "atol": 1e-10}

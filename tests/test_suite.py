@@ -12,16 +12,16 @@ import pytest
 import suite_problems
 
 from trajopt import Solution, check, solve
-from trajopt.catalogue import families
 from trajopt.errors import InputError
-from trajopt.solvers import Status
-from trajopt.suite import failure
-from trajopt.suite.cases import Case, all_cases, representatives, select
-from trajopt.suite.outcome import Outcome
-from trajopt.suite.pool import run_all
-from trajopt.suite.process import Limits
-from trajopt.suite.run import measure
-from trajopt.suite.settings import Settings
+from trajopt.problem.catalogue import families
+from trajopt.solvers.status import Status
+from trajopt.study.suite import failure
+from trajopt.study.suite.cases import Case, all_cases, representatives, select
+from trajopt.study.suite.outcome import Outcome
+from trajopt.study.suite.pool import run_all
+from trajopt.study.suite.process import Limits
+from trajopt.study.suite.run import measure
+from trajopt.study.suite.settings import Settings
 
 VIRTUAL_MACHINE = Settings(compile="none")
 STARTS = replace(VIRTUAL_MACHINE, perturbed=3)

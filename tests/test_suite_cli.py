@@ -15,8 +15,8 @@ import pytest
 import suite_problems
 from click.testing import CliRunner, Result
 
-from trajopt.cli import main
-from trajopt.suite import data
+from trajopt.cli.main import main
+from trajopt.study.suite import data
 
 WAIT = 120.0
 FAST = ("--compile", "none")

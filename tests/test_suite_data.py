@@ -15,13 +15,13 @@ from problems_for_tests import reach
 
 from trajopt import check, solve
 from trajopt.errors import InputError
-from trajopt.suite import data
-from trajopt.suite.cases import Case
-from trajopt.suite.outcome import Attempt, Checked, Grid, Outcome, quantile
-from trajopt.suite.records import Records, left
-from trajopt.suite.run import worst_figure
-from trajopt.suite.settings import Settings
-from trajopt.suite.versions import versions
+from trajopt.study.suite import data
+from trajopt.study.suite.cases import Case
+from trajopt.study.suite.outcome import Attempt, Checked, Grid, Outcome, quantile
+from trajopt.study.suite.records import Records, left
+from trajopt.study.suite.run import worst_figure
+from trajopt.study.suite.settings import Settings
+from trajopt.study.suite.versions import versions
 
 VIRTUAL_MACHINE = Settings(compile="none")
 STARTS = replace(VIRTUAL_MACHINE, perturbed=3)

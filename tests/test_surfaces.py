@@ -12,19 +12,28 @@ from numpy.testing import assert_allclose
 from problems_for_tests import FOOT, hop, hopper, lean
 from scipy.optimize import linprog
 
-from trajopt.context import Context
+from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
-from trajopt.manifold import Coordinates
-from trajopt.mesh import equal_fractions
-from trajopt.node_terms import ContactLanding, NodePlace, SwingClearance
-from trajopt.problem import Problem
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.sole import centre_of_pressure, friction_rows, pressure_rows, yaw_rows
-from trajopt.solving import solve
-from trajopt.stage_functions import point_function
-from trajopt.surface import Surface, frame_of_normal
-from trajopt.terms import FrictionCone, FrictionPyramid, NormalForce, SoleCone, SoleLimits
-from trajopt.units import Units
+from trajopt.problem.problem import Problem
+from trajopt.robot.sole import centre_of_pressure, friction_rows, pressure_rows, yaw_rows
+from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solving.solving import solve
+from trajopt.terms import (
+    ContactLanding,
+    Context,
+    FrictionCone,
+    FrictionPyramid,
+    NodePlace,
+    NormalForce,
+    SoleCone,
+    SoleLimits,
+    SwingClearance,
+)
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.surface import Surface, frame_of_normal
+from trajopt.transcription.mesh import equal_fractions
+from trajopt.transcription.stage_functions import point_function
 
 ROUNDING = 1e-12  # numbers of order one after a few products
 SAME_OPTIMUM = 1e-6  # relative: both solves stop at 1e-8

@@ -14,16 +14,16 @@ import pytest
 from problems_for_tests import hop, reach
 
 from trajopt.errors import InputError
-from trajopt.sweep.front import load_front, packaged_fronts
-from trajopt.sweep.pareto import dominators, front
-from trajopt.sweep.plan import OTHER_SCHEMES, Plan, make_plan, own_setting
-from trajopt.sweep.plot import plot
-from trajopt.sweep.records import Asked, Found, Records
-from trajopt.sweep.result import Job, Run
-from trajopt.sweep.setting import WORDS, Setting
-from trajopt.sweep.summary import Scale, disturbance, median_run, summarize
-from trajopt.sweep.tables import write_tables
-from trajopt.sweep.variants import cone_of, with_cone
+from trajopt.study.sweep.front import load_front, packaged_fronts
+from trajopt.study.sweep.pareto import dominators, front
+from trajopt.study.sweep.plan import OTHER_SCHEMES, Plan, make_plan, own_setting
+from trajopt.study.sweep.plot import plot
+from trajopt.study.sweep.records import Asked, Found, Records
+from trajopt.study.sweep.result import Job, Run
+from trajopt.study.sweep.setting import WORDS, Setting
+from trajopt.study.sweep.summary import Scale, disturbance, median_run, summarize
+from trajopt.study.sweep.tables import write_tables
+from trajopt.study.sweep.variants import cone_of, with_cone
 from trajopt.terms import FrictionCone, FrictionPyramid
 
 BASE = Setting(transcription="legendre:2", intervals=10)

@@ -19,20 +19,20 @@ from click.testing import CliRunner, Result
 from problems_for_tests import hop
 
 from trajopt import solve
-from trajopt.accuracy import measure
-from trajopt.cli import main
+from trajopt.certify.accuracy.measures import measure
+from trajopt.cli.main import main
 from trajopt.errors import InputError
-from trajopt.problem import Problem
+from trajopt.problem.problem import Problem
 from trajopt.reduced.two_stage import without_torques
-from trajopt.solution import Solution
-from trajopt.sweep.cores import cores_for, physical_cores
-from trajopt.sweep.engine import Sweep
-from trajopt.sweep.plan import make_plan
-from trajopt.sweep.process import Pool
-from trajopt.sweep.records import Asked, Records
-from trajopt.sweep.result import LOST, REFUSED, Job
-from trajopt.sweep.run import Limits, objective_of, run, with_torques
-from trajopt.sweep.setting import Setting
+from trajopt.solution.solution import Solution
+from trajopt.study.sweep.cores import cores_for, physical_cores
+from trajopt.study.sweep.engine import Sweep
+from trajopt.study.sweep.plan import make_plan
+from trajopt.study.sweep.process import Pool
+from trajopt.study.sweep.records import Asked, Records
+from trajopt.study.sweep.result import LOST, REFUSED, Job
+from trajopt.study.sweep.run import Limits, objective_of, run, with_torques
+from trajopt.study.sweep.setting import Setting
 
 WAIT = 120.0
 # The same arithmetic, called in another way.

@@ -7,7 +7,7 @@ import pytest
 
 import problems
 import trajopt
-from trajopt.swing_profile import swing_profile
+from trajopt.terrain.swing_profile import swing_profile
 
 # Relative change of the objective between 50 and 100 intervals; with a profile that rises at once it is 6e-2.
 CONVERGED = 1e-3

@@ -16,35 +16,35 @@ from scipy.spatial import Delaunay
 from synthetic import Motion, sampled, standing
 
 import robots
-from trajopt.check import check
-from trajopt.contact_terms import FrictionCone, surface_force
-from trajopt.context import Context
+from trajopt.certify.check import check
+from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError, SolutionFileError
-from trajopt.kinematics import contact_positions
-from trajopt.manifold import Coordinates
-from trajopt.mesh import equal_fractions
-from trajopt.node_terms import NodePlace, SwingClearance
-from trajopt.schedule import Phase, Schedule
-from trajopt.solution import Solution
-from trajopt.solving import solve
-from trajopt.surface import Surface, frame_of_normal
-from trajopt.terms import FrictionPyramid
-from trajopt.terrain import (
-    Bump,
-    FlatGround,
-    Incline,
-    Patch,
-    PiecewiseTerrain,
-    Ramp,
-    SmoothTerrain,
-    Wave,
-    terrain_from_description,
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.units import Units
+from trajopt.schedule.placing import placed_on
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solution.solution import Solution
+from trajopt.solving.solving import solve
+from trajopt.terms import (
+    Context,
+    FrictionCone,
+    FrictionPyramid,
+    NodePlace,
+    SwingClearance,
+    SwingOver,
+    swing_clearance,
 )
+from trajopt.terms.friction import surface_force
 from trajopt.terrain.crossing import crossing
-from trajopt.terrain.placing import placed_on
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.patch import Patch
+from trajopt.terrain.piecewise import PiecewiseTerrain
+from trajopt.terrain.shapes import Bump, Incline, Ramp, Wave
+from trajopt.terrain.smooth import SmoothTerrain
+from trajopt.terrain.surface import Surface, frame_of_normal
 from trajopt.terrain.swing_path import swing_path
-from trajopt.terrain.swing_terms import SwingOver, swing_clearance
-from trajopt.units import Units
+from trajopt.terrain.terrain import terrain_from_description
+from trajopt.transcription.mesh import equal_fractions
 
 ROUNDING = 1e-12  # numbers of order one after a few products
 DIFFERENCES = 1e-7  # central differences with steps of 1e-5 of functions of order one

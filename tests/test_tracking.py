@@ -14,14 +14,16 @@ from problems_for_tests import REACH, REACH_TIME, hop, hopper, one_joint_arm, re
 
 import robots
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.reduced.foot_motion import smooth_step
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.solving import prepare, solve
-from trajopt.terms import TorqueCost
-from trajopt.tracking import TrackingCost, key_frames, solution_motion
-from trajopt.units import Units
+from trajopt.problem.problem import Problem
+from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solution.motion import geodesic_motion
+from trajopt.solving.solving import prepare, solve
+from trajopt.terms import TorqueCost, TrackingCost
+from trajopt.terms.tracking import key_frames
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.swing_profile import smooth_step
 
 # Sums of the same numbers in another order.
 ROUNDING = 1e-11
@@ -101,8 +103,8 @@ def test_another_reference_is_the_same_function_with_other_parameters():
 
 def test_a_solution_is_a_reference_for_its_own_robot_only():
     solution = solve(reach(), intervals=6)
-    motion = solution_motion(solution, one_joint_arm())
+    motion = geodesic_motion(solution, one_joint_arm())
     assert_allclose(motion(0.0), solution.q[0])
     assert_allclose(motion(9.0), solution.q[-1])
     with pytest.raises(InputError, match="joints"):
-        solution_motion(solution, hopper())
+        geodesic_motion(solution, hopper())

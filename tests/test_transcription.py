@@ -15,12 +15,12 @@ from scipy import sparse
 
 import problems
 from trajopt.errors import InputError
-from trajopt.nlp import Nlp
-from trajopt.problem import Problem
-from trajopt.schedule import Phase, Schedule
-from trajopt.solving import prepare, solve
+from trajopt.problem.problem import Problem
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solving.solving import prepare, solve
 from trajopt.terms import AccelerationCost, EffortLimits, TorqueCost
-from trajopt.transcription import Transcription, transcribe
+from trajopt.transcription.nlp import Nlp
+from trajopt.transcription.transcription import Transcription, transcribe
 
 # Central differences along a direction, step 1e-5, on values of order up to 1e3 in scaled units.
 STEP = 1e-5

@@ -14,17 +14,16 @@ from test_transcription import Matrices, assert_derivatives, random_unknowns
 
 import problems
 import trajopt
+from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
-from trajopt.model_quantities import contact_jacobian
-from trajopt.nlp import Nlp
-from trajopt.node_terms import FrameHeight
-from trajopt.problem import Problem
-from trajopt.schedule import Phase, Schedule
-from trajopt.solving import prepare
+from trajopt.problem.problem import Problem
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solving.solving import prepare
 from trajopt.terms import (
     AccelerationCost,
     BaseDynamics,
     EffortLimits,
+    FrameHeight,
     FrictionCone,
     ImpulseCost,
     PositionLimits,
@@ -35,7 +34,8 @@ from trajopt.terms import (
     VelocityLimits,
     WrenchCost,
 )
-from trajopt.timeline import StageKind
+from trajopt.transcription.nlp import Nlp
+from trajopt.transcription.timeline import StageKind
 
 # What a solver leaves in rows that are met to 1e-7 of their units.
 SOLVED = 1e-5

@@ -15,15 +15,10 @@ from scipy.optimize import linprog
 import problems
 import trajopt
 from tests.problems_for_tests import FOOT, hop, hopper, reach
-from trajopt.actuators.drive import Drive
-from trajopt.actuators.terms import DriveLimits
 from trajopt.certify.samples import evaluate
-from trajopt.context import Context
+from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
-from trajopt.extraction import extract
-from trajopt.guess import initial_guess
-from trajopt.model_quantities import contact_jacobian
-from trajopt.problem import Problem
+from trajopt.problem.problem import Problem
 from trajopt.reduced.two_stage import (
     asks_for_torques,
     recover_torques,
@@ -32,12 +27,16 @@ from trajopt.reduced.two_stage import (
     without_torques,
 )
 from trajopt.reduced.wrench_distribution import redistributed
-from trajopt.solution import Solution
-from trajopt.solving import prepare
-from trajopt.stage_functions import derivatives
+from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.units import Units
+from trajopt.solution.solution import Solution
+from trajopt.solving.extraction import extract
+from trajopt.solving.solving import prepare
 from trajopt.terms import (
     AccelerationCost,
+    Context,
     Cost,
+    DriveLimits,
     EffortLimits,
     FrictionCone,
     FrictionPyramid,
@@ -45,8 +44,9 @@ from trajopt.terms import (
     TorqueCost,
     WrenchCost,
 )
-from trajopt.transcription import transcribe
-from trajopt.units import Units
+from trajopt.transcription.guess import initial_guess
+from trajopt.transcription.stage_functions import derivatives
+from trajopt.transcription.transcription import transcribe
 
 # Numeric Pinocchio against itself in another order of sums.
 ROUNDING = 1e-9

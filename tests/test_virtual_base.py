@@ -13,10 +13,9 @@ from problems_for_tests import FOOT, hopper, lean
 import problems
 import robots
 import trajopt
-from trajopt.actuators.drive import Drive
-from trajopt.bases.base_conversion import BaseAccelerationCost, with_virtual_base
-from trajopt.bases.virtual_base import (
-    ORDERS,
+from trajopt.dynamics.base_joint import ORDERS, base_of, virtual_order
+from trajopt.dynamics.model_quantities import generalized_force
+from trajopt.dynamics.virtual_base import (
     angles_of,
     base_jacobian,
     from_free_flyer,
@@ -25,22 +24,20 @@ from trajopt.bases.virtual_base import (
     rotation_of,
     to_free_flyer,
     virtual_model,
-    virtual_order,
 )
 from trajopt.errors import InputError
-from trajopt.model_quantities import generalized_force
-from trajopt.node_terms import TerminalRest, TerminalState
-from trajopt.problem import Problem
-from trajopt.replay.commands import Recorder
-from trajopt.replay.robot import draw_skeleton
-from trajopt.robot import Robot
-from trajopt.robot_building import base_of
-from trajopt.robot_data import robot_file
-from trajopt.schedule import Schedule
-from trajopt.solution import Solution
-from trajopt.terms import AccelerationCost, PostureCost, VelocityCost
-from trajopt.transcription import transcribe
-from trajopt.units import Units
+from trajopt.problem.problem import Problem
+from trajopt.reduced.base_conversion import BaseAccelerationCost, with_virtual_base
+from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.data import robot_file
+from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Schedule
+from trajopt.solution.solution import Solution
+from trajopt.terms import AccelerationCost, PostureCost, TerminalRest, TerminalState, VelocityCost
+from trajopt.transcription.transcription import transcribe
+from trajopt.view.replay.commands import Recorder
+from trajopt.view.replay.robot import draw_skeleton
 
 # Rounding of algorithms over a dozen bodies, and of a solve with J_w, whose condition stays below ten here.
 ROUNDING = 1e-10

@@ -14,19 +14,19 @@ from problems_for_tests import REACH, REACH_TIME, SCHEME_ORDERS, hop, planar_hop
 
 import problems
 import trajopt
-from trajopt.extraction import extract
-from trajopt.multipliers import with_multipliers
-from trajopt.problem import Problem
-from trajopt.schedule import Phase, Schedule
-from trajopt.solution import Solution
-from trajopt.solution_motion import motion_of
-from trajopt.solvers import SOLVERS, Result, run
-from trajopt.solvers.drivers import Stop
-from trajopt.solving import prepare
+from trajopt.problem.problem import Problem
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solution.motion import motion_of
+from trajopt.solution.solution import Solution
+from trajopt.solvers.drivers import SOLVERS, run
+from trajopt.solvers.result import Result, Stop
+from trajopt.solving.extraction import extract
+from trajopt.solving.multipliers import with_multipliers
+from trajopt.solving.solving import prepare
+from trajopt.solving.warm_start import warm_start
 from trajopt.terms import AccelerationCost, TorqueCost, VelocityCost
-from trajopt.transcription import Transcription
-from trajopt.violations import row_violations
-from trajopt.warm_start import warm_start
+from trajopt.transcription.transcription import Transcription
+from trajopt.transcription.violations import row_violations
 
 # Polynomials through up to four points, evaluated by powers of the fraction, lose three digits.
 ROUNDING = 1e-12

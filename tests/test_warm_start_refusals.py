@@ -12,10 +12,10 @@ from test_warm_start import SAME_STATE, solved_hop
 
 import trajopt
 from trajopt.errors import InputError, SolutionFileError
-from trajopt.schedule import Phase, Schedule
-from trajopt.solving import prepare
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solving.solving import prepare
+from trajopt.solving.warm_start import warm_start
 from trajopt.terms import TorqueCost
-from trajopt.warm_start import warm_start
 
 
 def test_another_robot_is_refused():

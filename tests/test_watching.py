@@ -29,13 +29,13 @@ from tornado.websocket import websocket_connect
 
 import problems
 from trajopt import Problem, solve
-from trajopt.replay.thinning import ANGLE_ERROR, POSITION_ERROR
-from trajopt.robot_building import reach as reach_of
+from trajopt.robot.building import reach as reach_of
 from trajopt.solvers.drivers import SOLVERS
-from trajopt.watching import Iterate
-from trajopt.watching.drawing import HEAVY, MOST_POSES, PATHS, POSES, IterateScene, Picture
-from trajopt.watching.motion import LEAST_POSES, Motion
-from trajopt.watching.viewer import Viewer
+from trajopt.solving.iterate import Iterate
+from trajopt.view.replay.thinning import ANGLE_ERROR, POSITION_ERROR
+from trajopt.view.watching.drawing import HEAVY, PATHS, POSES, IterateScene, Picture
+from trajopt.view.watching.motion import LEAST_POSES, MOST_POSES, Motion
+from trajopt.view.watching.viewer import Viewer
 
 # Two ways to one configuration: rounding.
 ROUNDING = 1e-12

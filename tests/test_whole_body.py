@@ -13,10 +13,10 @@ from robots_for_tests import random_state
 from scipy.integrate import solve_ivp
 
 from trajopt.dynamics import structure
+from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.dynamics.newton_euler import joint_forces
 from trajopt.dynamics.whole_body import whole_body_balance
 from trajopt.errors import InputError
-from trajopt.model_quantities import contact_jacobian
 
 # Two ways of summing the same numbers of order 1 to 1e3.
 SAME = {"rtol": 1e-9, "atol": 1e-10}

@@ -1,5 +1,7 @@
 """``python -m trajopt``: the command line."""
 
+import sys
+
 from trajopt.cli import main
 
-main()
+sys.exit(main())

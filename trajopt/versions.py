@@ -42,3 +42,6 @@ def check_installation() -> None:
     from trajopt._built_against import BUILT_AGAINST
 
     check_versions({**BUILT_AGAINST, "pin": BUILT_AGAINST["libpinocchio"]})
+
+
+VERSIONED = ("trajopt", "casadi", "pin", "numpy")

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from trajopt.robot import Robot
+from trajopt.robot.robot import Robot
 
 
 def similar(robot: Robot, *, mass: float = 1.0, length: float = 1.0, gravity: float = 1.0) -> Robot:

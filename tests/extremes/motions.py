@@ -7,14 +7,21 @@ from functools import partial
 import numpy as np
 
 from problems import common, leaping
-from trajopt.contact_terms import FrictionCone
-from trajopt.model_quantities import contact_jacobian
-from trajopt.node_terms import TerminalRest, TerminalState
-from trajopt.objectives import effort_costs
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.terms import EffortLimits, PositionLimits, Term, VelocityLimits
+from trajopt.dynamics.model_quantities import contact_jacobian
+from trajopt.problem.problem import Problem
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms import (
+    EffortLimits,
+    FrictionCone,
+    PositionLimits,
+    Term,
+    TerminalRest,
+    TerminalState,
+    VelocityLimits,
+    effort_costs,
+)
+from trajopt.terrain.flat import FlatGround
 
 # A robot that floats is this many lengths higher than it stands, so that no leg meets the ground.
 FLOATING = 4.0

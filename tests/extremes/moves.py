@@ -8,14 +8,23 @@ import numpy as np
 import pinocchio as pin
 
 from problems import common
-from trajopt.kinematics import contact_poses, contact_positions, frame_pose, inverse_kinematics
-from trajopt.node_terms import FramePose, SwingClearance, TerminalRest, TerminalState
-from trajopt.objectives import effort_costs
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.robot_building import standing
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.terms import EffortLimits, PositionLimits, Term, VelocityLimits
+from trajopt.problem.problem import Problem
+from trajopt.robot.building import standing
+from trajopt.robot.kinematics import contact_poses, contact_positions, frame_pose, inverse_kinematics
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms import (
+    EffortLimits,
+    FramePose,
+    PositionLimits,
+    SwingClearance,
+    Term,
+    TerminalRest,
+    TerminalState,
+    VelocityLimits,
+    effort_costs,
+)
+from trajopt.terrain.flat import FlatGround
 
 # Duration of a phase on legs, s: long against what a step of a small quadruped takes at least.
 PHASE = 0.2

@@ -26,14 +26,14 @@ from typing import Any
 
 import numpy as np
 
+from trajopt.certify.check import check
 from trajopt.certify.report import Report, Tolerances
-from trajopt.check import check
-from trajopt.cli_report import solve_dict, summary, to_json
+from trajopt.cli.report import solve_dict, summary, to_json
 from trajopt.errors import InputError, SolutionFileError, TrajoptError
-from trajopt.problem import Problem
-from trajopt.solution import OTHERS, SAMPLED, Solution
-from trajopt.solvers import Status
-from trajopt.solving import solve
+from trajopt.problem.problem import Problem
+from trajopt.solution.solution import OTHERS, SAMPLED, Solution
+from trajopt.solvers.status import Status
+from trajopt.solving.solving import solve
 
 # Seconds after which the process of a cell is killed: several times what the longest takes on a busy machine.
 HARD_LIMIT = 180.0

@@ -13,22 +13,26 @@ import robots
 from extremes.moves import legged, stance, steps, with_joints
 from extremes.outcomes import Failed, Refused, Solved, assert_outcome, in_process
 from tests.problems_for_tests import hopper
-from trajopt.diagnose import diagnose
-from trajopt.kinematics import contact_positions
-from trajopt.model_quantities import contact_jacobian
-from trajopt.node_terms import TerminalRest, TerminalState
-from trajopt.problem import Problem
-from trajopt.robot import Contact, Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.solvers import SOLVERS, Status
+from trajopt.dynamics.model_quantities import contact_jacobian
+from trajopt.problem.problem import Problem
+from trajopt.robot.contact import Contact
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solvers.drivers import SOLVERS
+from trajopt.solvers.status import Status
+from trajopt.study.diagnosis.diagnose import diagnose
 from trajopt.terms import (
     AccelerationCost,
     EffortLimits,
     FrictionPyramid,
     PostureCost,
+    TerminalRest,
+    TerminalState,
     TorqueCost,
     WrenchCost,
 )
+from trajopt.terrain.flat import FlatGround
 
 # Open-loop error of phases of 0.05 to 0.2 s on three intervals each, over the robot's length or rad; measured
 # up to 2.3e-3.

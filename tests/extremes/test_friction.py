@@ -13,7 +13,7 @@ import problems
 import robots
 from extremes.motions import stand
 from extremes.outcomes import Failed, Refused, Solved, assert_outcome
-from trajopt.solvers import Status
+from trajopt.solvers.status import Status
 
 FRICTIONS = [0.0, 0.01, 5.0, 100.0]
 # A push of the base this part of its natural speed, sqrt(g l): a tenth of a fast walk.

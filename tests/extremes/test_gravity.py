@@ -14,7 +14,7 @@ from extremes.changed_robots import with_gravity
 from extremes.motions import stand, turn_over
 from extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from extremes.test_masses import made, robot_file
-from trajopt.solvers import Status
+from trajopt.solvers.status import Status
 
 # Momenta over mass times length (squared) over duration, and carried weight: what collocation leaves.
 MOMENTUM, CARRIED = 5e-3, 1e-3

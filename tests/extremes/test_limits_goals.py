@@ -16,30 +16,29 @@ import robots
 from extremes.moves import legged, reach, stance, with_joints
 from extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.errors import InputError
-from trajopt.kinematics import contact_positions, frame_pose
-from trajopt.node_terms import (
+from trajopt.problem.problem import Problem
+from trajopt.robot.kinematics import contact_positions, frame_pose
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solution.solution import Solution
+from trajopt.solvers.status import Status
+from trajopt.solving.solving import prepare
+from trajopt.terms import (
+    EffortLimits,
     FrameHeight,
     FramePose,
     FrameVelocity,
-    SwingClearance,
-    TerminalRest,
-    TerminalState,
-)
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.solution import Solution
-from trajopt.solvers import Status
-from trajopt.solving import prepare
-from trajopt.surface import Surface
-from trajopt.terms import (
-    EffortLimits,
     FrictionCone,
     PositionLimits,
     PostureCost,
+    SwingClearance,
+    TerminalRest,
+    TerminalState,
     TorqueCost,
     VelocityLimits,
 )
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.surface import Surface
 
 # Open-loop error (rad) of an arm's second of motion on ten intervals of degree two; measured up to 2e-2.
 ARM = 5e-2

@@ -13,10 +13,10 @@ import problems
 import robots
 from extremes.changed_robots import longer
 from extremes.outcomes import Failed, Refused, Solved, assert_outcome
+from trajopt.certify.check import check
 from trajopt.certify.report import Tolerances
-from trajopt.check import check
-from trajopt.solution import Solution
-from trajopt.solvers import Status
+from trajopt.solution.solution import Solution
+from trajopt.solvers.status import Status
 
 # Motions of similar robots agree up to rounding, which iterations of a solver multiply.
 SIMILAR = 1e-6

@@ -15,22 +15,23 @@ import problems
 import robots
 from extremes.moves import reach
 from extremes.outcomes import Failed, Refused, Solved, assert_outcome
-from trajopt.bases.base_conversion import with_virtual_base
-from trajopt.model_quantities import STANDARD_GRAVITY
-from trajopt.node_terms import TerminalState
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Phase, Schedule
-from trajopt.solution import Solution
-from trajopt.solvers import Status
+from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
+from trajopt.problem.problem import Problem
+from trajopt.reduced.base_conversion import with_virtual_base
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solution.solution import Solution
+from trajopt.solvers.status import Status
 from trajopt.terms import (
     AccelerationCost,
     EffortLimits,
     PostureCost,
+    TerminalState,
     TorqueCost,
     VelocityCost,
     VelocityLimits,
 )
+from trajopt.terrain.flat import FlatGround
 
 # A turn about one axis is linear in exponential coordinates: exact up to what a solver leaves of rows.
 EXACT = 1e-7

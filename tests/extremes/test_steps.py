@@ -15,8 +15,8 @@ import problems
 import robots
 from extremes.motions import stand
 from extremes.outcomes import Failed, Refused, Solved, assert_outcome
-from trajopt.schedule import Phase, Schedule
-from trajopt.solvers import Status
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solvers.status import Status
 
 # Open loop, rad and parts of the length: about three times what was measured (docs/extremes.md).
 ARM = {

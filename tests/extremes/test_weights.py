@@ -11,10 +11,9 @@ from numpy.testing import assert_allclose
 
 import problems
 from extremes.outcomes import Refused, Solved, assert_outcome
-from trajopt.node_costs import NodeCost
-from trajopt.problem import Problem
-from trajopt.solution import Solution
-from trajopt.term_interfaces import Cost
+from trajopt.problem.problem import Problem
+from trajopt.solution.solution import Solution
+from trajopt.terms import Cost, NodeCost
 
 # Rounding, which iterations of a solver multiply.
 SAME = 1e-9

@@ -1,1 +1,1 @@
-"""The parts of a solution's check: samples, figures, re-integration."""
+"""Independent judgement of a solution, with numeric Pinocchio alone."""

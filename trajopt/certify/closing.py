@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from trajopt.mirror import signed
-from trajopt.robot_building import base_of
-from trajopt.solution import Solution
+from trajopt.dynamics.base_joint import base_of
+from trajopt.robot.mirror import signed
+from trajopt.solution.solution import Solution
 
 
 def periodicity_error(plan: Solution) -> float | None:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajopt.certify.local_states import local_state
-from trajopt.solution import Solution
+from trajopt.solution.local_states import local_state
+from trajopt.solution.solution import Solution
 
 # Samples closer than this part of the interval are one point of the quadrature.
 SAME_POINT = 1e-9

@@ -9,10 +9,11 @@ import numpy as np
 from trajopt.certify.payloads import payload_wrenches
 from trajopt.certify.samples import Samples
 from trajopt.certify.sliding import held_part, sliding_error
-from trajopt.certify.touched import Touched, patches_of
-from trajopt.model_quantities import gravity_of, mass_of
-from trajopt.sole import pressure_rows, yaw_rows
-from trajopt.solution import Solution
+from trajopt.dynamics.model_quantities import gravity_of, mass_of
+from trajopt.robot.sole import pressure_rows, yaw_rows
+from trajopt.solution.descriptions import patches_of
+from trajopt.solution.solution import Solution
+from trajopt.solution.touched import Touched
 
 Figures = dict[str, float | None]
 

@@ -9,9 +9,9 @@ import numpy as np
 from trajopt.certify.contact_figures import is_sole
 from trajopt.certify.samples import Samples, evaluate
 from trajopt.certify.sliding import held_part
-from trajopt.certify.touched import Touched
-from trajopt.model_quantities import gravity_of, mass_of
-from trajopt.solution import Solution
+from trajopt.dynamics.model_quantities import gravity_of, mass_of
+from trajopt.solution.solution import Solution
+from trajopt.solution.touched import Touched
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from trajopt.robot_building import base_of, reach
-from trajopt.solution import Solution
+from trajopt.dynamics.base_joint import base_of
+from trajopt.robot.building import reach
+from trajopt.solution.solution import Solution
 
 # A body that hardly turns has no momentum to compare with: then this part of m l sqrt(g l), the
 # momentum of the robot's mass at its reach l falling over l, is the scale.

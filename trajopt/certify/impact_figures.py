@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pinocchio as pin
 
+from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
+from trajopt.certify.contact.impact import cone_margins, momentum, total_wrench
 from trajopt.certify.payloads import carrying_model
-from trajopt.certify.touched import Touched
-from trajopt.dynamics.contact_set import ContactSet, contact_kinematics
-from trajopt.dynamics.impact import cone_margins, momentum, total_wrench
-from trajopt.model_quantities import gravity_of, mass_of
-from trajopt.robot_building import base_of
-from trajopt.solution import Solution
+from trajopt.dynamics.base_joint import base_of
+from trajopt.dynamics.model_quantities import gravity_of, mass_of
+from trajopt.solution.solution import Solution
+from trajopt.solution.touched import Touched
 
 Figures = dict[str, float | None]
 

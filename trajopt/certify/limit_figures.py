@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from trajopt.actuators.drive import Drive
-from trajopt.actuators.on_robot import drive_torque_values
-from trajopt.robot_building import position_limits
-from trajopt.solution import Solution
+from trajopt.dynamics.base_joint import position_limits
+from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.actuators.on_robot import drive_torque_values
+from trajopt.solution.solution import Solution
 
 Figures = dict[str, float | None]
 

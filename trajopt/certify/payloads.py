@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from trajopt.payload import loaded_model, payload_wrench
-from trajopt.solution import Solution
+from trajopt.robot.payload import loaded_model, payload_wrench
+from trajopt.solution.solution import Solution
 
 
 def carried(plan: Solution, phase: int) -> list[dict[str, Any]]:

@@ -19,13 +19,14 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from trajopt.certify.contact.contact_dynamics import ContactDynamics
+from trajopt.certify.contact.contact_set import ContactSet
 from trajopt.certify.payloads import carrying_model
 from trajopt.certify.sliding import SlidingDynamics
-from trajopt.certify.touched import surfaces_of
-from trajopt.dynamics.contact_dynamics import ContactDynamics
-from trajopt.dynamics.contact_set import ContactSet
-from trajopt.robot_building import BASE_JOINT, BASE_POSITION, BASE_ROWS, base_of
-from trajopt.solution import Solution
+from trajopt.dynamics.base_joint import BASE_JOINT, BASE_POSITION, BASE_ROWS, base_of
+from trajopt.solution.descriptions import surfaces_of
+from trajopt.solution.motion import lagrange_coefficients
+from trajopt.solution.solution import Solution
 
 PhaseDynamics = ContactDynamics | SlidingDynamics
 
@@ -48,11 +49,6 @@ class OpenLoopError:
     position: float | None
     orientation: float | None
     joints: float
-
-
-def lagrange_coefficients(fractions: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return polynomial coefficients (s, n), lowest power first, through ``values`` (s, n)."""
-    return np.linalg.solve(np.vander(fractions, increasing=True), values)
 
 
 def open_loop(solution: Solution) -> tuple[OpenLoopError, ...]:

@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from trajopt.bases.virtual_base import LEAST_MARGIN
+from trajopt.dynamics.virtual_base import LEAST_MARGIN
 
 # Residuals, contact accelerations and forces of inactive contacts, as parts of the weight (of
 # gravity): what a solver leaves that stops at 1e-6 in units of weight and length.

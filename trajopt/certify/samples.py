@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from trajopt.model_quantities import generalized_force
-from trajopt.solution import Solution
+from trajopt.dynamics.model_quantities import generalized_force
+from trajopt.solution.solution import Solution
 
 
 @dataclass(frozen=True, kw_only=True)

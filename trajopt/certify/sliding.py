@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
 from trajopt.certify.samples import Samples
-from trajopt.certify.touched import Touched
-from trajopt.dynamics.contact_set import ContactSet, contact_kinematics
-from trajopt.model_quantities import gravity_of, mass_of
-from trajopt.solution import Solution
-from trajopt.surface import Surface
+from trajopt.dynamics.model_quantities import gravity_of, mass_of
+from trajopt.solution.solution import Solution
+from trajopt.solution.touched import Touched
+from trajopt.terrain.surface import Surface
 
 
 def held_part(vectors: np.ndarray, surfaces: Touched) -> np.ndarray:

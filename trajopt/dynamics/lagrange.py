@@ -27,8 +27,8 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 
-from trajopt import rigid_body
-from trajopt.model_content import once_per_content
+from trajopt.dynamics import rigid_body
+from trajopt.dynamics.model_content import once_per_content
 
 
 @dataclass(frozen=True, kw_only=True)

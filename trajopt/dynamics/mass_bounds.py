@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from trajopt.dynamics.base_joint import position_limits
+from trajopt.dynamics.model_content import joint_kind
 from trajopt.dynamics.structure import mass_matrix
 from trajopt.errors import InputError
-from trajopt.model_content import joint_kind
-from trajopt.robot_building import position_limits
 
 # Number of sliding and turning directions of each kind of joint, by the beginning of its name.
 _DIRECTIONS = {

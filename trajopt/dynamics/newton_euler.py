@@ -27,9 +27,9 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 
-from trajopt import rigid_body
+from trajopt.dynamics import rigid_body
+from trajopt.dynamics.model_content import frame_content, once_per_content
 from trajopt.errors import InputError
-from trajopt.model_content import frame_content, once_per_content
 
 _LINK = "link"
 

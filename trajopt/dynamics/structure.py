@@ -22,11 +22,10 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 
-from trajopt import rigid_body
-from trajopt.dynamics import lagrange
+from trajopt.dynamics import lagrange, rigid_body
+from trajopt.dynamics.base_joint import BASE_JOINT, BASE_ROWS, base_of
+from trajopt.dynamics.model_content import joint_kind, once_per_content
 from trajopt.errors import InputError
-from trajopt.model_content import joint_kind, once_per_content
-from trajopt.robot_building import BASE_JOINT, BASE_ROWS, base_of
 
 # Relative part of gravity that a base cannot follow, and of a base Jacobian's smallest singular value.
 UNREACHABLE = 1e-9

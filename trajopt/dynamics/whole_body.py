@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from trajopt.dynamics.model_content import frame_content
+from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.dynamics.structure import (
     Momentum,
     base_joint_and_rows,
@@ -21,8 +23,6 @@ from trajopt.dynamics.structure import (
     require_shapes,
 )
 from trajopt.errors import InputError
-from trajopt.model_content import frame_content
-from trajopt.model_quantities import generalized_force
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,1 +1,1 @@
-"""Reduced models and two-stage locomotion: pendulum, one rigid body, base rows alone."""
+"""Smaller models: two stages, one rigid body, the pendulum, and the guesses and scenes made of them."""

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.errors import InputError
-from trajopt.model_quantities import STANDARD_GRAVITY
-from trajopt.schedule import Schedule
+from trajopt.schedule.schedule import Schedule
 
 # Times of waypoints and of phases that differ by less than this part of the schedule are one.
 SAME_TIME = 1e-9

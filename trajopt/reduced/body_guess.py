@@ -11,19 +11,14 @@ import pinocchio as pin
 from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from trajopt.errors import InputError
-from trajopt.kinematics import inverse_kinematics
-from trajopt.problem import Motion, Problem
-from trajopt.reduced.foot_motion import (
-    CACHED_POSTURES,
-    DEFAULT_CLEARANCE,
-    FootMotion,
-    Swing,
-    foot_targets,
-    smooth_step,
-)
+from trajopt.problem.problem import Problem
+from trajopt.reduced.foot_motion import CACHED_POSTURES, DEFAULT_CLEARANCE, FootMotion, Swing, foot_targets
 from trajopt.reduced.footsteps import Foothold, feet_of
 from trajopt.reduced.single_rigid_body import footholds_of
-from trajopt.solution import Solution
+from trajopt.robot.kinematics import inverse_kinematics
+from trajopt.schedule.schedule import Motion
+from trajopt.solution.solution import Solution
+from trajopt.terrain.swing_profile import smooth_step
 
 
 class BasePath:

@@ -11,7 +11,7 @@ import numpy as np
 from trajopt.errors import InputError
 from trajopt.reduced.footsteps import FootstepPlan, Support, support_vertices
 from trajopt.reduced.lip import Pendulum, PendulumMotion, first_zmp_for
-from trajopt.robot import Robot
+from trajopt.robot.robot import Robot
 
 # Residual of the least squares that says whether a point is in a polygon, m: rounding of feet's places.
 INSIDE = 1e-9

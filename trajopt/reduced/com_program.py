@@ -31,7 +31,7 @@ from trajopt.errors import InputError
 from trajopt.reduced.com_planning import ComMotion, CubicMotion
 from trajopt.reduced.footsteps import FootstepPlan, support_vertices
 from trajopt.reduced.lip import Pendulum, PendulumMotion
-from trajopt.robot import Robot
+from trajopt.robot.robot import Robot
 
 Control = Literal["zmp_rate", "jerk"]
 Terminal = Literal["rest", "captured"]

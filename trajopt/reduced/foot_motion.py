@@ -12,11 +12,12 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
-from trajopt.kinematics import inverse_kinematics
-from trajopt.problem import Motion
 from trajopt.reduced.com_planning import ComMotion
 from trajopt.reduced.footsteps import Foothold, FootstepPlan, feet_of
-from trajopt.robot import Robot
+from trajopt.robot.kinematics import inverse_kinematics
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Motion
+from trajopt.terrain.swing_profile import smooth_step
 
 # Height in m of a swing over the straight line between its footholds, unless the caller says otherwise.
 DEFAULT_CLEARANCE = 0.05
@@ -25,12 +26,6 @@ DEFAULT_CLEARANCE = 0.05
 COM_STEPS = 4
 # Configurations kept of a guess that is asked three times for every point.
 CACHED_POSTURES = 4096
-
-
-def smooth_step(s: float) -> float:
-    """From 0 to 1 with rate and acceleration zero at both ends: 10 s^3 - 15 s^4 + 6 s^5, clipped."""
-    s = min(max(s, 0.0), 1.0)
-    return s**3 * (10 - 15 * s + 6 * s * s)
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from types import MappingProxyType
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.kinematics import contact_poses
-from trajopt.robot import Robot
-from trajopt.schedule import Phase, Schedule
+from trajopt.robot.kinematics import contact_poses
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

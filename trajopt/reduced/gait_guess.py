@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
+from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
 from trajopt.errors import InputError
-from trajopt.model_quantities import contact_jacobian, gravity_of
-from trajopt.problem import Motion
 from trajopt.reduced.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights
-from trajopt.reduced.foot_motion import smooth_step
 from trajopt.reduced.legged_guess import LeggedPosture, legged_guess
-from trajopt.robot import Robot
-from trajopt.schedule import FlatGround, Schedule
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Motion, Schedule
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.swing_profile import smooth_step
 
 # Step of the differences that give a state's rates, s; contacts are brought to rest exactly afterwards.
 DIFFERENCE_STEP = 1e-4

@@ -10,16 +10,17 @@ from functools import cached_property, lru_cache
 import numpy as np
 import pinocchio as pin
 
+from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
-from trajopt.kinematics import contact_poses, inverse_kinematics
-from trajopt.model_quantities import gravity_of
-from trajopt.problem import Motion
 from trajopt.reduced.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights
-from trajopt.reduced.foot_motion import CACHED_POSTURES, require_free_flyer, smooth_step
-from trajopt.robot import Robot
-from trajopt.schedule import Phase, Schedule
-from trajopt.surface import Surface, frame_of_normal
-from trajopt.terrain import FlatGround, Terrain
+from trajopt.reduced.foot_motion import CACHED_POSTURES, require_free_flyer
+from trajopt.robot.kinematics import contact_poses, inverse_kinematics
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Motion, Phase, Schedule
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.surface import Surface, frame_of_normal
+from trajopt.terrain.swing_profile import smooth_step
+from trajopt.terrain.terrain import Terrain
 
 # Height of a swing over the straight line between its footholds, as a part of the robot's length.
 CLEARANCE_PART = 0.1

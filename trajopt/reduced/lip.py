@@ -25,8 +25,8 @@ from functools import cached_property
 
 import numpy as np
 
+from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.errors import InputError
-from trajopt.model_quantities import STANDARD_GRAVITY
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,20 +19,20 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 
-from trajopt.contact_terms import ContactConstraint, NormalForce
-from trajopt.context import Context
-from trajopt.costs import AccelerationCost, TimeCost, VelocityCost, WrenchCost
+from trajopt.dynamics.rotations import rotation_matrix
 from trajopt.errors import InputError
-from trajopt.kinematics import frame_pose, inverse_kinematics
-from trajopt.node_terms import FrameHeight, FramePose, FrameVelocity, TerminalRest, TerminalState
-from trajopt.problem import Problem
+from trajopt.problem.problem import Problem
 from trajopt.reduced.foot_motion import require_free_flyer
 from trajopt.reduced.footsteps import Foothold, FootstepPlan, Support, feet_of
-from trajopt.robot import Robot
-from trajopt.rotations import rotation_matrix
-from trajopt.schedule import Schedule
-from trajopt.term_interfaces import PointConstraint, Rows, Term
-from trajopt.units import Units
+from trajopt.robot.kinematics import frame_pose, inverse_kinematics
+from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Schedule
+from trajopt.terms.context import Context
+from trajopt.terms.costs import AccelerationCost, TimeCost, VelocityCost, WrenchCost
+from trajopt.terms.friction import ContactConstraint, NormalForce
+from trajopt.terms.interfaces import PointConstraint, Rows, Term
+from trajopt.terms.terminal import FrameHeight, FramePose, FrameVelocity, TerminalRest, TerminalState
 
 # Frame at the origin of the free-flyer, in its axes.
 BODY = "single_rigid_body"

@@ -13,20 +13,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
+from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
-from trajopt.kinematics import contact_positions, inverse_kinematics
-from trajopt.model_quantities import gravity_of
-from trajopt.problem import Motion
 from trajopt.reduced.base_path import BaseWaypoint, WaypointPath, flights
 from trajopt.reduced.foot_motion import require_free_flyer
 from trajopt.reduced.gait_guess import Pace, base_pose, gait_path, with_footholds
 from trajopt.reduced.legged_guess import LeggedPosture, Stance, legged_guess
-from trajopt.robot import Robot
-from trajopt.schedule import Phase, Schedule
-from trajopt.surface import frame_of_normal
-from trajopt.terrain import PiecewiseTerrain, Terrain
-from trajopt.terrain.placing import placed_on
+from trajopt.robot.kinematics import contact_positions, inverse_kinematics
+from trajopt.robot.robot import Robot
+from trajopt.schedule.placing import placed_on
+from trajopt.schedule.schedule import Motion, Phase, Schedule
+from trajopt.terrain.piecewise import PiecewiseTerrain
+from trajopt.terrain.surface import frame_of_normal
 from trajopt.terrain.swing_path import swing_path
+from trajopt.terrain.terrain import Terrain
 
 # Feet farther from their places at the start than this part of the robot's length do not reach them.
 REACHED = 1e-6

@@ -20,18 +20,18 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 
-from trajopt.actuators.on_robot import drive_torque_values
 from trajopt.certify.samples import evaluate
-from trajopt.context import Context
-from trajopt.costs import AccelerationCost, TorqueCost, WrenchCost
+from trajopt.dynamics.manifold import Coordinates
+from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
-from trajopt.manifold import Coordinates
-from trajopt.model_quantities import contact_jacobian
-from trajopt.problem import Problem
-from trajopt.robot import Robot
-from trajopt.solution import Solution
-from trajopt.term_interfaces import Cost, PointConstraint, Term
-from trajopt.units import Units
+from trajopt.problem.problem import Problem
+from trajopt.robot.actuators.on_robot import drive_torque_values
+from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
+from trajopt.solution.solution import Solution
+from trajopt.terms.context import Context
+from trajopt.terms.costs import AccelerationCost, TorqueCost, WrenchCost
+from trajopt.terms.interfaces import Cost, PointConstraint, Term
 
 # Weight of the accelerations relative to the torque cost's where nothing else makes the motion unique.
 LEAST_ACCELERATION_SHARE = 1e-2

@@ -25,19 +25,18 @@ import osqp
 from scipy import sparse
 from scipy.linalg import null_space
 
-from trajopt.actuators.on_robot import actuated_row_limit
 from trajopt.certify.samples import Samples, evaluate
-from trajopt.contact_terms import ContactConstraint, FrictionCone, FrictionPyramid, NormalForce
-from trajopt.context import Context
+from trajopt.dynamics.manifold import Coordinates
+from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
-from trajopt.manifold import Coordinates
-from trajopt.mesh import interpolated
-from trajopt.model_quantities import contact_jacobian
-from trajopt.problem import Problem
+from trajopt.problem.problem import Problem
 from trajopt.reduced.two_stage import TorqueBounds, effort_limit, torque_bounds
-from trajopt.solution import Solution
-from trajopt.term_interfaces import PointConstraint
-from trajopt.units import Units
+from trajopt.robot.units import Units
+from trajopt.solution.grid import interpolated
+from trajopt.solution.solution import Solution
+from trajopt.terms.context import Context
+from trajopt.terms.friction import ContactConstraint, FrictionCone, FrictionPyramid, NormalForce
+from trajopt.terms.interfaces import PointConstraint
 
 # Weight of leaving the wrenches as they are where torques do not care, natural units.
 KEEPING = 1e-6
@@ -75,7 +74,7 @@ def redistributed(problem: Problem, solution: Solution) -> Solution:
             f[row], torque[row] = found
             changed += 1
     f, torque = interpolated(solution, f), interpolated(solution, torque)
-    limit = np.asarray(actuated_row_limit(problem.robot, effort_limit(problem)))
+    limit = np.asarray(problem.robot.actuated_row_limit(effort_limit(problem)))
     meta = {
         **solution.meta,
         "effort_limit": np.minimum(limit, sys.float_info.max).tolist(),

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from trajopt.nlp import Nlp
+from trajopt.transcription.nlp import Nlp
 
 # The least share of negative curvature that is taken away; by which factors it grows until a program is
 # solved, and shrinks from step to step. After n smaller ones in a row that failed it stays for 2^n - 1 steps.

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from trajopt import _engine
-from trajopt.compilation import HESSIANS
 from trajopt.errors import InputError
-from trajopt.nlp import Nlp
+from trajopt.robot.units import Units
 from trajopt.solvers.result import FEASIBILITY_SHARE, Callback, Option, Result, Stop, Warm
 from trajopt.solvers.sqp_driver import solve_sqp
 from trajopt.solvers.status import Status
-from trajopt.transcription import Transcription
-from trajopt.units import Units
+from trajopt.transcription.compilation import HESSIANS
+from trajopt.transcription.nlp import Nlp
+from trajopt.transcription.transcription import Transcription
 
 # The NLP comes scaled by units, so the solvers' own scaling is off; a solution "to an
 # acceptable level" is no solution. The bound relaxation is far below the tolerance. Multipliers

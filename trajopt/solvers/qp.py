@@ -24,7 +24,7 @@ import numpy as np
 import piqp  # type: ignore[import-untyped]
 from scipy import sparse
 
-from trajopt.nlp import Nlp
+from trajopt.transcription.nlp import Nlp
 
 # Interior-point iterations of one program: those that can be solved take 10 to 30, and to find out that
 # there is no feasible point takes 30 to 40.

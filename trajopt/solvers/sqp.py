@@ -21,13 +21,13 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from trajopt.nlp import Nlp
 from trajopt.solvers.convexification import Convexified, Convexity
 from trajopt.solvers.qp import QpStep, Quadratic, StageQp
 from trajopt.solvers.result import Callback
 from trajopt.solvers.sqp_filter import Filter
 from trajopt.solvers.sqp_point import Errors, Evaluator, Point
 from trajopt.solvers.sqp_settings import SqpSettings
+from trajopt.transcription.nlp import Nlp
 
 # Added to the diagonal: the least, the factor by which it grows, the most after short steps, and the most
 # for a program that is not solved.

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from trajopt.nlp import Nlp
 from trajopt.solvers.result import FEASIBILITY_SHARE, Callback, Option, Result, Stop, Warm
 from trajopt.solvers.sqp_settings import SqpSettings
 from trajopt.solvers.status import Status
+from trajopt.transcription.nlp import Nlp
 
 _SQP_STATUS = {
     "Solved": Status.SOLVED,
@@ -36,7 +36,7 @@ def solve_sqp(
 
     Raises ValueError for an option that is unknown or not allowed.
     """
-    from trajopt.solvers.sqp import Sqp  # PIQP takes long to load
+    from trajopt.solvers.sqp import Sqp
 
     settings = SqpSettings.create(
         options,

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from trajopt.nlp import Nlp
 from trajopt.solvers.qp import Quadratic
 from trajopt.solvers.sqp_filter import Pair
+from trajopt.transcription.nlp import Nlp
 
 # Mean multipliers larger than this relax optimality in proportion, as IPOPT's s_max does: the error of a
 # sum of large terms is no smaller.

@@ -13,9 +13,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from trajopt.surface import SAME_PLANE, Surface
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.piecewise import CRACK, PiecewiseTerrain
+from trajopt.terrain.surface import SAME_PLANE, Surface
 
 # Horizontal parts of an edge's normal shorter than this have no direction.
 NO_DIRECTION = 1e-9

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.surface import UP, Surface
+from trajopt.terrain.surface import UP, Surface
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.surface import UP, Surface
 from trajopt.terrain.patch import Patch
+from trajopt.terrain.surface import UP, Surface
 
 Point = Sequence[float] | np.ndarray
 

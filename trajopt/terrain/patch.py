@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.surface import SAME_PLANE, UP, Surface, is_number
+from trajopt.terrain.surface import SAME_PLANE, UP, Surface, is_number
 
 # Sine of the turn at a corner below which three corners are on one line (or turn the wrong way): rounding of
 # corners that were computed, far below any polygon that is meant to turn there.

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.surface import UP, Surface
 from trajopt.terrain.obstacle import ObstacleAxes, Point, require_lengths
 from trajopt.terrain.patch import Patch
+from trajopt.terrain.surface import UP, Surface
 
 # How far flats before and beyond an obstacle reach, m: farther than any motion of one plan.
 REACH = 20.0

@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.surface import Surface
 from trajopt.terrain.shapes import ParameterOf, Shape, shape_from_description
+from trajopt.terrain.surface import Surface
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,10 +10,12 @@ from functools import lru_cache
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.reduced.foot_motion import smooth_step
-from trajopt.surface import Surface
-from trajopt.terrain import FlatGround, PiecewiseTerrain, Terrain
 from trajopt.terrain.crossing import Crossing, Edge, crossing
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.piecewise import PiecewiseTerrain
+from trajopt.terrain.surface import Surface
+from trajopt.terrain.swing_profile import smooth_step
+from trajopt.terrain.terrain import Terrain
 
 # Parts of the swing's time at which the foot is as high as the top, and from which it sinks.
 RISEN, SINKING = 0.35, 0.65

@@ -1,1 +1,0 @@
-"""Motors and gears on joints, and links as beams."""

@@ -1,0 +1,1 @@
+"""How accurate a solution is, measured by independent means, and references to compare it with."""

@@ -1,0 +1,160 @@
+"""What a solution does between its collocation points: rows left of the dynamics, and constraints broken.
+
+Every figure is that of the check (`certify`), evaluated on the interpolated motion (`interpolation`) at
+``FRACTIONS`` of every interval, its ends among them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trajopt.certify.accuracy.interpolation import resampled
+from trajopt.certify.accuracy.natural_units import NaturalUnits
+from trajopt.certify.contact_figures import force_figures, place_figures
+from trajopt.certify.dynamics_figures import DynamicsRows, dynamics_rows
+from trajopt.certify.limit_figures import drive_figures, limit_figures
+from trajopt.certify.samples import Samples, evaluate
+from trajopt.solution.descriptions import scene_of_meta
+from trajopt.solution.solution import SAMPLED, Solution
+from trajopt.solution.touched import Touched, touched
+
+# Eleven per interval: between the points of a scheme of degree four lie at least two of them.
+FRACTIONS = np.linspace(0.0, 1.0, 11)
+
+Figures = dict[str, float | None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Bound:
+    """How a constraint's violation follows from a figure of the check: its sign, and its unit."""
+
+    figure: str
+    sign: float = 1.0
+    unit: Callable[[NaturalUnits], float] = lambda _: 1.0
+
+
+def _length(units: NaturalUnits) -> float:
+    return units.length
+
+
+# Violations are over the weight (forces), weight times reach (moments of soles), the limit (torques,
+# velocities, drives), the joint's range (positions) and the reach (depths, distances).
+BOUNDS = {
+    "friction": _Bound(figure="friction_margin", sign=-1.0),
+    "unilateral": _Bound(figure="unilateral_margin", sign=-1.0),
+    "sole": _Bound(figure="sole_margin", sign=-1.0, unit=_length),
+    "sliding": _Bound(figure="sliding_friction"),
+    "effort": _Bound(figure="effort_excess"),
+    "drive_torque": _Bound(figure="drive_torque_excess"),
+    "drive_voltage": _Bound(figure="drive_voltage_excess"),
+    "velocity": _Bound(figure="velocity_excess"),
+    "position": _Bound(figure="position_excess"),
+    "penetration": _Bound(figure="penetration", unit=_length),
+    "obstacle": _Bound(figure="obstacle_distance", sign=-1.0, unit=_length),
+    "self_collision": _Bound(figure="self_distance", sign=-1.0, unit=_length),
+    "patch": _Bound(figure="patch_margin", sign=-1.0, unit=_length),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Residuals:
+    """Largest rows left by the interpolated motion in each interval (I,), in natural units.
+
+    base, actuated: RNEA(q, v, a) - sum J^T f - S^T tau over m g (rows that turn: m g l). contact:
+    acceleration of active contacts over g (angular: g / l); of a velocity source velocities over sqrt(g l),
+    sqrt(g / l). Zero where there is no such row.
+    """
+
+    base: np.ndarray
+    actuated: np.ndarray
+    contact: np.ndarray
+
+    @property
+    def worst(self) -> np.ndarray:
+        """The largest of the three (I,)."""
+        return np.maximum(np.maximum(self.base, self.actuated), self.contact)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Between:
+    """Residuals by interval, and by phase the violations (0 where kept) and the drift of active contacts, m.
+
+    A violation or drift is None where the phase has nothing of that kind.
+    """
+
+    residuals: Residuals
+    violations: tuple[Figures, ...]
+    foot_drift: tuple[float | None, ...]
+
+
+def between(plan: Solution) -> Between:
+    """Figures of a plan whose rotations are of unit norm, at ``FRACTIONS`` of its intervals."""
+    dense = resampled(plan, FRACTIONS)
+    samples = evaluate(dense)
+    surfaces = touched(dense, samples.position)
+    units = NaturalUnits.of(plan.model)
+    phases = [slice(rows.start, rows.stop) for rows in dense.phases]
+    parts = [_part(dense, samples, surfaces, rows) for rows in phases]
+    found = [_violations(part, units) for part in parts]
+    return Between(
+        residuals=_residuals(dense, dynamics_rows(dense, samples, surfaces), units),
+        violations=tuple(violations for violations, _ in found),
+        foot_drift=tuple(drift for _, drift in found),
+    )
+
+
+def _residuals(dense: Solution, rows: DynamicsRows, units: NaturalUnits) -> Residuals:
+    force = units.generalized_force(dense.model)
+    base = dense.n_unactuated
+    turning = np.array([1.0] * 3 + [1.0 / units.length] * 3)
+    if dense.meta.get("actuation") == "velocity":
+        contact = rows.contact / (np.sqrt(units.gravity * units.length) * turning)
+    else:
+        contact = rows.contact / (units.gravity * turning)
+    worst = [
+        np.abs(part.reshape(dense.n_intervals, -1)).max(axis=1, initial=0.0)
+        for part in (rows.base / force[:base], rows.actuated / force[base:], contact)
+    ]
+    return Residuals(base=worst[0], actuated=worst[1], contact=worst[2])
+
+
+def _part(
+    dense: Solution, samples: Samples, surfaces: Touched, rows: slice
+) -> tuple[Solution, Samples, Touched]:
+    """The samples of one phase."""
+    plan = replace(dense, **{name: getattr(dense, name)[rows] for name in SAMPLED})
+    plan.__dict__["model"] = dense.model  # as cached: reading it from its text anew takes long
+    return (
+        plan,
+        Samples(**{name: getattr(samples, name)[rows] for name in Samples.__dataclass_fields__}),
+        Touched(**{name: getattr(surfaces, name)[rows] for name in Touched.__dataclass_fields__}),
+    )
+
+
+def _violations(part: tuple[Solution, Samples, Touched], units: NaturalUnits) -> tuple[Figures, float | None]:
+    plan, samples, surfaces = part
+    places = place_figures(plan, samples, surfaces)
+    figures = {
+        **force_figures(plan, samples, surfaces),
+        **limit_figures(plan),
+        **drive_figures(plan),
+        **places,
+        **_distances(plan),
+    }
+    found: Figures = {}
+    for name, bound in BOUNDS.items():
+        value = figures[bound.figure]
+        found[name] = None if value is None else max(bound.sign * value / bound.unit(units), 0.0)
+    return found, places["foot_drift"]
+
+
+def _distances(plan: Solution) -> Figures:
+    """Least distances, m, of the capsules of the collision scene from obstacles and from each other."""
+    scene = scene_of_meta(plan.model, plan.meta.get("collision"))
+    least = np.zeros(0) if scene is None else scene.least_distances(plan.q)
+    outer = 0 if scene is None else scene.n_outer
+    parts = {"obstacle_distance": least[:outer], "self_distance": least[outer:]}
+    return {name: float(part.min()) if part.size else None for name, part in parts.items()}

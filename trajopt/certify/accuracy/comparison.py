@@ -1,0 +1,146 @@
+"""How far a solution is from another of the same problem: objectives, durations, and motions at equal times.
+
+Times are compared as fractions of each phase, so that motions of free durations are compared event by event.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajopt.certify.accuracy.interpolation import Sampled, sample_interval
+from trajopt.certify.accuracy.named_points import NamedPoints
+from trajopt.certify.accuracy.natural_units import NaturalUnits
+from trajopt.certify.reintegration import state_distance
+from trajopt.dynamics.base_joint import base_of
+from trajopt.errors import InputError
+from trajopt.solution.solution import Solution
+
+# Times of each phase at which motions are compared, from its start to its end.
+COMPARED = 101
+# An objective below this, in natural units, is none that one could give a part of.
+LEAST_OBJECTIVE = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """A solution against a reference.
+
+    objective_gap: (J - J_ref) / |J_ref|, negative where the solution's is lower; None where a file has none.
+    distance: m, largest of the base position, with a fixed base of the farthest-off named point.
+    farthest: m, of the farthest-off named point. orientation: rad, of the base; None for a fixed one. joints:
+    rad or m.
+    torque, torque_rms: the largest and the root of the mean square over the motion, of the worst joint, over
+    weight times reach (prismatic: weight). time: s, largest difference of the duration of a phase.
+    by_phase: distance of each phase, m.
+    """
+
+    objective_gap: float | None
+    distance: float
+    farthest: float
+    orientation: float | None
+    joints: float
+    torque: float
+    torque_rms: float
+    time: float
+    by_phase: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Apart:
+    """Differences over one phase: base m, base rad, joints, farthest point m; of torques (n, nu) in units."""
+
+    state: np.ndarray
+    torque: np.ndarray
+    durations: tuple[float, float]
+
+
+def compare(plan: Solution, reference: Solution) -> Comparison:
+    """Compare two plans of one problem. Raises `InputError` for another robot, or other phases."""
+    require_same_task(plan, reference)
+    points, units = NamedPoints.of(plan.model), NaturalUnits.of(plan.model)
+    found = [_phase(plan, reference, points, phase) for phase in range(len(plan.phases))]
+    torques = [part.torque / units.generalized_force(plan.model)[plan.n_unactuated :] for part in found]
+    worst = np.array([part.state for part in found])
+    fixed = base_of(plan.model) == "fixed"
+    distances = worst[:, 3] if fixed else worst[:, 0]
+    return Comparison(
+        objective_gap=objective_gap(plan, reference),
+        distance=float(distances.max()),
+        farthest=float(worst[:, 3].max()),
+        orientation=None if fixed else float(worst[:, 1].max()),
+        joints=float(worst[:, 2].max()),
+        torque=float(max(np.abs(part).max(initial=0.0) for part in torques)),
+        torque_rms=_mean_over_time(torques, [part.durations[1] for part in found]),
+        time=max(abs(part.durations[0] - part.durations[1]) for part in found),
+        by_phase=tuple(float(distance) for distance in distances),
+    )
+
+
+def objective_gap(plan: Solution, reference: Solution) -> float | None:
+    """(J - J_ref) / |J_ref|, signed; of a reference without cost over ``LEAST_OBJECTIVE`` instead."""
+    own, best = (solution.meta.get("objective") for solution in (plan, reference))
+    if own is None or best is None:
+        return None
+    return float((own - best) / max(abs(best), LEAST_OBJECTIVE))
+
+
+def require_same_task(plan: Solution, reference: Solution) -> None:
+    """Raise `InputError` unless both have the same joints, torques, actuation, and contacts in each phase."""
+    sizes = [(s.q.shape[1], s.v.shape[1], s.tau.shape[1]) for s in (plan, reference)]
+    if sizes[0] != sizes[1] or list(plan.model.names) != list(reference.model.names):
+        raise InputError("the reference is of another robot", f"one with the joints of {plan.meta['robot']}")
+    if plan.meta.get("actuation") != reference.meta.get("actuation"):
+        raise InputError("the reference is of another actuation", f"{plan.meta.get('actuation')}")
+    contacts = [[_touching(s, phase) for phase in s.phases] for s in (plan, reference)]
+    if contacts[0] != contacts[1]:
+        own = "; ".join(", ".join(sorted(names)) or "none" for names in contacts[0])
+        raise InputError("the reference has other phases", f"contacts by phase: {own}")
+
+
+def _touching(solution: Solution, phase: range) -> set[str]:
+    return {solution.contact_frames[index] for index in np.flatnonzero(solution.active[phase.start])}
+
+
+def _phase(plan: Solution, reference: Solution, points: NamedPoints, phase: int) -> _Apart:
+    fractions = np.linspace(0.0, 1.0, COMPARED)
+    own, other = (_sampled(solution, phase, fractions) for solution in (plan, reference))
+    state = np.zeros(4)
+    for q, q_reference in zip(own.q, other.q, strict=True):
+        apart = [*state_distance(plan.model, q_reference, q), points.farthest(q_reference, q)]
+        state = np.maximum(state, apart)
+    durations = (_span(plan, phase), _span(reference, phase))
+    return _Apart(state=state, torque=own.tau - other.tau, durations=durations)
+
+
+def _span(solution: Solution, phase: int) -> float:
+    rows = solution.phases[phase]
+    return float(solution.t[rows.stop - 1] - solution.t[rows.start])
+
+
+def _sampled(solution: Solution, phase: int, fractions: np.ndarray) -> Sampled:
+    """The motion at fractions of a phase; a node belongs to the interval that it begins."""
+    rows = solution.phases[phase]
+    numbers = range(int(solution.interval[rows.start]), int(solution.interval[rows.stop - 1]) + 1)
+    edges = solution.interval_t[numbers.start : numbers.stop]
+    times = edges[0, 0] + fractions * (edges[-1, 1] - edges[0, 0])
+    which = np.clip(np.searchsorted(edges[:, 0], times, side="right") - 1, 0, len(edges) - 1)
+    parts = []
+    for index in np.unique(which):
+        start, end = edges[index]
+        inner = np.clip((times[which == index] - start) / (end - start), 0.0, 1.0)
+        parts.append(sample_interval(solution, numbers[index], inner))
+    return Sampled(
+        **{
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in Sampled.__dataclass_fields__
+        }
+    )
+
+
+def _mean_over_time(torques: list[np.ndarray], durations: list[float]) -> float:
+    """Root of the mean square over the motion of the largest entry at each time."""
+    squares = [np.mean(np.abs(part).max(axis=1, initial=0.0) ** 2) for part in torques]
+    return math.sqrt(float(np.average(squares, weights=durations)))

@@ -1,0 +1,205 @@
+"""The accuracy of a solution, by independent means: numeric Pinocchio and the file's arrays alone."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajopt.certify.accuracy.between import Between, between
+from trajopt.certify.accuracy.comparison import Comparison, compare
+from trajopt.certify.accuracy.open_loop import Drift, interval_drifts, motion_drift, phase_drifts
+from trajopt.certify.check import on_manifold, trusted
+from trajopt.certify.consistency import interval_gaps
+from trajopt.solution.solution import Solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhaseAccuracy:
+    """Accuracy of one phase; names and units as in `Accuracy`.
+
+    ``motion`` is the drift within this phase of the whole motion in one integration; ``distance`` m is from
+    the reference, None without one.
+    """
+
+    name: str
+    start: float
+    end: float
+    open_loop: Drift
+    motion: Drift
+    interval_error: float
+    collocation_error: float
+    violation: float
+    foot_drift: float | None
+    distance: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Accuracy:
+    """How accurate a solution is.
+
+    open_loop: m, worst phase, each integrated from its planned start with the planned torques;
+        ``..._orientation`` rad and ``..._joints`` rad or m of the same integrations. Positions are of the
+        base, with a fixed base of the farthest-off point that the model names; ``..._farthest`` m is of that
+        point for every robot. inf where a motion ran away.
+    open_loop_motion: m, the whole motion in one integration, through its impacts.
+    interval_error: m, largest of ``interval_errors``, the local errors (I,), see `open_loop.interval_drifts`.
+    collocation_error: largest row that the interpolated motion leaves in dynamics and contacts between
+        points, natural units (weight, weight times reach, g), ``base_error``, ``actuated_error`` and
+        ``contact_error`` its kinds, ``collocation_errors`` (I,) by interval. position_gap (m, rad) and
+        velocity_gap (m/s, rad/s): q against the integral of v, v against that of a, see
+        `certify.consistency.interval_gaps`.
+    foot_drift: m, of active contacts from where they are at their phase's start; None without contacts.
+    violation_between: largest of ``violations``, by name in natural units (`between.BOUNDS`): 0 where the
+        constraint holds between the points too, None where there is nothing of the kind.
+    comparison: against a reference, or None.
+    """
+
+    open_loop: float
+    open_loop_orientation: float | None
+    open_loop_joints: float
+    open_loop_farthest: float
+    open_loop_motion: float
+    open_loop_motion_orientation: float | None
+    open_loop_motion_joints: float
+    open_loop_motion_farthest: float
+    interval_errors: np.ndarray
+    collocation_errors: np.ndarray
+    base_error: float
+    actuated_error: float
+    contact_error: float
+    position_gap: float
+    velocity_gap: float
+    foot_drift: float | None
+    violations: dict[str, float | None]
+    phases: tuple[PhaseAccuracy, ...]
+    comparison: Comparison | None = None
+
+    @property
+    def interval_error(self) -> float:
+        """Largest local error of an interval, m."""
+        return float(self.interval_errors.max())
+
+    @property
+    def collocation_error(self) -> float:
+        """Largest row left between points, natural units."""
+        return float(self.collocation_errors.max())
+
+    @property
+    def violation_between(self) -> float:
+        """Largest violation between points, natural units."""
+        return max((value for value in self.violations.values() if value is not None), default=0.0)
+
+    @property
+    def objective_gap(self) -> float | None:
+        """Relative difference of the objective from the reference's, signed; None without a reference."""
+        return None if self.comparison is None else self.comparison.objective_gap
+
+    @property
+    def distance(self) -> float | None:
+        """Largest distance of the motion from the reference's, m; None without a reference."""
+        return None if self.comparison is None else self.comparison.distance
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able figures by name, then lists by interval and by phase; inf and NaN become None."""
+        names = (
+            "open_loop", "open_loop_orientation", "open_loop_joints", "open_loop_farthest",
+            "open_loop_motion", "open_loop_motion_orientation", "open_loop_motion_joints",
+            "open_loop_motion_farthest", "interval_error", "collocation_error", "base_error",
+            "actuated_error", "contact_error", "position_gap", "velocity_gap", "foot_drift",
+            "violation_between", "violations", "objective_gap", "distance",
+        )  # fmt: skip
+        figures = {name: getattr(self, name) for name in names}
+        figures["comparison"] = None if self.comparison is None else asdict(self.comparison)
+        figures["interval_errors"] = self.interval_errors.tolist()
+        figures["collocation_errors"] = self.collocation_errors.tolist()
+        figures["phases"] = [asdict(phase) for phase in self.phases]
+        return {name: _finite(value) for name, value in figures.items()}
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def measure(solution: Solution | str | Path, reference: Solution | str | Path | None = None) -> Accuracy:
+    """Measure ``solution``, or the file at that path, and compare it with ``reference`` where there is one.
+
+    Nothing of the NLP takes part. Raises `SolutionFileError` for a file, `InputError` for a solution, that is
+    inconsistent or not finite, and `InputError` for a reference of another robot or of other phases.
+    """
+    plan = on_manifold(trusted(solution))
+    comparison = None if reference is None else compare(plan, on_manifold(trusted(reference)))
+    gaps, local, dense = interval_gaps(plan), interval_drifts(plan), between(plan)
+    phases = _phases(plan, local, dense, comparison)
+    return Accuracy(
+        **_worst("open_loop", [phase.open_loop for phase in phases]),
+        **_worst("open_loop_motion", [phase.motion for phase in phases]),
+        interval_errors=local,
+        collocation_errors=dense.residuals.worst,
+        base_error=float(dense.residuals.base.max()),
+        actuated_error=float(dense.residuals.actuated.max()),
+        contact_error=float(dense.residuals.contact.max()),
+        position_gap=gaps.position,
+        velocity_gap=gaps.velocity,
+        foot_drift=_largest([phase.foot_drift for phase in phases]),
+        violations={
+            name: _largest([found[name] for found in dense.violations]) for name in dense.violations[0]
+        },
+        phases=phases,
+        comparison=comparison,
+    )
+
+
+def interval_errors(solution: Solution | str | Path) -> np.ndarray:
+    """Local error (I,) in m that each interval makes from its own planned start, see `interval_drifts`.
+
+    Raises as `measure`.
+    """
+    return interval_drifts(on_manifold(trusted(solution)))
+
+
+def _phases(
+    plan: Solution, local: np.ndarray, dense: Between, comparison: Comparison | None
+) -> tuple[PhaseAccuracy, ...]:
+    names = plan.meta.get("phase_names") or [str(number) for number in range(len(plan.phases))]
+    own, through = phase_drifts(plan), motion_drift(plan)
+    found = []
+    for number, rows in enumerate(plan.phases):
+        inside = slice(int(plan.interval[rows.start]), int(plan.interval[rows.stop - 1]) + 1)
+        violations = [value for value in dense.violations[number].values() if value is not None]
+        found.append(
+            PhaseAccuracy(
+                name=names[number],
+                start=float(plan.t[rows.start]),
+                end=float(plan.t[rows.stop - 1]),
+                open_loop=own[number],
+                motion=through[number],
+                interval_error=float(local[inside].max()),
+                collocation_error=float(dense.residuals.worst[inside].max()),
+                violation=max(violations, default=0.0),
+                foot_drift=dense.foot_drift[number],
+                distance=None if comparison is None else comparison.by_phase[number],
+            )
+        )
+    return tuple(found)
+
+
+def _worst(name: str, drifts: list[Drift]) -> dict[str, Any]:
+    return {
+        name: max(drift.position for drift in drifts),
+        f"{name}_orientation": _largest([drift.orientation for drift in drifts]),
+        f"{name}_joints": max(drift.joints for drift in drifts),
+        f"{name}_farthest": max(drift.farthest for drift in drifts),
+    }
+
+
+def _largest(values: list[float | None]) -> float | None:
+    found = [value for value in values if value is not None]
+    return max(found) if found else None

@@ -1,0 +1,42 @@
+"""Natural units of a solution's robot, from its model alone: weight, reach and gravity."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.dynamics.model_quantities import gravity_of, mass_of
+from trajopt.robot.building import reach
+
+# A column of a joint's motion that turns by less than this part of its length is a translation.
+TRANSLATION = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class NaturalUnits:
+    """Weight m g in N, length l (the robot's reach, 1 m where it has none) in m, gravity g in m/s^2."""
+
+    weight: float
+    length: float
+    gravity: float
+
+    @classmethod
+    def of(cls, model: pin.Model) -> NaturalUnits:
+        """Units of a model; a massless one counts as 1 kg."""
+        gravity = gravity_of(model)
+        return cls(weight=(mass_of(model) or 1.0) * gravity, length=reach(model) or 1.0, gravity=gravity)
+
+    @property
+    def time(self) -> float:
+        """sqrt(l / g) in s."""
+        return math.sqrt(self.length / self.gravity)
+
+    def generalized_force(self, model: pin.Model) -> np.ndarray:
+        """Units (nv,) of the rows of the dynamics: m g of those that push, m g l of those that turn."""
+        data = model.createData()
+        columns = pin.computeJointJacobians(model, data, pin.neutral(model)).reshape(6, model.nv)
+        turning = np.linalg.norm(columns[3:], axis=0) > TRANSLATION * np.linalg.norm(columns, axis=0)
+        return np.where(turning, self.weight * self.length, self.weight)

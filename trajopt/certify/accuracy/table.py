@@ -1,0 +1,66 @@
+"""Accuracy as a table to read: figures one a line, then the phases, then the comparison with a reference."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajopt.certify.accuracy.measures import Accuracy, PhaseAccuracy
+
+# Figures by name: what they are, and their unit.
+FIGURES = {
+    "open_loop": ("open loop by phase, position", "m"),
+    "open_loop_orientation": ("open loop by phase, base orientation", "rad"),
+    "open_loop_joints": ("open loop by phase, joints", "rad, m"),
+    "open_loop_farthest": ("open loop by phase, farthest-off point", "m"),
+    "open_loop_motion": ("open loop, whole motion, position", "m"),
+    "open_loop_motion_orientation": ("open loop, whole motion, base orientation", "rad"),
+    "open_loop_motion_joints": ("open loop, whole motion, joints", "rad, m"),
+    "open_loop_motion_farthest": ("open loop, whole motion, farthest-off point", "m"),
+    "interval_error": ("local error of one interval", "m"),
+    "base_error": ("base rows of the dynamics between points", "weight, reach"),
+    "actuated_error": ("actuated rows of the dynamics between points", "weight, reach"),
+    "contact_error": ("acceleration of contacts between points", "g, reach"),
+    "foot_drift": ("drift of active contacts between points", "m"),
+    "violation_between": ("violation between points, natural units", "1"),
+}
+COMPARED = {
+    "objective_gap": ("objective against the reference", "relative"),
+    "distance": ("position from the reference's", "m"),
+    "farthest": ("farthest-off point from the reference's", "m"),
+    "orientation": ("base orientation from the reference's", "rad"),
+    "joints": ("joints from the reference's", "rad, m"),
+    "torque": ("torques from the reference's", "weight, reach"),
+    "torque_rms": ("torques from the reference's, mean square", "weight, reach"),
+    "time": ("duration of a phase from the reference's", "s"),
+}
+
+
+def table(accuracy: Accuracy) -> str:
+    """Figures with units; None is left out, and of violations those that are not zero are named."""
+    lines = [_line(text, getattr(accuracy, name), unit) for name, (text, unit) in FIGURES.items()]
+    broken = {name: value for name, value in accuracy.violations.items() if value}
+    lines += [_line(f"  {name.replace('_', ' ')}", value, "1") for name, value in broken.items()]
+    if accuracy.comparison is not None:
+        lines += [
+            _line(text, getattr(accuracy.comparison, name), unit) for name, (text, unit) in COMPARED.items()
+        ]
+    worst = int(np.argmax(accuracy.interval_errors))
+    lines.append(f"interval {worst} of {len(accuracy.interval_errors)} has the largest local error")
+    lines += [_phase(phase) for phase in accuracy.phases]
+    return "\n".join(line for line in lines if line)
+
+
+def _line(text: str, value: float | None, unit: str) -> str:
+    return "" if value is None else f"{text:46}{value:12.3e}  {unit}"
+
+
+def _phase(phase: PhaseAccuracy) -> str:
+    parts = [
+        f"open loop {phase.open_loop.position:.1e} m",
+        f"in the whole motion {phase.motion.position:.1e} m",
+        f"local {phase.interval_error:.1e} m",
+        f"rows between {phase.collocation_error:.1e}",
+    ]
+    if phase.distance is not None:
+        parts.append(f"from the reference {phase.distance:.1e} m")
+    return f"phase '{phase.name}' ({phase.start:.3f} to {phase.end:.3f} s): {', '.join(parts)}"

@@ -1,0 +1,123 @@
+"""The check of a solution: everything it claims, recomputed with numeric Pinocchio alone."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.certify.closing import periodicity_error
+from trajopt.certify.consistency import interval_gaps
+from trajopt.certify.contact_figures import force_figures, place_figures
+from trajopt.certify.dynamics_figures import dynamics_figures
+from trajopt.certify.flight import flight_errors
+from trajopt.certify.impact_figures import impact_figures
+from trajopt.certify.limit_figures import drive_figures, limit_figures
+from trajopt.certify.reintegration import OpenLoopError, open_loop
+from trajopt.certify.report import PhaseReport, Report
+from trajopt.certify.samples import evaluate
+from trajopt.dynamics.virtual_base import gimbal_margin_along
+from trajopt.solution.clearance import clearance_figures
+from trajopt.solution.file import consistent_meta
+from trajopt.solution.solution import Solution
+from trajopt.solution.touched import touched
+
+
+def check(solution: Solution | str | Path) -> Report:
+    """Recompute every figure of ``solution``, or of the file at that path.
+
+    Nothing of the transcription takes part: only the file's arrays, its model, and numeric
+    Pinocchio. Raises `SolutionFileError` for a file, `InputError` for a solution, that is
+    inconsistent or not finite.
+    """
+    given = trusted(solution)
+    plan = on_manifold(given)
+    samples = evaluate(plan)
+    surfaces = touched(plan, samples.position)
+    gaps = interval_gaps(plan)
+    phases = _phases(plan)
+    return Report(
+        **dynamics_figures(plan, samples, surfaces),
+        **force_figures(plan, samples, surfaces),
+        **limit_figures(plan),
+        **drive_figures(plan),
+        **place_figures(plan, samples, surfaces),
+        **impact_figures(plan, surfaces),
+        **clearance_figures(plan),
+        periodicity_error=periodicity_error(plan),
+        quaternion_error=_quaternion_error(given),
+        gimbal_margin=gimbal_margin_along(plan.model, plan.t, plan.q, plan.v),
+        position_gap=gaps.position,
+        velocity_gap=gaps.velocity,
+        ballistic_error=_worst([phase.ballistic_error for phase in phases]),
+        momentum_error=_worst([phase.momentum_error for phase in phases]),
+        ballistic_error_between=_worst([phase.ballistic_error_between for phase in phases]),
+        momentum_error_between=_worst([phase.momentum_error_between for phase in phases]),
+        open_loop_position=_worst([phase.open_loop_position for phase in phases]),
+        open_loop_orientation=_worst([phase.open_loop_orientation for phase in phases]),
+        open_loop_joints=max(phase.open_loop_joints for phase in phases),
+        phases=phases,
+    )
+
+
+def trusted(solution: Solution | str | Path) -> Solution:
+    """The solution, or the one of the file at that path, its consistency tested; raises as `check`."""
+    if not isinstance(solution, Solution):
+        return Solution.load(solution)
+    return replace(
+        solution, meta=json.loads(consistent_meta(solution.meta, solution.model_text, solution.arrays))
+    )
+
+
+def on_manifold(plan: Solution) -> Solution:
+    """Rotations of unit norm: their error is a figure of its own and shall not disturb the others."""
+    q = np.array([pin.normalize(plan.model, row) for row in plan.q])
+    return replace(plan, q=q)
+
+
+def _worst(values: list[float | None]) -> float | None:
+    found = [value for value in values if value is not None]
+    return max(found) if found else None
+
+
+def _largest(values: np.ndarray) -> float | None:
+    return float(np.max(values)) if values.size else None
+
+
+def _quaternion_error(plan: Solution) -> float | None:
+    """Largest | |x| - 1 | over unit quaternions and (cos, sin) pairs."""
+    errors = []
+    for joint in list(plan.model.joints)[1:]:
+        units = {"JointModelFreeFlyer": 4, "JointModelSpherical": 4, "JointModelPlanar": 2}
+        size = units.get(joint.shortname(), 2 if joint.nq == 2 and joint.nv == 1 else 0)
+        if size:
+            end = joint.idx_q + joint.nq
+            errors.append(np.abs(np.linalg.norm(plan.q[:, end - size : end], axis=1) - 1).max())
+    return _largest(np.array(errors))
+
+
+def _phases(plan: Solution) -> tuple[PhaseReport, ...]:
+    return tuple(
+        _phase(plan, phase, error) for phase, error in zip(plan.phases, open_loop(plan), strict=True)
+    )
+
+
+def _phase(plan: Solution, phase: range, error: OpenLoopError) -> PhaseReport:
+    flight = flight_errors(plan, phase)
+    names = [plan.contact_frames[index] for index in np.flatnonzero(plan.active[phase.start])]
+    return PhaseReport(
+        index=int(plan.phase[phase.start]),
+        start=float(plan.t[phase.start]),
+        end=float(plan.t[phase.stop - 1]),
+        contacts=tuple(names),
+        open_loop_position=error.position,
+        open_loop_orientation=error.orientation,
+        open_loop_joints=error.joints,
+        ballistic_error=None if flight is None else flight.ballistic,
+        momentum_error=None if flight is None else flight.momentum,
+        ballistic_error_between=None if flight is None else flight.ballistic_between,
+        momentum_error_between=None if flight is None else flight.momentum_between,
+    )

@@ -1,0 +1,1 @@
+"""Contact-constrained forward dynamics, impacts and their ranks, numerically."""

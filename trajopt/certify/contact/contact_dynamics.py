@@ -1,0 +1,163 @@
+"""Forward and inverse dynamics of a model whose active contacts are bilateral constraints.
+
+    M a + h = tau + J^T f,      J a + Jdot v = 0                                        (KKT)
+
+tau (nv,) holds all generalised forces but those of the contacts; f are wrenches of the surroundings on
+the robot, world axes, at the frames' origins (Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8).
+With M = L L^T, y = L^T a, B = L^-1 (D J)^T and D the scale of the rows this is the projection of y onto
+B^T y = const (Gauss's principle; Udwadia and Kalaba 1992). So a is unique however dependent the rows are:
+if they contradict each other it is the one of least contact acceleration. f is then the least one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy.linalg.lapack import dpotrf, dpotrs
+
+from trajopt.certify.contact.contact_response import ContactRank, contact_rank, mass_factor, response
+from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
+from trajopt.dynamics.base_joint import BASE_ROWS, base_of
+from trajopt.dynamics.model_quantities import generalized_force
+from trajopt.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactMotion:
+    """Solution of the forward dynamics with contacts.
+
+    acceleration: (nv,). wrenches: (n, 6) N and N m, on the robot, world axes, frame origins; zero moments
+    for points. rank: which rows depend on each other; if it is redundant the wrenches are the least ones.
+    dynamics_residual: (nv,) RNEA(q, v, a) - tau - J^T f, N and N m. contact_acceleration: (n, 6) classical
+    acceleration of the contacts, m/s^2 and rad/s^2, from forward kinematics; rows of points that do not
+    hold rotation are zero. It vanishes unless the rows contradict each other: redundant contacts that move.
+    """
+
+    acceleration: np.ndarray
+    wrenches: np.ndarray
+    rank: ContactRank
+    dynamics_residual: np.ndarray
+    contact_acceleration: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class InverseDynamics:
+    """``torque`` (nu,) of the actuated rows and ``base_residual``, the unactuated rows, which must vanish."""
+
+    torque: np.ndarray
+    base_residual: np.ndarray
+
+
+def forward_dynamics(
+    model: pin.Model, q: np.ndarray, v: np.ndarray, tau: np.ndarray, contacts: ContactSet
+) -> ContactMotion:
+    """Solve (KKT) for acceleration and contact wrenches, with a rank report and both residuals.
+
+    q (nq,), v (nv,), tau (nv,) as in `actuated_force`. Raises `InputError` for wrong shapes, numbers that
+    are not finite, or a mass matrix that is not positive definite.
+    """
+    require_arrays({"q": (q, model.nq), "v": (v, model.nv), "tau": (tau, model.nv)})
+    data = model.createData()
+    lower = mass_factor(pin.crba(model, data, q))
+    free = dpotrs(lower, tau - pin.nle(model, data, q, v), lower=1)[0]
+    rows = contact_kinematics(model, data, q, v, contacts)
+    found = response(lower, contacts, rows.jacobian)
+    change, forces = found.least(-contacts.scale * (rows.drift + rows.jacobian @ free))
+    acceleration = free + change
+    wrenches = contacts.table(contacts.scale * forces)
+    residual = generalized_force(model, data, (q, v, acceleration), contacts.frames, wrenches) - tau
+    return ContactMotion(
+        acceleration=acceleration,
+        wrenches=wrenches,
+        rank=contact_rank(contacts, rows.jacobian, found),
+        dynamics_residual=residual,
+        contact_acceleration=_contact_acceleration(model, data, (q, v, acceleration), contacts),
+    )
+
+
+def inverse_dynamics(
+    model: pin.Model,
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+    contacts: ContactSet,
+    wrenches: np.ndarray,
+    *,
+    n_unactuated: int | None = None,
+) -> InverseDynamics:
+    """Return torques and base rows of ``RNEA(q, v, a) - J^T f`` for a motion (q, v, a).
+
+    wrenches (n, 6) N and N m, world axes, at the frames' origins. ``n_unactuated`` first rows have no
+    actuator; default those of the model's base. Raises `InputError` for wrong shapes or values.
+    """
+    q, v, a = motion
+    require_arrays({"q": (q, model.nq), "v": (v, model.nv), "a": (a, model.nv)})
+    table = np.asarray(wrenches, dtype=float)
+    if table.shape != (len(contacts.names), 6) or not np.isfinite(table).all():
+        raise InputError(f"wrenches have shape {table.shape}", f"finite, shape ({len(contacts.names)}, 6)")
+    force = generalized_force(model, model.createData(), motion, contacts.frames, table)
+    base = unactuated_rows(model, n_unactuated)
+    return InverseDynamics(torque=force[base:], base_residual=force[:base])
+
+
+def unactuated_rows(model: pin.Model, given: int | None = None) -> int:
+    """Number of first rows of v without an actuator: ``given``, or those of the model's base."""
+    if given is None:
+        return BASE_ROWS[base_of(model)]
+    if not 0 <= given <= model.nv:
+        raise InputError(f"n_unactuated is {given}", f"0 to {model.nv}")
+    return given
+
+
+def actuated_force(model: pin.Model, torque: np.ndarray, n_unactuated: int | None = None) -> np.ndarray:
+    """Return ``S^T torque`` (nv,): torques (nu,) behind rows of zeros for the base."""
+    base = unactuated_rows(model, n_unactuated)
+    require_arrays({"torque": (torque, model.nv - base)})
+    return np.concatenate([np.zeros(base), torque])
+
+
+def require_arrays(arrays: dict[str, tuple[np.ndarray, int]]) -> None:
+    """Raise `InputError` for the first named array that is not finite or not of its size."""
+    for name, (array, size) in arrays.items():
+        if np.shape(array) != (size,) or not np.isfinite(array).all():
+            raise InputError(f"{name} of shape {np.shape(array)} is not allowed", f"finite, shape ({size},)")
+
+
+def _contact_acceleration(
+    model: pin.Model,
+    data: pin.Data,
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+    contacts: ContactSet,
+) -> np.ndarray:
+    pin.forwardKinematics(model, data, *motion)
+    found = [
+        pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED).vector[:size]
+        for frame, size in zip(contacts.frames, contacts.dimensions, strict=True)
+    ]
+    return contacts.table(np.concatenate([np.zeros(0), *found]))
+
+
+class ContactDynamics:
+    """Forward dynamics that is called many times with the same contacts: the acceleration alone.
+
+    The same equations as `forward_dynamics`, without its report; well-conditioned contacts take a
+    Cholesky factor instead of singular values. NaN where the mass matrix is not positive definite.
+    """
+
+    def __init__(self, model: pin.Model, contacts: ContactSet) -> None:
+        self.model = model
+        self.contacts = contacts
+        self._data = model.createData()
+
+    def acceleration(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
+        """Return the acceleration (nv,) under ``generalized_force`` (nv,) and the contact wrenches."""
+        model, data, contacts = self.model, self._data, self.contacts
+        lower, failed = dpotrf(pin.crba(model, data, q).T, lower=1)
+        if failed:
+            return np.full(model.nv, np.nan)
+        free = dpotrs(lower, generalized_force - pin.nle(model, data, q, v), lower=1)[0]
+        if not contacts.n_rows:
+            return free
+        rows = contact_kinematics(model, data, q, v, contacts)
+        wanted = -contacts.scale * (rows.drift + rows.jacobian @ free)
+        return free + response(lower, contacts, rows.jacobian).least_change(wanted)

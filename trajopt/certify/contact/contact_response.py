@@ -1,0 +1,161 @@
+"""How contacts respond to wrenches: the metric of the mass matrix, ranks, least solutions.
+
+With M = L L^T, D the scale of the rows and B = L^-1 (D J)^T, a change x of velocity or acceleration by
+wrenches D phi is x = L^-T B phi, and changes the contacts' motion by D J x = B^T B phi. The singular values
+of B are the square roots of the eigenvalues of D J M^-1 J^T D; they tell independent from dependent rows
+twice as many digits down.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg.blas import dtrsm, dtrsv
+from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
+
+from trajopt.certify.contact.contact_set import ContactSet
+from trajopt.errors import InputError
+
+# Singular values below this part of the largest are zero: the square root of rounding, far above
+# the error of exactly dependent rows (1e-15), far below what a useful lever arm makes.
+RANK_TOLERANCE = 1e-8
+# Entries of a projector on dependent rows; coupled rows have entries of order one.
+COUPLED = 1e-6
+# Reciprocal condition of B^T B down to which its Cholesky factor is used: it loses half the digits
+# at most. Below, the singular values of B decide.
+WELL_CONDITIONED = 1e-8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dependency:
+    """Rows that depend on each other, the ``contacts`` they belong to, and how many are too many."""
+
+    rows: tuple[str, ...]
+    contacts: tuple[str, ...]
+    excess: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactRank:
+    """How independent the rows of a contact set are at one configuration.
+
+    rows: number of rows. jacobian: rank of J. delassus: rank of J M^-1 J^T (equal in exact arithmetic).
+    condition: largest over smallest nonzero singular value of J M^-1/2, with angular rows times the arm.
+    dependencies: groups of rows between which internal wrenches act that move nothing, J^T f = 0.
+    """
+
+    rows: int
+    jacobian: int
+    delassus: int
+    condition: float
+    dependencies: tuple[Dependency, ...]
+
+    @property
+    def redundant(self) -> bool:
+        """Whether wrenches are not unique, so that those reported are the least ones."""
+        return self.delassus < self.rows
+
+    def __str__(self) -> str:
+        if not self.redundant:
+            return f"{self.rows} independent contact rows (condition {self.condition:.1e})"
+        groups = [f"{group.excess} too many among {', '.join(group.rows)}" for group in self.dependencies]
+        return f"{self.rows} contact rows of rank {self.delassus}: " + "; ".join(groups)
+
+
+@dataclass(frozen=True)
+class Response:
+    """``lower`` L (nv, nv) and ``whitened`` B (nv, n_rows) of contacts at a configuration.
+
+    ``unit`` is what entries of B are like where a contact moves at all: a turn at the moment arm over the
+    root of the largest inertia. A set whose rows all vanish to rounding is of rank zero by it.
+    """
+
+    lower: np.ndarray
+    whitened: np.ndarray
+    unit: float
+
+    def least(self, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the least x (nv,), in the metric of M, with D J x = ``wanted`` (n_rows,), and the least phi.
+
+        In least squares, if no x does.
+        """
+        left, singular, right = np.linalg.svd(self.whitened, full_matrices=False)
+        rank = numeric_rank(singular, self.unit)
+        along = (right[:rank] @ wanted) / singular[:rank]
+        return self._unwhitened(left[:, :rank] @ along), right[:rank].T @ (along / singular[:rank])
+
+    def least_change(self, wanted: np.ndarray) -> np.ndarray:
+        """Return x of `least` alone, faster if B^T B is well conditioned; NaN if B is not finite."""
+        gram = self.whitened.T @ self.whitened
+        norm = float(np.abs(gram).sum(axis=0).max())
+        if not np.isfinite(norm):
+            return np.full(len(self.lower), np.nan)
+        factor, failed = dpotrf(gram, lower=1)
+        smallest = 0.0 if failed else norm * dpocon(factor, norm, uplo="L")[0]
+        if smallest > WELL_CONDITIONED * max(norm, self.unit**2):
+            return self._unwhitened(self.whitened @ dpotrs(factor, wanted, lower=1)[0])
+        return self.least(wanted)[0]
+
+    def _unwhitened(self, y: np.ndarray) -> np.ndarray:
+        return dtrsv(self.lower, y, lower=1, trans=1)
+
+
+def mass_factor(mass: np.ndarray) -> np.ndarray:
+    """Return lower L with M = L L^T of M's upper triangle; `InputError` unless it is positive definite."""
+    lower, failed = dpotrf(mass.T, lower=1)
+    if failed:
+        raise InputError("the mass matrix is not positive definite", "bodies with mass, or armature")
+    return lower
+
+
+def response(lower: np.ndarray, contacts: ContactSet, jacobian: np.ndarray) -> Response:
+    """Return the response of ``contacts`` with J (n_rows, nv) and M = L L^T."""
+    unit = contacts.moment_arm / float(np.sqrt((lower * lower).sum(axis=1).max()))
+    if not contacts.n_rows:
+        return Response(lower, np.zeros((len(lower), 0)), unit)
+    # Not LAPACK's dtrtrs: it wakes threads for the smallest of matrices, milliseconds on busy cores.
+    return Response(lower, dtrsm(1.0, lower, (contacts.scale[:, None] * jacobian).T, lower=1), unit)
+
+
+def numeric_rank(singular: np.ndarray, unit: float) -> int:
+    """Number of singular values that are not zero to `RANK_TOLERANCE` of the largest, or of ``unit``."""
+    return int(np.sum(singular > RANK_TOLERANCE * singular.max(initial=unit)))
+
+
+def contact_rank(contacts: ContactSet, jacobian: np.ndarray, found: Response) -> ContactRank:
+    """Return the rank report of ``contacts`` with J (n_rows, nv) and their response."""
+    _, singular, right = np.linalg.svd(found.whitened)
+    rank = numeric_rank(singular, found.unit)
+    internal = right[rank:]
+    plain = np.linalg.svd(contacts.scale[:, None] * jacobian, compute_uv=False)
+    return ContactRank(
+        rows=contacts.n_rows,
+        jacobian=numeric_rank(plain, contacts.moment_arm),
+        delassus=rank,
+        condition=float(singular[0] / singular[rank - 1]) if rank else 1.0,
+        dependencies=_dependencies(contacts, internal.T @ internal),
+    )
+
+
+def _dependencies(contacts: ContactSet, projector: np.ndarray) -> tuple[Dependency, ...]:
+    """Blocks of the projector (n_rows, n_rows) onto internal wrenches."""
+    coupled = np.abs(projector) > COUPLED
+    owner = np.repeat(np.array(contacts.names, dtype=str), contacts.dimensions).tolist()
+    remaining, found = set(np.flatnonzero(coupled.diagonal()).tolist()), []
+    while remaining:
+        group: set[int] = set()
+        reached = {min(remaining)}
+        while reached - group:
+            group |= reached
+            reached = set(np.flatnonzero(coupled[sorted(group)].any(axis=0)).tolist())
+        rows = sorted(group)
+        remaining -= group
+        found.append(
+            Dependency(
+                rows=tuple(contacts.row_names[row] for row in rows),
+                contacts=tuple(dict.fromkeys(owner[row] for row in rows)),
+                excess=round(float(projector[rows, rows].sum())),
+            )
+        )
+    return tuple(found)

@@ -1,0 +1,136 @@
+"""Contacts that hold at the same time, as bilateral constraints on the motion of a model.
+
+A contact with frame C holds the origin of C (3 rows) or its whole pose (6 rows, linear first). In axes
+of the world, with J the stacked frame Jacobians,
+
+    J v = 0,        J a + Jdot v = 0                                      (classical acceleration)
+
+While contacts are active these rows do not depend on surfaces: a normal and a friction coefficient
+limit the wrenches, not the motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.errors import InputError
+from trajopt.robot.building import reach
+from trajopt.robot.contact import Contact, require_frame
+
+DIMENSIONS = (3, 6)
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactSet:
+    """Contacts of a model by name, frame id and dimension, 3 (point) or 6 (surface).
+
+    ``moment_arm`` (m) makes moments and forces, angles and lengths comparable: wrenches are measured
+    by |f|^2 + |m|^2 / arm^2, accelerations by |linear|^2 + arm^2 |angular|^2. Both are the same in
+    any axes. They decide where equations leave a choice (redundant contacts), and nothing else.
+    """
+
+    names: tuple[str, ...]
+    frames: tuple[int, ...]
+    dimensions: tuple[int, ...]
+    moment_arm: float
+
+    @classmethod
+    def of(
+        cls,
+        model: pin.Model,
+        contacts: Sequence[Contact | tuple[str, int]],
+        *,
+        moment_arm: float | None = None,
+    ) -> ContactSet:
+        """Return the set of ``contacts``, each a `Contact` or (frame name, dimension).
+
+        ``moment_arm`` defaults to the reach of the model, or 1 m if it has none. Raises `InputError`
+        for an unknown frame, a dimension other than 3 and 6, or an arm that is not positive.
+        """
+        entries = [
+            (c.name, c.frame, 3 if c.kind == "point" else 6) if isinstance(c, Contact) else (c[0], *c)
+            for c in contacts
+        ]
+        for name, frame, dimension in entries:
+            require_frame(model, frame, f"contact '{name}'")
+            if dimension not in DIMENSIONS:
+                raise InputError(f"contact '{name}' has dimension {dimension}", "3 (point) or 6 (surface)")
+        arm = (reach(model) or 1.0) if moment_arm is None else float(moment_arm)
+        if not 0 < arm < np.inf:
+            raise InputError(f"moment_arm is {moment_arm}", "a positive length in m")
+        return cls(
+            names=tuple(entry[0] for entry in entries),
+            frames=tuple(model.getFrameId(entry[1]) for entry in entries),
+            dimensions=tuple(entry[2] for entry in entries),
+            moment_arm=arm,
+        )
+
+    @cached_property
+    def slices(self) -> tuple[slice, ...]:
+        """Rows of each contact."""
+        ends = np.cumsum(self.dimensions, dtype=int)
+        pairs = zip(ends.tolist(), self.dimensions, strict=True)
+        return tuple(slice(end - size, end) for end, size in pairs)
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows of all contacts."""
+        return sum(self.dimensions)
+
+    @cached_property
+    def row_names(self) -> tuple[str, ...]:
+        """Name of each row: contact and axis of the world, as in ``'left_foot rx'``."""
+        pairs = zip(self.names, self.dimensions, strict=True)
+        return tuple(f"{name} {axis}" for name, size in pairs for axis in AXES[:size])
+
+    @cached_property
+    def scale(self) -> np.ndarray:
+        """Factor (n_rows,) that turns rows of motion into m: 1 for linear ones, the arm for angular ones."""
+        full = np.array([1.0] * 3 + [self.moment_arm] * 3)
+        return np.concatenate([np.zeros(0), *(full[:size] for size in self.dimensions)])
+
+    def table(self, stacked: np.ndarray) -> np.ndarray:
+        """Return the table (n, 6) of stacked rows (n_rows,); the moments of points are zero."""
+        entries = np.zeros((len(self.names), 6))
+        for index, (rows, size) in enumerate(zip(self.slices, self.dimensions, strict=True)):
+            entries[index, :size] = stacked[rows]
+        return entries
+
+    def stacked(self, table: np.ndarray) -> np.ndarray:
+        """Return the stacked rows (n_rows,) of a table (n, 6)."""
+        parts = zip(table, self.dimensions, strict=True)
+        return np.concatenate([np.zeros(0), *(entry[:size] for entry, size in parts)])
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactKinematics:
+    """Rows of a contact set at (q, v), world axes: ``jacobian`` J (n_rows, nv), ``drift`` Jdot v and
+    ``velocity`` J v (n_rows,); m/s and rad/s, their rates."""
+
+    jacobian: np.ndarray
+    drift: np.ndarray
+    velocity: np.ndarray
+
+
+def contact_kinematics(
+    model: pin.Model, data: pin.Data, q: np.ndarray, v: np.ndarray, contacts: ContactSet
+) -> ContactKinematics:
+    """Return Jacobian, drift and velocity of ``contacts`` at q (nq,), v (nv,).
+
+    The drift is the classical acceleration of the frames at a = 0, without gravity.
+    """
+    pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+    pin.computeJointJacobians(model, data)
+    jacobian, drift = np.zeros((contacts.n_rows, model.nv)), np.zeros(contacts.n_rows)
+    for frame, rows, size in zip(contacts.frames, contacts.slices, contacts.dimensions, strict=True):
+        found = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        jacobian[rows] = found.reshape(6, model.nv)[:size]  # one joint alone gives a vector
+        acceleration = pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        drift[rows] = acceleration.vector[:size]
+    return ContactKinematics(jacobian=jacobian, drift=drift, velocity=jacobian @ v)

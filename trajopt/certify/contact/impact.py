@@ -1,0 +1,164 @@
+"""Rigid inelastic impact: contacts close within no time and stay closed.
+
+    M (v+ - v-) = J^T Lambda,      J v+ = 0
+
+for the contacts that hold after the impact: those that land and those that stay. q does not change, and
+forces that are not impulsive do not take part (Featherstone 2008, sec. 11.7; Hurmuzlu and Marghitu
+1994). v+ is the projection of v- onto J v = 0 in the metric of M, so kinetic energy falls by
+1/2 (v+ - v-)^T M (v+ - v-). The contacts are bilateral in it: an impulse that pulls, or leaves its
+friction cone (`cone_margins`), says that the contact lifts or slides instead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from trajopt.certify.contact.contact_dynamics import require_arrays
+from trajopt.certify.contact.contact_response import ContactRank, contact_rank, mass_factor, response
+from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
+from trajopt.errors import InputError
+
+# Length of a unit normal of user input: written with this many digits at least.
+UNIT_SLACK = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Momentum:
+    """Linear momentum (3,) in kg m/s, angular momentum (3,) about ``point`` (3,) in kg m^2/s; world axes.
+
+    Of the links alone: spinning rotors (armature) change joint rows of M, not these.
+    """
+
+    linear: np.ndarray
+    angular: np.ndarray
+    point: np.ndarray
+
+    def about(self, point: ArrayLike) -> Momentum:
+        """Return the same momentum with the angular part about another point (3,) of the world."""
+        new = np.asarray(point, dtype=float)
+        moved = self.angular + np.cross(self.point - new, self.linear)
+        return Momentum(linear=self.linear, angular=moved, point=new)
+
+    def __sub__(self, other: Momentum) -> Momentum:
+        back = other.about(self.point)
+        return Momentum(
+            linear=self.linear - back.linear, angular=self.angular - back.angular, point=self.point
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Impact:
+    """What an impact does.
+
+    velocity: v+ (nv,). impulses: (n, 6) N s and N m s, of the surroundings on the robot, world axes,
+    at the frames' origins. rank: which rows depend on each other; if it is redundant the impulses are
+    the least ones (`ContactSet.moment_arm`). energy_before, energy_after, energy_loss: 1/2 v^T M v in J,
+    the loss from the velocity jump. jump: change of momentum, about the centre of mass. impulse: sum of
+    the contacts' impulses as a momentum about the centre of mass. dynamics_residual: (nv,) of the first
+    row; contact_velocity: (n, 6) J v+, m/s and rad/s.
+    """
+
+    velocity: np.ndarray
+    impulses: np.ndarray
+    rank: ContactRank
+    energy_before: float
+    energy_after: float
+    energy_loss: float
+    jump: Momentum
+    impulse: Momentum
+    dynamics_residual: np.ndarray
+    contact_velocity: np.ndarray
+
+    @property
+    def root_impulse(self) -> Momentum:
+        """Impulse of the world on the root joint: jump - impulse, zero for a free-flyer."""
+        return self.jump - self.impulse
+
+
+def impact(model: pin.Model, q: np.ndarray, v_minus: np.ndarray, contacts: ContactSet) -> Impact:
+    """Return velocity and impulses after the impact of ``contacts``, all that hold afterwards.
+
+    q (nq,), v_minus (nv,) just before. Raises `InputError` for wrong shapes, numbers that are not finite,
+    or a mass matrix that is not positive definite.
+    """
+    require_arrays({"q": (q, model.nq), "v_minus": (v_minus, model.nv)})
+    data = model.createData()
+    lower = mass_factor(pin.crba(model, data, q))
+    rows = contact_kinematics(model, data, q, v_minus, contacts)
+    found = response(lower, contacts, rows.jacobian)
+    change, forces = found.least(-contacts.scale * rows.velocity)
+    v_plus = v_minus + change
+    stacked = contacts.scale * forces
+    impulses = contacts.table(stacked)
+    before, after = momentum(model, q, v_minus), momentum(model, q, v_plus)
+    return Impact(
+        velocity=v_plus,
+        impulses=impulses,
+        rank=contact_rank(contacts, rows.jacobian, found),
+        energy_before=_kinetic_energy(lower, v_minus),
+        energy_after=_kinetic_energy(lower, v_plus),
+        energy_loss=_kinetic_energy(lower, v_plus - v_minus),
+        jump=after - before,
+        impulse=total_wrench(model, q, contacts, impulses, after.point),
+        dynamics_residual=lower @ (lower.T @ (v_plus - v_minus)) - rows.jacobian.T @ stacked,
+        contact_velocity=contacts.table(rows.jacobian @ v_plus),
+    )
+
+
+def momentum(model: pin.Model, q: np.ndarray, v: np.ndarray) -> Momentum:
+    """Return the momentum of all links at q (nq,), v (nv,), about the centre of mass."""
+    data = model.createData()
+    found = pin.computeCentroidalMomentum(model, data, q, v)
+    return Momentum(linear=found.linear.copy(), angular=found.angular.copy(), point=data.com[0].copy())
+
+
+def total_wrench(
+    model: pin.Model, q: np.ndarray, contacts: ContactSet, wrenches: np.ndarray, point: ArrayLike
+) -> Momentum:
+    """Return the sum of wrenches or impulses (n, 6) of ``contacts``, with the moment about ``point`` (3,)."""
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    centre = np.asarray(point, dtype=float)
+    linear, angular = np.zeros(3), np.zeros(3)
+    for frame, wrench in zip(contacts.frames, wrenches, strict=True):
+        linear += wrench[:3]
+        angular += wrench[3:] + np.cross(data.oMf[frame].translation - centre, wrench[:3])
+    return Momentum(linear=linear, angular=angular, point=centre)
+
+
+def cone_margins(wrenches: ArrayLike, normals: ArrayLike, friction: ArrayLike) -> np.ndarray:
+    """Return ``mu f_n - |f_t|`` (n,) of forces or impulses: negative outside Coulomb's cone.
+
+    wrenches: (n, 3) or (n, 6), world axes, of the surface on the robot; moments take no part.
+    normals: (3,) or (n, 3) unit vectors out of the surface. friction: number or (n,). A force that pulls
+    without friction counts as f_n. Raises `InputError` for wrong shapes, normals that are not unit, or
+    friction that is negative.
+    """
+    force = np.asarray(wrenches, dtype=float)
+    if force.ndim != 2 or force.shape[1] not in (3, 6):
+        raise InputError(f"wrenches have shape {force.shape}", "(n, 3) or (n, 6)")
+    force = force[:, :3]
+    try:
+        normal = np.broadcast_to(np.asarray(normals, dtype=float), force.shape)
+        mu = np.broadcast_to(np.asarray(friction, dtype=float), force.shape[:1])
+    except ValueError:
+        shapes = f"{np.shape(normals)} and {np.shape(friction)}"
+        allowed = f"(3,) or ({len(force)}, 3); a number or ({len(force)},)"
+        raise InputError(f"normals and friction have shapes {shapes}", allowed) from None
+    if not (np.abs(np.linalg.norm(normal, axis=1) - 1) < UNIT_SLACK).all():
+        raise InputError("a normal is not of length one", "unit vectors out of the surface")
+    if not (mu >= 0).all():
+        raise InputError(f"friction is {friction!r}", "numbers >= 0")
+    along = np.einsum("ij,ij->i", force, normal)
+    margin = mu * along - np.linalg.norm(force - along[:, None] * normal, axis=1)
+    return np.where(along < 0, np.minimum(margin, along), margin)
+
+
+def _kinetic_energy(lower: np.ndarray, v: np.ndarray) -> float:
+    """1/2 v^T L L^T v."""
+    momentum_like = lower.T @ v
+    return float(momentum_like @ momentum_like) / 2

@@ -1,0 +1,59 @@
+"""Energy that the drives of a solution draw, and its cost of transport."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.dynamics.model_quantities import gravity_of, mass_of
+from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.actuators.on_robot import drive_torque_values
+from trajopt.solution.grid import interval_schemes
+from trajopt.solution.solution import Solution
+from trajopt.terms.power import heat_coefficients, require_recovered
+
+
+def energy(solution: Solution, *, recovered: float = -1.0) -> float:
+    """Energy that the drives of a solution draw, J: the integral of `power` by the scheme's quadrature.
+
+    From the file alone: torques, rates and drives at the collocation points. Raises InputError unless
+    ``recovered`` is within -1 to 1.
+    """
+    require_recovered(recovered)
+    entries = solution.meta.get("drives") or []
+    drives = tuple(None if entry is None else Drive.from_meta(entry) for entry in entries)
+    rates = solution.v[:, solution.n_unactuated :]
+    torque = drive_torque_values(drives, solution.tau, rates) if drives else solution.tau
+    power = torque * rates
+    drawn = (1 + recovered) / 2 * power + (1 - recovered) / 2 * np.abs(power)
+    heat = torque**2 * heat_coefficients(drives, solution.tau.shape[1])
+    return float(np.dot(_quadrature(solution), (drawn + heat).sum(axis=1)))
+
+
+def _quadrature(solution: Solution) -> np.ndarray:
+    """Weight of every sample (K,), s: zero at those that are no collocation points."""
+    weights = np.zeros(solution.n_samples)
+    schemes = interval_schemes(solution)
+    for rows, (start, end), method in zip(solution.intervals, solution.interval_t, schemes, strict=True):
+        weights[[row for row in rows if solution.collocation[row]]] = method.b1 * (end - start)
+    return weights
+
+
+def cost_of_transport(solution: Solution, *, recovered: float = -1.0) -> float:
+    """Energy over weight times horizontal way of the centre of mass, dimensionless.
+
+    See `energy`; the way is the straight line from the first sample to the last. Infinite on the spot, and
+    for robots that go nowhere: with a fixed base, or without contacts.
+    """
+    model = solution.model
+    if not (solution.n_unactuated and solution.contact_frames):
+        return math.inf
+    start, end = (pin.centerOfMass(model, model.createData(), solution.q[row]).copy() for row in (0, -1))
+    upwards = -model.gravity.linear / (np.linalg.norm(model.gravity.linear) or 1.0)
+    way = end - start
+    distance = float(np.linalg.norm(way - upwards * (upwards @ way)))
+    used = energy(solution, recovered=recovered)
+    weight = mass_of(model) * gravity_of(model)
+    return used / (weight * distance) if distance > 0 else math.inf

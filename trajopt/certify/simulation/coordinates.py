@@ -1,0 +1,129 @@
+"""Pinocchio's coordinates and MuJoCo's: the same joints, told in two ways.
+
+Both count one velocity for each degree of freedom, in the same order within a joint. They differ in
+
+    free-flyer, planar   linear velocity in the body's axes (Pinocchio), in the parent's (MuJoCo): v' = R v
+    quaternions          (x, y, z, w) and (w, x, y, z)
+    continuous, planar   (cos, sin) and the angle itself, which counts whole turns
+
+so that with the orthogonal map T of velocities, v' = T v, forces are f' = T f and accelerations
+a' = T (a + w x v) in the linear rows. Arrays have one row a sample; along them angles go on without jumps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajopt.dynamics.manifold import Coordinates, Joint
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointAddress:
+    """Where a joint's coordinates are in MuJoCo: slices of qpos and of qvel."""
+
+    joint: Joint
+    q: slice
+    v: slice
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoordinateMap:
+    """Maps between the two, for samples (n, ...). ``nq``: size of MuJoCo's qpos; nv is the same in both."""
+
+    coordinates: Coordinates
+    addresses: tuple[JointAddress, ...]
+    nq: int
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Row of MuJoCo's velocity of each row of Pinocchio's (nv,)."""
+        rows = np.zeros(self.coordinates.nv, dtype=int)
+        for address in self.addresses:
+            rows[address.joint.v] = np.arange(address.v.start, address.v.stop)
+        return rows
+
+    def to_mujoco(self, q: np.ndarray) -> np.ndarray:
+        """MuJoCo's positions (n, nq') of Pinocchio's (n, nq)."""
+        found = np.zeros((len(q), self.nq))
+        for address in self.addresses:
+            kind, own = address.joint.kind, q[:, address.joint.q]
+            if kind == "continuous":
+                found[:, address.q] = np.unwrap(np.arctan2(own[:, 1], own[:, 0]))[:, None]
+            elif kind == "planar":
+                angle = np.unwrap(np.arctan2(own[:, 3], own[:, 2]))
+                found[:, address.q] = np.column_stack([own[:, :2], angle])
+            elif kind in ("freeflyer", "spherical"):
+                found[:, address.q] = np.column_stack([own[:, :-4], own[:, -1], own[:, -4:-1]])
+            else:
+                found[:, address.q] = own
+        return found
+
+    def from_mujoco(self, qpos: np.ndarray) -> np.ndarray:
+        """Pinocchio's configurations (n, nq) of MuJoCo's (n, nq')."""
+        found = np.zeros((len(qpos), self.coordinates.nq))
+        for address in self.addresses:
+            kind, own = address.joint.kind, qpos[:, address.q]
+            if kind == "continuous":
+                found[:, address.joint.q] = np.column_stack([np.cos(own), np.sin(own)])
+            elif kind == "planar":
+                angle = own[:, 2]
+                found[:, address.joint.q] = np.column_stack([own[:, :2], np.cos(angle), np.sin(angle)])
+            elif kind in ("freeflyer", "spherical"):
+                found[:, address.joint.q] = np.column_stack([own[:, :-4], own[:, -3:], own[:, -4]])
+            else:
+                found[:, address.joint.q] = own
+        return found
+
+    def rates_to_mujoco(self, qpos: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """MuJoCo's velocities (or forces, which go the same way) (n, nv) at ``qpos`` (n, nq')."""
+        found = np.zeros_like(v, dtype=float)
+        for address in self.addresses:
+            found[:, address.v] = _turned(address, qpos, v[:, address.joint.v], back=False)
+        return found
+
+    def rates_from_mujoco(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+        """Pinocchio's velocities, or forces, (n, nv) of MuJoCo's at ``qpos`` (n, nq')."""
+        found = np.zeros_like(qvel, dtype=float)
+        for address in self.addresses:
+            found[:, address.joint.v] = _turned(address, qpos, qvel[:, address.v], back=True)
+        return found
+
+    def accelerations_from_mujoco(self, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray) -> np.ndarray:
+        """Pinocchio's accelerations (n, nv): a = T' qacc - w x v in the linear rows of a moving base."""
+        found, v = self.rates_from_mujoco(qpos, qacc), self.rates_from_mujoco(qpos, qvel)
+        for address in self.addresses:
+            rows, own = address.joint.v, v[:, address.joint.v]
+            if address.joint.kind == "freeflyer":
+                found[:, rows.start : rows.start + 3] -= np.cross(own[:, 3:], own[:, :3])
+            elif address.joint.kind == "planar":
+                turned = own[:, 2:] * np.column_stack([-own[:, 1], own[:, 0]])
+                found[:, rows.start : rows.start + 2] -= turned
+        return found
+
+
+def _turned(address: JointAddress, qpos: np.ndarray, rows: np.ndarray, *, back: bool) -> np.ndarray:
+    """Rows (n, .) of a joint with the linear ones turned from the body's axes to the parent's, or back."""
+    kind = address.joint.kind
+    if kind not in ("freeflyer", "planar"):
+        return rows
+    own = qpos[:, address.q]
+    turn = _rotations(own[:, 3:]) if kind == "freeflyer" else _plane_rotations(own[:, 2])
+    size = turn.shape[1]
+    linear = np.einsum("nji,nj->ni" if back else "nij,nj->ni", turn, rows[:, :size])
+    return np.column_stack([linear, rows[:, size:]])
+
+
+def _plane_rotations(angle: np.ndarray) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
+
+
+def _rotations(quaternion: np.ndarray) -> np.ndarray:
+    """Rotation matrices (n, 3, 3) of quaternions (n, 4), w first."""
+    w, x, y, z = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
+    first = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]
+    second = [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]
+    third = [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
+    return np.stack([np.stack(row, axis=-1) for row in (first, second, third)], axis=-2)

@@ -1,0 +1,207 @@
+"""Figures of a simulation: tracking, contacts, falls, by comparison of the record with the plan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.certify.reintegration import state_distance
+from trajopt.certify.samples import evaluate
+from trajopt.certify.simulation.reference import Reference
+from trajopt.certify.simulation.run import Record
+from trajopt.certify.simulation.world import World, touching_places
+from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.solution.solution import Solution
+from trajopt.solution.touched import Touched, touched
+
+# A contact carries load from this part of the weight on: far above rounding, far below a leg's share.
+LOADED = 0.02
+# Travel of a loaded contact within a stance that counts as a slip, part of the reach.
+SLIP = 0.01
+# Of a contact that slides fast MuJoCo's contact force comes in pulses: gaps shorter than this part of the
+# natural time are none.
+PULSES = 0.1
+# A base lower than planned by this part of its mean height over the feet has fallen; so has one that is
+# turned from the planned attitude by more than this, rad.
+SUNK, TURNED = 0.5, np.pi / 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fall:
+    """First moment, s of the plan, and reason of a fall."""
+
+    time: float
+    why: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stance:
+    """One planned stance of a contact in the simulation.
+
+    touchdown: s, simulated minus planned; None for one that lasts from the start, or never is loaded
+    (``missed``). travel: m along the surface while loaded, of a sole that of its corners; None where it is
+    held or meant to slide.
+    """
+
+    contact: int
+    start: float
+    touchdown: float | None
+    missed: bool
+    travel: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Errors:
+    """Distances from the plan at n + 1 times: base m, turn rad, worst joint rad or m; joints (n + 1, .)."""
+
+    base: np.ndarray
+    turn: np.ndarray
+    joint: np.ndarray
+    joints: np.ndarray
+
+
+def errors_of(plan: Solution, reference: Reference, q: np.ndarray) -> Errors:
+    """Errors of simulated q (n + 1, nq) at the starts of periods and at the end of the last."""
+    wanted = np.vstack([reference.q, reference.end])[: len(q)]
+    model, first = plan.model, plan.n_unactuated
+    distance = np.array([state_distance(model, a, b) for a, b in zip(wanted, q, strict=True)])
+    joints = np.array([pin.difference(model, a, b)[first:] for a, b in zip(wanted, q, strict=True)])
+    return Errors(base=distance[:, 0], turn=distance[:, 1], joint=distance[:, 2], joints=joints)
+
+
+def loads(record: Record, world: World) -> np.ndarray:
+    """Whether contacts carry load (n, nc)."""
+    force = np.linalg.norm(record.force[:, :, :3], axis=2)
+    return np.asarray(force > LOADED * world.units.weight)
+
+
+def surfaces_by_phase(plan: Solution) -> Touched:
+    """What contacts touch, at the first sample of each phase of the file."""
+    found = touched(plan, evaluate(plan).position)
+    rows = [phase.start for phase in plan.phases]
+    return Touched(**{name: getattr(found, name)[rows] for name in Touched.__dataclass_fields__})
+
+
+def stances(plan: Solution, reference: Reference, record: Record, world: World) -> tuple[Stance, ...]:
+    """Every planned stance, contact by contact."""
+    n = min(len(record.feet), reference.planned)
+    loaded, surfaces, found = loads(record, world)[:n], surfaces_by_phase(plan), []
+    gap = round(PULSES * world.units.time / reference.period)
+    for contact in range(loaded.shape[1]):
+        runs = _runs(reference.active[:n, contact])
+        for number, (first, end) in enumerate(runs):
+            before = runs[number - 1][1] if number else 0
+            window = (before + first) // 2 if first else 0
+            # Until the middle of the stance: what comes later is no touchdown.
+            touch = np.flatnonzero(loaded[window : (first + end) // 2 + 1, contact])
+            phase = reference.source[first]
+            own = np.unique(reference.source[first:end])
+            free = bool((surfaces.bilateral | surfaces.slides)[own, contact].any())
+            late = (window + int(touch[0]) - first) * reference.period if len(touch) else None
+            found.append(
+                Stance(
+                    contact=contact,
+                    start=float(reference.t[first]),
+                    touchdown=late if first else None,
+                    missed=not loaded[first:end, contact].any() and not free,
+                    travel=None
+                    if free
+                    else farthest_travel(
+                        record.feet[first:end, contact, None]
+                        + touching_places(plan, contact) @ record.turns[first:end, contact].mT,
+                        _without_gaps(loaded[first:end, contact], gap),
+                        surfaces.normal[phase, contact],
+                    ),
+                )
+            )
+    return tuple(found)
+
+
+def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
+    """First and one past the last index of every stretch of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def _without_gaps(loaded: np.ndarray, gap: int) -> np.ndarray:
+    """Flags (n,) with false stretches of at most ``gap`` between true ones made true."""
+    closed = loaded.copy()
+    for first, end in _runs(~loaded):
+        if first and end < len(loaded) and end - first <= gap:
+            closed[first:end] = True
+    return closed
+
+
+def farthest_travel(places: np.ndarray, loaded: np.ndarray, normal: np.ndarray) -> float:
+    """Farthest that one of ``places`` (n, c, 3) of a contact moves along its plane without being lifted."""
+    farthest = 0.0
+    for first, end in _runs(loaded):
+        moved = places[first:end] - places[first]
+        along = moved - (moved @ normal)[..., None] * normal
+        farthest = max(farthest, float(np.linalg.norm(along, axis=-1).max()))
+    return farthest
+
+
+def swing_load(reference: Reference, record: Record, world: World) -> float:
+    """Longest time (s) for which a contact carries load in the middle half of a planned swing.
+
+    Around lift-off and touchdown the contact only is late or early.
+    """
+    n = min(len(record.feet), reference.planned)
+    loaded, longest = loads(record, world)[:n], 0
+    for contact in range(loaded.shape[1]):
+        for first, end in _runs(~reference.active[:n, contact]):
+            quarter = (end - first) // 4
+            longest = max(longest, int(loaded[first + quarter : end - quarter, contact].sum()))
+    return longest * reference.period
+
+
+def force_error(reference: Reference, record: Record) -> float | None:
+    """Root mean square over the plan of the difference of all contact forces, N; None without contacts."""
+    n = min(len(record.force), reference.planned)
+    difference = record.force[:n, :, :3] - reference.f[:n, :, :3]
+    return float(np.sqrt((difference**2).sum(axis=(1, 2)).mean())) if difference.size else None
+
+
+def fall_of(plan: Solution, reference: Reference, record: Record, q: np.ndarray) -> Fall | None:
+    """The first fall; a robot on a fixed base falls only where its simulation runs away."""
+    found = []
+    if len(record.feet) < len(reference.t):
+        found.append(Fall(time=float(reference.t[len(record.feet)]), why="the simulation ran away"))
+    if base_of(plan.model) != "fixed":
+        n = len(record.feet)
+        own, wanted = _bases(plan.model, q[:n]), _bases(plan.model, reference.q[:n])
+        up = -np.array(plan.model.gravity.linear)
+        up = up / (np.linalg.norm(up) or 1.0)
+        over = _height_over_feet(plan, up)
+        sunk = (wanted[:, :, 3] - own[:, :, 3]) @ up > SUNK * over
+        cosine = np.einsum("nij,nij->n", wanted[:, :, :3], own[:, :, :3])
+        turned = np.arccos(np.clip((cosine - 1) / 2, -1, 1)) > TURNED
+        for flags, why in (
+            (record.touched, "a link touches the ground"),
+            (sunk & (over > 0), "the base is down"),
+            (turned, "the base is turned over"),
+        ):
+            if flags.any():
+                found.append(Fall(time=float(reference.t[int(flags.argmax())]), why=why))
+    return min(found, key=lambda fall: fall.time, default=None)
+
+
+def _bases(model: pin.Model, q: np.ndarray) -> np.ndarray:
+    """Rotation and position (n, 3, 4) of the base link in the world."""
+    data, joint = model.createData(), BASE_JOINT[base_of(model)]
+    found = np.zeros((len(q), 3, 4))
+    for row, configuration in enumerate(q):
+        pin.forwardKinematics(model, data, configuration)
+        found[row, :, :3], found[row, :, 3] = data.oMi[joint].rotation, data.oMi[joint].translation
+    return found
+
+
+def _height_over_feet(plan: Solution, up: np.ndarray) -> float:
+    """Mean height of the base over the contacts that stand, m; zero where none does."""
+    position = evaluate(plan).position
+    base = _bases(plan.model, plan.q)[:, :, 3]
+    over = (base[:, None, :] - position) @ up
+    return max(float(over[plan.active].mean()), 0.0) if plan.active.any() else 0.0

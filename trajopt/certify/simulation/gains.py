@@ -1,0 +1,94 @@
+"""Gains of the joints' feedback along a plan, from its inertias and from what its legs have to hold.
+
+With w the feedback's rate, m g l the robot's weight times its reach and n the contacts on the ground,
+
+    K_p = max(w^2 M_ii, 4 m g l / n)      in legs that the plan has on the ground, else w^2 M_ii
+    K_d = 2 sqrt(K_p M_ii)
+
+(4 m g / (l n) of joints that slide) so that every joint alone takes out an error without overshoot, in the
+same time whatever it carries. The joints of a stance leg have to hold the body up, an inverted pendulum that
+falls where they are softer than m g l / n together. Dampers that would be unstable in discrete time on the
+free leg are weaker, with their springs: where a foot is late, its joints are as free as in the swing.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajopt.certify.payloads import carrying_model
+from trajopt.certify.simulation.bodies import mujoco_package, write_inertias
+from trajopt.certify.simulation.reference import Reference, rows_of
+from trajopt.certify.simulation.settings import FEEDBACK_TIME, Settings
+from trajopt.certify.simulation.world import World
+from trajopt.dynamics.base_joint import base_of
+from trajopt.solution.solution import Solution
+
+# Gains are made for every so manyeth period of the controller, and hold until the next.
+EVERY = 5
+# A discrete damper is stable while its rate times the period stays below 2; half of it leaves room for delay.
+FASTEST = 1.0
+# Stiffness of stance legs over that at which the body just falls.
+STIFFER = 4.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gains:
+    """Feedback of the actuated rows in n periods, (n, nu); ``rate``: 1/s, of joints that hold nothing."""
+
+    kp: np.ndarray
+    kd: np.ndarray
+    rate: float
+
+
+def gains_of(plan: Solution, world: World, reference: Reference, settings: Settings) -> Gains:
+    """Gains for every period of a reference."""
+    picked = np.arange(0, len(reference.t), EVERY)
+    rows = world.coordinates.rows[plan.n_unactuated :]
+    matrices = _inertias(plan, world, reference, picked)
+    inertia = np.diagonal(matrices, axis1=1, axis2=2)[:, rows]
+    rate = 1.0 / (FEEDBACK_TIME * world.units.time)
+    kp = np.maximum(rate**2 * inertia, _holding(plan, world, reference.active[picked]))
+    kd = 2 * np.sqrt(kp * inertia)
+    response = np.linalg.inv(matrices)[:, rows[:, None], rows] * kd[:, None, :] * reference.period
+    fastest = np.abs(np.linalg.eigvals(response)).max(axis=1, initial=0.0)
+    weaker = np.minimum(1.0, FASTEST / np.maximum(fastest, FASTEST))[:, None]
+    spread = np.arange(len(reference.t)) // EVERY
+    return Gains(kp=settings.kp * (weaker * kp)[spread], kd=settings.kd * (weaker * kd)[spread], rate=rate)
+
+
+def _inertias(plan: Solution, world: World, reference: Reference, picked: np.ndarray) -> np.ndarray:
+    """Mass matrices (n, nv, nv) of the picked periods, with what is carried, in MuJoCo's coordinates."""
+    mujoco, model = mujoco_package(), copy.copy(world.compiled)
+    data, found = mujoco.MjData(model), np.zeros((len(picked), model.nv, model.nv))
+    phases, carried = reference.source[picked], -1
+    for qpos, phase, matrix in zip(
+        world.coordinates.to_mujoco(reference.q[picked]), phases, found, strict=True
+    ):
+        if phase != carried and plan.meta.get("payloads"):
+            write_inertias(model, carrying_model(plan, int(phase)))
+            carried = phase
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_crb(model, data)
+        mujoco.mj_fullM(model, data, matrix)
+    return found
+
+
+def _holding(plan: Solution, world: World, active: np.ndarray) -> np.ndarray:
+    """Stiffness (n, nu) that legs need to hold the body, for active contacts (n, nc); zero elsewhere."""
+    found = np.zeros((len(active), plan.tau.shape[1]))
+    if base_of(plan.model) == "fixed":
+        return found
+    standing = np.maximum(active.sum(axis=1), 1)
+    units, first = world.units, plan.n_unactuated
+    force = units.generalized_force(plan.model)[first:]
+    stiffness = STIFFER * np.where(force == units.weight, force / units.length, force)  # N/m, or N m
+    for contact, frame in enumerate(plan.contact_frames):
+        own = sorted(row - first for row in rows_of(plan.model, frame) if row >= first)
+        held = np.where(active[:, contact, None], stiffness[own] / standing[:, None], 0.0)
+        found[:, own] = np.maximum(found[:, own], held)
+    return found

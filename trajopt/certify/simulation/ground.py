@@ -1,0 +1,304 @@
+"""What a robot may touch in a simulation, as MuJoCo's geometry: terrain, boards of single phases, obstacles.
+
+A point contact is a ball around its frame, so small that it rolls by nothing (`BALL` of the reach), a sole
+has one at each corner. The plan's heights are those of the frames, so all ground lies lower by the radius.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.certify.simulation.bodies import mujoco_package
+from trajopt.certify.simulation.reference import image_of_contacts
+from trajopt.robot.collision.shapes import BoxObstacle, CapsuleObstacle, SphereObstacle
+from trajopt.solution.descriptions import surfaces_of, terrain_of
+from trajopt.solution.solution import Solution
+from trajopt.terrain.patch import Patch, cut_polygon
+from trajopt.terrain.piecewise import PiecewiseTerrain
+from trajopt.terrain.smooth import SmoothTerrain
+from trajopt.terrain.surface import Surface, frame_of_normal
+
+# Parts of the robot's reach: radius of the balls; how far ground goes beyond the motion; how thick it is; how
+# far a board goes beyond the contacts on it; side of the cells of smooth ground.
+BALL, AROUND, DEPTH, BOARD, CELL = 1e-3, 2.0, 1.0, 0.1, 1e-2
+MOST_CELLS = 500
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ground:
+    """Geoms to touch: ``names``, the contacts that may touch them, and which of them are the terrain.
+
+    friction: (phases, geoms, nc), that of a contact on a geom in a phase of the file.
+    """
+
+    names: tuple[str, ...]
+    friction: np.ndarray
+    touched_by: tuple[tuple[int, ...], ...]
+    is_terrain: tuple[bool, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Where a plan happens: contact frames (K, nc, 3) at its samples, a box around it, the reach; m."""
+
+    feet: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    reach: float
+
+    @property
+    def ball(self) -> float:
+        """Radius of the balls at contacts, m."""
+        return BALL * self.reach
+
+
+def place_of(plan: Solution, feet: np.ndarray, bodies: np.ndarray, reach: float) -> Place:
+    """The place of a plan with contacts at ``feet`` (K, nc, 3) and joints at ``bodies`` (K, n, 3) m."""
+    points = np.concatenate([feet.reshape(-1, 3), bodies.reshape(-1, 3)])
+    around = AROUND * reach
+    return Place(feet=feet, low=points.min(axis=0) - around, high=points.max(axis=0) + around, reach=reach)
+
+
+def add_ground(spec: Any, plan: Solution, place: Place) -> Ground:
+    """Add terrain and boards to a specification."""
+    found: list[tuple[str, Surface | None, tuple[float, ...], tuple[int, ...], bool]] = []
+    frames = list(plan.contact_frames)
+    terrain = terrain_of(plan.meta["terrain"])
+    own = _own_surfaces(plan, terrain)
+    standing = _standing(plan, own)
+    own_friction = tuple(float(mu) for mu in plan.meta["friction"])
+    if isinstance(terrain, Surface):
+        found.append((_plane(spec, terrain, place), terrain, own_friction, standing, True))
+    elif isinstance(terrain, PiecewiseTerrain):
+        for number, face in enumerate(terrain.faces):
+            name = _prism(spec, f"face{number}", face, place)
+            if name:
+                found.append((name, face.surface, (face.surface.friction,) * len(frames), standing, True))
+    elif isinstance(terrain, SmoothTerrain):
+        field = _field(spec, terrain, place)
+        found.append((field, None, (terrain.friction,) * len(frames), standing, True))
+    for number, (surface, contacts, points) in enumerate(_boards(plan, own, place)):
+        name = _board(spec, f"board{number}", surface, points, place)
+        found.append((name, surface, (surface.friction,) * len(frames), contacts, False))
+    names, planes, usual, touched_by, is_terrain = zip(*found, strict=True) if found else ((),) * 5
+    friction = _by_phase(plan, planes, np.array(usual, dtype=float).reshape(len(names), len(frames)))
+    return Ground(names=names, friction=friction, touched_by=touched_by, is_terrain=is_terrain)
+
+
+def _by_phase(plan: Solution, planes: Sequence[Surface | None], usual: np.ndarray) -> np.ndarray:
+    """Friction (phases, geoms, nc): ``usual`` (geoms, nc) but where a phase has its own on a geom's plane.
+
+    A contact in the air has that of its next stance, for which it may be early.
+    """
+    found, frames = np.tile(usual, (len(plan.phases), 1, 1)), list(plan.contact_frames)
+    for phase, surfaces in enumerate(surfaces_of(plan.meta.get("surfaces"))):
+        for frame, surface in surfaces.items():
+            for geom, plane in enumerate(planes):
+                if not surface.bilateral and surface.same_plane(plane):
+                    found[phase, geom, frames.index(frame)] = surface.friction
+    for phase in reversed(range(len(plan.phases) - 1)):
+        swings = ~plan.active[plan.phases[phase].start]
+        found[phase][:, swings] = found[phase + 1][:, swings]
+    return found
+
+
+def _own_surfaces(plan: Solution, terrain: Any) -> list[tuple[int, int, Surface]]:
+    """(phase, contact, surface) of what single contacts touch that is not the terrain."""
+    faces = terrain.faces if isinstance(terrain, PiecewiseTerrain) else ()
+    planes = [face.surface for face in faces] + ([terrain] if isinstance(terrain, Surface) else [])
+    frames = list(plan.contact_frames)
+    return [
+        (phase, frames.index(frame), surface)
+        for phase, surfaces in enumerate(surfaces_of(plan.meta.get("surfaces")))
+        for frame, surface in surfaces.items()
+        if surface.bilateral or not any(surface.same_plane(plane) for plane in planes)
+    ]
+
+
+def _standing(plan: Solution, own: Sequence[tuple[int, int, Surface]]) -> tuple[int, ...]:
+    """Contacts that are on the terrain in some phase, or whose image in a periodic plan is."""
+    elsewhere = {(phase, contact) for phase, contact, _ in own}
+    found = {
+        int(contact)
+        for phase, rows in enumerate(plan.phases)
+        for contact in np.flatnonzero(plan.active[rows.start])
+        if (phase, contact) not in elsewhere
+    }
+    described = plan.meta.get("periodicity")
+    if described:
+        source = image_of_contacts(plan, described)
+        found |= {contact for contact, other in enumerate(source) if other in found}
+    return tuple(sorted(found))
+
+
+def _boards(
+    plan: Solution, own: Sequence[tuple[int, int, Surface]], place: Place
+) -> list[tuple[Surface, tuple[int, ...], np.ndarray]]:
+    """Planes that push, each with the contacts on it and where they touch it (n, 3), soles at the corners."""
+    groups: list[tuple[Surface, list[tuple[int, int]]]] = []
+    for phase, contact, surface in own:
+        if surface.bilateral:
+            continue
+        same = [group for group in groups if group[0].same_plane(surface)]
+        if same:
+            same[0][1].append((phase, contact))
+        else:
+            groups.append((surface, [(phase, contact)]))
+    return [
+        (
+            surface,
+            tuple(sorted({contact for _, contact in uses})),
+            np.concatenate([_under(plan, surface, place, *use) for use in uses]),
+        )
+        for surface, uses in groups
+    ]
+
+
+def _under(plan: Solution, surface: Surface, place: Place, phase: int, contact: int) -> np.ndarray:
+    """Places (n, 3) of a contact in a phase; of a sole those of a square on the plane around its corners."""
+    places = place.feet[plan.phase == phase, contact]
+    sizes = plan.meta.get("contact_sizes") or [None] * len(plan.contact_frames)
+    if plan.meta["contact_kinds"][contact] != "surface" or not sizes[contact]:
+        return places
+    around = float(np.hypot(*sizes[contact])) * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
+    turn = frame_of_normal(surface.normal)
+    return np.concatenate([places + turn[:, :2] @ corner for corner in around])
+
+
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    quaternion = pin.Quaternion(np.array(rotation)).normalized()
+    return np.array([quaternion.w, quaternion.x, quaternion.y, quaternion.z])
+
+
+def _plane(spec: Any, surface: Surface, place: Place) -> str:
+    spec.worldbody.add_geom(
+        name="terrain",
+        type=mujoco_package().mjtGeom.mjGEOM_PLANE,
+        pos=surface.point - place.ball * surface.normal,
+        quat=_quaternion(surface.frame),
+        size=[0.0, 0.0, 1.0],
+        contype=0,
+        conaffinity=0,
+    )
+    return "terrain"
+
+
+def _prism(spec: Any, name: str, face: Patch, place: Place) -> str:
+    """A solid under the part of a face around the motion; no name where there is none."""
+    corners = face.vertices
+    for axis in (0, 1):
+        inward = np.eye(3)[axis]
+        corners = cut_polygon(corners, inward, float(place.low[axis]))
+        corners = cut_polygon(corners, -inward, -float(place.high[axis]))
+    if len(corners) < 3:
+        return ""
+    top = corners - place.ball * face.surface.normal
+    under = top.copy()
+    under[:, 2] = min(float(top[:, 2].min()), float(place.low[2])) - DEPTH * place.reach
+    middle = np.concatenate([top, under]).mean(axis=0)
+    mesh = spec.add_mesh(name=name, uservert=(np.concatenate([top, under]) - middle).ravel())
+    mesh.inertia = mujoco_package().mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    spec.worldbody.add_geom(
+        name=name,
+        type=mujoco_package().mjtGeom.mjGEOM_MESH,
+        meshname=name,
+        pos=middle,
+        contype=0,
+        conaffinity=0,
+    )
+    return name
+
+
+def _field(spec: Any, terrain: SmoothTerrain, place: Place) -> str:
+    """Smooth ground as a field of heights around the motion."""
+    span = (place.high - place.low)[:2]
+    cells = np.minimum(np.ceil(span / (CELL * place.reach)).astype(int), MOST_CELLS)
+    x, y = (np.linspace(place.low[i], place.high[i], cells[i] + 1) for i in (0, 1))
+    across, along = np.meshgrid(x, y)  # rows go along y, as MuJoCo has it
+    normal = terrain.normal(across, along)
+    height = terrain.height(across, along) - place.ball / normal[..., 2]
+    low, tall = float(height.min()), max(float(np.ptp(height)), 1e-6)
+    spec.add_hfield(
+        name="terrain",
+        nrow=len(y),
+        ncol=len(x),
+        size=[span[0] / 2, span[1] / 2, tall, DEPTH * place.reach],
+        userdata=((height - low) / tall).ravel(),
+    )
+    spec.worldbody.add_geom(
+        name="terrain",
+        type=mujoco_package().mjtGeom.mjGEOM_HFIELD,
+        hfieldname="terrain",
+        pos=[*(place.low[:2] + span / 2), low],
+        contype=0,
+        conaffinity=0,
+    )
+    return "terrain"
+
+
+def _board(spec: Any, name: str, surface: Surface, points: np.ndarray, place: Place) -> str:
+    """A box whose front is the plane, around the places (n, 3) where it is touched."""
+    turn = frame_of_normal(surface.normal)
+    local = (points - surface.point) @ turn[:, :2]
+    low, high = local.min(axis=0) - BOARD * place.reach, local.max(axis=0) + BOARD * place.reach
+    deep = BOARD * place.reach
+    centre = surface.point + turn @ np.array([*(low + high) / 2, -deep - place.ball])
+    spec.worldbody.add_geom(
+        name=name,
+        type=mujoco_package().mjtGeom.mjGEOM_BOX,
+        pos=centre,
+        quat=_quaternion(turn),
+        size=[*(high - low) / 2, deep],
+        contype=0,
+        conaffinity=0,
+    )
+    return name
+
+
+def add_obstacles(spec: Any, obstacles: Sequence[Any]) -> tuple[str, ...]:
+    """Add obstacles of collision avoidance; returns the names of their geoms."""
+    shapes, names = mujoco_package().mjtGeom, []
+    for number, obstacle in enumerate(obstacles):
+        name = f"obstacle{number}"
+        made: dict[str, Any] = {"name": name, "contype": 0, "conaffinity": 0}
+        if isinstance(obstacle, SphereObstacle):
+            made |= {"type": shapes.mjGEOM_SPHERE, "pos": obstacle.centre, "size": [obstacle.radius, 0, 0]}
+        elif isinstance(obstacle, CapsuleObstacle):
+            made |= capsule_geom(obstacle.start, obstacle.end, obstacle.radius)
+        elif isinstance(obstacle, BoxObstacle):
+            rotation = np.eye(3) if obstacle.rotation is None else obstacle.rotation
+            made |= {
+                "type": shapes.mjGEOM_BOX,
+                "pos": obstacle.position,
+                "quat": _quaternion(rotation),
+                "size": obstacle.sides / 2,
+            }
+        spec.worldbody.add_geom(**made)
+        names.append(name)
+    return tuple(names)
+
+
+def height_over(terrain: Any, points: np.ndarray) -> np.ndarray:
+    """Height (...) in m of points (..., 3) over the terrain; infinite over holes and without terrain."""
+    if terrain is None:
+        return np.full(points.shape[:-1], np.inf)
+    if isinstance(terrain, Surface):
+        return terrain.distance(points)
+    return np.asarray(points[..., 2] - terrain.height(points[..., 0], points[..., 1]))
+
+
+def capsule_geom(start: np.ndarray, end: np.ndarray, radius: float) -> dict[str, Any]:
+    """Fields of a geom that is a capsule, or a ball where its segment has no length."""
+    shapes = mujoco_package().mjtGeom
+    if np.allclose(start, end):
+        return {"type": shapes.mjGEOM_SPHERE, "pos": start, "size": [radius, 0, 0]}
+    return {
+        "type": shapes.mjGEOM_CAPSULE,
+        "fromto": np.concatenate([start, end]),
+        "size": [radius, 0, 0],
+    }

@@ -1,0 +1,239 @@
+"""The plan on the grid of the controller: motion, torques and contacts, period by period."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.certify.accuracy.natural_units import NaturalUnits
+from trajopt.certify.closing import image
+from trajopt.certify.payloads import carrying_model, payload_wrenches
+from trajopt.certify.simulation.settings import HOLD, Settings
+from trajopt.dynamics.model_quantities import contact_jacobian
+from trajopt.errors import InputError
+from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.actuators.on_robot import drive_torque_values
+from trajopt.solution.motion import SolutionMotion, lagrange_coefficients
+from trajopt.solution.solution import Solution
+
+# A plan that ends slower than this (reaches and radians over the natural time) ends at rest.
+REST = 1e-3
+# Periods of the controller in one simulation: each is sampled and recorded.
+MOST_PERIODS = 200_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reference:
+    """A plan at the starts of n periods of the controller.
+
+    t: (n,) s. period: s. q, v: (n, nq), (n, nv), Pinocchio's. torque: (n, nu) that the drives deliver, in the
+    middle of each period. f: (n, nc, 6) of the surroundings, without what is carried. active: (n, nc).
+    phase: (n,) index into ``phase_names``; source: (n,) phase of the file. held: periods after the plan.
+    end: (nq,) where the plan ends.
+    """
+
+    t: np.ndarray
+    period: float
+    q: np.ndarray
+    v: np.ndarray
+    torque: np.ndarray
+    f: np.ndarray
+    active: np.ndarray
+    phase: np.ndarray
+    source: np.ndarray
+    phase_names: tuple[str, ...]
+    held: int
+    end: np.ndarray
+
+    @property
+    def planned(self) -> int:
+        """Periods of the plan itself."""
+        return len(self.t) - self.held
+
+
+def drives_of(plan: Solution) -> list[Drive | None]:
+    """Drive of each actuated row (nu), None without."""
+    described = plan.meta.get("drives") or [None] * plan.tau.shape[1]
+    return [None if entry is None else Drive.from_meta(entry) for entry in described]
+
+
+def reference_of(plan: Solution, settings: Settings) -> Reference:
+    """Sample a plan, repeat it if asked to, and hold its end if it is at rest. Raises `InputError`."""
+    described = plan.meta.get("periodicity")
+    whole = settings.cycles * (2 if described and described["mirror"] else 1)
+    periods = float(plan.interval_t[-1, 1] - plan.interval_t[0, 0]) * settings.control_rate * whole
+    if periods > MOST_PERIODS:
+        raise InputError(
+            f"a simulation of {periods:.3g} periods of its controller",
+            f"allowed: {MOST_PERIODS}; a lower --control-rate or fewer --cycles",
+        )
+    if settings.cycles > 1 and not described:
+        raise InputError("the solution is not periodic", "allowed: --cycles 1")
+    one = _once(plan, settings.control_rate)
+    if described and (settings.cycles > 1 or whole > 1):
+        one = _repeated(plan, one, described, whole)
+    return _with_hold(plan, one)
+
+
+def _once(plan: Solution, rate: float) -> Reference:
+    start, end = float(plan.interval_t[0, 0]), float(plan.interval_t[-1, 1])
+    count = max(1, round((end - start) * rate))
+    period = (end - start) / count
+    t = start + period * np.arange(count)
+    motion = SolutionMotion(plan)
+    spans = [motion.span(number) for number in range(len(plan.phases))]
+    phase = np.searchsorted([first for first, _ in spans], t + 1e-9 * period, side="right") - 1
+    samples = []
+    for time, number in zip(t, phase, strict=True):
+        first, last = spans[number]
+        samples.append(motion.in_phase(int(number), (time - first) / (last - first), 1.0))
+    active = np.array([plan.active[rows.start] for rows in plan.phases]).reshape(len(spans), -1)
+    names = plan.meta.get("phase_names") or [f"phase {i}" for i in range(len(spans))]
+    return Reference(
+        t=t,
+        period=period,
+        q=np.array([sample.q for sample in samples]),
+        v=np.array([sample.v for sample in samples]),
+        torque=_torques(plan, t + period / 2),
+        f=_without_payload(plan, motion, np.array([sample.f for sample in samples]), t),
+        active=active[phase],
+        phase=phase,
+        source=phase,
+        phase_names=tuple(names),
+        held=0,
+        end=plan.q[-1].copy(),
+    )
+
+
+def _torques(plan: Solution, t: np.ndarray) -> np.ndarray:
+    """Torques (n, nu) of the drives at times ``t`` (n,): polynomials of the intervals, and joint friction."""
+    points = np.flatnonzero(plan.collocation)
+    delivered = plan.tau[points]
+    if plan.meta.get("drives"):
+        rates = plan.v[points][:, plan.n_unactuated :]
+        delivered = drive_torque_values(tuple(drives_of(plan)), delivered, rates)
+    return _polynomials(plan, delivered, t)
+
+
+def _polynomials(plan: Solution, values: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Values (n, m) at times ``t`` of the intervals' polynomials through ``values`` (points, m)."""
+    edges = plan.interval_t
+    index = np.clip(np.searchsorted(edges[:, 0], t, side="right") - 1, 0, len(edges) - 1)
+    points = np.flatnonzero(plan.collocation)
+    found = np.zeros((len(t), values.shape[1]))
+    for number in np.unique(index):
+        start, end = edges[number]
+        own = plan.interval[points] == number
+        coefficients = lagrange_coefficients((plan.t[points][own] - start) / (end - start), values[own])
+        rows = index == number
+        s = (t[rows] - start) / (end - start)
+        found[rows] = np.vander(s, len(coefficients), increasing=True) @ coefficients
+    return found
+
+
+def _without_payload(plan: Solution, motion: SolutionMotion, f: np.ndarray, t: np.ndarray) -> np.ndarray:
+    if not plan.meta.get("payloads"):
+        return f
+    points = np.flatnonzero(plan.collocation)
+    carried = payload_wrenches(plan)[points].reshape(len(points), -1)
+    return f - _polynomials(plan, carried, t).reshape(f.shape)
+
+
+def _repeated(plan: Solution, one: Reference, described: dict[str, Any], times: int) -> Reference:
+    """The reference followed by its images, ``times`` in all."""
+    duration = one.period * len(one.t)
+    source = image_of_contacts(plan, described)
+    index, sign = np.array(described["index"], dtype=int), np.array(described["sign"], dtype=float)
+    first, turned = plan.n_unactuated, pin.utils.rotate("z", float(described["turn"]))
+    flip = np.array([1.0, -1.0, 1.0]) if described["mirror"] else np.ones(3)
+    to_force = turned * flip
+    to_moment = turned * (flip if not described["mirror"] else -flip)
+    parts, end = [one], one.end
+    for number in range(1, times):
+        last = parts[-1]
+        states = [image(plan.model, described, q, v, duration) for q, v in zip(last.q, last.v, strict=True)]
+        end = image(plan.model, described, end, np.zeros(plan.model.nv), duration)[0]
+        f = last.f[:, source]
+        parts.append(
+            replace(
+                one,
+                t=one.t + number * duration,
+                q=np.array([q for q, _ in states]),
+                v=np.array([v for _, v in states]),
+                torque=sign[first:] * last.torque[:, index[first:] - first],
+                f=np.concatenate([f[..., :3] @ to_force.T, f[..., 3:] @ to_moment.T], axis=-1),
+                active=last.active[:, source],
+                phase=one.phase + number * len(one.phase_names),
+                end=end,
+            )
+        )
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in ("t", "q", "v", "torque", "f", "active", "phase", "source")
+    }
+    return replace(one, **joined, phase_names=one.phase_names * times, end=end)
+
+
+def image_of_contacts(plan: Solution, described: dict[str, Any]) -> list[int]:
+    """For each contact the one whose image it is: the rows of v that move it are those of its image."""
+    index = np.array(described["index"], dtype=int)
+    moved = [rows_of(plan.model, frame) for frame in plan.contact_frames]
+    return [moved.index({int(index[row]) for row in rows}) for rows in moved]
+
+
+def rows_of(model: pin.Model, frame: str) -> set[int]:
+    """Rows of v that move a frame."""
+    found: set[int] = set()
+    for joint in list(model.supports[model.frames[model.getFrameId(frame)].parentJoint])[1:]:
+        first = model.joints[joint].idx_v
+        found |= set(range(first, first + model.joints[joint].nv))
+    return found
+
+
+def _at_rest(plan: Solution, reference: Reference) -> tuple[np.ndarray, np.ndarray]:
+    """Torques (nu,) and contact forces (nc, 6) that hold the plan's end: the forces nearest to its last ones.
+
+    A plan that has come to rest may still accelerate: its last torques would move it away again.
+    """
+    model, q, first = carrying_model(plan, int(plan.phase[-1])), plan.q[-1], plan.n_unactuated
+    gravity = pin.computeGeneralizedGravity(model, model.createData(), q)
+    sizes = [3 if kind == "point" else 6 for kind in plan.meta["contact_kinds"]]
+    picked = [(i, size) for i, size in enumerate(sizes) if plan.active[-1, i]]
+    jacobian = contact_jacobian(model, q, [(plan.contact_frames[i], size) for i, size in picked])
+    forces = np.concatenate([np.zeros(0), *(reference.f[-1, i, :size] for i, size in picked)])
+    missing = gravity[:first] - jacobian[:, :first].T @ forces
+    forces += np.linalg.lstsq(jacobian[:, :first].T, missing, rcond=None)[0]
+    found, row = np.zeros_like(reference.f[-1]), 0
+    for index, size in picked:
+        found[index, :size] = forces[row : row + size]
+        row += size
+    return gravity[first:] - jacobian[:, first:].T @ forces, found
+
+
+def _with_hold(plan: Solution, reference: Reference) -> Reference:
+    """The reference with its end held for a while, where the plan ends at rest."""
+    units = NaturalUnits.of(plan.model)
+    speed = np.abs(plan.v[-1]) * units.time
+    if plan.meta.get("periodicity") or speed.max(initial=0.0) > REST:
+        return reference
+    held = math.ceil(HOLD * units.time / reference.period)
+    torque, force = _at_rest(plan, reference)
+    last = {
+        "q": plan.q[-1],
+        "v": np.zeros(plan.model.nv),
+        "torque": torque,
+        "f": force,
+        "active": reference.active[-1],
+        "phase": np.array(len(reference.phase_names)),
+        "source": reference.source[-1],
+    }
+    after: dict[str, Any] = {
+        name: np.concatenate([getattr(reference, name), np.repeat(value[None], held, axis=0)])
+        for name, value in last.items()
+    }
+    t = reference.t[0] + reference.period * np.arange(len(reference.t) + held)
+    return replace(reference, **after, t=t, phase_names=(*reference.phase_names, "hold"), held=held)

@@ -1,0 +1,281 @@
+"""The simulation itself: planned torques, feedback of the joints, MuJoCo's physics, and what is recorded.
+
+At the start of each period of the controller, with the plan's q, v there and its torque in the middle,
+
+    tau = tau_plan + K_p (q_plan - q) + K_d (v_plan - v)        cut off at the limits of the drives
+
+holds for the period; the gains are those of `gains`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajopt.certify.simulation.bodies import body_name, mujoco_package, write_inertias
+from trajopt.certify.simulation.gains import gains_of
+from trajopt.certify.simulation.reference import Reference, drives_of
+from trajopt.certify.simulation.settings import Settings
+from trajopt.certify.simulation.world import World
+from trajopt.dynamics.base_joint import BASE_JOINT, UNLIMITED, base_of
+from trajopt.errors import InputError
+from trajopt.robot.actuators.drive import Drive
+from trajopt.solution.solution import Solution
+
+# A base whose nose points up or down is pushed by less: it has no side.
+LEAST_LEVEL = 0.1
+# A push lasts this part of the motion, around its middle.
+PUSHED = 0.1
+# Steps of the physics in one simulation: minutes.
+MOST_STEPS = 20_000_000
+# Coefficients that MuJoCo takes to be positive are at least this, as by its own compiler.
+LEAST_FRICTION = 1e-5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """What happened at the starts of n periods (and at the end), in MuJoCo's coordinates.
+
+    qpos (n + 1, nq'), qvel (n + 1, nv), qacc (n, nv); torque (n, nu) of the drives, where they are saturated
+    (n, nu), and friction (n, nu) on them; force (n, nc, 6) of the surroundings on contacts, world axes, at
+    the frame's origin; feet (n, nc, 3) m and turns (n, nc, 3, 3) of the contact frames; touched (n,) a link
+    touches the ground; hit (n,) an obstacle.
+    """
+
+    qpos: np.ndarray
+    qvel: np.ndarray
+    qacc: np.ndarray
+    torque: np.ndarray
+    saturated: np.ndarray
+    friction: np.ndarray
+    force: np.ndarray
+    feet: np.ndarray
+    turns: np.ndarray
+    touched: np.ndarray
+    hit: np.ndarray
+
+
+def run(plan: Solution, reference: Reference, world: World, settings: Settings) -> Record:
+    """Simulate; the record has one row a period, and the last state."""
+    return _Run(plan, reference, world, settings).record()
+
+
+class _Run:
+    def __init__(self, plan: Solution, reference: Reference, world: World, settings: Settings) -> None:
+        self.mujoco, self.plan, self.reference, self.world = mujoco_package(), plan, reference, world
+        self.settings = settings
+        self.model = world.compiled
+        gravity = np.linalg.norm(self.model.opt.gravity)
+        self.up = -self.model.opt.gravity / gravity if gravity > 0 else np.array([0.0, 0.0, 1.0])
+        self.data = self.mujoco.MjData(self.model)
+        self.substeps = max(1, int(np.ceil(reference.period / settings.step(world.units.time) - 1e-9)))
+        if self.substeps * len(reference.t) > MOST_STEPS:
+            steps = f"{self.substeps * len(reference.t):.3g}"
+            raise InputError(f"a simulation of {steps} steps", f"allowed: {MOST_STEPS}; a longer --timestep")
+        self.model.opt.timestep = reference.period / self.substeps
+        self.rows = world.coordinates.rows[plan.n_unactuated :]
+        self.gains = gains_of(plan, world, reference, settings)
+        self.drives = drives_of(plan)
+        self.low, self.high = _limits(plan)
+        self._plan_in_mujoco()
+
+    def _plan_in_mujoco(self) -> None:
+        """The plan and its torques in MuJoCo's coordinates, row by row."""
+        reference, coordinates = self.reference, self.world.coordinates
+        self.qpos = coordinates.to_mujoco(reference.q)
+        self.qvel = coordinates.rates_to_mujoco(self.qpos, reference.v)
+        whole = np.zeros_like(reference.v)
+        whole[:, self.plan.n_unactuated :] = reference.torque
+        self.torque = coordinates.rates_to_mujoco(self.qpos, whole)[:, self.rows]
+
+    def record(self) -> Record:
+        count, contacts, model, data = len(self.reference.t), len(self.world.sites), self.model, self.data
+        found = Record(
+            qpos=np.zeros((count + 1, model.nq)),
+            qvel=np.zeros((count + 1, model.nv)),
+            qacc=np.zeros((count, model.nv)),
+            torque=np.zeros((count, len(self.rows))),
+            saturated=np.zeros((count, len(self.rows)), dtype=bool),
+            friction=np.zeros((count, len(self.rows))),
+            force=np.zeros((count, contacts, 6)),
+            feet=np.zeros((count, contacts, 3)),
+            turns=np.zeros((count, contacts, 3, 3)),
+            touched=np.zeros(count, dtype=bool),
+            hit=np.zeros(count, dtype=bool),
+        )
+        self._start()
+        changes = set(np.flatnonzero(np.diff(self.reference.source, prepend=-1)).tolist())
+        for k in range(count):
+            if k in changes:
+                self._enter(int(self.reference.source[k]))
+            self._push(k)
+            found.qpos[k], found.qvel[k] = data.qpos, data.qvel
+            found.torque[k], found.saturated[k] = self._drive(k)
+            self.mujoco.mj_forward(model, data)  # forces of this state: stages of a step leave others behind
+            if not self._is_sane():
+                return _until(found, k)
+            found.qacc[k], found.friction[k] = data.qacc, self._friction()
+            found.feet[k] = data.site_xpos[self.world.sites]
+            found.turns[k] = data.site_xmat[self.world.sites].reshape(-1, 3, 3)
+            found.touched[k], found.hit[k] = self._contacts(found.force[k], found.feet[k])
+            self.mujoco.mj_step(model, data, self.substeps)
+        found.qpos[count], found.qvel[count] = data.qpos, data.qvel
+        return found
+
+    def _is_sane(self) -> bool:
+        """Whether the state is finite and MuJoCo has not warned that it is running away."""
+        warned = self.mujoco.mjtWarning
+        bad = (warned.mjWARN_BADQPOS, warned.mjWARN_BADQVEL, warned.mjWARN_BADQACC)
+        warnings = sum(self.data.warning[kind].number for kind in bad)
+        return not warnings and bool(np.isfinite(self.data.qacc).all())
+
+    def _start(self) -> None:
+        """The planned start, with noise where it is asked for."""
+        self.data.qpos[:], self.data.qvel[:] = self.qpos[0], self.qvel[0]
+        if self.settings.noise:
+            generator = np.random.default_rng(self.settings.seed)
+            size = self.settings.noise * _sizes(self.world)
+            error = size * generator.standard_normal(self.model.nv)
+            self.mujoco.mj_integratePos(self.model, self.data.qpos, error, 1.0)
+            self.data.qvel[:] += size * generator.standard_normal(self.model.nv) / self.world.units.time
+
+    def _enter(self, phase: int) -> None:
+        """What changes with a phase of the plan: what is carried, what is held, friction under contacts."""
+        if self.plan.meta.get("payloads") or self.settings.mass_scale != 1.0:
+            write_inertias(self.model, self.world.models[phase])
+        for grasp in self.world.grasps:
+            self.data.eq_active[self.model.equality(grasp.name).id] = phase in grasp.phases
+        friction = np.maximum(self.world.friction[phase], LEAST_FRICTION)
+        self.model.pair_friction[self.world.pairs, :2] = friction[:, None]
+
+    def _push(self, k: int) -> None:
+        kind = base_of(self.plan.model)
+        if not self.settings.push or kind == "fixed":
+            return
+        body = self.model.body(body_name(BASE_JOINT[kind])).id
+        ahead = self.data.xmat[body].reshape(3, 3)[:, 0]
+        level = ahead - self.up * (self.up @ ahead)
+        aside = level if kind == "planar" else np.cross(self.up, level)
+        middle = abs(k / self.reference.planned - 0.5) < PUSHED / 2
+        scale = self.settings.push / max(float(np.linalg.norm(aside)), LEAST_LEVEL)
+        self.data.xfrc_applied[body, :3] = scale * aside if middle else 0.0
+
+    def _drive(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Apply the torques of period ``k``; returns them, and where they were cut off."""
+        error = np.zeros(self.model.nv)
+        self.mujoco.mj_differentiatePos(self.model, error, 1.0, self.data.qpos, self.qpos[k])
+        rate = self.data.qvel[self.rows]
+        wanted = (
+            self.torque[k]
+            + self.gains.kp[k] * error[self.rows]
+            + self.gains.kd[k] * (self.qvel[k][self.rows] - rate)
+        )
+        low, high = self.low, self.high
+        if any(drive is not None for drive in self.drives):
+            low, high = _with_drives(self.drives, rate, low, high)
+        torque = np.clip(wanted, low, high)
+        self.data.qfrc_applied[self.rows] = torque
+        return torque, torque != wanted
+
+    def _friction(self) -> np.ndarray:
+        """Torques (nu,) of friction in the drives on their joints: viscous, and Coulomb's as a constraint."""
+        whole = self.data.qfrc_passive.copy()
+        own = self.data.efc_type == self.mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
+        np.add.at(whole, self.data.efc_id[own], self.data.efc_force[own])
+        return np.asarray(whole[self.rows])
+
+    def _contacts(self, force: np.ndarray, feet: np.ndarray) -> tuple[bool, bool]:
+        """Add this step's contacts to ``force`` (nc, 6); whether a link touches ground, or an obstacle."""
+        touching, world = self.data.contact, self.world
+        pressing = touching.efc_address >= 0
+        geoms = touching.geom[pressing]
+        if len(geoms):
+            push, owner = self._pushes(pressing), world.contact_of[geoms].max(axis=1, initial=-1)
+            # MuJoCo's forces are on the second geom of a pair.
+            push *= np.where(world.contact_of[geoms[:, 0]] >= 0, -1.0, 1.0)[:, None]
+            arm = touching.pos[pressing] - feet[owner] if len(feet) else np.zeros_like(push)
+            wrench = np.column_stack([push, _cross(arm, push)])[owner >= 0]
+            np.add.at(force, owner[owner >= 0], wrench)
+        self._grasped(force)
+        return bool(world.links[geoms].any()), bool(world.obstacles[geoms].any())
+
+    def _pushes(self, pressing: np.ndarray) -> np.ndarray:
+        """Forces (n, 3) of contacts in world axes; one without friction has a normal force alone."""
+        touching = self.data.contact
+        rows = touching.efc_address[pressing][:, None] + np.arange(3)
+        own = self.data.efc_force[np.minimum(rows, self.data.nefc - 1)]
+        own = np.where(np.arange(3) < touching.dim[pressing][:, None], own, 0.0)
+        return np.einsum("ni,nij->nj", own, touching.frame[pressing].reshape(-1, 3, 3))
+
+    def _grasped(self, force: np.ndarray) -> None:
+        """Add the wrenches of constraints that hold contacts: those that do the same to the joints."""
+        for grasp in self.world.grasps:
+            number = self.model.equality(grasp.name).id
+            if self.data.eq_active[number]:
+                own = (self.data.efc_type == self.mujoco.mjtConstraint.mjCNSTR_EQUALITY) & (
+                    self.data.efc_id == number
+                )
+                rows = self.data.efc_J.reshape(-1, self.model.nv)[own]
+                joint = rows.T @ self.data.efc_force[own]
+                site = self.world.sites[grasp.contact]
+                place = np.zeros((6, self.model.nv))
+                self.mujoco.mj_jacSite(self.model, self.data, place[:3], place[3:], site)
+                size = 6 if grasp.turns else 3
+                force[grasp.contact, :size] += np.linalg.lstsq(place[:size].T, joint, rcond=None)[0]
+
+
+def _until(record: Record, count: int) -> Record:
+    """The periods of a record before the one, ``count``, in whose state MuJoCo has run away.
+
+    That state and the step to it are left out; of a record that ends at once one period at rest is left.
+    """
+    rows = max(count - 1, 1)
+    if count <= 1:
+        record.qpos[1], record.qvel[1] = record.qpos[0], record.qvel[0]
+    return Record(
+        **{
+            name: getattr(record, name)[: rows + (name in ("qpos", "qvel"))]
+            for name in Record.__dataclass_fields__
+        }
+    )
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross products of rows (n, 3); NumPy's own takes longer than a step of the physics."""
+    (ax, ay, az), (bx, by, bz) = a.T, b.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+
+
+def _sizes(world: World) -> np.ndarray:
+    """Units (nv,) of positions: the reach of those that slide, a radian of those that turn."""
+    sizes = np.ones(world.compiled.nv)
+    kinds = mujoco_package().mjtJoint
+    slide, free = int(kinds.mjJNT_SLIDE), int(kinds.mjJNT_FREE)  # NumPy's numbers are not `in` enums
+    for joint in range(world.compiled.njnt):
+        kind, row = int(world.compiled.jnt_type[joint]), int(world.compiled.jnt_dofadr[joint])
+        if kind in (slide, free):
+            sizes[row : row + (3 if kind == free else 1)] = world.units.length
+    return sizes
+
+
+def _limits(plan: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest torque (nu,); a source of rates or accelerations has none."""
+    limit = np.full(plan.tau.shape[1], np.inf)
+    given = plan.meta.get("effort_limit")
+    if given is not None and plan.meta.get("actuation", "torque") == "torque":
+        own = np.array([np.inf if entry is None else entry for entry in given], dtype=float)
+        limit = np.where(own > UNLIMITED, np.inf, own)
+    return -limit, limit
+
+
+def _with_drives(
+    drives: list[Drive | None], rate: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Limits of rows with a drive: those of its voltage and current at the rates."""
+    low, high = low.copy(), high.copy()
+    for row, drive in enumerate(drives):
+        if drive is not None:
+            own = drive.torque_range(float(rate[row]))
+            low[row], high[row] = float(own[0]), float(max(own[0], own[1]))
+    return low, high

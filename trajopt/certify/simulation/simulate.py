@@ -1,0 +1,149 @@
+"""From a plan to its simulation in MuJoCo, in one call."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajopt.certify.simulation import figures
+from trajopt.certify.simulation.bodies import quiet
+from trajopt.certify.simulation.reference import Reference, reference_of
+from trajopt.certify.simulation.report import ContactReport, Report
+from trajopt.certify.simulation.run import Record, run
+from trajopt.certify.simulation.settings import FEEDBACK_TIME, Settings
+from trajopt.certify.simulation.simulated import simulated_solution
+from trajopt.certify.simulation.world import World, build_world
+from trajopt.dynamics.base_joint import base_of
+from trajopt.errors import InputError
+from trajopt.solution.input import require_motion, solutions_of
+from trajopt.solution.solution import Solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulation:
+    """A simulated plan: its report, and everything that was recorded. wall_time: s of the physics."""
+
+    plan: Solution
+    settings: Settings
+    reference: Reference
+    world: World
+    record: Record
+    report: Report
+    wall_time: float
+
+    def as_solution(self) -> Solution:
+        """The simulated motion as a solution of the same model; ``meta["simulated"]`` is true."""
+        return self._solution
+
+    @cached_property
+    def _solution(self) -> Solution:
+        return simulated_solution(self.plan, self.reference, self.record, self.world, self.report)
+
+
+def simulate(solution: Solution | str | Path, **settings: Any) -> Simulation:
+    """Run a plan in MuJoCo with its torques and feedback of the joints.
+
+    solution: or the file at that path. settings: fields of `Settings`. Raises `InputError` for settings or a
+    model that cannot be simulated, or where MuJoCo is not installed.
+    """
+    if not isinstance(solution, Solution | str | Path):
+        raise InputError(f"{solution!r:.60} is no solution", "allowed: a Solution or the path of its file")
+    plan = require_motion(*solutions_of(solution))
+    known = [field.name for field in fields(Settings)]
+    unknown = ", ".join(sorted(set(settings) - set(known)))
+    if unknown:
+        raise InputError(f"a simulation has no setting {unknown}", f"allowed: {', '.join(known)}")
+    wanted = Settings(**settings)
+    with quiet():
+        reference = reference_of(plan, wanted)
+        world = build_world(plan, wanted)
+        begin = time.perf_counter()
+        record = run(plan, reference, world, wanted)
+        spent = time.perf_counter() - begin
+    return Simulation(
+        plan=plan,
+        settings=wanted,
+        reference=reference,
+        world=world,
+        record=record,
+        report=_report(plan, reference, record, world),
+        wall_time=spent,
+    )
+
+
+def _report(plan: Solution, reference: Reference, record: Record, world: World) -> Report:
+    q = world.coordinates.from_mujoco(record.qpos)
+    errors = figures.errors_of(plan, reference, q)
+    fall = figures.fall_of(plan, reference, record, q)
+    stances = figures.stances(plan, reference, record, world)
+    moving, end = base_of(plan.model) != "fixed", min(reference.planned, len(record.feet))
+    force = figures.force_error(reference, record)
+    return Report(
+        problem=str(plan.meta["problem"]),
+        robot=str(plan.meta["robot"]),
+        reach=world.units.length,
+        duration=reference.period * reference.planned,
+        held=reference.period * reference.held,
+        timestep=float(world.compiled.opt.timestep),
+        feedback_rate=1.0 / (FEEDBACK_TIME * world.units.time),
+        fell=fall is not None,
+        fall_time=None if fall is None else fall.time,
+        fall_reason="" if fall is None else fall.why,
+        base_error_end=float(errors.base[end]) if moving else None,
+        base_error_max=float(errors.base[: end + 1].max()) if moving else None,
+        base_error_rms=float(np.sqrt((errors.base[: end + 1] ** 2).mean())) if moving else None,
+        base_error_held=float(errors.base[-1]) if moving else None,
+        base_turn_end=float(errors.turn[end]) if moving else None,
+        base_turn_max=float(errors.turn[: end + 1].max()) if moving else None,
+        joint_error_end=float(errors.joint[end]),
+        joint_error_max=float(errors.joint[: end + 1].max()),
+        joint_error_rms=float(np.sqrt((errors.joints[: end + 1] ** 2).mean())) if errors.joints.size else 0.0,
+        saturated=float(record.saturated.mean()) if record.saturated.size else 0.0,
+        swing_load=figures.swing_load(reference, record, world),
+        force_error=None if force is None else force / world.units.weight,
+        obstacle_hit=bool(record.hit.any()),
+        notes=_notes(plan, world),
+        **_contacts(plan, stances, world),
+    )
+
+
+def _contacts(plan: Solution, stances: tuple[figures.Stance, ...], world: World) -> dict[str, Any]:
+    """Fields of the report about contacts."""
+    times = [abs(stance.touchdown) for stance in stances if stance.touchdown is not None]
+    travel = [stance.travel for stance in stances if stance.travel is not None]
+    own = [[stance for stance in stances if stance.contact == i] for i in range(len(plan.contact_frames))]
+    return {
+        "touchdown_error": max(times, default=None),
+        "missed": sum(stance.missed for stance in stances),
+        "slips": sum(way > figures.SLIP * world.units.length for way in travel),
+        "slip_travel": max(travel, default=None),
+        "contacts": tuple(
+            ContactReport(
+                frame=frame,
+                touchdowns=tuple(s.touchdown for s in rows if s.touchdown is not None),
+                missed=sum(s.missed for s in rows),
+                travel=max((s.travel for s in rows if s.travel is not None), default=None),
+            )
+            for frame, rows in zip(plan.contact_frames, own, strict=True)
+        ),
+    }
+
+
+def _notes(plan: Solution, world: World) -> tuple[str, ...]:
+    """What the simulation takes from the plan that no physics gives."""
+    notes = []
+    for grasp in world.grasps:
+        phases = plan.meta["phase_names"][grasp.phases[0] : grasp.phases[-1] + 1]
+        notes.append(f"{plan.contact_frames[grasp.contact]} is held as planned in {', '.join(phases)}")
+    for name, depth in world.buried.items() if base_of(plan.model) != "fixed" else ():
+        notes.append(f"the plan takes {name} {1e3 * max(depth, 0.0):.0f} mm into the ground")
+    if plan.meta.get("payloads"):
+        notes.append("what is carried is part of the link that holds it while the plan carries it")
+    if plan.meta.get("actuation", "torque") != "torque":
+        notes.append(f"a source of {plan.meta['actuation']}: its drives have no torque limits here")
+    return tuple(notes)

@@ -1,0 +1,135 @@
+"""A simulated motion as a solution: what replay, plot and the file format take like any other.
+
+Phases are the planned ones, by time, with the posture held after the plan as one more. A contact is active
+in an interval where it carries load; in the first interval of a phase also where the plan says so, since a
+file names the surfaces of a phase by its contacts. Accelerations, torques and forces are those of the physics
+at the samples; an interval has one collocation point, in its middle.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from trajopt.certify.payloads import payload_wrenches
+from trajopt.certify.simulation.bodies import mujoco_package
+from trajopt.certify.simulation.figures import loads
+from trajopt.certify.simulation.reference import Reference
+from trajopt.certify.simulation.report import Report
+from trajopt.certify.simulation.run import Record
+from trajopt.certify.simulation.world import World
+from trajopt.solution.solution import Solution
+from trajopt.solution.touched import held_samples
+from trajopt.versions import VERSIONED, installed_version
+
+# Periods of the controller in an interval: 4 ms by default, finer than a screen's picture.
+PERIODS = 4
+# Of the plan's meta: what says nothing of a simulation.
+LEFT_OUT = (
+    "mesh",
+    "periodicity",
+    "row_names",
+    "worst_blocks",
+    "rotation_norm_error",
+    "redundant_contact_rows",
+    "advice",
+    "solver_status",
+    "max_violation",
+    "primal_infeasibility",
+    "dual_infeasibility",
+    "complementarity",
+    "variables",
+    "constraints",
+)
+
+
+def simulated_solution(
+    plan: Solution, reference: Reference, record: Record, world: World, report: Report
+) -> Solution:
+    """The record as a solution of the plan's model."""
+    n = len(record.feet)
+    chunks = _chunks(reference.phase[:n])
+    rows = np.array([[first, first + (end - first) // 2, end] for first, end in chunks]).ravel()
+    last = np.minimum(rows, n - 1)  # accelerations and forces are known at the starts of periods
+    q = world.coordinates.from_mujoco(record.qpos)
+    v = world.coordinates.rates_from_mujoco(record.qpos, record.qvel)
+    a = world.coordinates.accelerations_from_mujoco(record.qpos[:n], record.qvel[:n], record.qacc)
+    t = np.append(reference.t[:n], reference.t[n - 1] + reference.period)
+    phase = np.array([reference.phase[first] for first, _ in chunks])
+    found = Solution(
+        meta=_meta(plan, reference, report, phase),
+        model_text=plan.model_text,
+        t=t[rows],
+        phase=np.repeat(phase, 3),
+        interval=np.repeat(np.arange(len(chunks)), 3),
+        collocation=np.tile([False, True, False], len(chunks)),
+        interval_t=t[np.array(chunks)],
+        q=q[rows],
+        v=v[rows],
+        a=a[last],
+        tau=(record.torque + record.friction)[last],
+        f=record.force[last],
+        active=np.repeat(_active(plan, reference, record, world, chunks), 3, axis=0),
+    )
+    return replace(found, f=found.f + payload_wrenches(found)) if found.meta.get("payloads") else found
+
+
+def _chunks(phase: np.ndarray) -> list[tuple[int, int]]:
+    """Intervals of `PERIODS` periods, or fewer before a phase ends, as first and last row."""
+    edges = [0, *(np.flatnonzero(np.diff(phase)) + 1).tolist(), len(phase)]
+    return [
+        (first, min(first + PERIODS, end))
+        for start, end in itertools.pairwise(edges)
+        for first in range(start, end, PERIODS)
+    ]
+
+
+def _active(
+    plan: Solution, reference: Reference, record: Record, world: World, chunks: list[tuple[int, int]]
+) -> np.ndarray:
+    """Whether contacts are active (intervals, nc)."""
+    loaded = loads(record, world)
+    held = held_samples(plan)[[rows.start for rows in plan.phases]]
+    found, before = [], -1
+    for first, end in chunks:
+        own = loaded[first:end].any(axis=0) | held[reference.source[first]]
+        if reference.phase[first] != before:
+            own |= reference.active[first]
+        found.append(own)
+        before = reference.phase[first]
+    return np.array(found)
+
+
+def _meta(plan: Solution, reference: Reference, report: Report, phase: np.ndarray) -> dict[str, Any]:
+    used = int(phase[-1]) + 1
+    source = [int(reference.source[np.argmax(reference.phase == i)]) for i in range(used)]
+    starts = [float(reference.t[np.argmax(reference.phase == i)]) for i in range(used)]
+    end = float(reference.t[-1] + reference.period)
+    mujoco = mujoco_package()
+    meta = {key: value for key, value in plan.meta.items() if key not in LEFT_OUT}
+    for key in ("surfaces", "patches"):
+        if meta.get(key):
+            meta[key] = [meta[key][i] for i in source]
+    if meta.get("payloads"):
+        meta["payloads"] = [
+            {**entry, "phases": [i for i, own in enumerate(source) if own in entry["phases"]]}
+            for entry in meta["payloads"]
+        ]
+    return {
+        **meta,
+        "simulated": True,
+        "simulation": report.to_dict(),
+        "transcription": "simulation",
+        "solver": "mujoco",
+        "status": "simulated",
+        "success": report.passed,
+        "objective": None,
+        "iterations": round((report.duration + report.held) / report.timestep),
+        "intervals": np.bincount(phase).tolist(),
+        "durations": np.diff([*starts, end]).tolist(),
+        "phase_names": list(reference.phase_names[:used]),
+        "versions": {**{name: installed_version(name) for name in VERSIONED}, "mujoco": mujoco.__version__},
+    }

@@ -1,0 +1,299 @@
+"""The whole MuJoCo model of a plan: robot, feet, ground, obstacles, grasps, and what touches what."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.certify.accuracy.natural_units import NaturalUnits
+from trajopt.certify.payloads import carrying_model
+from trajopt.certify.samples import Samples, evaluate
+from trajopt.certify.simulation.bodies import Bodies, body_name, build_bodies, compile_bodies, mujoco_package
+from trajopt.certify.simulation.coordinates import CoordinateMap
+from trajopt.certify.simulation.ground import (
+    BALL,
+    Ground,
+    Place,
+    add_ground,
+    add_obstacles,
+    capsule_geom,
+    height_over,
+    place_of,
+)
+from trajopt.certify.simulation.reference import drives_of
+from trajopt.certify.simulation.settings import CONTACT_TIME, Settings
+from trajopt.dynamics.base_joint import base_of
+from trajopt.solution.descriptions import scene_of_meta, terrain_of
+from trajopt.solution.solution import Solution
+from trajopt.solution.touched import held_samples
+
+# A penetration is stopped from the first touch on with nearly the whole stiffness: d0, dmax, width in radii
+# of the balls, midpoint and power of MuJoCo's impedance.
+IMPEDANCE = (0.95, 0.99, 0.5, 2.0)
+# Of friction against pressure: how much harder a contact resists creeping than penetrating.
+FRICTION_STIFFNESS = 10.0
+# Friction of links on the ground and on obstacles: of no account but in a fall.
+LINK_FRICTION = 0.7
+# A contact's time is at least so many steps: MuJoCo's own bound is two.
+LEAST_STEPS = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grasp:
+    """A contact held over a run of phases: name of its constraint, and whether that holds its turning too."""
+
+    name: str
+    contact: int
+    turns: bool
+    phases: tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """A compiled model with what the simulation asks of it.
+
+    sites: id of each contact frame's site (nc,). contact_of: for each geom the contact it belongs to, or -1.
+    links: whether a geom is a link's. obstacles: whether it is an obstacle. models: the `pin.Model` of each
+    phase of the plan, with what is carried. buried: depth, m, of joints that the plan takes into the ground:
+    they touch nothing. pairs: (n,) ids of feet on grounds, and their friction (phases, n), see `Ground`.
+    """
+
+    compiled: Any
+    coordinates: CoordinateMap
+    units: NaturalUnits
+    place: Place
+    ground: Ground
+    sites: np.ndarray
+    contact_of: np.ndarray
+    links: np.ndarray
+    obstacles: np.ndarray
+    grasps: tuple[Grasp, ...]
+    buried: dict[str, float]
+    models: tuple[pin.Model, ...]
+    pairs: np.ndarray
+    friction: np.ndarray
+
+
+def build_world(plan: Solution, settings: Settings) -> World:
+    """Model of a plan for these settings. Raises `InputError` for what MuJoCo cannot express."""
+    units, samples = NaturalUnits.of(plan.model), evaluate(plan)
+    bodies = build_bodies(plan.model)
+    joints = joint_places(plan)
+    place = place_of(plan, samples.position, joints, units.length)
+    buried = _buried(plan, joints, place)
+    ground = add_ground(bodies.spec, plan, place)
+    feet = _add_feet(bodies, plan, place)
+    links, capsules, obstacles = _add_links(bodies, plan, place, buried)
+    grasps = _add_grasps(bodies, plan, samples, _stiffness(settings, units))
+    _options(bodies.spec, settings.step(units.time))
+    pairs, friction = _pairs(bodies.spec, ground, feet, links, settings, units)
+    for capsule in capsules:
+        for obstacle in obstacles:
+            _pair(bodies.spec, capsule, obstacle, settings.friction_scale * LINK_FRICTION, settings, units)
+    compiled, coordinates = compile_bodies(bodies)
+    _friction_of_drives(compiled, coordinates, plan)
+    named = {geom: contact for contact, geoms in enumerate(feet) for geom in geoms}
+    geoms = [compiled.geom(i).name for i in range(compiled.ngeom)]
+    return World(
+        compiled=compiled,
+        coordinates=coordinates,
+        units=units,
+        place=place,
+        ground=ground,
+        sites=np.array([compiled.site(f"contact{i}").id for i in range(len(feet))], dtype=int),
+        contact_of=np.array([named.get(name, -1) for name in geoms], dtype=int),
+        links=np.isin(geoms, links),
+        obstacles=np.isin(geoms, obstacles),
+        grasps=grasps,
+        buried=buried,
+        models=tuple(_scaled(carrying_model(plan, i), settings) for i in range(len(plan.phases))),
+        pairs=np.array([compiled.pair(name).id for name in pairs], dtype=int),
+        friction=friction,
+    )
+
+
+def joint_places(plan: Solution) -> np.ndarray:
+    """World positions (K, njoints - 1, 3) of the joints at the samples of a plan, m."""
+    model, data = plan.model, plan.model.createData()
+    found = np.zeros((plan.n_samples, model.njoints - 1, 3))
+    for row, q in enumerate(plan.q):
+        pin.forwardKinematics(model, data, q)
+        found[row] = [data.oMi[i].translation for i in range(1, model.njoints)]
+    return found
+
+
+def _buried(plan: Solution, joints: np.ndarray, place: Place) -> dict[str, float]:
+    """Joints that a plan takes into the ground, where their balls would touch, with the depth in m."""
+    lowest = height_over(terrain_of(plan.meta["terrain"]), joints).min(axis=0)
+    names = list(plan.model.names)[1:]
+    return {name: -float(low) for name, low in zip(names, lowest, strict=True) if low < place.ball}
+
+
+def _scaled(model: pin.Model, settings: Settings) -> pin.Model:
+    scaled = pin.Model(model)
+    for index in range(1, model.njoints):
+        own = model.inertias[index]
+        scale = settings.mass_scale
+        scaled.inertias[index] = pin.Inertia(scale * own.mass, own.lever, scale * own.inertia)
+    return scaled
+
+
+def _options(spec: Any, step: float) -> None:
+    mujoco = mujoco_package()
+    spec.option.timestep = step
+    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = FRICTION_STIFFNESS
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+
+
+def touching_places(plan: Solution, contact: int) -> np.ndarray:
+    """Where a contact touches, in its frame: (1, 3) its origin, (4, 3) the corners of a sole, m."""
+    sizes = plan.meta.get("contact_sizes") or [None] * len(plan.contact_frames)
+    if plan.meta["contact_kinds"][contact] != "surface" or not sizes[contact]:
+        return np.zeros((1, 3))
+    x, y = sizes[contact]
+    return np.array([[x, y, 0.0], [x, -y, 0.0], [-x, -y, 0.0], [-x, y, 0.0]])
+
+
+def _add_feet(bodies: Bodies, plan: Solution, place: Place) -> list[list[str]]:
+    """A site and balls at each contact frame; names of the balls."""
+    names = []
+    for number, frame in enumerate(plan.contact_frames):
+        own = bodies.model.frames[bodies.model.getFrameId(frame)]
+        body = bodies.spec.body(body_name(own.parentJoint))
+        turn = pin.Quaternion(own.placement.rotation).normalized()
+        body.add_site(
+            name=f"contact{number}", pos=own.placement.translation, quat=[turn.w, turn.x, turn.y, turn.z]
+        )
+        corners = touching_places(plan, number)
+        names.append([f"ball{number}.{i}" for i in range(len(corners))])
+        for name, corner in zip(names[-1], corners, strict=True):
+            body.add_geom(
+                name=name,
+                type=mujoco_package().mjtGeom.mjGEOM_SPHERE,
+                pos=own.placement.act(corner),
+                size=[place.ball, 0, 0],
+                contype=0,
+                conaffinity=0,
+            )
+    return names
+
+
+def _add_links(
+    bodies: Bodies, plan: Solution, place: Place, buried: Mapping[str, float]
+) -> tuple[list[str], list[str], list[str]]:
+    """Balls at the joints of a moving base, capsules and obstacles of the file; their names."""
+    links: list[str] = []
+    if base_of(plan.model) != "fixed":
+        for index in range(1, plan.model.njoints):
+            if plan.model.names[index] in buried:
+                continue
+            links.append(f"link{index}")
+            bodies.spec.body(body_name(index)).add_geom(
+                name=links[-1],
+                type=mujoco_package().mjtGeom.mjGEOM_SPHERE,
+                size=[place.ball, 0, 0],
+                contype=0,
+                conaffinity=0,
+            )
+    scene = scene_of_meta(plan.model, plan.meta.get("collision"))
+    capsules: list[str] = []
+    obstacles: tuple[str, ...] = ()
+    if scene is not None:
+        for number, capsule in enumerate(scene.capsules):
+            frame = plan.model.frames[plan.model.getFrameId(capsule.frame)]
+            start, end = (frame.placement.act(np.array(end)) for end in (capsule.start, capsule.end))
+            capsules.append(f"capsule{number}")
+            bodies.spec.body(body_name(frame.parentJoint)).add_geom(
+                name=capsules[-1], contype=0, conaffinity=0, **capsule_geom(start, end, capsule.radius)
+            )
+        obstacles = add_obstacles(bodies.spec, scene.obstacles)
+    return links, capsules, list(obstacles)
+
+
+def _add_grasps(
+    bodies: Bodies, plan: Solution, samples: Samples, stiffness: Mapping[str, list[float]]
+) -> tuple[Grasp, ...]:
+    """A constraint for each run of phases in which a contact is held on a bilateral surface."""
+    mujoco, held = mujoco_package(), held_samples(plan)
+    found: list[Grasp] = []
+    for contact in range(held.shape[1]):
+        phases = [i for i, rows in enumerate(plan.phases) if held[rows.start, contact]]
+        runs = np.split(np.array(phases, dtype=int), np.flatnonzero(np.diff(phases) > 1) + 1)
+        for run in (run for run in runs if len(run)):
+            name, row = f"grasp{len(found)}", plan.phases[int(run[0])].start
+            turn = pin.Quaternion(samples.rotation[row, contact])
+            bodies.spec.worldbody.add_site(
+                name=name, pos=samples.position[row, contact], quat=[turn.w, turn.x, turn.y, turn.z]
+            )
+            sole = plan.meta["contact_kinds"][contact] == "surface"
+            bodies.spec.add_equality(
+                name=name,
+                type=mujoco.mjtEq.mjEQ_WELD if sole else mujoco.mjtEq.mjEQ_CONNECT,
+                objtype=mujoco.mjtObj.mjOBJ_SITE,
+                name1=f"contact{contact}",
+                name2=name,
+                active=False,
+                **stiffness,
+            )
+            found.append(Grasp(name=name, contact=contact, turns=sole, phases=tuple(int(i) for i in run)))
+    return tuple(found)
+
+
+def _pairs(
+    spec: Any,
+    ground: Ground,
+    feet: list[list[str]],
+    links: list[str],
+    settings: Settings,
+    units: NaturalUnits,
+) -> tuple[list[str], np.ndarray]:
+    """Pairs of what may touch; names of those of feet, and their friction by phase (phases, pairs)."""
+    names: list[str] = []
+    friction = [np.zeros((len(ground.friction), 0))]
+    for geom, (name, contacts) in enumerate(zip(ground.names, ground.touched_by, strict=True)):
+        for contact in contacts:
+            own = settings.friction_scale * ground.friction[:, geom, contact]
+            for ball in feet[contact]:
+                _pair(spec, ball, name, float(own.max()), settings, units)
+                friction.append(own[:, None])
+                names.append(f"{ball} {name}")
+    for name, is_terrain in zip(ground.names, ground.is_terrain, strict=True):
+        for link in links if is_terrain else ():
+            _pair(spec, link, name, settings.friction_scale * LINK_FRICTION, settings, units)
+    return names, np.hstack(friction)
+
+
+def _pair(spec: Any, first: str, second: str, mu: float, settings: Settings, units: NaturalUnits) -> None:
+    spec.add_pair(
+        name=f"{first} {second}",
+        geomname1=first,
+        geomname2=second,
+        condim=3 if mu > 0 else 1,
+        friction=[mu, mu, 0.0, 0.0, 0.0],
+        **_stiffness(settings, units),
+    )
+
+
+def _stiffness(settings: Settings, units: NaturalUnits) -> dict[str, list[float]]:
+    """Stiffness of contacts and grasps, in MuJoCo's numbers."""
+    least = LEAST_STEPS * settings.step(units.time)
+    d0, d1, middle, power = IMPEDANCE
+    return {
+        "solref": [max(CONTACT_TIME * units.time, least), 1.0],
+        "solimp": [d0, d1, BALL * units.length, middle, power],
+    }
+
+
+def _friction_of_drives(compiled: Any, coordinates: CoordinateMap, plan: Solution) -> None:
+    rows = coordinates.rows[plan.n_unactuated :]
+    for row, drive in zip(rows, drives_of(plan), strict=True):
+        if drive is not None:
+            compiled.dof_damping[row] = drive.viscous_friction
+            compiled.dof_frictionloss[row] = drive.coulomb_friction

@@ -1,0 +1,166 @@
+"""What ``trajopt solve`` takes instead of settings: an accuracy, or a time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+from click.core import ParameterSource
+
+from trajopt.cli.progress import stdout_to_stderr, watched
+from trajopt.errors import InputError
+
+if TYPE_CHECKING:
+    from trajopt.problem.problem import Problem
+    from trajopt.solution.solution import Solution
+    from trajopt.solving.iterate import Watch
+    from trajopt.study.choosing.solve_to import Aimed
+
+# Options that a choice makes, or that have no meaning with it.
+CHOSEN = ("transcription", "intervals", "tolerance")
+WITHOUT = ("ladder", "compare")
+UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0}
+NAMES = {"tolerance": "tol"}
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class Seconds(click.ParamType):
+    """A time: a number of s, or with a unit."""
+
+    name = "time"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Seconds."""
+        text = str(value).strip()
+        unit = next((unit for unit in ("ms", "min", "s") if text.endswith(unit)), "")
+        try:
+            found = float(text.removesuffix(unit)) * UNITS.get(unit, 1.0)
+        except ValueError:
+            found = math.nan
+        if not (math.isfinite(found) and found > 0):
+            self.fail(f"'{value}' is no time, allowed: such as 0.5s, 500ms or 2min", param, ctx)
+        return found
+
+
+def aim_options(command: Command) -> Command:
+    """The options ``--accuracy``, ``--budget`` and ``--front`` of a solve."""
+    for option in reversed(
+        (
+            click.option(
+                "--accuracy", type=float, metavar="M", help="Choose settings for this open-loop error in m."
+            ),
+            click.option(
+                "--budget", type=Seconds(), metavar="TIME", help="Choose settings for this time, e.g. 0.5s."
+            ),
+            click.option(
+                "--front",
+                metavar="FRONT",
+                help="Measured front to choose from.  [default: the most alike]",
+            ),
+        )
+    ):
+        command = option(command)
+    return command
+
+
+def wants_aim(arguments: dict[str, Any]) -> bool:
+    """Whether settings are to be chosen; refuses ``--front`` alone."""
+    if arguments["accuracy"] is None and arguments["budget"] is None:
+        if arguments["front"] is not None:
+            raise InputError("--front chooses nothing", "allowed: with --accuracy or --budget")
+        for name in ("accuracy", "budget", "front"):
+            del arguments[name]
+        return False
+    return True
+
+
+@dataclass(frozen=True)
+class AimedReport:
+    """What was aimed at and reached, as the command reports it."""
+
+    aimed: Aimed
+
+    @property
+    def solution(self) -> Solution:
+        """The best solution."""
+        return self.aimed.solution
+
+    @property
+    def reached(self) -> bool:
+        """Whether the goal is met."""
+        return self.aimed.reached
+
+    def lines(self) -> list[str]:
+        """What a summary says of the choice, the rounds and what was reached."""
+        return aim_lines(self.aimed)
+
+    def extra(self) -> dict[str, Any]:
+        """What the JSON has besides the solution's figures."""
+        return {"aimed": self.aimed.to_dict()}
+
+
+def solve_aimed(
+    problem: Problem, *, title: str, log: str | None = None, viewer: Watch | None = None, **arguments: Any
+) -> AimedReport:
+    """Choose, solve, measure and refine, with progress."""
+    from trajopt.solving.refine import MAX_ROUNDS
+    from trajopt.study.choosing.solve_to import solve_to_accuracy, solve_within
+
+    accuracy, budget, front = (arguments.pop(name) for name in ("accuracy", "budget", "front"))
+    if accuracy is not None and budget is not None:
+        raise InputError("--accuracy and --budget are given", "allowed: one of them")
+    where = _allowed_settings(arguments)
+    most = arguments["max_time"] * (1 + MAX_ROUNDS)
+    with stdout_to_stderr(), watched(title, most, log, viewer) as told:
+        settings = {**arguments, "front": front, "where": where, **told}
+        if accuracy is not None:
+            return AimedReport(solve_to_accuracy(problem, accuracy, **settings))
+        return AimedReport(solve_within(problem, budget, **settings))
+
+
+def _allowed_settings(arguments: dict[str, Any]) -> Callable[[Any], bool]:
+    """Settings of the solver and Hessian that are named; takes what a choice makes out of ``arguments``."""
+    context = click.get_current_context()
+
+    def named(name: str) -> bool:
+        return context.get_parameter_source(name) is ParameterSource.COMMANDLINE
+
+    for name in (*CHOSEN, *WITHOUT):
+        if named(name):
+            raise InputError(
+                f"--{NAMES.get(name, name)} is given with --accuracy or --budget", "allowed: one of them"
+            )
+        del arguments[name]
+    fixed = {name: arguments.pop(name) for name in ("solver", "hessian")}
+    wanted = {name: value for name, value in fixed.items() if named(name)}
+    return lambda setting: all(getattr(setting, name) == value for name, value in wanted.items())
+
+
+def aim_lines(aimed: Aimed) -> list[str]:
+    """What a summary says of the choice, the rounds and what was reached."""
+    lines = []
+    for choice in aimed.choices:
+        mesh, setting = choice.mesh, choice.measured.setting
+        lines.append(
+            f"chosen from {choice.front}: {mesh.transcription}, {sum(mesh.counts)} intervals, "
+            f"{setting.solver}, {setting.hessian}; "
+            f"predicted {choice.predicted_error:.1e} m, {choice.predicted_time:.2g} s"
+        )
+    for own in aimed.rounds:
+        error = "" if own.error is None else f", error {own.error:.1e} m"
+        lines.append(
+            f"{own.mesh.transcription} on {'+'.join(map(str, own.mesh.counts))}: "
+            f"{own.status.replace('_', ' ')}, {own.variables} variables, "
+            f"{own.iterations} iterations, {own.wall_time:.2f} s{error}"
+        )
+    unit = "m" if aimed.goal == "accuracy" else "s"
+    verdict = "reached" if aimed.reached else "not reached"
+    lines.append(
+        f"{aimed.goal} of {aimed.wanted:g} {unit} {verdict}: "
+        f"{aimed.error:.1e} m in {aimed.spent:.2f} s; {aimed.why}"
+    )
+    return lines

@@ -1,0 +1,38 @@
+"""``trajopt plot``: a solution's report, or several solutions overlaid."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from trajopt.solution.output import check_apart
+
+
+@click.command()
+@click.argument("files", nargs=-1, required=True, type=Path, metavar="FILE...")
+@click.option(
+    "-o", "--output", required=True, type=Path, metavar="OUT", help="Ends with .png, .svg, .pdf or .html."
+)
+@click.option("--label", "labels", multiple=True, metavar="NAME", help="Of each file, in their order.")
+@click.option(
+    "--page",
+    "--pages",
+    "pages",
+    multiple=True,
+    metavar="NAME[,NAME]...",
+    help="summary, limits, joints, drives, forces, soles, base, momentum, clearance or accuracy.  "
+    "[default: summary for .png and .svg, else all]",
+)
+def plot(files: tuple[Path, ...], output: Path, labels: tuple[str, ...], pages: tuple[str, ...]) -> None:
+    """Plot the solution in FILE; several FILEs of one robot are overlaid.
+
+    Pages about what the robot does not have (contacts, drives, a base that moves) are left out.
+    """
+    from trajopt.view.plotting.writing import report
+
+    check_apart([output], files)
+    names = [name.strip() for given in pages for name in given.split(",") if name.strip()]
+    plotted = report(list(files), output, labels=labels or None, pages=names or None)
+    shown = ", ".join(dict.fromkeys(plotted.pages))
+    click.echo(f"{plotted.path}: {shown}, {plotted.size / 1e6:.2f} MB")

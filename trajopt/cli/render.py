@@ -1,0 +1,97 @@
+"""The command ``trajopt render``."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+
+from trajopt.cli.input import WholeNumber
+from trajopt.solution.output import check_apart
+
+# Digits of a side: more are too many pixels in any case.
+_SIZE = re.compile(r"([0-9]{1,6})[xX×]([0-9]{1,6})", re.ASCII)
+ANY_COUNT = WholeNumber(0, 10**6)
+
+
+class Size(click.ParamType):
+    """Pixels as in 1280x720."""
+
+    name = "size"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[int, int]:
+        """Width and height; anything else is a usage error."""
+        found = _SIZE.fullmatch(str(value).strip())
+        if found is None:
+            self.fail(f"'{value}' is no size; allowed: WIDTHxHEIGHT in pixels, as in 1280x720", param, ctx)
+        return int(found[1]), int(found[2])
+
+
+@click.command()
+@click.argument("files", nargs=-1, required=True, type=Path, metavar="FILE...")
+@click.option("-o", "--output", required=True, type=Path, metavar="OUT", help="A .mp4, .gif or .png file.")
+@click.option("--size", type=Size(), metavar="WxH", help="Pixels.  [default: 1280x720, a .gif 640x360]")
+@click.option("--fps", type=float, metavar="F", help="Pictures a second.  [default: 30, a .gif 25]")
+@click.option("--speed", type=float, default=1.0, metavar="S", show_default=True, help="1 is real time.")
+@click.option("--camera", metavar="NAME", help="overview, follow, side, front or top.")
+@click.option("--from", "start", type=float, metavar="S", help="Start there, s of the solution.")
+@click.option("--to", "end", type=float, metavar="S", help="End there, s of the solution.")
+@click.option("--time", type=float, metavar="S", help="Time of a .png.  [default: in the first flight]")
+@click.option("--strip", type=ANY_COUNT, metavar="N", help="A .png of N pictures side by side.")
+@click.option("--no-caption", is_flag=True, help="No text in the picture.")
+@click.option("--hide", "hidden", multiple=True, metavar="LAYER", help="Hide a layer; may be repeated.")
+@click.option("--show", "shown", multiple=True, metavar="LAYER", help="Show a layer; may be repeated.")
+@click.option("--side-by-side", is_flag=True, help="Several files beside each other, not overlaid.")
+@click.option("--label", "labels", multiple=True, metavar="NAME", help="Name of a file, one for each.")
+def render(
+    files: tuple[Path, ...],
+    output: Path,
+    no_caption: bool,
+    side_by_side: bool,
+    labels: tuple[str, ...],
+    **options: Any,
+) -> None:
+    """Write the replay of FILE, or of several, to a video, an animated GIF or a picture."""
+    from trajopt.solution.solution import Solution
+    from trajopt.view.replay.render import render as write
+
+    check_apart([output], files)
+    solutions = [Solution.load(file) for file in files]
+    with _progress(f"{output.name}") as shown:
+        done = write(
+            solutions,
+            output,
+            layout="side-by-side" if side_by_side else "overlaid",
+            labels=list(labels) or None,
+            progress=shown,
+            caption=not no_caption,
+            **options,
+        )
+    length = f"{done.pictures} pictures, {done.duration:.2f} s, " if done.duration else ""
+    click.echo(f"{done.path}: {length}{done.width}x{done.height}, {done.size / 1e6:.1f} MB")
+
+
+@contextlib.contextmanager
+def _progress(title: str) -> Iterator[Callable[[int, int], None] | None]:
+    """A bar on stderr, gone when all is done; nothing where stderr is no terminal."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title, total=None)
+
+        def show(done: int, all_of_them: int) -> None:
+            bar.update(task, completed=done, total=all_of_them)
+
+        yield show

@@ -1,0 +1,54 @@
+"""The command ``trajopt replay``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from trajopt.solution.output import check_apart, check_output
+
+
+@click.command()
+@click.argument("files", nargs=-1, required=True, type=Path, metavar="FILE...")
+@click.option("--html", type=Path, metavar="OUT", help="Write one self-contained page instead.")
+@click.option("--no-open", is_flag=True, help="Do not open a browser.")
+@click.option("--speed", type=float, default=1.0, metavar="S", show_default=True, help="1 is real time.")
+@click.option("--side-by-side", is_flag=True, help="Several files beside each other, not overlaid.")
+@click.option("--label", "labels", multiple=True, metavar="NAME", help="Name of a file, one for each.")
+def replay(
+    files: tuple[Path, ...],
+    html: Path | None,
+    no_open: bool,
+    speed: float,
+    side_by_side: bool,
+    labels: tuple[str, ...],
+) -> None:
+    """Show FILE, or several in one picture, in Meshcat until Ctrl-C, or write them to a page."""
+    from trajopt.solution.solution import Solution
+    from trajopt.view.replay.show import replay as show
+    from trajopt.view.replay.show import serve
+
+    check_apart([html], files)
+    if html is not None:
+        check_output(html)
+    shown = show(
+        [Solution.load(file) for file in files],
+        html=html,
+        open_browser=not no_open,
+        speed=speed,
+        layout="side-by-side" if side_by_side else "overlaid",
+        labels=list(labels) or None,
+    )
+    if shown.html is not None:
+        click.echo(f"{shown.html}: {shown.duration:.2f} s, {shown.size / 1e6:.1f} MB")
+        return
+    sys.stdout.flush()  # where it is shown, before waiting
+    try:
+        click.echo("Ctrl-C stops the server", err=True)
+        serve(shown)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        shown.close()

@@ -1,0 +1,81 @@
+"""``trajopt robot``: what a description says, what standing takes, and what is often wrong with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import click
+
+from trajopt.cli import report as cli_report
+from trajopt.solution.output import check_apart, check_output
+
+if TYPE_CHECKING:
+    from trajopt.dynamics.base_joint import Base
+    from trajopt.robot.robot import Robot
+
+
+@click.command()
+@click.argument("robot")
+@click.option(
+    "--base", metavar="KIND", help="Of a URDF: freeflyer, planar, virtual or fixed.  [default: guessed]"
+)
+@click.option(
+    "--write", type=Path, metavar="FILE.py", help="Of a URDF: write a first robot file, to be edited."
+)
+@click.option(
+    "--html", type=Path, metavar="OUT", help="Write a page that shows the reference posture at rest."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def robot(robot: str, base: str | None, write: Path | None, html: Path | None, as_json: bool) -> None:
+    """Print joints, limits, contacts, what standing takes, and warnings of ROBOT.
+
+    ROBOT is a name (as in --set robot=go2), a .py file with build() -> Robot, or a .urdf file, whose base,
+    feet and posture are then guessed from its geometry: --write makes a .py file of that. Warnings do not
+    change the exit status.
+    """
+    from trajopt.robot.inspection.report import report
+
+    check_apart([write, html], [Path(robot)])
+    if html is not None:
+        check_output(html)
+    loaded = _loaded(robot, base, write)
+    text = None if write is None else _starter(loaded, write)
+    found = report(loaded)
+    click.echo(cli_report.to_json(found.to_dict()) if as_json else found.table())
+    if write is not None and text is not None:
+        write.write_text(text, encoding="utf-8")
+        click.echo(f"  file       {write}: feet and posture are guesses, edit them", err=as_json)
+    if html is not None:
+        from trajopt.solving.rest import rest
+        from trajopt.solving.solving import solve
+        from trajopt.view.replay.show import replay
+
+        shown = replay(solve(rest(loaded), compile="none"), html=html)
+        click.echo(f"  page       {html}: {shown.size / 1e6:.1f} MB", err=as_json)
+
+
+def _loaded(name: str, base: str | None, write: Path | None) -> Robot:
+    from trajopt.errors import InputError
+
+    if Path(name).suffix == ".urdf":
+        from trajopt.robot.inspection.starter import guessed
+
+        return guessed(Path(name), cast("Base | None", base))
+    for option, value in (("--base", base), ("--write", write)):
+        if value is not None:
+            raise InputError(f"{option} is for a .urdf file, and {name} is none", "a path that ends in .urdf")
+    from trajopt.problem.catalogue import robot as load
+
+    return load(name)
+
+
+def _starter(loaded: Robot, target: Path) -> str:
+    from trajopt.errors import InputError
+    from trajopt.robot.inspection.starter import starter
+
+    if target.suffix != ".py" or not target.absolute().parent.is_dir():
+        raise InputError(f"cannot write {target}", "allowed: a .py file in an existing folder")
+    if target.exists():
+        raise InputError(f"{target} exists and is not overwritten", "allowed: another name")
+    return starter(loaded, target)

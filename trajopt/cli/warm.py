@@ -1,0 +1,126 @@
+"""What ``trajopt solve`` takes to start from other solutions: a file, or coarser grids."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from trajopt.cli.progress import stdout_to_stderr, watched
+from trajopt.errors import InputError
+
+if TYPE_CHECKING:
+    from trajopt.problem.problem import Problem
+    from trajopt.solution.solution import Solution
+    from trajopt.solving.iterate import Watch
+    from trajopt.solving.ladder import Ladder
+
+LADDER_FORM = "allowed: SCHEME@INTERVALS,..., such as legendre:1@15,legendre:2@50"
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def warm_options(command: Command) -> Command:
+    """The options ``--start``, ``--ladder`` and ``--compare`` of a solve."""
+    for option in reversed(
+        (
+            click.option("--start", type=Path, metavar="FILE", help="Solution file to start from."),
+            click.option(
+                "--ladder", metavar="GRIDS", help="Coarse to fine, e.g. legendre:1@15,legendre:2@50."
+            ),
+            click.option("--compare", is_flag=True, help="With either: solve from the own guess, too."),
+        )
+    ):
+        command = option(command)
+    return command
+
+
+@dataclass(frozen=True)
+class Climbed:
+    """The solves of a ladder, as the command reports them."""
+
+    ladder: Ladder
+
+    @property
+    def solution(self) -> Solution:
+        """The finest rung's."""
+        return self.ladder.solution
+
+    @property
+    def reached(self) -> bool:
+        """Whether it was solved."""
+        return self.solution.success
+
+    def lines(self) -> list[str]:
+        """What a summary says of the rungs."""
+        return ladder_lines(self.ladder)
+
+    def extra(self) -> dict[str, Any]:
+        """What the JSON has besides the solution's figures."""
+        return {"ladder": self.ladder.to_dict()} if self.lines() else {}
+
+
+def solve_warm(
+    problem: Problem,
+    *,
+    start: Path | None,
+    ladder: str | None,
+    compare: bool,
+    title: str,
+    log: str | None = None,
+    viewer: Watch | None = None,
+    **settings: Any,
+) -> Climbed:
+    """Solve from a file, over a ladder, or neither (a ladder of one rung), with progress."""
+    from trajopt.solving.ladder import solve_ladder
+    from trajopt.solving.warm_start import solution_of
+
+    grid = (settings.pop("transcription"), settings.pop("intervals"))
+    if ladder is not None and grid != (None, None):
+        raise InputError(
+            "--ladder is given with a grid of its own", "allowed: without --transcription, --intervals"
+        )
+    if compare and start is None and ladder is None:
+        raise InputError("--compare has nothing to compare", "allowed: with --start or --ladder")
+    rungs = [grid] if ladder is None else parse_ladder(ladder)
+    known = None if start is None else solution_of(start)
+    most = settings["max_time"] * (len(rungs) + compare)
+    with stdout_to_stderr(), watched(title, most, log, viewer) as told:
+        return Climbed(solve_ladder(problem, rungs, start=known, compare=compare, **told, **settings))
+
+
+def parse_ladder(text: str) -> list[tuple[str | None, int | None]]:
+    """Rungs of ``legendre:1@15,legendre:2@50``; raises `InputError` for another form."""
+    rungs: list[tuple[str | None, int | None]] = []
+    for rung in text.split(","):
+        name, at, count = rung.strip().partition("@")
+        if not (name and at and count.isascii() and count.isdigit()):
+            raise InputError(f"rung '{rung}' of --ladder is not of that form", LADDER_FORM)
+        rungs.append((name, int(count)))
+    return rungs
+
+
+def ladder_lines(ladder: Ladder) -> list[str]:
+    """What a summary says of the rungs and of the comparison; nothing for one solve alone."""
+    figures = ladder.to_dict()
+    if len(ladder.rungs) == 1 and ladder.cold is None:
+        return []
+    lines = [
+        f"{rung['transcription']}, {rung['intervals']} intervals: {_found(rung)}" for rung in figures["rungs"]
+    ]
+    if len(ladder.rungs) > 1:
+        lines.append(f"all rungs: {cost(figures['total'])}")
+    if figures["cold"] is not None:
+        lines.append(f"from its own guess: {_found(figures['cold'])}")
+    return lines
+
+
+def _found(figures: dict[str, Any]) -> str:
+    return f"{figures['status'].replace('_', ' ')}, {cost(figures)}"
+
+
+def cost(figures: dict[str, Any]) -> str:
+    return f"{figures['iterations']} iterations, {figures['wall_time_s']:.2f} s"

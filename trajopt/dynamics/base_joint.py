@@ -1,0 +1,94 @@
+"""The base of a model: which joints carry it, its rows and coordinates; limits of all coordinates."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.errors import InputError
+
+Base = Literal["freeflyer", "virtual", "planar", "fixed"]
+
+
+BASES: tuple[Base, ...] = ("freeflyer", "virtual", "planar", "fixed")
+
+
+BASE_ROWS: dict[Base, int] = {"freeflyer": 6, "virtual": 6, "planar": 3, "fixed": 0}
+
+
+BASE_COORDINATES: dict[Base, int] = {"freeflyer": 7, "virtual": 6, "planar": 4, "fixed": 0}
+
+
+# The joint that carries the base link: the last of the virtual ones.
+BASE_JOINT: dict[Base, int] = {"freeflyer": 1, "virtual": 6, "planar": 1, "fixed": 0}
+
+
+# How many entries of q, the first ones, are the position of the base.
+BASE_POSITION: dict[Base, int] = {"freeflyer": 3, "virtual": 3, "planar": 2, "fixed": 0}
+
+
+# Parsers write "no limit" as the largest double or as infinity; no robot reaches this.
+UNLIMITED = 1e20
+
+
+def require_base(base: str) -> None:
+    if base not in BASES:
+        raise InputError(f"base={base!r} is unknown", "one of " + ", ".join(repr(name) for name in BASES))
+
+
+def base_of(model: pin.Model) -> Base:
+    """Return the kind of base of ``model``, read from its first joint (six of them for a virtual base)."""
+    if model.njoints < 2:
+        return "fixed"
+    if virtual_order(model) is not None:
+        return "virtual"
+    kinds: dict[str, Base] = {"JointModelFreeFlyer": "freeflyer", "JointModelPlanar": "planar"}
+    return kinds.get(model.joints[1].shortname(), "fixed")
+
+
+def position_limits(model: pin.Model) -> tuple[np.ndarray, np.ndarray]:
+    """Return lower and upper limits (nq,); coordinates without a limit get -inf and +inf.
+
+    Quaternions and (cos, sin) pairs are coordinates on a manifold, not limited ones.
+    """
+    lower = np.where(np.abs(model.lowerPositionLimit) > UNLIMITED, -np.inf, model.lowerPositionLimit)
+    upper = np.where(np.abs(model.upperPositionLimit) > UNLIMITED, np.inf, model.upperPositionLimit)
+    for joint in list(model.joints)[1:]:
+        if joint.nq != joint.nv:
+            lower[joint.idx_q : joint.idx_q + joint.nq] = -np.inf
+            upper[joint.idx_q : joint.idx_q + joint.nq] = np.inf
+    return lower, upper
+
+
+AXES = "XYZ"
+
+
+ORDERS = ("ZYX", "ZXY", "YXZ", "YZX", "XYZ", "XZY")
+
+
+PREFIX = "virtual_"
+
+
+ROWS = 6
+
+
+def virtual_order(model: pin.Model) -> str | None:
+    """Return the order of the revolute joints of a virtual base, or None for another base."""
+    if model.njoints <= ROWS:
+        return None
+    names = list(model.names)[1 : ROWS + 1]
+    kinds = "".join(model.joints[i].shortname().removeprefix("JointModel") for i in range(1, ROWS + 1))
+    order = kinds[7::2]
+    serial = list(model.parents)[1 : ROWS + 1] == list(range(ROWS))
+    named = names == _joint_names(order)
+    return order if serial and named and order in ORDERS and kinds == _kinds(order) else None
+
+
+def _kinds(order: str) -> str:
+    return "PXPYPZ" + "".join(f"R{axis}" for axis in order)
+
+
+def _joint_names(order: str) -> list[str]:
+    return [f"{PREFIX}p{axis.lower()}" for axis in AXES] + [f"{PREFIX}r{axis.lower()}" for axis in order]

@@ -1,0 +1,161 @@
+"""Problem families: a name, parameters with units and ranges, and a function that builds a Problem."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
+
+# Unit -> what may be written for it and for it per second, and its size in that unit.
+_SUFFIXES = {
+    "rad": {"deg": math.pi / 180, "rad": 1.0},
+    "m": {"m": 1.0, "cm": 0.01, "mm": 0.001},
+    "s": {"s": 1.0, "ms": 0.001},
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """One parameter of a family: ``lower <= value <= upper`` in ``unit``; ``default`` None means derived."""
+
+    name: str
+    default: float | None
+    unit: str
+    lower: float
+    upper: float
+    meaning: str
+
+    def parse(self, value: object) -> float:
+        """The value as a number within range; text may carry a fitting unit, ``45deg``. Raises InputError."""
+        allowed = f"allowed: {self.lower:g} to {self.upper:g} {self.unit}".rstrip()
+        if isinstance(value, str):
+            match = re.fullmatch(r"\s*([-+0-9.eE]+|[-+]?(?:nan|inf))\s*([a-zA-Z/]*)\s*", value)
+            sizes = self._sizes()
+            if not match or match[2] not in sizes:
+                raise InputError(f"parameter {self.name}={value!r} is not a number", allowed)
+            try:
+                number = float(match[1]) * sizes[match[2]]
+            except ValueError:
+                raise InputError(f"parameter {self.name}={value!r} is not a number", allowed) from None
+        elif isinstance(value, (int, float)) and not isinstance(value, bool):
+            number = float(value)
+        else:
+            raise InputError(f"parameter {self.name}={value!r} is not a number", allowed)
+        if not (math.isfinite(number) and self.lower <= number <= self.upper):
+            hint = (
+                f" (for degrees write {self.name}={value}deg)"
+                if self.unit == "rad" and abs(number) > math.pi and not str(value).strip().endswith("deg")
+                else ""
+            )
+            raise InputError(f"parameter {self.name} is {number:g}", allowed + hint)
+        return number
+
+    def _sizes(self) -> dict[str, float]:
+        """Suffix that a value may carry -> its size in the unit; a rate may leave out its /s."""
+        kind = self.unit.removesuffix("/s")
+        sizes = {"": 1.0, self.unit: 1.0} | _SUFFIXES.get(kind, {})
+        if kind != self.unit:
+            sizes |= {f"{name}/s": size for name, size in _SUFFIXES.get(kind, {}).items()}
+        return sizes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """One parameter of a family that is a word out of ``choices``."""
+
+    name: str
+    default: str
+    choices: tuple[str, ...]
+    meaning: str
+
+    unit: ClassVar[str] = ""
+    lower: ClassVar[None] = None
+    upper: ClassVar[None] = None
+
+    def parse(self, value: object) -> str:
+        """The word, if it is one of the choices. Raises InputError."""
+        if value not in self.choices:
+            raise InputError(f"parameter {self.name}={value!r}", f"allowed: {', '.join(self.choices)}")
+        return str(value)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotName:
+    """The parameter ``robot``: a robot by name (or a file that builds one), which the family looks up."""
+
+    default: str
+    choices: tuple[str, ...]
+
+    name: ClassVar[str] = "robot"
+    meaning: ClassVar[str] = "name of a robot, or a .py file with build(); listed are those it is tested on"
+    unit: ClassVar[str] = ""
+    lower: ClassVar[None] = None
+    upper: ClassVar[None] = None
+
+    def parse(self, value: object) -> str:
+        """The text. Raises InputError for anything else."""
+        if not isinstance(value, str) or not value.strip():
+            raise InputError(f"parameter robot={value!r}", f"allowed: a name, such as {self.choices[0]}")
+        return value.strip()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Family:
+    """A problem family; ``build`` takes every parameter by name.
+
+    The problem carries the parameters' values; ``build`` names only those that it derives. A family for many
+    robots names in ``robots`` those on which it is tested, the default first: it then has a parameter
+    ``robot``, which may be any other that suits it.
+    """
+
+    name: str
+    phases: tuple[str, ...]
+    summary: str
+    parameters: tuple[Parameter | Choice | RobotName, ...]
+    build: Callable[..., Problem]
+    robot: str = ""
+    robots: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not (self.robot or self.robots):
+            raise InputError(f"family '{self.name}' has no robot", "allowed: robot or robots")
+        if self.robots:
+            named = RobotName(default=self.robot or self.robots[0], choices=self.robots)
+            object.__setattr__(self, "parameters", (named, *self.parameters))
+        object.__setattr__(self, "robots", self.robots or (self.robot,))
+        object.__setattr__(self, "robot", self.robot or self.robots[0])
+
+    @property
+    def takes_robot(self) -> bool:
+        """Whether the robot is a parameter."""
+        return any(isinstance(parameter, RobotName) for parameter in self.parameters)
+
+    def load(self, values: Mapping[str, object]) -> Problem:
+        """Build the problem with ``values`` over the defaults. Raises InputError."""
+        known = {parameter.name: parameter for parameter in self.parameters}
+        for name in values:
+            if name not in known:
+                close = difflib.get_close_matches(name, known, 1)
+                hint = f"did you mean {close[0]}? " if close else ""
+                raise InputError(
+                    f"{self.name} has no parameter '{name}'", f"{hint}allowed: {', '.join(known)}"
+                )
+        chosen: dict[str, float | str | None] = {name: own.default for name, own in known.items()}
+        chosen |= {name: known[name].parse(value) for name, value in values.items()}
+        problem = self.build(**chosen)
+        return replace(problem, parameters={**chosen, **problem.parameters})
+
+
+def choose(families: Mapping[str, Family], name: str) -> Family:
+    """The family of that name; raises InputError that lists the known names."""
+    if name not in families:
+        close = difflib.get_close_matches(name, families, 1)
+        hint = f"did you mean {close[0]}? " if close else ""
+        raise InputError(f"problem '{name}' is unknown", f"{hint}allowed: {', '.join(families)}")
+    return families[name]

@@ -1,0 +1,171 @@
+"""From robot, schedule and goals to the smallest problem: costs, limits and a guess that fit most scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
+from trajopt.reduced.scenes.guess import SceneGuess, end_posture
+from trajopt.reduced.scenes.smallest import Plane, Scene, smallest
+from trajopt.robot.contact import require_frame
+from trajopt.robot.kinematics import contact_poses
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Motion, Schedule
+from trajopt.terms.costs import AccelerationCost, PostureCost, TorqueCost, VelocityCost, WrenchCost
+from trajopt.terms.drives import DriveLimits
+from trajopt.terms.friction import FrictionCone, SoleCone
+from trajopt.terms.interfaces import Term
+from trajopt.terms.landing import SwingClearance
+from trajopt.terms.limits import EffortLimits, PositionLimits, VelocityLimits
+from trajopt.terms.terminal import FramePose, TerminalRest, TerminalState
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.surface import SAME_PLANE
+
+Goals = Mapping[str, pin.SE3 | ArrayLike] | ArrayLike
+
+# Swings of a foot rise by this part of the robot's length: a few centimetres for a leg of half a metre.
+CLEARANCE = 0.1
+
+
+def scene(
+    robot: Robot,
+    schedule: Schedule,
+    goals: Goals | None = None,
+    *,
+    terrain: FlatGround | None = None,
+    start: ArrayLike | None = None,
+    start_rates: ArrayLike | None = None,
+    rest: bool = True,
+    costs: Sequence[Term] | None = None,
+    terms: Sequence[Term] = (),
+    guess: Motion | None = None,
+    name: str = "scene",
+    keep: Sequence[str] = (),
+    plane: Plane = "auto",
+) -> Scene:
+    """Return the smallest problem that takes ``robot`` through ``schedule`` to its ``goals``.
+
+    goals: what holds at the end: a pose (`pin.SE3`) or position (3,) in m for each frame by name; or a whole
+        configuration (nq,), with contacts that land in the schedule landing there; None asks for none.
+    terrain: default level ground at height 0 with friction 0.7. start: configuration (nq,), default the
+        reference; start_rates: (nv,), default at rest. rest: the motion ends at rest.
+    costs: default torques 1, contact forces, accelerations and rates 1e-2, distance from the start 1e-1, each
+        of its unit (see `costs`). terms: more of them, constraints or costs.
+    guess: motion t -> (nq,), default by inverse kinematics from the start to the goals.
+    keep, plane: as in `smallest`.
+
+    Always there are effort, velocity and position limits of the robot (of its drives, if it has any),
+    friction at every contact (the cone of the whole sole at surfaces), landings from the schedule, and a
+    clearance of swings of a tenth of the robot's length. Raises `InputError`.
+    """
+    ground = FlatGround() if terrain is None else terrain
+    first = np.array(robot.reference if start is None else start, dtype=float)
+    rates = np.zeros(robot.nv) if start_rates is None else np.array(start_rates, dtype=float)
+    if first.shape != (robot.nq,):
+        raise InputError(f"start of scene '{name}' has shape {first.shape}", f"({robot.nq},)")
+    for phase in schedule.phases:
+        for contact in phase.contacts:
+            robot.contact(contact)
+    targets = _targets(robot, goals)
+    posture = _posture(robot, goals)
+    if posture is not None:
+        schedule = _landing_on(robot, schedule, ground, posture)
+    end = posture if posture is not None else end_posture(robot, schedule, ground, first, targets)
+    problem = Problem(
+        name=name,
+        robot=robot,
+        schedule=schedule,
+        terrain=ground,
+        initial_q=first,
+        initial_v=rates,
+        terms=(
+            *(_costs(schedule, first) if costs is None else costs),
+            *_limits(robot, schedule, ground),
+            *_goals(targets, posture),
+            *([TerminalRest(q=end)] if rest else []),
+            *terms,
+        ),
+        guess=SceneGuess(robot, schedule, ground, first, end) if guess is None else guess,
+    )
+    return smallest(problem, keep=keep, plane=plane)
+
+
+def _targets(robot: Robot, goals: Goals | None) -> dict[str, pin.SE3 | np.ndarray]:
+    """Poses and positions of frames, checked; empty where a configuration or nothing is asked for."""
+    if not isinstance(goals, Mapping):
+        return {}
+    found: dict[str, pin.SE3 | np.ndarray] = {}
+    for frame, goal in goals.items():
+        require_frame(robot.model, frame, "a goal")
+        if isinstance(goal, pin.SE3):
+            found[frame] = goal
+            continue
+        place = np.array(goal, dtype=float)
+        if place.shape != (3,) or not np.isfinite(place).all():
+            raise InputError(f"goal of frame '{frame}' is {goal!r}", "a pin.SE3, or 3 finite numbers, m")
+        found[frame] = place
+    return found
+
+
+def _landing_on(robot: Robot, schedule: Schedule, ground: FlatGround, posture: np.ndarray) -> Schedule:
+    """Footholds, where none are given, for the last landing of contacts that hold at the end.
+
+    A goal asks only for what contacts leave free: they must land where the goal configuration has them.
+    """
+    places, phases = contact_poses(robot, posture), list(schedule.phases)
+    for name in phases[-1].contacts:
+        began = [i for i in range(len(phases)) if name in schedule.new_contacts(i)]
+        if not began or name in phases[began[-1]].footholds:
+            continue
+        phase, place = phases[began[-1]], places[name].translation
+        if abs(float(phase.surface(name, ground).distance(place))) <= SAME_PLANE:
+            phases[began[-1]] = replace(phase, footholds={**phase.footholds, name: place})
+    return Schedule(tuple(phases))
+
+
+def _posture(robot: Robot, goals: Goals | None) -> np.ndarray | None:
+    if goals is None or isinstance(goals, Mapping):
+        return None
+    q = np.array(goals, dtype=float)
+    if q.shape != (robot.nq,) or not np.isfinite(q).all():
+        raise InputError(
+            f"goal configuration has shape {q.shape}", f"({robot.nq},), finite; or frames by name"
+        )
+    return q
+
+
+def _costs(schedule: Schedule, start: np.ndarray) -> tuple[Term, ...]:
+    forces = [WrenchCost(weight=1e-2)] if any(phase.contacts for phase in schedule.phases) else []
+    smooth = [AccelerationCost(weight=1e-2), VelocityCost(weight=1e-2), PostureCost(weight=1e-1, q=start)]
+    return (TorqueCost(weight=1.0), *forces, *smooth)
+
+
+def _limits(robot: Robot, schedule: Schedule, ground: FlatGround) -> tuple[Term, ...]:
+    torque: Term = DriveLimits() if any(drive is not None for drive in robot.drives or ()) else EffortLimits()
+    found: list[Term] = [torque, PositionLimits(), VelocityLimits()]
+    active = [c for c in robot.contacts if any(c.name in phase.contacts for phase in schedule.phases)]
+    points = tuple(contact.name for contact in active if contact.kind == "point")
+    if points:
+        found.append(FrictionCone(contacts=points))
+    if len(points) < len(active):
+        found.append(SoleCone())
+    if any(not set(phase.contacts) >= {c.name for c in active} for phase in schedule.phases):
+        found.append(SwingClearance(height=CLEARANCE * robot.length, terrain=ground))
+    return tuple(found)
+
+
+def _goals(targets: Mapping[str, pin.SE3 | np.ndarray], posture: np.ndarray | None) -> tuple[Term, ...]:
+    if posture is not None:
+        return (TerminalState(q=posture),)
+    return tuple(
+        FramePose(frame=frame, position=goal.translation, rotation=goal.rotation)
+        if isinstance(goal, pin.SE3)
+        else FramePose(frame=frame, position=goal)
+        for frame, goal in targets.items()
+    )

@@ -1,0 +1,189 @@
+"""Half of a mirror-symmetric robot, on a planar base: limbs in pairs are merged into the left one.
+
+A motion that is its own mirror image moves the base in its x-z plane and the limbs of a pair alike. So its
+kinetic and potential energy are those of the base in the plane and of one limb of the pair with twice the
+mass, inertia and armature; the limb may leave the plane, an abducted leg does. Its joints have twice the
+torque, its contacts twice the force. Joints on the plane that would leave it (yaw, roll) are locked before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.dynamics.base_joint import position_limits
+from trajopt.dynamics.rerooting import JOINT_ROWS, joint_slices
+from trajopt.reduced.scenes.reduction import Follower, Reduction
+from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.building import sagittal
+from trajopt.robot.contact import Contact
+from trajopt.robot.mirror import Mirror, keepers, mirrored_range, reflected, reflected_inertia
+from trajopt.robot.robot import Robot
+
+
+def turned_by_mirror(robot: Robot, mirror: Mirror) -> tuple[str, ...]:
+    """Joints on the plane that a mirrored motion holds at zero: yaw and roll of a waist, say."""
+    model = robot.model
+    return tuple(
+        model.names[j] for j in range(2, model.njoints) if mirror.partner[j] == j and mirror.sign[j] < 0
+    )
+
+
+def half_robot(robot: Robot, mirror: Mirror, images: Sequence[int], q: np.ndarray) -> Reduction:
+    """Return the half of ``robot`` in the plane y = q[1], with contact images as `paired_contacts` gives.
+
+    ``q`` (nq,) is the start: a mirror image of itself, heading along the world's x.
+    """
+    kept = keepers(robot, mirror, q)
+    joints = {robot.model.names[j]: _follower(robot, mirror, kept, j) for j in range(2, robot.model.njoints)}
+    contacts = {
+        contact.name: _contact_follower(robot, kept, contact, robot.contacts[image])
+        for contact, image in zip(robot.contacts, images, strict=True)
+    }
+    own = {follower.name for follower in contacts.values()}
+    model, mirrored = _half_model(robot, mirror, kept, float(q[1]))
+    small = _with_limits(robot, model, joints, tuple(c for c in robot.contacts if c.name in own))
+    made = Reduction(
+        whole=robot, small=small, start=q, joints=joints, contacts=contacts, mirrored_frames=mirrored
+    )
+    return replace(made, small=_finished(made))
+
+
+def _follower(robot: Robot, mirror: Mirror, kept: Sequence[int], joint: int) -> Follower:
+    if joint in kept:
+        return Follower(robot.model.names[joint])
+    return Follower(robot.model.names[mirror.partner[joint]], mirror.sign[joint], True)
+
+
+def _contact_follower(robot: Robot, kept: Sequence[int], contact: Contact, image: Contact) -> Follower:
+    """A contact on a kept limb is itself; of a pair on the plane's own bodies, the first of both."""
+    joint = int(robot.model.frames[robot.model.getFrameId(contact.frame)].parentJoint)
+    names = [entry.name for entry in robot.contacts]
+    image_joint = int(robot.model.frames[robot.model.getFrameId(image.frame)].parentJoint)
+    earlier = names.index(contact.name) <= names.index(image.name)
+    first = earlier if joint == image_joint else joint in kept
+    return Follower(contact.name) if first else Follower(image.name, 1.0, True)
+
+
+def _half_model(
+    robot: Robot, mirror: Mirror, kept: Sequence[int], y0: float
+) -> tuple[pin.Model, frozenset[str]]:
+    model, new = robot.model, pin.Model()
+    new.name, new.gravity = model.name, model.gravity
+    placement = pin.SE3(np.eye(3), np.array([0.0, y0, 0.0]))
+    numbers = {1: new.addJoint(0, pin.JointModelPlanar(), placement, model.names[1])}
+    for joint in kept[1:]:
+        parent = numbers[int(model.parents[joint])]
+        numbers[joint] = new.addJoint(
+            parent, model.joints[joint], model.jointPlacements[joint], model.names[joint]
+        )
+    for joint in kept:
+        new.appendBodyToJoint(numbers[joint], model.inertias[joint], pin.SE3.Identity())
+        image = mirror.partner[joint]
+        if image != joint:
+            other = reflected_inertia(mirror.offset[joint].act(model.inertias[image]))
+            new.appendBodyToJoint(numbers[joint], other, pin.SE3.Identity())
+    mirrored = _add_frames(model, new, mirror, numbers)
+    _merge_rows(model, new, mirror, kept)
+    return sagittal(new), mirrored
+
+
+def _add_frames(
+    model: pin.Model, new: pin.Model, mirror: Mirror, numbers: Mapping[int, int]
+) -> frozenset[str]:
+    """Frames of kept bodies; those on the other side where their mirror images are, named all the same."""
+    mirrored = set()
+    holders = {0: 0} | {joint: new.addJointFrame(joint, 0) for joint in numbers.values()}
+    for frame in list(model.frames)[1:]:
+        joint = int(frame.parentJoint)
+        kind = pin.FrameType.OP_FRAME if frame.type == pin.FrameType.JOINT else frame.type
+        placement = frame.placement
+        if joint in numbers:
+            at = numbers[joint]
+        elif joint == 0:
+            at = 0
+        else:
+            image = mirror.partner[joint]
+            at, placement = numbers[image], reflected(mirror.offset[image] * frame.placement)
+            mirrored.add(frame.name)
+        if not new.existFrame(frame.name):
+            new.addFrame(pin.Frame(frame.name, at, holders[at], placement, kind), False)
+    return frozenset(mirrored)
+
+
+def _merge_rows(model: pin.Model, new: pin.Model, mirror: Mirror, kept: Sequence[int]) -> None:
+    """Armature of both joints of a pair; the other rows of the joint that is kept."""
+    for joint in kept[1:]:
+        name, image = model.names[joint], mirror.partner[joint]
+        v, own = joint_slices(new, name)[1], joint_slices(model, name)[1]
+        for row in JOINT_ROWS:
+            getattr(new, row)[v] = getattr(model, row)[own]
+        if image != joint:
+            other = joint_slices(model, model.names[image])[1]
+            new.armature[v] = model.armature[own] + model.armature[other]
+            new.rotorInertia[v] = model.rotorInertia[own] + model.rotorInertia[other]
+
+
+def _with_limits(
+    robot: Robot, model: pin.Model, joints: Mapping[str, Follower], contacts: tuple[Contact, ...]
+) -> Robot:
+    """The small robot with the tighter position and velocity limits of each pair; a neutral reference."""
+    lower, upper = position_limits(model)
+    lower[:], upper[:] = -np.inf, np.inf
+    velocity = np.full(model.nv, np.inf)
+    for name, follower in joints.items():
+        old_q, old_v = joint_slices(robot.model, name)
+        new_q, new_v = joint_slices(model, follower.name)
+        velocity[new_v] = np.minimum(velocity[new_v], robot.velocity_limit[old_v])
+        if old_q.stop - old_q.start == 1:
+            entry = old_q.start
+            low, high = mirrored_range(
+                robot.position_lower[entry], robot.position_upper[entry], follower.sign
+            )
+            lower[new_q] = np.maximum(lower[new_q], low)
+            upper[new_q] = np.minimum(upper[new_q], high)
+    reference = np.clip(pin.neutral(model), lower, upper)
+    return Robot(
+        name=f"{robot.name} (half)",
+        model=model,
+        base="planar",
+        reference=reference,
+        velocity_limit=velocity,
+        position_lower=lower,
+        position_upper=upper,
+        contacts=contacts,
+        passive=tuple(name for name in robot.passive if model.existJointName(name)),
+        given_length=robot.length,
+    )
+
+
+def _finished(reduction: Reduction) -> Robot:
+    """The small robot with the reference, effort limits and drives of the whole."""
+    whole, small = reduction.whole, reduction.small
+    effort = None if whole.effort_limit is None else reduction.drop_effort(whole.effort_limit)
+    drives = None
+    if whole.drives is not None:
+        shares = np.abs(reduction.shares)
+        drives = tuple(_merged([whole.drives[row] for row in np.flatnonzero(column)]) for column in shares.T)
+    reference = np.clip(reduction.drop_q(whole.reference), small.position_lower, small.position_upper)
+    return replace(
+        small,
+        reference=reference,
+        effort_limit=effort if effort is not None and np.isfinite(effort).any() else None,
+        drives=drives,
+    )
+
+
+def _merged(drives: list[Drive | None]) -> Drive | None:
+    """Equal drives of a pair as one: n times the torque, inertia and friction at the same speeds."""
+    first, n = drives[0], len(drives)
+    if first is None or n == 1:
+        return first
+    scaled = {
+        name: n * getattr(first, name)
+        for name in ("rotor_inertia", "viscous_friction", "coulomb_friction", "torque_limit", "stall_torque")
+    }
+    return replace(first, **scaled)

@@ -1,0 +1,128 @@
+"""Which joints a task needs, each with its reason; the others may be locked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from trajopt.dynamics.base_joint import BASE_COORDINATES
+from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
+from trajopt.reduced.scenes.asked import Asked, Reader
+from trajopt.robot.robot import Robot
+from trajopt.terms.context_symbols import Place
+from trajopt.terms.costs import AccelerationCost, PostureCost, TimeCost, TorqueCost, VelocityCost, WrenchCost
+from trajopt.terms.drives import DriveLimits, MotorTorqueCost
+from trajopt.terms.dynamics import ImpulseCost
+from trajopt.terms.interfaces import Term
+from trajopt.terms.landing import SwingClearance
+from trajopt.terms.limits import EffortLimits, PositionLimits, VelocityLimits
+from trajopt.terms.terminal import TerminalRest, TerminalState
+
+# Costs that only smooth or economise, and limits: a joint that rests at its start meets them.
+NO_NEED = (
+    TorqueCost, AccelerationCost, VelocityCost, WrenchCost, TimeCost, ImpulseCost, MotorTorqueCost,
+    EffortLimits, VelocityLimits, PositionLimits, DriveLimits, TerminalRest,
+)  # fmt: skip
+# A joint whose goal is this near its start, rad or m, stays: rounding of postures in files.
+SAME_PLACE = 1e-9
+
+Needs = dict[str, str]
+KEPT_AS_ASKED = "kept as asked"
+
+
+def needed_joints(problem: Problem, keep: Sequence[str]) -> Needs:
+    """Return the joints that must move, by name, each with the first reason found.
+
+    Needed are base and passive joints; joints ``keep`` names; joints on the way to an active contact, or to
+    a frame that a term uses; joints whose goal is not their start, or that start moving; and joints whose
+    coordinates a term of an unknown kind uses. Raises `InputError` for an unknown name in ``keep``.
+    """
+    robot, found = problem.robot, _always(problem)
+    known = list(robot.model.names)[1:]
+    for name in keep:
+        if name not in known:
+            raise InputError(f"joint '{name}' to keep is unknown", "one of " + ", ".join(known))
+    for phase in problem.schedule.phases:
+        for contact in phase.contacts:
+            _chain(robot, robot.contact(contact).frame, f"carries contact '{contact}'", found)
+    for asked in Reader(problem).every(dynamics=False):
+        for frame in asked.frames:
+            _chain(robot, frame, f"moves frame '{frame}' of {asked.term.name}", found)
+        for name in _own_joints(problem, asked):
+            found.setdefault(name, f"is in {asked.term.name}")
+    for term in problem.terms:
+        for name in _elsewhere(problem, term):
+            found.setdefault(name, f"{term.name} wants it elsewhere")
+    for name in keep:
+        found.setdefault(name, KEPT_AS_ASKED)
+    return found
+
+
+def cleared_contacts(problem: Problem) -> set[str]:
+    """Contacts that a term about swings keeps off the ground in some phase."""
+    frames = {
+        frame
+        for asked in Reader(problem).every(dynamics=False)
+        if isinstance(asked.term, SwingClearance)
+        for frame in asked.frames
+    }
+    return {contact.name for contact in problem.robot.contacts if contact.frame in frames}
+
+
+def require_lockable(problem: Problem, lock: Sequence[str], keep: Sequence[str]) -> None:
+    """Raise `InputError` for joints to lock that are unknown, kept, the base's, passive, or moving."""
+    known = list(problem.robot.model.names)[1:]
+    for name in lock:
+        if name not in known:
+            raise InputError(f"joint '{name}' to lock is unknown", "one of " + ", ".join(known))
+        reason = "is kept as well" if name in keep else _always(problem).get(name)
+        if reason:
+            raise InputError(f"joint '{name}' to lock {reason}", "another joint")
+
+
+def _always(problem: Problem) -> Needs:
+    robot, found = problem.robot, {}
+    for joint in list(robot.model.joints)[1:]:
+        name = robot.model.names[joint.id]
+        if joint.idx_v < robot.n_unactuated:
+            found[name] = "has no actuator" if name in robot.passive else "is the base"
+        elif problem.initial_v[joint.idx_v : joint.idx_v + joint.nv].any():
+            found[name] = "starts moving"
+    return found
+
+
+def _chain(robot: Robot, frame: str, reason: str, found: Needs) -> None:
+    """Joints between the root and a frame."""
+    model = robot.model
+    for joint in model.supports[model.frames[model.getFrameId(frame)].parentJoint]:
+        if joint > 0:
+            found.setdefault(model.names[joint], reason)
+
+
+def _own_joints(problem: Problem, asked: Asked) -> list[str]:
+    """Joints whose coordinates themselves a term of an unknown kind uses."""
+    if isinstance(asked.term, (*NO_NEED, PostureCost, TerminalState)) or asked.context.place is Place.IMPACT:
+        return []
+    used, model = asked.rates(), problem.robot.model
+    return [
+        model.names[joint.id]
+        for joint in list(model.joints)[1:]
+        if used[joint.idx_v : joint.idx_v + joint.nv].any()
+    ]
+
+
+def _elsewhere(problem: Problem, term: Term) -> list[str]:
+    """Joints behind the base whose posture or goal is not their start."""
+    if not isinstance(term, PostureCost | TerminalState):
+        return []
+    robot = problem.robot
+    target = robot.reference if term.q is None else np.asarray(term.q, dtype=float)
+    apart = np.abs(target - problem.initial_q)
+    apart[: BASE_COORDINATES[robot.base]] = 0.0
+    return [
+        robot.model.names[joint.id]
+        for joint in list(robot.model.joints)[1:]
+        if (apart[joint.idx_q : joint.idx_q + joint.nq] > SAME_PLACE).any()
+    ]

@@ -1,0 +1,194 @@
+"""The map between a whole robot and a smaller one that moves as a part of it.
+
+Every joint of the whole robot is locked at its start, or follows a joint of the small one: itself, or its
+mirror image with a sign. Rates, accelerations and the local coordinates' derivatives follow linearly,
+v = E v_small; a joint that stands for n mirrored ones has n times their torque, a contact n times their
+force.
+
+A whole robot on a free-flyer that is halved keeps (x, z, pitch) of its base, nose up:
+
+    p = (x, y0, z),   R = R_y(-pitch),   v = (v_x, 0, v_z), (0, -pitch', 0) in the base's axes
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.dynamics.base_joint import BASE_COORDINATES, BASE_ROWS
+from trajopt.dynamics.rerooting import joint_slices
+from trajopt.robot.mirror import REFLECTION, TWIST, signed
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase
+from trajopt.terms.node_interfaces import NodePlace
+from trajopt.terrain.surface import Surface
+
+# Rows of a free-flyer's twist that a planar base has, and their signs: forward, up, pitch about -y.
+PLANAR_ROWS = ((0, 1.0), (2, 1.0), (4, -1.0))
+
+
+@dataclass(frozen=True)
+class Follower:
+    """What a joint or contact of the whole robot follows in the small one, and whether as its image."""
+
+    name: str
+    sign: float = 1.0
+    mirrored: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reduction:
+    """``small`` robot of a ``whole`` one, whose locked joints rest at ``start`` (nq of the whole).
+
+    joints: joint behind the base -> what it follows; those not named are locked. contacts: likewise;
+    those not named are never active. mirrored_frames: frames on limbs that the small robot has as images.
+    """
+
+    whole: Robot
+    small: Robot
+    start: np.ndarray
+    joints: Mapping[str, Follower]
+    contacts: Mapping[str, Follower]
+    mirrored_frames: frozenset[str] = field(default=frozenset())
+
+    @property
+    def is_half(self) -> bool:
+        """Whether the small robot is the mirrored half of the whole."""
+        return self.small.base == "planar" and self.whole.base != "planar"
+
+    @property
+    def y0(self) -> float:
+        """Where the plane of a half is, m."""
+        return float(self.start[1])
+
+    def members(self, name: str) -> int:
+        """How many joints of the whole robot follow the small one's joint of that name."""
+        return sum(follower.name == name for follower in self.joints.values())
+
+    def contact_members(self, name: str) -> int:
+        """How many contacts of the whole robot follow the small one's of that name."""
+        return sum(follower.name == name for follower in self.contacts.values())
+
+    @cached_property
+    def rates(self) -> np.ndarray:
+        """E (nv of the whole, nv of the small)."""
+        matrix = np.zeros((self.whole.nv, self.small.nv))
+        if self.is_half:
+            for column, (row, sign) in enumerate(PLANAR_ROWS):
+                matrix[row, column] = sign
+        else:
+            n = BASE_ROWS[self.whole.base]
+            matrix[:n, :n] = np.eye(n)
+        for name, follower in self.joints.items():
+            rows, columns = self._rows(name, follower)
+            matrix[rows, columns] = follower.sign * np.eye(rows.stop - rows.start)
+        return matrix
+
+    def _rows(self, name: str, follower: Follower) -> tuple[slice, slice]:
+        whole = joint_slices(self.whole.model, name)[1]
+        return whole, joint_slices(self.small.model, follower.name)[1]
+
+    @cached_property
+    def shares(self) -> np.ndarray:
+        """Torques of the whole robot's actuated rows from the small one's, (nu, nu of the small).
+
+        Zero for a locked joint: what it takes to hold it is not known to the small robot.
+        """
+        matrix = self.rates[self.whole.n_unactuated :, self.small.n_unactuated :].copy()
+        members = np.abs(matrix).sum(axis=0)
+        return np.asarray(matrix / np.where(members > 0, members, 1.0))
+
+    def lift_q(self, q: np.ndarray) -> np.ndarray:
+        """Configuration (nq,) of the whole robot."""
+        lifted = np.array(self.start, dtype=float)
+        n = BASE_COORDINATES[self.whole.base]
+        if self.is_half:
+            pitch = np.arctan2(q[3], q[2])
+            lifted[:7] = [q[0], self.y0, q[1], 0.0, -np.sin(pitch / 2), 0.0, np.cos(pitch / 2)]
+        else:
+            lifted[:n] = q[:n]
+        for name, follower in self.joints.items():
+            own = joint_slices(self.whole.model, name)[0]
+            value = q[joint_slices(self.small.model, follower.name)[0]]
+            lifted[own] = value if follower.sign > 0 else signed(value, follower.sign)
+        return lifted
+
+    def drop_q(self, q: np.ndarray) -> np.ndarray:
+        """Configuration of the small robot nearest to one of the whole: images are averaged."""
+        small = np.zeros(self.small.nq)
+        n = BASE_COORDINATES[self.small.base]
+        if self.is_half:
+            forward = pin.Quaternion(*q[[6, 3, 4, 5]]).toRotationMatrix()[[0, 2], 0]
+            small[:n] = [q[0], q[2], *(forward / np.linalg.norm(forward))]
+        else:
+            small[:n] = q[:n]
+        for name, follower in self.joints.items():
+            value = q[joint_slices(self.whole.model, name)[0]]
+            own = joint_slices(self.small.model, follower.name)[0]
+            small[own] += value if follower.sign > 0 else signed(value, follower.sign)
+        for name in {follower.name for follower in self.joints.values()}:
+            own = joint_slices(self.small.model, name)[0]
+            small[own] /= self.members(name)
+        return np.array(pin.normalize(self.small.model, small))
+
+    def drop_v(self, v: np.ndarray) -> np.ndarray:
+        """Rates or accelerations of the small robot from those of the whole, in the mean of images."""
+        return np.asarray(np.linalg.lstsq(self.rates, v, rcond=None)[0])
+
+    def drop_effort(self, limit: np.ndarray) -> np.ndarray:
+        """Effort limit (nu of the small) from one of the whole robot: n times the least of n images'."""
+        shares = np.abs(self.shares)
+        return np.array(
+            [
+                np.min(np.asarray(limit, dtype=float)[column > 0] / column[column > 0], initial=np.inf)
+                for column in shares.T
+            ]
+        )
+
+    def lift_forces(self, f: np.ndarray) -> np.ndarray:
+        """Wrenches (K, nc, 6) of the whole robot's contacts from the small one's (K, nc, 6)."""
+        names = [contact.name for contact in self.small.contacts]
+        lifted = np.zeros((len(f), len(self.whole.contacts), 6))
+        for row, contact in enumerate(self.whole.contacts):
+            follower = self.contacts.get(contact.name)
+            if follower is not None:
+                share = f[:, names.index(follower.name)] / self.contact_members(follower.name)
+                lifted[:, row] = share * TWIST if follower.mirrored else share
+        return lifted
+
+    def reflected_point(self, point: np.ndarray) -> np.ndarray:
+        """Mirror image of a world position (3,) about the plane of the half, m."""
+        return REFLECTION * point + np.array([0.0, 2 * self.y0, 0.0])
+
+
+def whole_place(place: NodePlace, reduction: Reduction) -> NodePlace:
+    """The node's place with the whole robot's contacts, their footholds and surfaces."""
+    return replace(place, phase=whole_phase(place.phase, reduction))
+
+
+def whole_phase(phase: Phase, reduction: Reduction) -> Phase:
+    """The phase of the whole robot that a reduced phase stands for."""
+    active = {name: f for name, f in reduction.contacts.items() if f.name in phase.contacts}
+    footholds, surfaces, patches = {}, {}, {}
+    for name, follower in active.items():
+        if follower.name in phase.footholds:
+            place = phase.footholds[follower.name]
+            footholds[name] = reduction.reflected_point(place) if follower.mirrored else place
+        if follower.name in phase.surfaces:
+            surface = phase.surfaces[follower.name]
+            surfaces[name] = _reflected(surface, reduction) if follower.mirrored else surface
+        if follower.name in phase.patches and not follower.mirrored:  # a task with patches is not halved
+            patches[name] = phase.patches[follower.name]
+    return replace(phase, contacts=tuple(active), footholds=footholds, surfaces=surfaces, patches=patches)
+
+
+def _reflected(surface: Surface, reduction: Reduction) -> Surface:
+    return replace(
+        surface,
+        point=reduction.reflected_point(surface.point),
+        normal=reduction.reflected_point(surface.normal) - reduction.reflected_point(np.zeros(3)),
+    )

@@ -1,0 +1,220 @@
+"""Four point contacts at the corners of a rectangle on one link, as one surface contact.
+
+Their 12 rows have rank 6: the link is rigid. A surface contact has 6, and its centre of pressure inside the
+rectangle is what four unilateral corners can do; friction is that of `SoleCone`, the cone that corners with
+friction pyramids along the rectangle's sides span (Caron, Pham, Nakamura, ICRA 2015).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import ClassVar
+
+import numpy as np
+import pinocchio as pin
+from scipy.optimize import nnls
+
+from trajopt.problem.problem import Problem
+from trajopt.reduced.scenes.report import CHOICE
+from trajopt.robot.contact import Contact
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solution.grid import interpolated
+from trajopt.solution.solution import Solution
+from trajopt.solving.extraction import robot_meta
+from trajopt.terms.friction import ContactConstraint, FrictionCone, FrictionPyramid, SoleCone
+from trajopt.terms.interfaces import Term
+
+# Corners may be off a rectangle by this part of its diagonal: rounding of descriptions.
+RECTANGLE = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sole:
+    """A rectangle: its surface contact, the corners' names, their places (4, 3) in the sole's frame, m."""
+
+    contact: Contact
+    corners: tuple[str, ...]
+    places: np.ndarray
+    joint: int
+    placement: pin.SE3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Soles:
+    """The problem with soles in the place of corners, and the way back for its solutions."""
+
+    kind: ClassVar[str] = CHOICE
+    problem: Problem
+    soles: tuple[Sole, ...]
+
+    @property
+    def what(self) -> str:
+        """Which corners."""
+        parts = [f"{', '.join(sole.corners)} as sole '{sole.contact.name}'" for sole in self.soles]
+        return f"12 rows of four corners as 6 of a sole: {'; '.join(parts)}"
+
+    @property
+    def why(self) -> str:
+        """The reason."""
+        return "coplanar points of one rigid link: 12 rows of rank 6; exact but for the friction model"
+
+    def lift(self, solution: Solution, original: Problem) -> Solution:
+        """The solution with forces on corners, as even as friction pyramids on them allow."""
+        robot, own = original.robot, self.problem.robot
+        model, data = own.model, own.model.createData()
+        names = [contact.name for contact in own.contacts]
+        f = np.zeros((solution.n_samples, len(robot.contacts), 6))
+        for k in np.flatnonzero(solution.collocation):
+            pin.framesForwardKinematics(model, data, solution.q[k])
+            forces = {n: solution.f[k, row] for row, n in enumerate(names)}
+            for sole in self.soles:
+                turn = data.oMf[model.getFrameId(sole.contact.frame)].rotation
+                forces |= _corner_forces(sole, turn, forces.pop(sole.contact.name), original)
+            f[k] = [forces[contact.name] for contact in robot.contacts]
+        phases = original.schedule.phases
+        active = [[c.name in phase.contacts for c in robot.contacts] for phase in phases]
+        return replace(
+            solution,
+            meta={**solution.meta, **robot_meta(original)},
+            model_text=robot.limited_model().saveToString(),
+            f=interpolated(solution, f),
+            active=np.array(active, dtype=bool).reshape(len(phases), -1)[solution.phase],
+        )
+
+
+def _corner_forces(
+    sole: Sole, turn: np.ndarray, wrench: np.ndarray, problem: Problem
+) -> dict[str, np.ndarray]:
+    """Forces (6,) on corners in world axes whose sum is the wrench: rays of friction pyramids, by NNLS."""
+    if not wrench.any():
+        return {name: np.zeros(6) for name in sole.corners}
+    mu = problem.terrain.friction / np.sqrt(2)
+    rays = np.array([[sx * mu, sy * mu, 1.0] for sx in (-1, 1) for sy in (-1, 1)])
+    local = np.concatenate([turn.T @ wrench[:3], turn.T @ wrench[3:]])
+    columns = np.array([[*ray, *np.cross(place, ray)] for place in sole.places for ray in rays]).T
+    # A small part of the sum of squares makes the forces even where more than one choice fits.
+    even = 1e-6 * np.eye(columns.shape[1])
+    weights, _ = nnls(np.vstack([columns, even]), np.concatenate([local, np.zeros(len(even))]))
+    parts = weights.reshape(len(sole.corners), len(rays)) @ rays
+    return {
+        name: np.concatenate([turn @ part, np.zeros(3)])
+        for name, part in zip(sole.corners, parts, strict=True)
+    }
+
+
+def with_soles(problem: Problem) -> Soles | None:
+    """Return the problem with a sole for every four corners that are always in contact together, or None.
+
+    Terms that name a corner keep it as it is; so do surfaces of a corner's own.
+    """
+    if problem.dynamics is not None or problem.modes or any(p.impact for p in problem.schedule.phases):
+        return None
+    soles = _soles(problem)
+    if not soles:
+        return None
+    robot, merged = problem.robot, {name for sole in soles for name in sole.corners}
+    model = pin.Model(robot.model)
+    for sole in soles:
+        model.addFrame(
+            pin.Frame(sole.contact.frame, sole.joint, 0, sole.placement, pin.FrameType.OP_FRAME), False
+        )
+    contacts = [c for c in robot.contacts if c.name not in merged] + [sole.contact for sole in soles]
+    phases = tuple(_phase(phase, soles) for phase in problem.schedule.phases)
+    terms = tuple(new for term in problem.terms for new in _term(term))
+    return Soles(
+        problem=replace(
+            problem,
+            robot=replace(robot, model=model, contacts=tuple(contacts), given_length=robot.length),
+            schedule=Schedule(phases),
+            terms=terms,
+        ),
+        soles=tuple(soles),
+    )
+
+
+def _term(term: Term) -> tuple[Term, ...]:
+    """Friction of points as it is for the points that remain, and the cone of soles beside it."""
+    if isinstance(term, FrictionCone | FrictionPyramid):
+        cone = SoleCone(phases=term.phases, friction=term.friction)
+        return (replace(term, contacts=None), cone)
+    return (term,)
+
+
+def _phase(phase: Phase, soles: list[Sole]) -> Phase:
+    contacts, footholds = list(phase.contacts), dict(phase.footholds)
+    for sole in soles:
+        if sole.corners[0] in contacts:
+            contacts = [name for name in contacts if name not in sole.corners] + [sole.contact.name]
+            places = [footholds.pop(name) for name in sole.corners if name in footholds]
+            if len(places) == len(sole.corners):
+                footholds[sole.contact.name] = np.mean(places, axis=0)
+    return replace(phase, contacts=tuple(contacts), footholds=_frozen(footholds))
+
+
+def _frozen(footholds: dict[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+    return MappingProxyType(footholds)
+
+
+def _soles(problem: Problem) -> list[Sole]:
+    robot, model = problem.robot, problem.robot.model
+    by_joint: dict[int, list[Contact]] = {}
+    for contact in robot.contacts:
+        if contact.kind == "point" and contact.dimension == 3 and not _named(problem, contact.name):
+            joint = int(model.frames[model.getFrameId(contact.frame)].parentJoint)
+            by_joint.setdefault(joint, []).append(contact)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, problem.initial_q)
+    found = []
+    for joint, corners in by_joint.items():
+        if joint > 0 and len(corners) == 4 and _together(problem, [c.name for c in corners]):
+            sole = _sole(problem, data.oMi[joint], joint, corners)
+            if sole is not None:
+                found.append(sole)
+    return found
+
+
+def _named(problem: Problem, name: str) -> bool:
+    """Whether a term names the contact, or a phase has a surface of its own for it."""
+    own = any(phase.own_surface(name) is not None for phase in problem.schedule.phases)
+    for term in problem.terms:
+        only = term.contacts if isinstance(term, ContactConstraint) else None
+        own = own or getattr(term, "contact", None) == name or (only is not None and name in only)
+    return own
+
+
+def _together(problem: Problem, names: list[str]) -> bool:
+    """In contact in some phase, all four or none in each, and on footholds all or none."""
+    counts = [sum(name in phase.contacts for name in names) for phase in problem.schedule.phases]
+    places = [sum(name in phase.footholds for name in names) for phase in problem.schedule.phases]
+    return set(counts) <= {0, 4} and 4 in counts and set(places) <= {0, 4}
+
+
+def _sole(problem: Problem, body: pin.SE3, joint: int, corners: list[Contact]) -> Sole | None:
+    """The rectangle of four corners, its z axis up at the start, or None if they are none."""
+    model = problem.robot.model
+    points = np.array([model.frames[model.getFrameId(c.frame)].placement.translation for c in corners])
+    for order in itertools.permutations(range(1, 4)):
+        along, across, opposite = (points[i] - points[0] for i in order)
+        diagonal = float(np.linalg.norm(opposite))
+        off = max(
+            float(np.linalg.norm(along + across - opposite)), abs(along @ across) / max(diagonal, 1e-300)
+        )
+        if not off <= RECTANGLE * diagonal or np.linalg.norm(along) < np.linalg.norm(across):
+            continue
+        size = np.linalg.norm(along) / 2, np.linalg.norm(across) / 2
+        x, normal = along / (2 * size[0]), np.cross(along, across)
+        normal /= np.linalg.norm(normal)
+        if (body.rotation @ normal) @ problem.terrain.surface.plane_at(body.translation).normal < 0:
+            normal = -normal
+        frame = pin.SE3(np.column_stack([x, np.cross(normal, x), normal]), points.mean(axis=0))
+        names = tuple(c.name for c in corners)
+        name = f"sole of {', '.join(names)}"
+        contact = Contact(
+            frame=name, name=name, kind="surface", half_length=float(size[0]), half_width=float(size[1])
+        )
+        places = np.array([frame.actInv(point) for point in points])
+        return Sole(contact=contact, corners=names, places=places, joint=joint, placement=frame)
+    return None

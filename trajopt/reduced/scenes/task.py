@@ -1,0 +1,190 @@
+"""Whether a task is its own mirror image: start, contacts, surfaces, every term at random states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
+from trajopt.reduced.scenes.asked import Asked, Reader
+from trajopt.robot.contact import Contact
+from trajopt.robot.mirror import REFLECTION, TWIST, Mirror, mirrored_configuration, mirrored_rows
+from trajopt.schedule.schedule import Phase
+from trajopt.terms.context_symbols import Place
+from trajopt.terrain.flat import FlatGround
+
+# Start, goals and terms may differ from their mirror images by this, in natural units (rad, lengths of the
+# robot): below what joints are calibrated to. Above it a task is asymmetric.
+TASK = 1e-3
+# Torques of mirrored motions may differ by this multiple of the robot's own asymmetry: a mismatch of an
+# inertia enters several rows.
+PASSED_ON = 20.0
+# Rows and costs are compared at this many random states of order one in natural units.
+STATES = 2
+# The base may head this far from the world's x axis, rad, for rounding alone.
+HEADING = 1e-6
+
+
+@dataclass(frozen=True)
+class Found:
+    """The largest difference between a part of the task and its mirror image, and which part."""
+
+    difference: float
+    where: str
+
+
+def require_symmetric(problem: Problem, mirror: Mirror, images: Sequence[int]) -> Found:
+    """Return how far a task is from its mirror image; raises `InputError` that says what is asymmetric.
+
+    ``images`` are those of the contacts. The plane is y = initial_q[1], the heading the world's x.
+    """
+    found = [_start(problem, mirror)]
+    for phase in problem.schedule.phases:
+        found.append(_contacts(problem, phase, images))
+    groups: dict[tuple[object, ...], list[Asked]] = {}
+    for asked in Reader(problem).every(dynamics=False):
+        place = asked.node.index if asked.node is not None else asked.context.place
+        groups.setdefault((asked.term.name, asked.phase, place), []).append(asked)
+    found += [_terms(problem, group, mirror, images) for group in groups.values()]
+    return max(found, key=lambda entry: entry.difference)
+
+
+def _refuse(what: str, difference: float) -> InputError:
+    return InputError(f"{what} is not its own mirror image: off by {difference:.2g}", "a symmetric task")
+
+
+def _start(problem: Problem, mirror: Mirror) -> Found:
+    robot, q = problem.robot, problem.initial_q
+    rotation = pin.Quaternion(*q[[6, 3, 4, 5]]).toRotationMatrix()
+    if not rotation[1, 1] > 1 - HEADING**2:
+        raise InputError("the base does not head along the world's x axis, level", "roll and yaw zero")
+    image = mirrored_configuration(robot, mirror, q, float(q[1]))
+    apart = float(np.abs(pin.difference(robot.model, q, image)).max())
+    index, sign = mirrored_rows(robot, mirror)
+    moving = float(np.abs(problem.initial_v - sign * problem.initial_v[index]).max())
+    if not max(apart, moving) <= TASK:
+        raise _refuse("the start", max(apart, moving))
+    return Found(max(apart, moving), "the start")
+
+
+def _contacts(problem: Problem, phase: Phase, images: Sequence[int]) -> Found:
+    """Contacts of a phase in pairs, each on the mirror image of the other's surface."""
+    if phase.patches or not isinstance(problem.terrain, FlatGround):
+        raise InputError(
+            f"phase '{phase.name}' has patches, or its ground is not one plane",
+            "footholds and planes, whose mirror images are compared",
+        )
+    robot, y0, worst = problem.robot, float(problem.initial_q[1]), 0.0
+    names = [contact.name for contact in robot.contacts]
+    for name in phase.contacts:
+        image = names[images[names.index(name)]]
+        if image not in phase.contacts:
+            raise InputError(
+                f"contact '{name}' of phase '{phase.name}' has no mirror image '{image}' there",
+                "contacts in pairs",
+            )
+        own, other = (
+            phase.surface(entry, problem.terrain).plane_at(problem.initial_q[:3]) for entry in (name, image)
+        )
+        point = REFLECTION * own.point + np.array([0.0, 2 * y0, 0.0])
+        apart = [
+            float(np.abs(REFLECTION * own.normal - other.normal).max()),
+            abs(own.friction - other.friction),
+        ]
+        apart.append(abs(float(other.distance(point))) / robot.length)
+        if own.bilateral != other.bilateral or not max(apart) <= TASK:
+            raise _refuse(f"what '{name}' touches in phase '{phase.name}'", max(apart))
+        worst = max(worst, *apart)
+    return Found(worst, f"surfaces of phase '{phase.name}'")
+
+
+def _terms(problem: Problem, group: list[Asked], mirror: Mirror, images: Sequence[int]) -> Found:
+    """Compare terms of one kind at one place, together, at random inputs and at their mirror images."""
+    where = f"{group[0].term.name} of phase '{problem.schedule.phases[group[0].phase].name}'"
+    filled = [asked for asked in group if asked.expression.numel()]
+    if not filled:
+        return Found(0.0, where)
+    functions, generator = [asked.function() for asked in filled], np.random.default_rng(0)
+    worst = 0.0
+    for _ in range(STATES):
+        inputs = _mirrored_inputs(problem, filled[0], mirror, images, generator)
+        sides = [[np.array(function(z)).ravel() for function in functions] for z in inputs]
+        own, image = (_comparable(filled, values) for values in sides)
+        worst = max(worst, float((np.abs(own - image) / (1.0 + np.abs(own))).max()))
+    uses_dynamics = any(asked.uses_dynamics for asked in filled)
+    if not worst <= TASK + (PASSED_ON * mirror.asymmetry if uses_dynamics else 0.0):
+        raise _refuse(where, worst)
+    return Found(0.0 if uses_dynamics else worst, where)
+
+
+def _comparable(group: list[Asked], values: list[np.ndarray]) -> np.ndarray:
+    """What does not depend on the order of rows: the cost; sorted slacks; the norm of equations."""
+    costs, slacks, equations = 0.0, [np.zeros(0)], [np.zeros(0)]
+    for asked, value in zip(group, values, strict=True):
+        if asked.rows is None:
+            costs += float(value.sum())
+            continue
+        lower, upper = (bound / asked.rows.unit for bound in (asked.rows.lower, asked.rows.upper))
+        equal = lower == upper
+        slacks += [(value - lower)[~equal], (upper - value)[~equal]]
+        equations.append((value - lower)[equal])
+    every = np.concatenate(slacks)
+    norm = np.linalg.norm(np.concatenate(equations))
+    return np.array([costs, norm, *np.sort(every[np.isfinite(every)])])
+
+
+def _mirrored_inputs(
+    problem: Problem,
+    asked: Asked,
+    mirror: Mirror,
+    images: Sequence[int],
+    generator: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Random inputs z of a place, near the start, and their mirror image."""
+    robot, context = problem.robot, asked.context
+    coordinates, y0 = context.coordinates, float(problem.initial_q[1])
+    index, sign = mirrored_rows(robot, mirror)
+    q = pin.integrate(robot.model, problem.initial_q, generator.uniform(-0.5, 0.5, robot.nv))
+    parts: list[np.ndarray] = []
+    mirrored: list[np.ndarray] = []
+    still = np.zeros(robot.nv)
+    for own, q_own in ((parts, q), (mirrored, mirrored_configuration(robot, mirror, q, y0))):
+        node = coordinates.node_from_pinocchio(q_own, still)
+        own.append(node[: len(node) - robot.nv])
+    if context.place is not Place.NODE:
+        _as_local(coordinates.additive_index, coordinates.n_rotations, robot.nv, parts)
+        _as_local(coordinates.additive_index, coordinates.n_rotations, robot.nv, mirrored)
+    orders = 1 if context.place is Place.NODE or problem.actuation == "velocity" else 2
+    if context.place is Place.NODE and problem.actuation == "velocity":
+        orders = 0
+    for _ in range(orders):
+        rate = generator.uniform(-1, 1, robot.nv)
+        parts.append(rate)
+        mirrored.append(sign * rate[index])
+    if context.place is not Place.NODE:
+        wrenches = {c.name: generator.uniform(-1, 1, c.dimension) for c in context.contacts}
+        parts += [wrenches[c.name] * robot.weight for c in context.contacts]
+        mirrored += [_image_of(c, problem, images, wrenches) * robot.weight for c in context.contacts]
+    clocks = context.z.numel() - sum(len(part) for part in parts)
+    return np.concatenate([*parts, np.ones(clocks)]), np.concatenate([*mirrored, np.ones(clocks)])
+
+
+def _as_local(additive: np.ndarray, n_rotations: int, nv: int, parts: list[np.ndarray]) -> None:
+    """Rotations and additive positions as rotations and local coordinates, in place."""
+    node = parts.pop()
+    xi = np.zeros(nv)
+    xi[additive] = node[4 * n_rotations :]
+    parts += [node[: 4 * n_rotations], xi]
+
+
+def _image_of(
+    contact: Contact, problem: Problem, images: Sequence[int], wrenches: dict[str, np.ndarray]
+) -> np.ndarray:
+    """The wrench that a contact has in the mirror image: that of its partner, mirrored."""
+    names = [entry.name for entry in problem.robot.contacts]
+    own = wrenches[names[images[names.index(contact.name)]]]
+    return np.asarray(TWIST[: len(own)] * own)

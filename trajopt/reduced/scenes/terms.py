@@ -1,0 +1,145 @@
+"""Terms of a whole robot's problem as those of a small one's, each kind with what becomes of it.
+
+Limits and goals are stated anew for the small robot, so that no row comes twice; costs, and constraints of a
+kind that is not known here, are evaluated on the whole robot's motion (`scene_view`). A term of one's own may
+say better what becomes of it: a method ``reduced(reduction) -> Term | None``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import singledispatch
+from types import MappingProxyType
+from typing import TypeVar
+
+import numpy as np
+
+from trajopt.problem.problem import Problem
+from trajopt.reduced.scenes.reduction import Reduction
+from trajopt.reduced.scenes.terminal import HalfEnd
+from trajopt.reduced.scenes.view import WholeNodeCost, WholeNodeRows, WholePointRows, whole_cost
+from trajopt.schedule.schedule import Motion, Phase, Schedule
+from trajopt.terms.drives import DriveLimits
+from trajopt.terms.dynamics import ContactVelocity, ImpactDynamics
+from trajopt.terms.friction import ContactConstraint, NormalForce
+from trajopt.terms.interfaces import Cost, PointConstraint, Term
+from trajopt.terms.landing import SwingClearance
+from trajopt.terms.limits import (
+    BaseDynamics,
+    ContactAcceleration,
+    EffortLimits,
+    PositionLimits,
+    VelocityLimits,
+)
+from trajopt.terms.node_costs import NodeCost
+from trajopt.terms.node_interfaces import NodeConstraint
+from trajopt.terms.terminal import FrameHeight, FramePose, FrameVelocity, TerminalRest, TerminalState
+
+Value = TypeVar("Value")
+
+UNCHANGED = (
+    BaseDynamics, ContactAcceleration, ContactVelocity, ImpactDynamics, VelocityLimits, PositionLimits,
+    DriveLimits, SwingClearance,
+)  # fmt: skip
+
+
+def reduced_problem(problem: Problem, reduction: Reduction) -> Problem:
+    """Return the problem of the small robot, on the same schedule with the small robot's contacts."""
+    terms = [reduced_term(term, reduction) for term in problem.terms]
+    return replace(
+        problem,
+        robot=reduction.small,
+        schedule=Schedule(tuple(_phase(phase, reduction) for phase in problem.schedule.phases)),
+        initial_q=reduction.drop_q(problem.initial_q),
+        initial_v=reduction.drop_v(problem.initial_v),
+        terms=tuple(term for term in terms if term is not None),
+        guess=_guess(problem.guess, reduction),
+    )
+
+
+def _guess(guess: Motion, reduction: Reduction) -> Motion:
+    return lambda t: reduction.drop_q(guess(t))
+
+
+def _phase(phase: Phase, reduction: Reduction) -> Phase:
+    """Contacts that the small robot has itself; their places are those of the start's plane."""
+    own = [name for name in phase.contacts if not reduction.contacts[name].mirrored]
+    kept = {name: reduction.contacts[name].name for name in own}
+    return replace(
+        phase,
+        contacts=tuple(kept.values()),
+        footholds=_renamed(phase.footholds, kept),
+        surfaces=_renamed(phase.surfaces, kept),
+        patches=_renamed(phase.patches, kept),
+    )
+
+
+def _renamed(given: Mapping[str, Value], kept: Mapping[str, str]) -> Mapping[str, Value]:
+    return MappingProxyType({kept[name]: value for name, value in given.items() if name in kept})
+
+
+def reduced_term(term: Term, reduction: Reduction) -> Term | None:
+    """Return what becomes of a term, or None if nothing is left of it."""
+    if hasattr(term, "reduced"):
+        made: Term | None = term.reduced(reduction)
+        return made
+    return _reduced(term, reduction)
+
+
+@singledispatch
+def _reduced(term: Term, reduction: Reduction) -> Term | None:
+    """A kind that is not known here: on the whole robot's motion."""
+    if isinstance(term, UNCHANGED):
+        return term
+    if isinstance(term, Cost):
+        return whole_cost(term, reduction)
+    if isinstance(term, NodeCost):
+        return WholeNodeCost(weight=term.weight, phases=term.phases, term=term, reduction=reduction)
+    if isinstance(term, NodeConstraint):
+        return WholeNodeRows(phases=term.phases, term=term, reduction=reduction)
+    if isinstance(term, PointConstraint):
+        return WholePointRows(phases=term.phases, term=term, reduction=reduction)
+    return term
+
+
+@_reduced.register
+def _(term: EffortLimits, reduction: Reduction) -> Term:
+    return term if term.limit is None else replace(term, limit=reduction.drop_effort(term.limit))
+
+
+@_reduced.register
+def _(term: ContactConstraint, reduction: Reduction) -> Term | None:
+    if term.contacts is None:
+        return term
+    followed = [reduction.contacts[name].name for name in term.contacts if name in reduction.contacts]
+    return replace(term, contacts=tuple(dict.fromkeys(followed))) if followed else None
+
+
+@_reduced.register
+def _(term: NormalForce, reduction: Reduction) -> Term | None:
+    follower = reduction.contacts.get(term.contact)
+    if follower is None or follower.mirrored:
+        return None
+    members = reduction.contact_members(follower.name)
+    bounds = [None if bound is None else members * bound for bound in (term.lower, term.upper)]
+    return replace(term, contact=follower.name, lower=bounds[0], upper=bounds[1])
+
+
+@_reduced.register(FrameHeight)
+@_reduced.register(FramePose)
+@_reduced.register(FrameVelocity)
+def _(term: FrameHeight | FramePose | FrameVelocity, reduction: Reduction) -> Term | None:
+    if term.frame in reduction.mirrored_frames:
+        return None
+    if not reduction.is_half or isinstance(term, FrameHeight):
+        return term
+    return WholeNodeRows(phases=term.phases, term=term, reduction=reduction)
+
+
+@_reduced.register(TerminalState)
+@_reduced.register(TerminalRest)
+def _(term: TerminalState | TerminalRest, reduction: Reduction) -> Term:
+    if reduction.is_half:
+        return HalfEnd(phases=term.phases, term=term, reduction=reduction)
+    return replace(term, q=reduction.drop_q(np.asarray(term.q, dtype=float)))

@@ -1,0 +1,1 @@
+"""Drives on joints, and links made of beams."""

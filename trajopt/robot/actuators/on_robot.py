@@ -1,0 +1,143 @@
+"""Drives on a robot: which joint has which, and what they make of its model and limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+
+from trajopt.errors import InputError, UnsupportedJointError
+from trajopt.robot.actuators.drive import Drive
+
+Drives = tuple[Drive | None, ...]
+
+
+def driven(
+    model: pin.Model, effort: np.ndarray | None, velocity: np.ndarray, drives: Drives
+) -> dict[str, Any]:
+    """Return the fields of a robot that drives change: model, effort_limit, velocity_limit and drives.
+
+    Args:
+        model: of the robot without them; not changed.
+        effort: limits (nu,) N m or N, or None; velocity: limits (nv,) rad/s or m/s.
+        drives: one or None for each actuated row (nu), see `Robot.with_drives`.
+    """
+    model = pin.Model(model)
+    armature, gear, rotor = (
+        np.array(array) for array in (model.armature, model.rotorGearRatio, model.rotorInertia)
+    )
+    effort = np.full(len(drives), np.inf) if effort is None else effort.copy()
+    velocity = velocity.copy()
+    for row, drive in enumerate(drives):
+        if drive is None:
+            continue
+        index = model.nv - len(drives) + row
+        if drive.rotor_inertia > 0:
+            armature[index], gear[index], rotor[index] = drive.armature, drive.gear_ratio, drive.rotor_inertia
+        if np.isfinite(drive.torque_limit):
+            effort[row] = drive.joint_torque_limit
+        velocity[index] = min(velocity[index], drive.joint_no_load_speed)
+    model.armature, model.rotorGearRatio, model.rotorInertia = armature, gear, rotor
+    return {
+        "model": model,
+        "effort_limit": effort if np.isfinite(effort).any() else None,
+        "velocity_limit": velocity,
+        "drives": drives,
+    }
+
+
+def drives_by_row(
+    robot: str,
+    model: pin.Model,
+    present: Drives,
+    given: Mapping[str, Drive | None] | Sequence[Drive | None],
+) -> Drives:
+    """Return a drive or None for each actuated row (nu): a mapping changes joints, a sequence states all.
+
+    ``robot`` is its name, ``present`` (nu) are the drives it has. Raises `InputError`.
+    """
+    chosen: Drives = tuple(present)
+    if not isinstance(given, Mapping):
+        chosen = tuple(given)
+    else:
+        rows = list(present)
+        for name, drive in given.items():
+            rows[_row(robot, model, len(present), name)] = drive
+        chosen = tuple(rows)
+    require_drives(robot, model, len(present), chosen)
+    return chosen
+
+
+def _row(robot: str, model: pin.Model, nu: int, name: str) -> int:
+    """Actuated row of the joint of that name."""
+    known = [model.names[joint.id] for joint in list(model.joints)[1:] if joint.idx_v >= model.nv - nu]
+    if name not in known:
+        raise InputError(f"robot '{robot}' has no actuated joint '{name}'", "one of " + ", ".join(known))
+    joint = model.joints[model.getJointId(name)]
+    if joint.nv != 1:
+        raise UnsupportedJointError(name, joint.shortname(), "drives on joints of one degree of freedom")
+    return int(joint.idx_v) - (model.nv - nu)
+
+
+def require_drives(robot: str, model: pin.Model, nu: int, drives: Drives) -> None:
+    """Raise `InputError` unless ``drives`` are one or None for each of ``nu`` actuated rows."""
+    foreign = [type(entry).__name__ for entry in drives if not (entry is None or isinstance(entry, Drive))]
+    if foreign or len(drives) != nu:
+        kinds = f", some of kind {', '.join(foreign)}" if foreign else ""
+        raise InputError(
+            f"drives of robot '{robot}' are {len(drives)}{kinds}",
+            f"a Drive or None for each of its {nu} actuated rows",
+        )
+    single = {int(joint.idx_v) for joint in list(model.joints)[1:] if joint.nv == 1}
+    for row, drive in enumerate(drives):
+        if drive is not None and row + model.nv - nu not in single:
+            raise InputError(
+                f"robot '{robot}' has a drive on row {row}, of a joint of several degrees of freedom",
+                "allowed: drives on joints of one degree of freedom",
+            )
+
+
+def drive_torque(drives: Drives | None, torque: ca.SX, rates: ca.SX) -> ca.SX:
+    """Torque (nu,) that the drives deliver, joint side: actuated rows plus joint friction."""
+    if drives is None or not any(_has_friction(drive) for drive in drives):
+        return torque
+    return torque + ca.vertcat(
+        *[
+            drive.friction_torque(rates[row]) if drive is not None and _has_friction(drive) else ca.SX(0)
+            for row, drive in enumerate(drives)
+        ]
+    )
+
+
+def drive_torque_values(drives: Drives, torque: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """The same of samples: torque (K, nu), rates of the actuated rows (K, nu)."""
+    friction = [
+        np.zeros(len(rates)) if drive is None else drive.friction_torque(rates[:, row])
+        for row, drive in enumerate(drives)
+    ]
+    return torque + np.array(friction).T.reshape(torque.shape)
+
+
+def actuated_row_limit(
+    drives: Drives | None, effort: np.ndarray | None, rates: np.ndarray
+) -> np.ndarray | None:
+    """Bound (nu,) on the actuated rows that follows from an effort limit (nu,) of the drives, N m.
+
+    Friction helps a drive to brake: actuated rows may exceed what it delivers by the friction at the
+    joint's velocity limit, ``rates`` (nu,) rad/s.
+    """
+    if effort is None or drives is None:
+        return effort
+    widened = np.array(effort, dtype=float)
+    for row, drive in enumerate(drives):
+        if drive is not None:
+            viscous = drive.viscous_friction * rates[row] if drive.viscous_friction > 0 else 0.0
+            widened[row] += viscous + drive.coulomb_friction
+    return widened
+
+
+def _has_friction(drive: Drive | None) -> bool:
+    return drive is not None and (drive.viscous_friction > 0 or drive.coulomb_friction > 0)

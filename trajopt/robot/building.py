@@ -1,0 +1,233 @@
+"""From a numeric `pin.Model` to the arrays of a `Robot`: base, limits, reference."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from trajopt.dynamics.base_joint import (
+    BASE_COORDINATES,
+    BASE_JOINT,
+    BASE_POSITION,
+    BASE_ROWS,
+    UNLIMITED,
+    Base,
+    base_of,
+    position_limits,
+)
+from trajopt.errors import InputError, UnsupportedJointError
+from trajopt.robot.contact import Contact
+
+# A base lower than this part of the reach does not stand on its contacts: it lies, or hangs.
+STANDING_PART = 0.05
+
+# A plane counts as one of the world's coordinate planes up to rounding of description files.
+ALIGNED = 1e-12
+# Sines of angles between a joint's axis and the normal of the plane it moves in: rounding, too.
+PARALLEL = 1e-6
+
+# Pinocchio's planar joint moves in its own x-y plane. This placement lays it in the
+# sagittal plane: its x is the world's x, its y is up, and it turns about the world's -y.
+SAGITTAL = pin.SE3(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]), np.zeros(3))
+
+
+def within_plane(model: pin.Model, contacts: tuple[Contact, ...]) -> tuple[Contact, ...]:
+    """Return contacts without the rows that a planar base leaves without meaning: none for other bases.
+
+    A contact on a limb that can leave the plane (an abducted leg) keeps them: its foot could slide sideways.
+    """
+    if base_of(model) != "planar":
+        return contacts
+    normal = np.abs(model.jointPlacements[1].rotation[:, 2])
+    axis = int(np.argmax(normal))
+    if normal[axis] < 1 - ALIGNED:
+        return contacts
+    leaving = leaving_plane(model, axis, pin.neutral(model))
+    return tuple(
+        contact if _carried_by(model, contact.frame) & leaving else contact.within_plane(axis)
+        for contact in contacts
+    )
+
+
+def leaving_plane(model: pin.Model, axis: int, q: np.ndarray) -> set[int]:
+    """Joints behind the root that at q (nq,) leave the planes across the world's axis number ``axis``."""
+    data = model.createData()
+    pin.computeJointJacobians(model, data, q)
+    found = set()
+    for joint in range(2, model.njoints):
+        rows = slice(model.joints[joint].idx_v, model.joints[joint].idx_v + model.joints[joint].nv)
+        axes = data.J[:, rows].copy()
+        # In the plane: turning about its normal, or sliding within it.
+        turning = np.delete(axes[3:], axis, axis=0)
+        slides = axes[axis] if not axes[3:].any() else np.zeros(0)
+        if (np.abs(turning) > PARALLEL).any() or (np.abs(slides) > PARALLEL).any():
+            found.add(joint)
+    return found
+
+
+def _carried_by(model: pin.Model, frame: str) -> set[int]:
+    """Joints between the root and a frame; none for a frame that does not exist."""
+    carrier = model.frames[model.getFrameId(frame)].parentJoint if model.existFrame(frame) else 0
+    return set(model.supports[carrier])
+
+
+def sagittal(model: pin.Model) -> pin.Model:
+    """Return ``model`` with its planar root joint turned into the world's x-z plane.
+
+    The configuration of the root is (x, z, cos, sin) of the pitch, nose up; its velocity is
+    (forward, up) in the base's axes and the pitch rate. Bodies keep their pose at neutral.
+    """
+    turned = pin.Model(model)
+    inverse = SAGITTAL.inverse()
+    turned.jointPlacements[1] = turned.jointPlacements[1] * SAGITTAL
+    turned.inertias[1] = inverse.act(turned.inertias[1])
+    for joint in range(2, turned.njoints):
+        if turned.parents[joint] == 1:
+            turned.jointPlacements[joint] = inverse * turned.jointPlacements[joint]
+    for frame in turned.frames:
+        if frame.parentJoint == 1 and frame.type != pin.FrameType.JOINT:
+            frame.placement = inverse * frame.placement
+    return turned
+
+
+def locked_model(model: pin.Model, joints: Sequence[str], reference: np.ndarray) -> pin.Model:
+    """Return ``model`` with ``joints`` welded at their value in ``reference`` (nq,)."""
+    known = list(model.names)[1:]
+    for name in joints:
+        if name not in known:
+            raise InputError(f"joint '{name}' to lock is unknown", "one of " + ", ".join(known))
+    return pin.buildReducedModel(model, [model.getJointId(name) for name in joints], reference)
+
+
+def velocity_limit(model: pin.Model, base: Base) -> np.ndarray:
+    """Return the velocity limit (nv,), infinite where there is none and at the base."""
+    limit = np.where(np.abs(model.upperVelocityLimit) > UNLIMITED, np.inf, np.abs(model.upperVelocityLimit))
+    limit[: BASE_ROWS[base]] = np.inf
+    return limit
+
+
+def unactuated_rows(model: pin.Model, base: Base, passive: Sequence[str]) -> int:
+    """Return the number of rows of the base and the ``passive`` joints, which must come first in v."""
+    rows, names = BASE_ROWS[base], list(model.names)
+    leading = [joint for joint in list(model.joints)[1:] if joint.idx_v >= rows]
+    for name in passive:
+        if name not in names[1:]:
+            raise InputError(f"passive joint '{name}' is unknown", "one of " + ", ".join(names[1:]))
+    first = [names[joint.id] for joint in leading[: len(passive)]]
+    if set(first) != set(passive) or len(set(passive)) != len(passive):
+        raise InputError(
+            f"passive joints {', '.join(passive)} do not come first", f"the first are {', '.join(first)}"
+        )
+    return rows + sum(joint.nv for joint in leading[: len(passive)])
+
+
+def effort_limit(model: pin.Model, unactuated: int) -> np.ndarray | None:
+    """Return the effort limit (nu,) on the joint side, or None if no actuated row has one."""
+    effort = model.upperEffortLimit[unactuated:]
+    limit = np.where(np.abs(effort) > UNLIMITED, np.inf, np.abs(effort))
+    return limit if np.isfinite(limit).any() else None
+
+
+def reference_posture(
+    model: pin.Model,
+    base: Base,
+    frames: Sequence[str],
+    posture: ArrayLike | Mapping[str, float] | None,
+) -> np.ndarray:
+    """Return the reference configuration (nq,).
+
+    ``posture`` is a whole configuration (nq,), taken as it is; or the joints behind the base
+    (nq - base) in order or by name (joints not named stay at neutral), or None for neutral
+    within the limits. Then the base is level, at x = y = 0, as high as puts the lowest of
+    the contact ``frames`` at height 0.
+    """
+    if posture is not None and not isinstance(posture, Mapping):
+        given = np.array(posture, dtype=float)
+        joints = model.nq - BASE_COORDINATES[base]
+        if given.shape == (model.nq,):
+            return given
+        if given.shape != (joints,):
+            raise InputError(
+                f"reference has shape {given.shape}", f"({model.nq},) or, joints alone, ({joints},)"
+            )
+        q = np.concatenate([pin.neutral(model)[: BASE_COORDINATES[base]], given])
+    else:
+        q = _named_posture(model, posture or {})
+    return standing(model, base, frames, q)
+
+
+def _named_posture(model: pin.Model, values: Mapping[str, float]) -> np.ndarray:
+    q = np.clip(pin.neutral(model), *position_limits(model))
+    for name, value in values.items():
+        if not model.existJointName(name):
+            raise InputError(f"joint '{name}' of the reference is unknown", ", ".join(list(model.names)[1:]))
+        joint = model.joints[model.getJointId(name)]
+        if joint.nv != 1:
+            raise UnsupportedJointError(name, joint.shortname(), "joints of one angle or one length, by name")
+        q[joint.idx_q] = np.cos(value) if joint.nq == 2 else value
+        if joint.nq == 2:
+            q[joint.idx_q + 1] = np.sin(value)
+    return q
+
+
+def standing(model: pin.Model, base: Base, frames: Sequence[str], q: np.ndarray) -> np.ndarray:
+    """Return ``q`` with the base moved up or down until the lowest of ``frames`` is at height 0."""
+    if base == "fixed" or not frames:
+        return q
+    upright = q.copy()
+    height = BASE_POSITION[base] - 1
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, upright)
+    up = (model.jointPlacements[1].rotation.T @ np.array([0.0, 0.0, 1.0]))[height]
+    if abs(up) < 0.5:
+        return upright
+    lowest = min(data.oMf[model.getFrameId(frame)].translation[2] for frame in frames)
+    upright[height] -= lowest / up
+    return upright
+
+
+def reach(model: pin.Model) -> float:
+    """Return the longest sum of link lengths (m) from the root to any frame or centre of mass."""
+    along = np.zeros(model.njoints)
+    for joint in range(2, model.njoints):
+        step = np.linalg.norm(model.jointPlacements[joint].translation)
+        along[joint] = along[model.parents[joint]] + step
+    tips = [
+        along[frame.parentJoint] + np.linalg.norm(frame.placement.translation)
+        for frame in model.frames
+        if frame.parentJoint > 0
+    ]
+    centres = [
+        along[joint] + np.linalg.norm(model.inertias[joint].lever) for joint in range(1, model.njoints)
+    ]
+    return float(max([*tips, *centres], default=0.0))
+
+
+def kept_coordinates(model: pin.Model, locked: pin.Model) -> tuple[np.ndarray, np.ndarray]:
+    """Return the indices in q and in v of ``model`` of the joints that ``locked`` still has."""
+    kept = [model.joints[model.getJointId(name)] for name in list(locked.names)[1:]]
+    rows_q = [np.arange(joint.idx_q, joint.idx_q + joint.nq) for joint in kept]
+    rows_v = [np.arange(joint.idx_v, joint.idx_v + joint.nv) for joint in kept]
+    nothing = [np.zeros(0, dtype=int)]
+    return np.concatenate(rows_q or nothing), np.concatenate(rows_v or nothing)
+
+
+def characteristic_length(
+    model: pin.Model, base: Base, frames: Sequence[str], reference: np.ndarray
+) -> float:
+    """Return a robot's length in m: its base's height over contact ``frames``, or its reach.
+
+    See `Robot.length`; ``reference`` (nq,) is the posture in which the height counts.
+    """
+    extent = reach(model)
+    if base != "fixed" and frames:
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, reference)
+        feet = [data.oMf[model.getFrameId(frame)].translation[2] for frame in frames]
+        height = float(data.oMi[BASE_JOINT[base]].translation[2] - np.mean(feet))
+        if height > STANDING_PART * extent:
+            return height
+    return extent if extent > 0 else 1.0

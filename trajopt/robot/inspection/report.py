@@ -1,0 +1,213 @@
+"""A robot in figures: joints, limits, contacts, what standing takes, and what looks wrong."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.robot.inspection.faults import listed, lowest_drawn, shapes_of, warnings_of
+from trajopt.robot.inspection.standing import standing
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.robot import Robot
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointFacts:
+    """A joint behind the base. rad, N m and rad/s, or m, N and m/s where it is ``straight``.
+
+    reference, lower, upper: of its coordinate, NaN where it has several. torque: what the reference posture
+    takes of it at rest, NaN for a joint without actuator or with several degrees of freedom.
+    """
+
+    name: str
+    kind: str
+    straight: bool
+    reference: float
+    lower: float
+    upper: float
+    velocity: float
+    effort: float
+    torque: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactFacts:
+    """A contact. position: (3,) of its frame in the reference posture, world, m. load: N at rest."""
+
+    name: str
+    frame: str
+    kind: str
+    position: tuple[float, float, float]
+    load: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotReport:
+    """What `report` found. SI units; ``notes`` are facts worth knowing, ``warnings`` likely mistakes."""
+
+    name: str
+    base: str
+    nq: int
+    nv: int
+    nu: int
+    mass: float
+    weight: float
+    length: float
+    joints: tuple[JointFacts, ...]
+    contacts: tuple[ContactFacts, ...]
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON form."""
+        return asdict(self)
+
+    def table(self) -> str:
+        """Return the report as text."""
+        lines = [
+            f"{self.name}: {self.base} base, {self.mass:.4g} kg ({self.weight:.4g} N),"
+            f" length {self.length:.3g} m, nq {self.nq}, nv {self.nv}, {self.nu} actuated"
+        ]
+        lines += _columns(_JOINT_TITLES, [_joint_row(joint) for joint in self.joints])
+        if self.contacts:
+            lines += _columns(_CONTACT_TITLES, [_contact_row(contact) for contact in self.contacts])
+        lines += [f"  note       {text}" for text in self.notes]
+        lines += [f"  warning    {text}" for text in self.warnings]
+        return "\n".join(lines)
+
+
+_JOINT_TITLES = ("joint", "kind", "reference", "position limits", "velocity", "effort", "at rest")
+_CONTACT_TITLES = ("contact", "frame", "kind", "x", "y", "z", "load")
+
+
+def report(robot: Robot) -> RobotReport:
+    """Return figures, notes and warnings of a robot. Computed with numeric Pinocchio; nothing is solved."""
+    rest = standing(robot)
+    loads = dict(zip(rest.feet, rest.load, strict=True)) if len(rest.load) == len(rest.feet) else {}
+    places = contact_positions(robot, robot.reference)
+    return RobotReport(
+        name=robot.name,
+        base=robot.base,
+        nq=robot.nq,
+        nv=robot.nv,
+        nu=robot.nu,
+        mass=robot.mass,
+        weight=robot.weight,
+        length=robot.length,
+        joints=_joints(robot, rest.effort),
+        contacts=tuple(
+            ContactFacts(
+                name=contact.name,
+                frame=contact.frame,
+                kind=contact.kind,
+                position=tuple(places[contact.name].tolist()),
+                load=float(loads.get(contact.name, 0.0)),
+            )
+            for contact in robot.contacts
+        ),
+        notes=_notes(robot),
+        warnings=warnings_of(robot, rest),
+    )
+
+
+def _joints(robot: Robot, torque: np.ndarray) -> tuple[JointFacts, ...]:
+    found, first = [], robot.n_unactuated
+    base_rows = 0 if robot.base == "fixed" else 6 if robot.base in ("freeflyer", "virtual") else 3
+    for joint in list(robot.model.joints)[1:]:
+        if joint.idx_v < base_rows:
+            continue
+        kind = joint.shortname().removeprefix("JointModel")
+        single, actuated = joint.nv == 1, joint.idx_v >= first
+        q = robot.reference[joint.idx_q : joint.idx_q + joint.nq]
+        angle = float(q[0]) if joint.nq == 1 else float(np.arctan2(q[1], q[0])) if joint.nq == 2 else np.nan
+        bounded = joint.nq == joint.nv == 1
+        row = joint.idx_v - first
+        limited = robot.effort_limit is not None and actuated
+        found.append(
+            JointFacts(
+                name=robot.model.names[joint.id],
+                kind=kind,
+                straight=kind.startswith("P") and not kind.startswith("Planar"),
+                reference=angle if single else np.nan,
+                lower=float(robot.position_lower[joint.idx_q]) if bounded else -np.inf,
+                upper=float(robot.position_upper[joint.idx_q]) if bounded else np.inf,
+                velocity=float(robot.velocity_limit[joint.idx_v]),
+                effort=float(robot.effort_limit[row])
+                if limited and robot.effort_limit is not None
+                else np.inf,
+                torque=float(torque[row]) if actuated and single else np.nan,
+            )
+        )
+    return tuple(found)
+
+
+def _notes(robot: Robot) -> tuple[str, ...]:
+    notes = []
+    if robot.base != "fixed" and robot.contacts:
+        rest = standing(robot)
+        lifted = [contact.name for contact in robot.contacts if contact.name not in rest.feet]
+        if lifted:
+            notes.append(f"off the ground in the reference posture: {listed(lifted)}")
+        below = lowest_drawn(robot, rest)
+        if below and max(below.values()) > 1e-3:
+            depth = max(below.values())
+            notes.append(
+                f"drawn feet reach {1e3 * depth:.0f} mm below their frames: heights are those of frames"
+            )
+    for what, values in (
+        ("damping", robot.model.damping),
+        ("dry friction", robot.model.upperDryFrictionLimit),
+    ):
+        owners = [robot.model.names[j.id] for j in list(robot.model.joints)[1:] for _ in range(j.nv)]
+        names = list(dict.fromkeys(owners[row] for row in np.flatnonzero(values)))
+        if names:
+            notes.append(f"{what} of the file is not part of the dynamics: {listed(names)}")
+    if robot.visual is None:
+        notes.append("no description with meshes: a replay draws a skeleton")
+        return tuple(notes)
+    try:
+        shapes = shapes_of(robot)
+        count = 0 if shapes is None else shapes.ngeoms
+        notes.append(f"{count} shapes to draw" if count else "nothing to draw: a replay draws a skeleton")
+    except InputError as error:
+        notes.append(f"a replay draws a skeleton: {error}")
+    return tuple(notes)
+
+
+def _joint_row(joint: JointFacts) -> tuple[str, ...]:
+    length, rate, force = ("m", "m/s", "N") if joint.straight else ("rad", "rad/s", "N m")
+    limits = f"{joint.lower:.3g} to {joint.upper:.3g} {length}"
+    return (
+        joint.name,
+        joint.kind,
+        "-" if np.isnan(joint.reference) else f"{round(joint.reference, 3) + 0.0:.3f}",
+        limits if np.isfinite([joint.lower, joint.upper]).any() else "none",
+        f"{joint.velocity:.3g} {rate}" if np.isfinite(joint.velocity) else "none",
+        f"{joint.effort:.3g} {force}" if np.isfinite(joint.effort) else "none",
+        _torque(joint, force),
+    )
+
+
+def _torque(joint: JointFacts, unit: str) -> str:
+    if np.isnan(joint.torque):
+        return "-"
+    share = abs(joint.torque) / joint.effort if joint.effort else np.inf
+    part = f" ({100 * share:.0f} %)" if np.isfinite(joint.effort) and np.isfinite(share) else ""
+    return f"{round(joint.torque, 2) + 0.0:.2f} {unit}{part}"
+
+
+def _contact_row(contact: ContactFacts) -> tuple[str, ...]:
+    # Rounding of a height may be a negative zero.
+    place = (f"{round(value, 3) + 0.0:.3f}" for value in contact.position)
+    return (contact.name, contact.frame, contact.kind, *place, f"{contact.load:.1f} N")
+
+
+def _columns(titles: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
+    widths = [max(map(len, column)) for column in zip(titles, *rows, strict=True)]
+    return [
+        "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in (titles, *rows)
+    ]

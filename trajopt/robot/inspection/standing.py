@@ -1,0 +1,146 @@
+"""What a robot's reference posture takes at rest: forces at its feet, torques at its joints, balance.
+
+With g(q) = RNEA(q, 0, 0) and the rows J of the feet, static balance is g(q) = S^T tau + J^T f. Of all f that
+push (f_z >= 0) and carry the rows without actuator, those of least norm (in units of the weight and of weight
+times length) are taken; then tau = S (g(q) - J^T f).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy.linalg import block_diag
+from scipy.optimize import lsq_linear
+
+from trajopt.dynamics.model_quantities import contact_jacobian
+from trajopt.robot.contact import Contact
+from trajopt.robot.kinematics import contact_poses
+from trajopt.robot.legs import LIFTED
+from trajopt.robot.robot import Robot
+
+# Weight of the equations of balance beside the norm of the forces: residuals are then rounding to a report.
+BALANCE_WEIGHT = 1e4
+# Rows of the base that are carried to this part of the weight (and weight times length) are in balance.
+BALANCED = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standing:
+    """The reference posture at rest.
+
+    feet: contacts that stand. load: (nf,) vertical force of each in N. effort: (nu,) torques, N m or N.
+    unbalanced: what is left of the rows without actuator, in parts of the weight and of weight times length:
+    above `BALANCED` the posture falls over. centre: (2,) of mass over the ground, world, m. margin: its
+    distance inside the polygon of the feet in m, negative outside, None with fewer than three corners.
+    """
+
+    feet: tuple[str, ...]
+    load: np.ndarray
+    effort: np.ndarray
+    unbalanced: float
+    centre: np.ndarray
+    margin: float | None
+
+    @property
+    def balanced(self) -> bool:
+        """Whether feet on the ground can hold the posture."""
+        return self.unbalanced < BALANCED
+
+
+def standing_feet(robot: Robot) -> tuple[Contact, ...]:
+    """Contacts at the bottom of the reference posture: hands and knees, which are higher, are none."""
+    if robot.base == "fixed" or not robot.contacts:
+        return ()
+    poses = contact_poses(robot, robot.reference)
+    lowest = min(pose.translation[2] for pose in poses.values())
+    within = LIFTED * robot.length
+    return tuple(c for c in robot.contacts if poses[c.name].translation[2] - lowest < within)
+
+
+def standing(robot: Robot) -> Standing:
+    """Return what the reference posture takes at rest, on a level ground under the feet."""
+    feet = standing_feet(robot)
+    zero = np.zeros(robot.nv)
+    weight_force = pin.rnea(robot.model, robot.model.createData(), robot.reference, zero, zero)
+    rows = [(contact.frame, contact.rows) for contact in feet]
+    jacobian = contact_jacobian(robot.model, robot.reference, rows)
+    own = robot.n_unactuated
+    scales = np.full(own, robot.weight * robot.length)
+    scales[: 3 if own >= 6 else min(own, 2)] = robot.weight
+    pushes, pushing = _pushes(robot, feet)
+    carried = robot.weight * jacobian[:, :own].T @ pushes / scales[:, None]
+    wrench = robot.weight * pushes @ _least_forces(weight_force[:own] / scales, carried, pushing)
+    left = weight_force - jacobian.T @ wrench
+    vertical = np.array([axis == 2 for contact in feet for axis in contact.rows], dtype=bool)
+    centre = pin.centerOfMass(robot.model, robot.model.createData(), robot.reference)[:2]
+    return Standing(
+        feet=tuple(contact.name for contact in feet),
+        load=wrench[vertical],
+        effort=left[own:],
+        unbalanced=float(np.abs(left[:own] / scales).max(initial=0.0)),
+        centre=centre,
+        margin=inside(corners(robot, feet), centre),
+    )
+
+
+def _pushes(robot: Robot, feet: tuple[Contact, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Wrench rows (n, k) of the feet for unit forces that act on them, and which of these push upwards (k,).
+
+    On a point the forces along its own rows, on a sole three at each corner.
+    """
+    poses = contact_poses(robot, robot.reference)
+    blocks, pushing = [np.zeros((0, 0))], np.zeros(0, dtype=bool)
+    for contact in feet:
+        axes = list(contact.rows)
+        block, up = np.eye(len(axes)), np.array(axes) == 2
+        if contact.kind == "surface":
+            arms = _corners_of(contact) @ poses[contact.name].rotation.T
+            block = np.hstack([np.vstack([np.eye(3), pin.skew(arm)])[axes] for arm in arms])
+            up = np.tile([False, False, True], len(arms))
+        blocks.append(block)
+        pushing = np.concatenate([pushing, up])
+    return block_diag(*blocks), pushing
+
+
+def _least_forces(wanted: np.ndarray, carried: np.ndarray, pushing: np.ndarray) -> np.ndarray:
+    """Least forces f (in weights) with ``carried`` f = ``wanted`` and none ``pushing`` that pulls."""
+    count = carried.shape[1]
+    if not count:
+        return np.zeros(0)
+    system = np.vstack([BALANCE_WEIGHT * carried, np.eye(count)])
+    target = np.concatenate([BALANCE_WEIGHT * wanted, np.zeros(count)])
+    found = lsq_linear(system, target, (np.where(pushing, 0.0, -np.inf), np.inf), method="bvls")
+    return np.asarray(found.x)
+
+
+def _corners_of(contact: Contact) -> np.ndarray:
+    """Corners (4, 3) of a sole in its frame, m; the origin of a point (1, 3)."""
+    if contact.kind != "surface":
+        return np.zeros((1, 3))
+    signs = np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
+    return signs * [contact.half_length, contact.half_width, 0.0]
+
+
+def corners(robot: Robot, feet: tuple[Contact, ...]) -> np.ndarray:
+    """Points (k, 2) on which feet stand, world, m: the origins of points, the four corners of soles."""
+    poses = contact_poses(robot, robot.reference)
+    points = [poses[c.name].act(corner)[:2] for c in feet for corner in _corners_of(c)]
+    return np.array(points).reshape(-1, 2)
+
+
+def inside(points: np.ndarray, place: np.ndarray) -> float | None:
+    """Distance of ``place`` (2,) to the border of the hull of ``points`` (k, 2), m; negative outside.
+
+    Outside it is the distance to the nearest line through a side. None where there is no area.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    if len(points) < 3:
+        return None
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        return None
+    return float(-(hull.equations[:, :2] @ place + hull.equations[:, 2]).max())

@@ -1,0 +1,254 @@
+"""Numeric kinematics: where frames are, and by damped Gauss-Newton postures that bring them elsewhere."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.dynamics.model_content import frame_content
+from trajopt.errors import InputError
+from trajopt.robot.robot import Robot
+
+# A pose, or a position (3,) in m, for each frame by name.
+Targets = Mapping[str, pin.SE3 | np.ndarray]
+
+# Levenberg-Marquardt: the damping starts small against joint Jacobians of order one, shrinks on
+# success, grows on failure; an error below the tolerance is rounding to a guess.
+FIRST_DAMPING = 1e-6
+# Keeps the normal equations of a redundant arm regular, four digits above rounding.
+LEAST_DAMPING = 1e-12
+DAMPING_GROWTH = 10.0
+MOST_ITERATIONS = 60
+TOLERANCE = 1e-10
+
+
+def frame_pose(robot: Robot, q: np.ndarray, frame: str) -> pin.SE3:
+    """Pose in the world of a frame at ``q`` (nq,), m. Raises `InputError` that lists close names."""
+    frame_content(robot.model, frame)  # checks the name: Pinocchio answers an unknown one past the end
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, q)
+    return data.oMf[robot.model.getFrameId(frame)].copy()
+
+
+def contact_poses(robot: Robot, q: np.ndarray) -> dict[str, pin.SE3]:
+    """Pose of every contact's frame at ``q`` (nq,), world, m, by the contact's name."""
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, q)
+    return {c.name: data.oMf[robot.model.getFrameId(c.frame)].copy() for c in robot.contacts}
+
+
+def contact_positions(robot: Robot, q: np.ndarray) -> dict[str, np.ndarray]:
+    """Where every contact is at ``q`` (nq,): its frame's origin (3,), world, m, by the contact's name."""
+    return {name: pose.translation for name, pose in contact_poses(robot, q).items()}
+
+
+@dataclass(frozen=True)
+class Posture:
+    """Result of inverse kinematics: ``q`` (nq,) and the remaining ``error`` (norm, m and rad)."""
+
+    q: np.ndarray
+    error: float
+
+
+def inverse_kinematics(robot: Robot, q: np.ndarray, targets: Targets, *, move_base: bool = False) -> Posture:
+    """Posture near ``q`` (nq,) that brings frames to their targets, within position limits.
+
+    A target is a pose (SE3, 6 rows) or a position (3,) in the world, m. The base moves only with
+    ``move_base``. What cannot be reached is approached in the least-squares sense.
+    """
+    model, data = robot.model, robot.model.createData()
+    movable = np.arange(0 if move_base else robot.n_unactuated, robot.nv)
+    damping, error = FIRST_DAMPING, _errors(model, data, q, targets)
+    for _ in range(MOST_ITERATIONS):
+        if np.linalg.norm(error) < TOLERANCE or damping > 1 / FIRST_DAMPING:
+            break
+        whole = _jacobian(model, data, q, targets)
+        moving = movable[~_held_by_limits(robot, q, whole.T @ error)[movable]]
+        jacobian, step = whole[:, moving], np.zeros(robot.nv)
+        normal = jacobian.T @ jacobian + damping * np.eye(len(moving))
+        step[moving] = -np.linalg.solve(normal, jacobian.T @ error)
+        trial = np.clip(pin.integrate(model, q, step), robot.position_lower, robot.position_upper)
+        trial_error = _errors(model, data, trial, targets)
+        if np.linalg.norm(trial_error) < np.linalg.norm(error):
+            q, error, damping = trial, trial_error, max(damping / DAMPING_GROWTH, LEAST_DAMPING)
+        else:
+            damping *= DAMPING_GROWTH
+    return Posture(q, float(np.linalg.norm(error)))
+
+
+def _held_by_limits(robot: Robot, q: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """Which directions (nv,) descent would leave the position limits in: joints at a limit, pushed outwards.
+
+    Without them a step minimises over the others, and the search ends where no allowed direction descends
+    (projected Newton: Bertsekas, SIAM J. Control and Optimization 20, 1982).
+    """
+    held = np.zeros(robot.nv, dtype=bool)
+    for joint in robot.model.joints:
+        if joint.nq == joint.nv == 1:
+            value, slope = q[joint.idx_q], gradient[joint.idx_v]
+            low, high = robot.position_lower[joint.idx_q], robot.position_upper[joint.idx_q]
+            held[joint.idx_v] = (value <= low and slope > 0) or (value >= high and slope < 0)
+    return held
+
+
+def _errors(model: pin.Model, data: pin.Data, q: np.ndarray, targets: Targets) -> np.ndarray:
+    pin.framesForwardKinematics(model, data, q)
+    parts = []
+    for name, target in targets.items():
+        placement = data.oMf[model.getFrameId(name)]
+        if isinstance(target, pin.SE3):
+            parts.append(-pin.log6(placement.actInv(target)).vector)
+        else:
+            parts.append(placement.translation - target)
+    return np.concatenate(parts)
+
+
+def _jacobian(model: pin.Model, data: pin.Data, q: np.ndarray, targets: Targets) -> np.ndarray:
+    pin.computeJointJacobians(model, data, q)
+    pin.framesForwardKinematics(model, data, q)
+    blocks = []
+    for name, target in targets.items():
+        frame = model.getFrameId(name)
+        if isinstance(target, pin.SE3):
+            relative = target.actInv(data.oMf[frame])
+            blocks.append(pin.Jlog6(relative) @ pin.getFrameJacobian(model, data, frame, pin.LOCAL))
+        else:
+            blocks.append(pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3])
+    return np.concatenate(blocks).reshape(-1, model.nv)  # one joint alone gives vectors
+
+
+# Starts of the search for branches: the eight branches of a six-joint arm each attract some per cent of
+# them, so that missing one of this many is improbable (docs/modelling/irb1600.md counts).
+STARTS = 256
+# Postures of one branch, each refined to ``TOLERANCE``, differ by rounding over the least singular value.
+SAME_BRANCH = 1e-4
+# Representatives of the continuum of a redundant arm are this far apart, rad or m.
+SEPARATION = 1.0
+
+
+def inverse_kinematics_branches(
+    robot: Robot,
+    targets: Targets,
+    *,
+    near: np.ndarray | None = None,
+    starts: int = STARTS,
+    separation: float | None = None,
+    turns: bool = False,
+) -> tuple[Posture, ...]:
+    """All postures that bring frames to their targets within position limits, nearest to ``near`` first.
+
+    A search from ``starts`` postures of a Halton sequence over the joints, so deterministic; each is
+    refined to 1e-10 by `inverse_kinematics`, and then verified. The base stays where it is in ``near``
+    (nq,), default the reference. Branches of an arm (shoulder, elbow, wrist) come once each, in the turn
+    nearest to ``near``; with ``turns`` also in every whole turn of a joint within its limits. An arm with
+    more joints than rows has a continuum of postures: then these are representatives, ``separation``
+    apart (norm over the joints, rad and m; default 1.0). Empty where nothing within the limits reaches the
+    targets. Raises `InputError` for ``starts`` below one.
+
+    Nothing proves that all are found; more ``starts`` find what fewer may miss. At a singularity, where
+    branches meet, convergence is slow and what counts as different is a matter of ``separation``.
+    """
+    if starts < 1:
+        raise InputError(f"inverse kinematics from {starts} starts", "allowed: at least 1")
+    near = robot.reference if near is None else np.asarray(near, dtype=float)
+    data = robot.model.createData()
+    rows = len(_errors(robot.model, data, near, targets))
+    redundant = robot.nv - robot.n_unactuated > rows
+    if separation is None:
+        separation = SEPARATION if redundant else SAME_BRANCH
+    turning = _turning_joints(robot)
+    searched = robot if redundant else _without_limits(robot, turning)
+    found: list[np.ndarray] = []
+    for start in _starts(robot, near, starts):
+        posture = inverse_kinematics(searched, start, targets)
+        if posture.error > TOLERANCE:
+            continue
+        q = _in_nearest_turn(robot, posture.q, near, turning)
+        if q is not None and all(_distance(robot, q, other, turning) > separation for other in found):
+            found.append(q)
+    if turns:
+        found = [turned for q in found for turned in _all_turns(robot, q, turning)]
+    found.sort(key=lambda q: float(np.linalg.norm(pin.difference(robot.model, near, q))))
+    return tuple(Posture(q, float(np.linalg.norm(_errors(robot.model, data, q, targets)))) for q in found)
+
+
+def _turning_joints(robot: Robot) -> list[int]:
+    """Index in q of every actuated revolute joint with one coordinate: a whole turn is the same posture."""
+    return [
+        int(joint.idx_q)
+        for joint in list(robot.model.joints)[1:]
+        if joint.nq == joint.nv == 1
+        and joint.idx_v >= robot.n_unactuated
+        and joint.shortname().removeprefix("JointModel").startswith("R")
+    ]
+
+
+def _without_limits(robot: Robot, turning: list[int]) -> Robot:
+    """The robot with revolute joints free to turn: limits only choose among an isolated posture's turns."""
+    lower, upper = robot.position_lower.copy(), robot.position_upper.copy()
+    lower[turning], upper[turning] = -np.inf, np.inf
+    return replace(robot, position_lower=lower, position_upper=upper)
+
+
+def _starts(robot: Robot, near: np.ndarray, count: int) -> Iterator[np.ndarray]:
+    """``near``, then postures of a Halton sequence: limited joints over their range, others over a turn."""
+    from scipy.stats import qmc  # takes half a second to load
+
+    yield near
+    free = np.arange(robot.n_unactuated, robot.nv)
+    lower, upper = np.full(robot.nv, -math.pi), np.full(robot.nv, math.pi)
+    for joint in list(robot.model.joints)[1:]:
+        if joint.nq == joint.nv:
+            of_v, of_q = (slice(i, i + joint.nv) for i in (joint.idx_v, joint.idx_q))
+            below, above = robot.position_lower[of_q] - near[of_q], robot.position_upper[of_q] - near[of_q]
+            limited = np.isfinite(below) & np.isfinite(above)
+            lower[of_v], upper[of_v] = np.where(limited, below, -math.pi), np.where(limited, above, math.pi)
+    for point in qmc.Halton(len(free), scramble=False).random(count - 1):
+        step = np.zeros(robot.nv)
+        step[free] = lower[free] + point * (upper[free] - lower[free])
+        yield pin.integrate(robot.model, near, step)
+
+
+def _in_nearest_turn(robot: Robot, q: np.ndarray, near: np.ndarray, turning: list[int]) -> np.ndarray | None:
+    """The posture with each revolute joint in the turn nearest to ``near`` within limits, None without."""
+    best = q.copy()
+    for index in turning:
+        choices = _within(robot, q, index)
+        if len(choices) == 0:
+            return None
+        best[index] = choices[np.argmin(np.abs(choices - near[index]))]
+    inside = (best >= robot.position_lower - TOLERANCE) & (best <= robot.position_upper + TOLERANCE)
+    return best if inside.all() else None
+
+
+def _within(robot: Robot, q: np.ndarray, index: int) -> np.ndarray:
+    """Values of one revolute joint within its limits that are whole turns from its value in ``q``.
+
+    Without limits: those within one turn of it.
+    """
+    lower, upper = robot.position_lower[index], robot.position_upper[index]
+    lower = lower if np.isfinite(lower) else robot.reference[index] - math.pi
+    upper = upper if np.isfinite(upper) else robot.reference[index] + math.pi
+    first = math.ceil((lower - TOLERANCE - q[index]) / (2 * math.pi))
+    last = math.floor((upper + TOLERANCE - q[index]) / (2 * math.pi))
+    return np.asarray(q[index] + 2 * math.pi * np.arange(first, last + 1))
+
+
+def _all_turns(robot: Robot, q: np.ndarray, turning: list[int]) -> Iterator[np.ndarray]:
+    for values in itertools.product(*[_within(robot, q, index) for index in turning]):
+        turned = q.copy()
+        turned[turning] = values
+        yield turned
+
+
+def _distance(robot: Robot, q: np.ndarray, other: np.ndarray, turning: list[int]) -> float:
+    """Norm of the difference in the tangent space, whole turns of revolute joints left out."""
+    difference = pin.difference(robot.model, other, q)
+    rows = [int(joint.idx_v) for joint in list(robot.model.joints)[1:] if joint.idx_q in turning]
+    difference[rows] = np.remainder(difference[rows] + math.pi, 2 * math.pi) - math.pi
+    return float(np.linalg.norm(difference))

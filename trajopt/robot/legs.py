@@ -1,0 +1,106 @@
+"""Which foot is which, from geometry alone: names of contacts play no part.
+
+Forward is the base's x axis and left its y axis, as in all descriptions that follow REP 103.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.dynamics.base_joint import BASE_JOINT
+from trajopt.errors import InputError
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.robot import Robot
+
+# A contact this part of the robot's length above the lowest one is no foot but a hand or a knee.
+LIFTED = 0.1
+# Feet nearer to each other along an axis than this part of the robot's length are not told apart on it.
+APART = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class Legs:
+    """Names of the contacts of a quadruped's feet."""
+
+    front_left: str
+    front_right: str
+    hind_left: str
+    hind_right: str
+
+    @property
+    def by_role(self) -> Mapping[str, str]:
+        """Contact name of every role, in the order of the fields."""
+        return MappingProxyType(dict(vars(self)))
+
+    @property
+    def mirror(self) -> Mapping[str, str]:
+        """Contact on the other side of the body, for every contact."""
+        pairs = ((self.front_left, self.front_right), (self.hind_left, self.hind_right))
+        return MappingProxyType({own: other for pair in pairs for own, other in (pair, pair[::-1])})
+
+
+def feet_in_base(robot: Robot, q: np.ndarray | None = None) -> dict[str, np.ndarray]:
+    """Positions (3,) of the robot's feet in axes of its base, m, by contact name.
+
+    At ``q`` (nq,), default the reference. Feet are the contacts that stand: hands and knees, which are
+    higher by a tenth of the robot's length or more, are left out. Of a robot in a plane along the world's
+    axes. Raises `InputError` for a robot on a fixed base, or without contacts.
+    """
+    if robot.base == "fixed" or not robot.contacts:
+        raise InputError(
+            f"robot '{robot.name}' has a {robot.base} base and {len(robot.contacts)} contacts",
+            "allowed: a base that moves, on feet",
+        )
+    posture = robot.reference if q is None else np.asarray(q, dtype=float)
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, posture)
+    placements = contact_positions(robot, posture)
+    lowest = min(position[2] for position in placements.values())
+    base = data.oMi[BASE_JOINT[robot.base]].copy()
+    if robot.base == "planar":  # its joint's y axis points up, the plane is the world's x-z plane
+        base.rotation = np.eye(3)
+    return {
+        name: base.actInv(position)
+        for name, position in placements.items()
+        if position[2] - lowest < LIFTED * robot.length
+    }
+
+
+def quadruped_legs(robot: Robot) -> Legs:
+    """Which of a robot's four feet is which in its reference posture. Raises `InputError`."""
+    feet = feet_in_base(robot)
+    if len(feet) != 4:
+        raise InputError(f"robot '{robot.name}' has {len(feet)} feet", "allowed: a quadruped, 4 feet")
+    hind, front = _halves(robot, feet, 0, "in front of each other")
+    (front_right,), (front_left,) = _halves(robot, front, 1, "beside each other")
+    (hind_right,), (hind_left,) = _halves(robot, hind, 1, "beside each other")
+    return Legs(front_left=front_left, front_right=front_right, hind_left=hind_left, hind_right=hind_right)
+
+
+def biped_legs(robot: Robot) -> tuple[str, str]:
+    """Contacts of a robot's left and right foot in its reference posture. Raises `InputError`."""
+    feet = feet_in_base(robot)
+    if len(feet) != 2:
+        raise InputError(f"robot '{robot.name}' has {len(feet)} feet", "allowed: a biped, 2 feet")
+    (right,), (left,) = _halves(robot, feet, 1, "beside each other")
+    return left, right
+
+
+def _halves(
+    robot: Robot, feet: Mapping[str, np.ndarray], axis: int, how: str
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """The lower and the upper half of the feet along an axis of the base."""
+    ordered = sorted(feet, key=lambda name: float(feet[name][axis]))
+    half = len(ordered) // 2
+    gap = feet[ordered[half]][axis] - feet[ordered[half - 1]][axis]
+    if not gap > APART * robot.length:
+        raise InputError(
+            f"feet {', '.join(ordered)} of robot '{robot.name}' are not {how} in its reference posture",
+            f"allowed: more than {APART * robot.length:.3g} m apart, x forward and y to the left of the base",
+        )
+    return {name: feet[name] for name in ordered[:half]}, {name: feet[name] for name in ordered[half:]}

@@ -1,0 +1,113 @@
+"""A rigid body that a robot carries during some phases: a box in a gripper.
+
+In these phases the body is part of the link that holds it, so its inertia enters the dynamics exactly. A
+solution file has one model, the robot's own: there the body appears as the wrench that it exerts on the
+robot at the holding contact, by Newton and Euler in the axes of the contact's frame,
+
+    w = -(Y (a - g) + v x* Y v)          Y = spatial inertia of the body at the frame's origin
+
+(Featherstone, "Rigid Body Dynamics Algorithms", 2008, eq. 2.72), so that RNEA(q, v, a) - J^T w of the robot's
+own model gives the torques of the robot with its load.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.errors import InputError
+from trajopt.robot.robot import Robot
+from trajopt.terrain.surface import is_number
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Payload:
+    """A rigid body held at a contact of the robot.
+
+    contact: name of the contact that holds it; its frame gives the axes. mass: kg. centre: (3,) m, its centre
+    of mass in the frame. inertia: (3, 3) kg m^2 about its centre in the frame's axes; None for a point mass.
+    Raises `InputError`.
+    """
+
+    contact: str
+    mass: float
+    centre: np.ndarray | None = None
+    inertia: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        if not (is_number(self.mass) and self.mass >= 0):
+            raise InputError(f"mass of a payload is {self.mass!r} kg", "allowed: finite and >= 0")
+        for name, shape in (("centre", (3,)), ("inertia", (3, 3))):
+            given = getattr(self, name)
+            array = np.zeros(shape) if given is None else _array(given, shape, name)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        turning = np.array(self.inertia)
+        moments = np.linalg.eigvalsh(turning)
+        if not np.allclose(turning, turning.T) or moments[0] < 0:
+            raise InputError("inertia of a payload is no inertia", "allowed: symmetric, eigenvalues >= 0")
+        if moments[2] > moments[0] + moments[1] + 1e-12 * moments[2]:
+            raise InputError(
+                f"principal moments of a payload are {moments}", "allowed: none above the sum of the others"
+            )
+
+    @property
+    def spatial(self) -> pin.Inertia:
+        """Spatial inertia in the axes of the contact's frame, about its origin."""
+        return pin.Inertia(float(self.mass), np.array(self.centre), np.array(self.inertia))
+
+    def describe(self, robot: Robot) -> dict[str, Any]:
+        """JSON-able description for a solution file."""
+        assert self.centre is not None
+        assert self.inertia is not None
+        return {
+            "frame": robot.contact(self.contact).frame,
+            "mass": float(self.mass),
+            "centre": self.centre.tolist(),
+            "inertia": self.inertia.tolist(),
+        }
+
+
+def _array(value: Any, shape: tuple[int, ...], name: str) -> np.ndarray:
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise InputError(f"{name} of a payload is {value!r}", f"allowed: finite numbers of shape {shape}")
+    return array
+
+
+def loaded_model(model: pin.Model, frame: str, body: pin.Inertia) -> pin.Model:
+    """A copy of the model in which a body is part of the link of ``frame``, given in that frame's axes."""
+    carrying = pin.Model(model)
+    held = carrying.frames[carrying.getFrameId(frame)]
+    carrying.appendBodyToJoint(held.parentJoint, body, held.placement)
+    return carrying
+
+
+def loaded(robot: Robot, payload: Payload) -> Robot:
+    """The robot with the payload as a part of the link that holds it."""
+    frame = robot.contact(payload.contact).frame
+    return replace(robot, model=loaded_model(robot.model, frame, payload.spatial))
+
+
+def payload_wrench(
+    model: pin.Model,
+    data: pin.Data,
+    frame: str,
+    body: pin.Inertia,
+    state: tuple[np.ndarray, np.ndarray, np.ndarray],
+) -> np.ndarray:
+    """Wrench (6,) of a carried body on the robot: world axes, at the frame's origin, N and N m."""
+    index = model.getFrameId(frame)
+    pin.forwardKinematics(model, data, *state)
+    rotation = pin.updateFramePlacement(model, data, index).rotation
+    velocity = pin.getFrameVelocity(model, data, index, pin.LOCAL)
+    acceleration = pin.getFrameAcceleration(model, data, index, pin.LOCAL)
+    acceleration.linear -= rotation.T @ model.gravity.linear
+    wrench = body * acceleration + velocity.cross(body * velocity)
+    return -np.concatenate([rotation @ wrench.linear, rotation @ wrench.angular])

@@ -1,0 +1,65 @@
+"""How far apart two places on a robot can be: never more than the links between them are long."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.dynamics.model_content import frame_content, joint_kind
+
+# Joints that turn about a point of their parent: the distance from it stays what it is.
+TURNING = ("RX", "RY", "RZ", "RUBX", "RUBY", "RUBZ", "RevoluteUnaligned", "RevoluteUnboundedUnaligned",
+           "Spherical", "SphericalZYX")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Place:
+    """A point (3,) m in the axes of a joint; of joint 0 in the world's."""
+
+    joint: int
+    point: np.ndarray
+
+    @classmethod
+    def of_frame(cls, model: pin.Model, frame: str) -> Place:
+        """The origin of a frame. Raises `InputError` that lists close names."""
+        frame_content(model, frame)
+        found = model.frames[model.getFrameId(frame)]
+        return cls(int(found.parentJoint), np.array(found.placement.translation))
+
+    def root(self, model: pin.Model) -> Place:
+        """Where the first joint on the way to it hangs, in the world."""
+        way = _to_root(model, self.joint)
+        if len(way) == 1:
+            return self
+        return Place(0, np.array(model.jointPlacements[way[-2]].translation))
+
+
+def longest_between(model: pin.Model, one: Place, other: Place) -> float:
+    """Upper bound on the distance in m between two places, over all configurations; inf where there is none.
+
+    The sum of the lengths from joint to joint on the way from one to the other; joints that slide have no
+    bound, whatever their limits.
+    """
+    ancestors = set(_to_root(model, one.joint))
+    top = next(joint for joint in _to_root(model, other.joint) if joint in ancestors)
+    (first, way), (second, back) = (_climb(model, place, top) for place in (one, other))
+    return float(np.linalg.norm(first - second)) + way + back
+
+
+def _to_root(model: pin.Model, joint: int) -> list[int]:
+    path = [joint]
+    while path[-1]:
+        path.append(int(model.parents[path[-1]]))
+    return path
+
+
+def _climb(model: pin.Model, place: Place, top: int) -> tuple[np.ndarray, float]:
+    """Point of the body ``top`` at which the branch of a place hangs, and the length from there to it."""
+    joint, point, length = place.joint, place.point, 0.0
+    while joint != top:
+        turns = joint_kind(model, joint) in TURNING
+        length += float(np.linalg.norm(point)) if turns else np.inf
+        joint, point = int(model.parents[joint]), np.array(model.jointPlacements[joint].translation)
+    return point, length

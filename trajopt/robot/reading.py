@@ -1,0 +1,105 @@
+"""Description files as numeric `pin.Model`s: URDF, MJCF."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pinocchio as pin
+
+from trajopt.dynamics.base_joint import Base, base_of, require_base
+from trajopt.dynamics.virtual_base import virtual_model
+from trajopt.errors import InputError, first_line
+from trajopt.robot.building import sagittal
+
+# How urdfdom begins a line that says what is wrong.
+COMPLAINT = "Error:"
+
+
+def read_urdf(path: str | Path, base: Base) -> pin.Model:
+    """Read a URDF file with the given base; raises `InputError` if it is missing or malformed."""
+    source = existing_file(path, "URDF")
+    require_base(base)
+    require_xml(source)
+    said: list[str] = []
+    try:
+        with _stderr_kept(said):
+            if base == "fixed":
+                return pin.buildModelFromUrdf(str(source))
+            if base == "planar":
+                return sagittal(pin.buildModelFromUrdf(str(source), pin.JointModelPlanar()))
+            model = pin.buildModelFromUrdf(str(source), pin.JointModelFreeFlyer())
+        return virtual_model(model) if base == "virtual" else model
+    except (ValueError, RuntimeError) as error:
+        complaints = [line.removeprefix(COMPLAINT).strip(" .") for line in said if line.startswith(COMPLAINT)]
+        reason = "; ".join(complaints) or first_line(error)
+        raise InputError(f"{source} is not a readable URDF file: {reason}") from None
+
+
+@contextmanager
+def _stderr_kept(lines: list[str]) -> Iterator[None]:
+    """Add what libraries write to the process's stderr to ``lines``, and pass it on unless they fail."""
+    sys.stderr.flush()
+    with tempfile.TemporaryFile() as file:
+        kept = os.dup(2)
+        os.dup2(file.fileno(), 2)
+        failed = True
+        try:
+            yield
+            failed = False
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            file.seek(0)
+            text = file.read().decode(errors="replace")
+            lines += text.splitlines()
+            if not failed:
+                sys.stderr.write(text)
+
+
+def require_xml(source: Path) -> None:
+    """Raise `InputError`, with line and column, for a file that is no XML: parsers of URDF print lines."""
+    try:
+        ElementTree.parse(source)
+    except (ElementTree.ParseError, ValueError) as error:  # the second: an unknown encoding
+        raise InputError(f"{source} is not a readable URDF file: {error}") from None
+
+
+def read_mjcf(path: str | Path, base: Base | None) -> pin.Model:
+    """Read an MJCF file; ``base=None`` takes the base that the file has.
+
+    A file with a free joint of its own gives a floating base, whatever else is asked for:
+    a different ``base`` raises `InputError`. A file without one gets the base asked for.
+    """
+    source = existing_file(path, "MJCF")
+    try:
+        model = pin.buildModelFromMJCF(str(source))
+        own = base_of(model)
+        if base is None or base == own:
+            return model
+        require_base(base)
+        if (own, base) == ("freeflyer", "virtual"):
+            return virtual_model(model)
+        if own != "fixed":
+            raise InputError(
+                f"{source} has a {own} root joint of its own, base={base!r} contradicts it", f"{own!r}"
+            )
+        root = pin.JointModelPlanar() if base == "planar" else pin.JointModelFreeFlyer()
+        model = pin.buildModelFromMJCFAndRootJoint(str(source), pin.JointModel(root))
+    except (ValueError, RuntimeError) as error:
+        raise InputError(f"{source} is not a readable MJCF file: {first_line(error)}") from None
+    if base == "virtual":
+        return virtual_model(model)
+    return sagittal(model) if base == "planar" else model
+
+
+def existing_file(path: str | Path, kind: str) -> Path:
+    source = Path(path).expanduser().absolute()
+    if not source.is_file():
+        raise InputError(f"{kind} file {source} does not exist")
+    return source

@@ -1,0 +1,196 @@
+"""Minimal coordinates: a floating robot on one point contact as a robot of fixed base.
+
+"Look at these contact configurations as different fixed-base robots": while a foot stands, the robot is
+a tree that is rooted there. Its coordinates are the ankle (the orientation of the foot's link), the joints
+up to the base, and the other limbs; the contact needs neither rows nor forces. The ankle has no motor.
+
+    mode = stance_mode(robot, "foot")       mode.robot        the fixed-base robot of the stance
+    mode.lift(q, v, a, foothold)            stance    -> floating (q, v, a)
+    mode.drop(q, v, a)                      floating  -> stance (q, v, a) and foothold
+    mode.reaction(q, v, a)                  ground reaction force, from Newton's law of the whole robot
+
+All three are `casadi.Function` of SX; ``lifted``, ``dropped`` and ``ground_reaction`` take and give arrays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from trajopt.dynamics import rigid_body
+from trajopt.dynamics.base_joint import position_limits
+from trajopt.dynamics.rerooting import joint_motion, joint_slices, path_to_base, reroot
+from trajopt.errors import InputError
+from trajopt.robot.contact import Contact
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.robot import Robot
+from trajopt.robot.stance.stance_maps import drop_map, lift_map, symbols
+
+# Sines of angles between the axes of joints that move in one plane: rounding of description files.
+PARALLEL = 1e-6
+
+Triple = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StanceMode:
+    """A floating or planar robot on one point contact, in minimal coordinates.
+
+    floating: the robot of excess coordinates. contact: name of the contact it stands on.
+    robot: the fixed-base robot; its first joint ``passive`` is the ankle, at ``anchor`` (3,) m in the world.
+
+    A ``foothold`` (3,) is where the contact is in the world, m. The model is rooted at ``anchor``; another
+    foothold displaces the floating robot and changes nothing else (a planar robot is not displaced out of
+    its plane).
+    """
+
+    floating: Robot
+    contact: str
+    robot: Robot
+    anchor: np.ndarray
+
+    @property
+    def passive(self) -> str:
+        """Name of the ankle: the joint at the contact point."""
+        return self.robot.passive[0]
+
+    @cached_property
+    def lift(self) -> ca.Function:
+        """``(q, v, a, foothold) -> (q, v, a)`` of the floating robot, smooth everywhere."""
+        return lift_map(self.robot.model, self.floating, self.anchor)
+
+    @cached_property
+    def drop(self) -> ca.Function:
+        """``(q, v, a) -> (q, v, a, foothold)`` of the stance: what lift inverts if the contact stands still.
+
+        The contact point's own velocity and acceleration have no place in stance coordinates and are lost.
+        The ankle of a planar robot jumps by a turn where the base's pitch passes half a turn; rows of a
+        transition are smooth when written with ``lift``.
+        """
+        return drop_map(self.robot.model, self.floating, self.floating.contact(self.contact).frame)
+
+    @cached_property
+    def reaction(self) -> ca.Function:
+        """``(q, v, a) -> f`` (3,) N on the robot, world axes: ``f = sum_i m_i (a_i - g)``."""
+        model = self.robot.model
+        q, v, a = symbols(model)
+        _, rate = rigid_body.centroidal_momentum_rate(model)(q, v, a)
+        force = rate[:3] - self.robot.mass * ca.DM(model.gravity.linear)
+        return ca.Function("reaction", [q, v, a], [force], ["q", "v", "a"], ["f"])
+
+    @property
+    def torque_rows(self) -> np.ndarray:
+        """Rows (nu,) of the floating robot's torques in the order of the stance robot's."""
+        rows = [joint_slices(self.floating.model, name)[1] for name in list(self.robot.model.names)[2:]]
+        return np.concatenate([np.arange(r.start, r.stop) for r in rows]) - self.floating.n_unactuated
+
+    def lifted(
+        self,
+        q: ArrayLike,
+        v: ArrayLike | None = None,
+        a: ArrayLike | None = None,
+        foothold: ArrayLike | None = None,
+    ) -> Triple:
+        """Numeric `lift`; ``v`` and ``a`` default to zero, ``foothold`` to the anchor."""
+        still = np.zeros(self.robot.nv)
+        at = self.anchor if foothold is None else foothold
+        lifted = self.lift(*(still if x is None else np.asarray(x) for x in (q, v, a)), np.asarray(at))
+        return _vector(lifted[0]), _vector(lifted[1]), _vector(lifted[2])
+
+    def dropped(
+        self, q: ArrayLike, v: ArrayLike | None = None, a: ArrayLike | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Numeric `drop`; ``v`` and ``a`` default to zero."""
+        still = np.zeros(self.floating.nv)
+        dropped = self.drop(*(still if x is None else np.asarray(x) for x in (q, v, a)))
+        return _vector(dropped[0]), _vector(dropped[1]), _vector(dropped[2]), _vector(dropped[3])
+
+    def ground_reaction(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> np.ndarray:
+        """Numeric `reaction` (3,) N."""
+        return _vector(self.reaction(np.asarray(q), np.asarray(v), np.asarray(a)))
+
+
+def stance_mode(robot: Robot, contact: str, *, anchor: ArrayLike | None = None) -> StanceMode:
+    """Return the stance mode of ``robot`` on its point contact of that name.
+
+    anchor: (3,) m, where the fixed-base robot stands; default the contact's place in the reference posture.
+
+    Raises `InputError` for a base other than "freeflyer" or "planar", a sole, a contact that does not hang
+    on the base, or a planar robot whose joints from base to contact leave the plane; and
+    `UnsupportedJointError` for a joint on the way of more than one degree of freedom.
+    """
+    if robot.base not in ("freeflyer", "planar"):
+        raise InputError(f"robot '{robot.name}' has base={robot.base!r}", "'freeflyer' or 'planar'")
+    chosen = robot.contact(contact)
+    if chosen.kind != "point":
+        raise InputError(f"contact '{contact}' is a {chosen.kind}", "a point contact")
+    if robot.base == "planar":
+        _require_plane(robot, chosen)
+    here = contact_positions(robot, robot.reference)[contact]
+    place = here if anchor is None else np.array(anchor, dtype=float)
+    if place.shape != (3,) or not np.isfinite(place).all():
+        raise InputError(f"anchor of the stance on '{contact}' is {place}", "3 finite numbers, m")
+    if robot.base == "planar":  # the contact stays at its own distance from the plane
+        normal = robot.model.jointPlacements[1].rotation[:, 2]
+        place = place + normal * float(normal @ (here - place))
+    place.setflags(write=False)
+    return StanceMode(
+        floating=robot, contact=contact, robot=_stance_robot(robot, chosen, place), anchor=place
+    )
+
+
+def _require_plane(robot: Robot, contact: Contact) -> None:
+    """Refuse joints from base to contact that leave the plane: the foot must turn about a point in it."""
+    model = robot.model
+    data = model.createData()
+    pin.forwardKinematics(model, data, robot.reference)
+    normal = model.jointPlacements[1].rotation[:, 2]
+    for joint in path_to_base(model, int(model.frames[model.getFrameId(contact.frame)].parentJoint))[:-1]:
+        motion = data.oMi[joint].rotation @ joint_motion(model.joints[joint]).angular
+        slide = data.oMi[joint].rotation @ joint_motion(model.joints[joint]).linear
+        if np.linalg.norm(np.cross(motion, normal)) > PARALLEL or abs(slide @ normal) > PARALLEL:
+            raise InputError(
+                f"joint '{model.names[joint]}' leaves the plane of robot '{robot.name}'",
+                "joints in the plane between base and contact; lock it or take base='freeflyer'",
+            )
+
+
+def _stance_robot(robot: Robot, contact: Contact, anchor: np.ndarray) -> Robot:
+    joint = pin.JointModelRZ() if robot.base == "planar" else pin.JointModelSpherical()
+    axes = robot.model.jointPlacements[1].rotation if robot.base == "planar" else np.eye(3)
+    passive = f"ankle_{contact.name}"
+    model = reroot(robot.model, contact.frame, joint, passive, pin.SE3(axes, anchor))
+    names = list(model.names)[2:]
+    rows = [joint_slices(robot.model, name) for name in names]
+    rows_q = np.concatenate([np.arange(q.start, q.stop) for q, _ in rows])
+    rows_v = np.concatenate([np.arange(v.start, v.stop) for _, v in rows])
+    free_q, free_v = model.nq - len(rows_q), model.nv - len(rows_v)
+    lower, upper = position_limits(model)
+    lower[free_q:], upper[free_q:] = robot.position_lower[rows_q], robot.position_upper[rows_q]
+    actuated = rows_v[rows_v >= robot.n_unactuated] - robot.n_unactuated
+    standing = replace(
+        robot,
+        name=f"{robot.name} on {contact.name}",
+        model=model,
+        base="fixed",
+        passive=(passive, *(name for name in names if name in robot.passive)),
+        contacts=tuple(other for other in robot.contacts if other.name != contact.name),
+        reference=np.concatenate([pin.neutral(model)[:free_q], robot.reference[rows_q]]),
+        velocity_limit=np.concatenate([np.full(free_v, np.inf), robot.velocity_limit[rows_v]]),
+        position_lower=lower,
+        position_upper=upper,
+        given_length=robot.length,
+        effort_limit=None if robot.effort_limit is None else robot.effort_limit[actuated],
+        drives=None if robot.drives is None else tuple(robot.drives[int(row)] for row in actuated),
+    )
+    mode = StanceMode(floating=robot, contact=contact.name, robot=standing, anchor=anchor)
+    return replace(standing, reference=mode.dropped(robot.reference)[0])
+
+
+def _vector(value: ca.DM) -> np.ndarray:
+    return np.array(value).ravel()

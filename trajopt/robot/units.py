@@ -1,0 +1,67 @@
+"""Natural units of a robot: what scales unknowns, rows and costs."""
+
+from __future__ import annotations
+
+import copy
+import math
+
+import numpy as np
+
+from trajopt.dynamics.model_quantities import gravity_of
+from trajopt.robot.robot import Robot
+
+# A limit this many natural units away cannot bind in a motion that the robot's own weight drives:
+# 30 sqrt(g / l) is a full turn of a leg in about a fifth of its swing time, 30 m g l thirty times the
+# moment of the whole weight at the leg's length. Placeholder limits of URDF files (1000 rad/s,
+# 1000 N m) lie beyond. Rows for them are left out; ``check`` verifies the limits all the same.
+UNREACHABLE = 30.0
+
+
+class Units:
+    """Natural units from weight m g, length l and g, of ``robot`` or of the one it is a ``part`` of.
+
+    ``position``, ``velocity``, ``acceleration`` are arrays (nv,) over the local coordinates (m or rad and
+    their derivatives), ``generalized_force`` (nv,) their forces (N or N m); ``force`` in N, ``torque`` in
+    N m, ``time`` in s; ``twist``, ``contact_acceleration`` and
+    ``wrench`` (6,), linear part first.
+    """
+
+    def __init__(self, robot: Robot, part_of: Robot | None = None) -> None:
+        whole = part_of or robot
+        gravity, length = gravity_of(whole.model), whole.length
+        linear = _is_linear(robot)
+        self.length, self.gravity = length, gravity
+        self.time = math.sqrt(length / gravity)
+        self.force = whole.weight
+        self.torque = whole.weight * length
+        self.twist = np.array([length] * 3 + [1.0] * 3) / self.time
+        self.contact_acceleration = self.twist / self.time
+        self.wrench = np.array([self.force] * 3 + [self.torque] * 3)
+        self.generalized_force = np.where(linear, self.force, self.torque)
+        self.position = np.where(linear, length, 1.0)
+        self.velocity = self.position / self.time
+        self.acceleration = self.velocity / self.time
+        self.unreachable_torque = UNREACHABLE * self.torque
+        self.unreachable_velocity = UNREACHABLE / self.time
+
+    def impulsive(self) -> Units:
+        """The same units with forces and torques replaced by impulses, N s and N m s."""
+        units = copy.copy(self)
+        for name in ("force", "torque", "wrench", "generalized_force"):
+            setattr(units, name, getattr(self, name) * self.time)
+        return units
+
+
+def _is_linear(robot: Robot) -> np.ndarray:
+    """Which entries of v are linear velocities (nv,)."""
+    linear = np.zeros(robot.nv, dtype=bool)
+    for joint in list(robot.model.joints)[1:]:
+        kind = joint.shortname().removeprefix("JointModel")
+        start = joint.idx_v
+        if kind == "FreeFlyer" or kind == "Translation":
+            linear[start : start + 3] = True
+        elif kind == "Planar":
+            linear[start : start + 2] = True
+        elif kind.startswith("P"):
+            linear[start] = True
+    return linear

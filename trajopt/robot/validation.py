@@ -1,0 +1,113 @@
+"""What a robot must be: contacts that exist, limits that are not empty, a reference within them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.dynamics.model_quantities import mass_of
+from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin
+from trajopt.errors import InputError
+from trajopt.robot.contact import Contact, require_frame
+
+# A reference posture may touch its limit: rounding of degrees in description files, rad or m.
+LIMIT_SLACK = 1e-6
+# Eigenvalues of an inertia may be negative by this part of the largest: rounding of description files.
+INERTIA_SLACK = 1e-6
+# A unit quaternion or (cos, sin) pair of a reference is given with this many digits at least.
+UNIT_SLACK = 1e-6
+
+
+def require_contacts(robot: str, model: pin.Model, contacts: Sequence[Contact]) -> None:
+    """Raise `InputError` for two contacts of one name, or one at a frame that does not exist."""
+    names = [contact.name for contact in contacts]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"robot '{robot}' has two contacts named '{name}'", "different names")
+    for contact in contacts:
+        require_frame(model, contact.frame, f"contact '{contact.name}'")
+
+
+def require_inertias(robot: str, model: pin.Model) -> None:
+    """Raise `InputError` for a mass, inertia, armature or gravity no body has, or a robot without mass.
+
+    One link without mass or inertia is allowed: inverse dynamics asks for no inverse of the mass matrix.
+    """
+    for joint in range(1, model.njoints):
+        inertia, where = model.inertias[joint], f"moved by joint '{model.names[joint]}' of '{robot}'"
+        if not (np.isfinite(inertia.mass) and inertia.mass >= 0 and np.isfinite(inertia.lever).all()):
+            raise InputError(
+                f"the mass {where} is {inertia.mass:g} kg", "allowed: finite and >= 0, at a place"
+            )
+        if not np.isfinite(inertia.inertia).all():
+            raise InputError(f"the inertia of the body {where} is not finite", "allowed: finite, kg m^2")
+        principal = np.linalg.eigvalsh(inertia.inertia)
+        if principal[0] < -INERTIA_SLACK * np.abs(principal).max():
+            raise InputError(
+                f"the least principal inertia of the body {where} is {principal[0]:g} kg m^2", "allowed: >= 0"
+            )
+    if not (np.isfinite(model.armature).all() and (model.armature >= 0).all()):
+        raise InputError(f"armature of robot '{robot}' is negative or not finite", "allowed: >= 0")
+    if not np.isfinite(model.gravity.vector).all():
+        raise InputError(f"gravity of robot '{robot}' is {model.gravity.linear}", "allowed: finite, m/s^2")
+    if not mass_of(model) > 0:
+        raise InputError(
+            f"robot '{robot}' has no mass", "allowed: a link with mass (<inertial> in a URDF file)"
+        )
+
+
+def require_limits(
+    robot: str,
+    length: float | None,
+    position: tuple[np.ndarray, np.ndarray],
+    others: Mapping[str, np.ndarray | None],
+) -> None:
+    """Raise `InputError` for limits that are empty, negative or NaN, or a length that is not positive."""
+    lower, upper = position
+    if length is not None and not (np.isfinite(length) and length > 0):
+        raise InputError(f"given_length of robot '{robot}' is {length}", "> 0 m, or None")
+    if np.isnan(lower).any() or np.isnan(upper).any():
+        raise InputError(f"position limits of robot '{robot}' hold NaN", "numbers, or -inf and inf")
+    for index in np.flatnonzero(lower > upper):
+        raise InputError(
+            f"position limits of robot '{robot}' are empty at index {index}: {lower[index]} > {upper[index]}",
+            "lower <= upper",
+        )
+    for field, limit in others.items():
+        if limit is not None and not (limit >= 0).all():
+            raise InputError(f"{field} of robot '{robot}' is negative or NaN", "numbers >= 0, or inf")
+
+
+def require_reference(
+    robot: str, model: pin.Model, q: np.ndarray, position: tuple[np.ndarray, np.ndarray]
+) -> None:
+    """Raise `InputError` for a reference not finite, outside the limits, not unit, or in gimbal lock."""
+    lower, upper = position
+    if not np.isfinite(q).all():
+        raise InputError(f"reference of robot '{robot}' is not finite", "metres and radians")
+    outside = np.maximum(lower - q, q - upper)
+    for joint in list(model.joints)[1:]:
+        name, rows = model.names[joint.id], slice(joint.idx_q, joint.idx_q + joint.nq)
+        if (outside[rows] > LIMIT_SLACK).any():
+            raise InputError(
+                f"reference of robot '{robot}' is outside its limits at joint '{name}': {q[rows]}",
+                f"{lower[rows]} to {upper[rows]}",
+            )
+    require_configuration(model, q, f"reference of robot '{robot}'")
+    margin = gimbal_margin(model, q)
+    if margin is not None and margin < LEAST_MARGIN:
+        raise InputError(
+            f"reference of robot '{robot}' is in gimbal lock: margin {margin:.3f} < {LEAST_MARGIN}",
+            "another order of the virtual joints, or base='freeflyer'",
+        )
+
+
+def require_configuration(model: pin.Model, q: np.ndarray, what: str) -> None:
+    """Raise `InputError` for a configuration of wrong shape, not finite, or whose rotations are not unit."""
+    if q.shape != (model.nq,) or not np.isfinite(q).all():
+        found = "not finite" if q.shape == (model.nq,) else f"of shape {q.shape}"
+        raise InputError(f"{what} is {found}", f"allowed: ({model.nq},), finite")
+    if not pin.isNormalized(model, q, UNIT_SLACK):
+        raise InputError(f"{what} has a quaternion or (cos, sin) pair that is not unit", "allowed: norm 1")

@@ -1,0 +1,1 @@
+"""Who touches when: phases and their contacts, gaits, footholds, targets of contacts."""

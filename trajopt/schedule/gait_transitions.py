@@ -1,0 +1,121 @@
+"""Schedules that begin or end a gait: standing, some cycles, standing.
+
+A gait that starts from a stance lifts each foot when its first swing is due: until then it stands. One that
+stops leaves each foot where it lands last.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+from trajopt.errors import InputError
+from trajopt.schedule.gaits import SHORTEST, SIMULTANEOUS, Gait, Support, phases_of
+from trajopt.schedule.schedule import Phase
+
+
+@dataclass(frozen=True)
+class _Stances:
+    """Touchdown and lift-off of every stance of one foot, in periods from the first cycle's beginning."""
+
+    foot: str
+    times: tuple[tuple[float, float], ...]
+
+    def stands(self, time: float) -> bool:
+        return any(begin < time < end for begin, end in self.times)
+
+
+def transition(
+    gait: Gait,
+    period: float,
+    *,
+    cycles: int,
+    stand: float | None = None,
+    rest: float | None = None,
+    start: str | None = None,
+) -> tuple[Phase, ...]:
+    """Phases of ``cycles`` periods of ``period`` s that begin with a stance, end with one, or both.
+
+    stand: duration in s of standing on all feet before the first is lifted; None begins within the gait, at
+    a touchdown (see `Gait.supports` for ``start``). rest: the same at the end, after the last has landed;
+    None ends at the touchdown that ends a period. These phases are named "stand" and "rest", others as by
+    `Gait.phases`. Raises `InputError`.
+    """
+    if cycles != int(cycles) or cycles < 1:
+        raise InputError(f"{cycles} cycles of gait '{gait.name}'", "allowed: a whole number, 1 or more")
+    for what, time in (("stand", stand), ("rest", rest)):
+        if time is not None and not (math.isfinite(time) and time >= SHORTEST * period):
+            raise InputError(f"{what} is {time:g} s", f"allowed: at least {SHORTEST * period:g} s")
+    origin = gait.offsets[gait.first(start)]
+    stances = [_stances(gait, foot, origin, int(cycles)) for foot in gait.feet]
+    begin, end = 0.0, float(cycles)
+    if stand is not None:
+        stances, begin = _from_standing(stances)
+    if rest is not None:
+        stances, end = _to_standing(stances, float(cycles))
+    for own in stances:
+        if own.times == ((-math.inf, math.inf),) and gait.duty_of(own.foot) < 1:
+            raise InputError(
+                f"{cycles} cycles of gait '{gait.name}' never lift '{own.foot}'", "allowed: more cycles"
+            )
+    window = (
+        begin - (0.0 if stand is None else stand / period),
+        end + (0.0 if rest is None else rest / period),
+    )
+    supports = _supports(stances, window)
+    ends = [(0, "stand")] * (stand is not None) + [(len(supports) - 1, "rest")] * (rest is not None)
+    moving = supports[stand is not None : len(supports) - (rest is not None)]
+    phases = list(phases_of(moving, period, None))
+    for index, name in ends:
+        standing = phases_of([supports[index]], period, None)[0]
+        phases.insert(index, replace(standing, name=name))
+    return tuple(phases)
+
+
+def _stances(gait: Gait, foot: str, origin: float, cycles: int) -> _Stances:
+    if gait.duty_of(foot) == 1:
+        return _Stances(foot, ((-math.inf, math.inf),))
+    shift = (gait.offsets[foot] - origin + SIMULTANEOUS) % 1.0 - SIMULTANEOUS
+    touchdowns = [shift + k for k in range(-1, cycles + 1)]
+    return _Stances(foot, tuple((time, time + gait.duty_of(foot)) for time in touchdowns))
+
+
+def _from_standing(stances: list[_Stances]) -> tuple[list[_Stances], float]:
+    """Every foot stands until its first lift-off from time 0 on; the time of the first of all."""
+    found, first = [], math.inf
+    for own in stances:
+        later = [times for times in own.times if times[1] > -SIMULTANEOUS]
+        found.append(_Stances(own.foot, ((-math.inf, later[0][1]), *later[1:])))
+        first = min(first, later[0][1])
+    return found, first
+
+
+def _to_standing(stances: list[_Stances], end: float) -> tuple[list[_Stances], float]:
+    """Every foot stands from its last touchdown up to ``end`` on; the time of the last of all."""
+    found, last = [], -math.inf
+    for own in stances:
+        earlier = [times for times in own.times if times[0] < end + SIMULTANEOUS]
+        found.append(_Stances(own.foot, (*earlier[:-1], (earlier[-1][0], math.inf))))
+        last = max(last, earlier[-1][0])
+    return found, last
+
+
+def _supports(stances: list[_Stances], window: tuple[float, float]) -> list[Support]:
+    """Supports within a window of time, in periods."""
+    inside = sorted(
+        time
+        for own in stances
+        for stance in own.times
+        for time in stance
+        if window[0] + SIMULTANEOUS < time < window[1] - SIMULTANEOUS
+    )
+    merged = [window[0]]
+    for time in (*inside, window[1]):
+        if time - merged[-1] > SIMULTANEOUS:
+            merged.append(time)
+    found = []
+    for now, then in pairwise(merged):
+        feet = tuple(own.foot for own in stances if own.stands((now + then) / 2))
+        found.append(Support(now, then - now, feet))
+    return found

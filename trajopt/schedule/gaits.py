@@ -1,0 +1,243 @@
+"""Gaits: who is on the ground when, from duty factors and phase offsets, for any set of feet.
+
+A gait is periodic. A foot's *duty factor* is the part of the period in which it stands, its *offset* the
+time of its touchdown as a part of the period (Alexander, "The gaits of bipedal and quadrupedal animals",
+Int. J. Robotics Research 3, 1984; Hildebrand, "The quadrupedal gaits of vertebrates", BioScience 39, 1989).
+Events of two feet at one time are one event; between events lie the phases of a schedule.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from types import MappingProxyType
+
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.schedule.schedule import Phase
+
+# Events nearer than this part of the period are one event: rounding of sums of decimal fractions.
+SIMULTANEOUS = 1e-9
+# A support shorter than this part of the period is refused: two events are meant to be one, or a duty
+# factor is misstated. A millisecond in a tenth of a second is also less than a step of any grid.
+SHORTEST = 0.01
+# Names of supports by the number of feet on the ground.
+SUPPORTS = ("flight", "single", "double", "triple", "quadruple")
+
+
+@dataclass(frozen=True)
+class Support:
+    """A part of a gait's period with a constant set of feet on the ground; both are parts of the period."""
+
+    begin: float
+    part: float
+    feet: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gait:
+    """A periodic pattern of stances.
+
+    ``offsets``: touchdown of every foot as a part of the period, taken modulo 1. ``duty``: stance of every
+    foot as a part of the period, one number for all or one by foot; 1 never lifts the foot.
+    Raises `InputError`.
+    """
+
+    name: str
+    duty: Mapping[str, float] | float
+    offsets: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        if not self.offsets:
+            raise InputError(f"gait '{self.name}' has no feet", "allowed: an offset for each foot")
+        given = self.duty if isinstance(self.duty, Mapping) else dict.fromkeys(self.offsets, self.duty)
+        if set(given) != set(self.offsets):
+            raise InputError(
+                f"gait '{self.name}' has duty factors for {', '.join(given)}",
+                f"allowed: one number, or one for each of {', '.join(self.offsets)}",
+            )
+        duty = {name: _number(given[name], f"duty factor of '{name}'") for name in self.offsets}
+        offsets = {name: _number(value, f"offset of '{name}'") % 1.0 for name, value in self.offsets.items()}
+        for name, value in duty.items():
+            if not (SHORTEST <= value <= 1 - SHORTEST or value == 1):
+                raise InputError(
+                    f"duty factor of '{name}' is {value:g}",
+                    f"allowed: {SHORTEST:g} to {1 - SHORTEST:g}, or 1 for a foot that is never lifted",
+                )
+        if all(value == 1 for value in duty.values()):
+            raise InputError(f"gait '{self.name}' lifts no foot", "allowed: a duty factor below 1")
+        object.__setattr__(self, "duty", MappingProxyType(duty))
+        object.__setattr__(self, "offsets", MappingProxyType(offsets))
+
+    @property
+    def feet(self) -> tuple[str, ...]:
+        """Names of the feet."""
+        return tuple(self.offsets)
+
+    def duty_of(self, foot: str) -> float:
+        """Duty factor of one foot."""
+        assert isinstance(self.duty, Mapping)
+        return self.duty[foot]
+
+    def on(self, names: Mapping[str, str]) -> Gait:
+        """This gait on feet of other names: ``names`` maps each of its feet to a contact's."""
+        unknown = set(self.feet) - set(names)
+        if unknown or len({names[foot] for foot in self.feet}) < len(self.feet):
+            raise InputError(
+                f"gait '{self.name}' has feet {', '.join(self.feet)}, names are {dict(names)}",
+                "allowed: a different name for each foot",
+            )
+        return replace(
+            self,
+            duty={names[foot]: self.duty_of(foot) for foot in self.feet},
+            offsets={names[foot]: self.offsets[foot] for foot in self.feet},
+        )
+
+    def with_duty(self, duty: Mapping[str, float] | float) -> Gait:
+        """This gait with other duty factors, one for all or one by foot."""
+        return replace(self, duty=duty)
+
+    def stands(self, foot: str, fraction: float) -> bool:
+        """Whether the foot is on the ground at a part of the period; its lift-off itself is in the air."""
+        since = (fraction - self.offsets[foot] + SIMULTANEOUS) % 1.0
+        return self.duty_of(foot) == 1 or since < self.duty_of(foot)
+
+    def supports(self, start: str | None = None) -> tuple[Support, ...]:
+        """The supports of one period, from a touchdown on.
+
+        start: foot whose touchdown begins the period; default the one with the least offset of those that
+        are ever lifted. Raises `InputError` for supports that are too short, or a foot that is never lifted.
+        """
+        begin = self.offsets[self.first(start)]
+        events = self._events(begin)
+        found = []
+        for now, then in zip(events, [*events[1:], 1.0], strict=True):
+            middle = begin + (now + then) / 2
+            feet = tuple(foot for foot in self.feet if self.stands(foot, middle))
+            if then - now < SHORTEST:
+                raise InputError(
+                    f"gait '{self.name}' has a support of {then - now:.2g} of its period",
+                    f"allowed: at least {SHORTEST:g}",
+                )
+            found.append(Support(now, then - now, feet))
+        return tuple(found)
+
+    def first(self, start: str | None = None) -> str:
+        """The foot whose touchdown begins the period: ``start``, or the default of `supports`."""
+        lifted = [foot for foot in self.feet if self.duty_of(foot) < 1]
+        if start is None:
+            return min(lifted, key=lambda foot: self.offsets[foot])
+        if start not in lifted:
+            raise InputError(
+                f"gait '{self.name}' cannot begin with '{start}'", f"allowed: {', '.join(lifted)}"
+            )
+        return start
+
+    def _events(self, begin: float) -> list[float]:
+        """Times of touchdowns and lift-offs after ``begin``, parts of the period, each once, 0 the first."""
+        times = [0.0]
+        for foot in self.feet:
+            if self.duty_of(foot) < 1:
+                times += [self.offsets[foot] - begin, self.offsets[foot] + self.duty_of(foot) - begin]
+        wrapped = sorted((time + SIMULTANEOUS / 2) % 1.0 - SIMULTANEOUS / 2 for time in times)
+        return [0.0] + [b for a, b in pairwise(wrapped) if b - a > SIMULTANEOUS]
+
+    def is_symmetric(self, mirror: Mapping[str, str]) -> bool:
+        """Whether both sides do the same half a period apart; ``mirror``: each foot's other side."""
+        return all(
+            abs(self.duty_of(foot) - self.duty_of(mirror[foot])) < SIMULTANEOUS
+            and abs(math.remainder(self.offsets[foot] + 0.5 - self.offsets[mirror[foot]], 1.0)) < SIMULTANEOUS
+            for foot in self.feet
+        )
+
+    def phases(
+        self,
+        period: float,
+        *,
+        cycles: int = 1,
+        start: str | None = None,
+        duration_bounds: tuple[float, float] | None = None,
+    ) -> tuple[Phase, ...]:
+        """Phases of some periods of ``period`` s, from a touchdown on.
+
+        Names count the supports of a kind: double_1, flight_1, double_2, ... cycles: number of periods.
+        start: foot whose touchdown begins the schedule, see `supports`. duration_bounds: parts of its
+        nominal duration between which every phase's is free. Raises `InputError`.
+        """
+        if cycles != int(cycles) or cycles < 1:
+            raise InputError(f"{cycles} cycles of gait '{self.name}'", "allowed: a whole number, 1 or more")
+        return phases_of(self.supports(start) * int(cycles), period, duration_bounds)
+
+    def half_cycle(
+        self,
+        period: float,
+        mirror: Mapping[str, str],
+        *,
+        start: str | None = None,
+        duration_bounds: tuple[float, float] | None = None,
+    ) -> tuple[Phase, ...]:
+        """Phases of the first half of a period of ``period`` s; the other half is their mirror image.
+
+        mirror: the foot on the other side, for every foot. Otherwise as `phases`. Raises `InputError` for
+        a gait that is not symmetric.
+        """
+        if not set(self.feet) <= set(mirror) or not self.is_symmetric(mirror):
+            raise InputError(
+                f"gait '{self.name}' is not its own mirror image half a period later",
+                "allowed: a symmetric gait, or the full cycle",
+            )
+        supports = [support for support in self.supports(start) if support.begin < 0.5 - SIMULTANEOUS]
+        return phases_of(supports, period, duration_bounds)
+
+    def diagram(self, columns: int = 40) -> str:
+        """One row a foot over one period from time 0: # where it stands, . where it swings."""
+        width = max(len(foot) for foot in self.feet)
+        times = (np.arange(columns) + 0.5) / columns
+        rows = [
+            f"{foot:<{width}}  " + "".join("#" if self.stands(foot, t) else "." for t in times)
+            for foot in self.feet
+        ]
+        return "\n".join(rows)
+
+
+def _number(value: float, what: str) -> float:
+    if not (isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)):
+        raise InputError(f"{what} is {value!r}", "allowed: a finite number")
+    return float(value)
+
+
+def phases_of(
+    supports: Iterable[Support], period: float, bounds: tuple[float, float] | None
+) -> tuple[Phase, ...]:
+    if not (math.isfinite(period) and period > 0):
+        raise InputError(f"period of a gait is {period:g} s", "allowed: finite and > 0")
+    lower, upper = (1.0, 1.0) if bounds is None else bounds
+    if not 0 < lower <= 1 <= upper < math.inf:
+        raise InputError(
+            f"durations are free between {lower:g} and {upper:g} of the nominal ones",
+            "allowed: 0 < lower <= 1 <= upper",
+        )
+    counts: Counter[str] = Counter()
+    phases = []
+    for support in supports:
+        kind = support_name(len(support.feet))
+        counts[kind] += 1
+        duration = support.part * period
+        phases.append(
+            Phase(
+                name=f"{kind}_{counts[kind]}",
+                duration=duration,
+                contacts=support.feet,
+                duration_bounds=None if bounds is None else (lower * duration, upper * duration),
+            )
+        )
+    return tuple(phases)
+
+
+def support_name(feet: int) -> str:
+    """Word for a support on that many feet: flight, single, double, ..., support5."""
+    return SUPPORTS[feet] if feet < len(SUPPORTS) else f"support{feet}"

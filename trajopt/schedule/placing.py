@@ -1,0 +1,52 @@
+"""A schedule laid onto terrain: its footholds on the ground, or free on the faces under them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terrain.patch import Patch
+from trajopt.terrain.piecewise import PiecewiseTerrain
+from trajopt.terrain.terrain import Terrain
+
+
+def placed_on(schedule: Schedule, terrain: Terrain, *, free: bool = False) -> Schedule:
+    """The schedule with every foothold moved vertically onto the ground.
+
+    On piecewise terrain a contact also gets the patch under its foothold, and keeps the patch's margin from
+    edges; ``free`` leaves the foothold out, so that the contact may land anywhere on that face (on other
+    ground: anywhere). Contacts with a surface or patch of their own stay as they are. Raises `InputError` for
+    a foothold over a hole.
+    """
+    return Schedule(tuple(_placed(phase, terrain, free) for phase in schedule.phases))
+
+
+def _placed(phase: Phase, terrain: Terrain, free: bool) -> Phase:
+    footholds: dict[str, np.ndarray] = {}
+    patches: dict[str, Patch] = dict(phase.patches)
+    for name, point in phase.footholds.items():
+        if phase.own_surface(name) is not None:
+            footholds[name] = point
+            continue
+        place = _onto(terrain, point, f"foothold of '{name}' in phase '{phase.name}'")
+        if isinstance(terrain, PiecewiseTerrain):
+            face = terrain.face_at(float(point[0]), float(point[1]))
+            assert face is not None  # else `_onto` has raised
+            patches[name], place = face, face.nearest(place)
+        if not free:
+            footholds[name] = place
+    return replace(phase, footholds=footholds, patches=patches)
+
+
+def _onto(terrain: Terrain, point: np.ndarray, what: str) -> np.ndarray:
+    if isinstance(terrain, PiecewiseTerrain) and terrain.face_at(float(point[0]), float(point[1])) is None:
+        raise InputError(
+            f"{what} is over a hole at {np.round(point[:2], 6).tolist()} m",
+            f"allowed: over one of the faces {', '.join(terrain.names)}",
+        )
+    plane = terrain.surface_at(point).plane_at(point)
+    upward = np.array([0.0, 0.0, float(plane.distance(point)) / float(plane.normal[2])])
+    return np.asarray(point - upward)

@@ -1,0 +1,275 @@
+"""Contact-mode schedules: who is in contact, and for how long."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from types import MappingProxyType
+
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.terrain.patch import Patch
+from trajopt.terrain.surface import SAME_PLANE, Surface
+from trajopt.terrain.terrain import Ground, Terrain
+
+# A configuration (nq,) at a time in s: a guess, a reference.
+Motion = Callable[[float], np.ndarray]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Phase:
+    """A stretch of motion with a constant set of active contacts.
+
+    ``duration`` in s; ``contacts`` are names of the robot's contacts; ``footholds`` optionally gives
+    the world position (3,) in m at which a contact that begins with this phase must land (without
+    it the contact only has to touch the terrain). ``duration_bounds`` (lower, upper) in s makes the
+    duration free; ``duration`` is then its guess. ``impact``: contacts that begin with the phase land
+    by a rigid impact, in which velocities jump, instead of at zero velocity. ``surfaces`` are what active
+    contacts touch instead of the problem's terrain: a wall, a step, a handrail. ``patches`` are bounded
+    faces: a contact that begins with the phase lands anywhere on its patch, and stays there while it holds.
+    """
+
+    name: str
+    duration: float
+    contacts: tuple[str, ...] = ()
+    footholds: Mapping[str, np.ndarray] = field(default_factory=dict)
+    duration_bounds: tuple[float, float] | None = None
+    impact: bool = False
+    surfaces: Mapping[str, Surface] = field(default_factory=dict)
+    patches: Mapping[str, Patch] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.duration) and self.duration > 0):
+            raise InputError(
+                f"duration of phase '{self.name}' is {self.duration:g} s", "allowed: finite and > 0"
+            )
+        if not isinstance(self.impact, bool):
+            raise InputError(f"impact of phase '{self.name}' is {self.impact!r}", "allowed: True or False")
+        if self.duration_bounds is not None:
+            self._require_bounds(self.duration_bounds)
+        if len(set(self.contacts)) != len(self.contacts):
+            raise InputError(
+                f"phase '{self.name}' names a contact twice: {', '.join(self.contacts)}",
+                "allowed: each contact once",
+            )
+        self._require_active("foothold", self.footholds)
+        self._require_active("surface", self.surfaces)
+        self._require_active("patch", self.patches)
+        self._require_kinds()
+        points = {name: np.array(point, dtype=float) for name, point in self.footholds.items()}
+        for name, point in points.items():
+            if point.shape != (3,) or not np.all(np.isfinite(point)):
+                raise InputError(
+                    f"foothold of '{name}' in phase '{self.name}' is {point}", "allowed: 3 finite numbers, m"
+                )
+            point.setflags(write=False)
+            self._require_on_surface(name, point)
+            self._require_on_patch(name, point)
+        object.__setattr__(self, "contacts", tuple(self.contacts))
+        object.__setattr__(self, "footholds", MappingProxyType(points))
+        object.__setattr__(self, "surfaces", MappingProxyType(dict(self.surfaces)))
+        object.__setattr__(self, "patches", MappingProxyType(dict(self.patches)))
+
+    def _require_active(self, what: str, given: Mapping[str, object]) -> None:
+        unknown = set(given) - set(self.contacts)
+        if unknown:
+            raise InputError(
+                f"phase '{self.name}' has a {what} for {', '.join(sorted(unknown))}",
+                "allowed: contacts that are active in the phase",
+            )
+
+    def _require_on_surface(self, name: str, foothold: np.ndarray) -> None:
+        surface = self.surfaces.get(name)
+        if surface is not None and abs(float(surface.distance(foothold))) > SAME_PLANE:
+            raise InputError(
+                f"foothold of '{name}' in phase '{self.name}' lies {surface.distance(foothold):g} m off its"
+                " surface",
+                f"allowed: within {SAME_PLANE:g} m",
+            )
+
+    def _require_kinds(self) -> None:
+        for name, surface in self.surfaces.items():
+            if not isinstance(surface, Surface):
+                raise InputError(
+                    f"surface of '{name}' in phase '{self.name}' is {surface!r}", "allowed: a Surface"
+                )
+        for name, patch in self.patches.items():
+            if not isinstance(patch, Patch):
+                raise InputError(f"patch of '{name}' in phase '{self.name}' is {patch!r}", "allowed: a Patch")
+            if name in self.surfaces:
+                raise InputError(
+                    f"'{name}' has a surface and a patch in phase '{self.name}'", "allowed: one of them"
+                )
+
+    def _require_on_patch(self, name: str, foothold: np.ndarray) -> None:
+        patch = self.patches.get(name)
+        if patch is None:
+            return
+        off, inside = abs(float(patch.surface.distance(foothold))), float(patch.inside(foothold))
+        if off > SAME_PLANE or inside < patch.margin - SAME_PLANE:
+            raise InputError(
+                f"foothold of '{name}' in phase '{self.name}' is {off:g} m off the plane of patch"
+                f" '{patch.name}' and {inside:g} m inside its edges",
+                f"allowed: on the plane, at least the margin {patch.margin:g} m inside",
+            )
+
+    def own_surface(self, contact: str) -> Surface | None:
+        """The surface or the patch's surface that this phase names for a contact; None if it names none."""
+        if contact in self.patches:
+            return self.patches[contact].surface
+        return self.surfaces.get(contact)
+
+    def surface(self, contact: str, terrain: Terrain) -> Ground:
+        """What an active contact touches by what this phase alone says of it, else the terrain.
+
+        In order: its surface or its patch's, the terrain at its foothold, the terrain. See `Schedule.surface`
+        for contacts that hold since an earlier phase.
+        """
+        own = self.own_surface(contact)
+        if own is not None:
+            return own
+        return terrain.surface_at(self.footholds[contact]) if contact in self.footholds else terrain.surface
+
+    def _require_bounds(self, bounds: tuple[float, float]) -> None:
+        try:
+            lower, upper = (float(bound) for bound in bounds)
+        except (TypeError, ValueError):
+            lower = upper = math.nan
+        if not 0 < lower <= self.duration <= upper < math.inf:
+            raise InputError(
+                f"duration_bounds of phase '{self.name}' are {bounds} s",
+                f"allowed: (lower, upper), finite, 0 < lower <= duration = {self.duration:g} <= upper",
+            )
+        object.__setattr__(self, "duration_bounds", (lower, upper))
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Phases in time order."""
+
+    phases: tuple[Phase, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "phases", tuple(self.phases))
+        if not self.phases:
+            raise InputError("the schedule has no phase", "allowed: at least one phase")
+        for index, phase in enumerate(self.phases):
+            if phase.impact and index == 0:
+                raise InputError(
+                    f"the first phase '{phase.name}' begins with an impact",
+                    "allowed: impact=True where a contact begins after another phase",
+                )
+            if phase.impact and not self.new_contacts(index):
+                raise InputError(
+                    f"phase '{phase.name}' begins with an impact, but no contact begins with it",
+                    "allowed: impact=True where a contact begins",
+                )
+
+    @property
+    def duration(self) -> float:
+        """Total nominal duration in s."""
+        return sum(phase.duration for phase in self.phases)
+
+    @property
+    def duration_range(self) -> tuple[float, float]:
+        """Shortest and longest total duration in s that the phases allow."""
+        bounds = [phase.duration_bounds or (phase.duration, phase.duration) for phase in self.phases]
+        return sum(low for low, _ in bounds), sum(high for _, high in bounds)
+
+    @property
+    def clocks(self) -> tuple[int | None, ...]:
+        """Number of the clock of every phase: free durations are counted, the others have None."""
+        free = [phase.duration_bounds is not None for phase in self.phases]
+        return tuple(sum(free[:i]) if own else None for i, own in enumerate(free))
+
+    def surface(
+        self,
+        index: int,
+        contact: str,
+        terrain: Terrain,
+        starts: Mapping[str, np.ndarray] = MappingProxyType({}),
+    ) -> Ground:
+        """What an active contact of phase ``index`` touches: what the phase names, or what it landed on.
+
+        A patch, or the terrain under a foothold, holds as long as the contact does. ``starts`` (3,) m are
+        where contacts stand at the start, by name: ground for those that have neither.
+        """
+        own = self.phases[index].own_surface(contact)
+        if own is not None:
+            return own
+        patch = self.patch(index, contact)
+        if patch is not None:
+            return patch.surface
+        begins = self.beginning(contact, index)
+        foothold = self.phases[begins].footholds.get(contact, None if begins else starts.get(contact))
+        return terrain.surface if foothold is None else terrain.surface_at(foothold)
+
+    def patch(self, index: int, contact: str) -> Patch | None:
+        """The patch on which an active contact of phase ``index`` stands, None where none was named."""
+        for phase in reversed(self.phases[self.beginning(contact, index) : index + 1]):
+            if phase.own_surface(contact) is not None:
+                return phase.patches.get(contact)
+        return None
+
+    def require_steady_surfaces(
+        self, terrain: Terrain, starts: Mapping[str, np.ndarray] = MappingProxyType({})
+    ) -> None:
+        """Raise InputError if a contact stays active from one phase to the next but on another plane."""
+        for index, (before, after) in enumerate(pairwise(self.phases)):
+            for name in set(before.contacts) & set(after.contacts):
+                surfaces = [self.surface(i, name, terrain, starts) for i in (index, index + 1)]
+                if not surfaces[0].same_plane(surfaces[1]):
+                    raise InputError(
+                        f"'{name}' is in contact in phases '{before.name}' and '{after.name}' on two planes",
+                        "allowed: the same plane, or a phase between them without the contact",
+                    )
+                if not _same_patch(self.patch(index, name), after.patches.get(name)):
+                    raise InputError(
+                        f"'{name}' is in contact in phases '{before.name}' and '{after.name}' on two patches",
+                        "allowed: the patch on which it landed, or none named again",
+                    )
+
+    def new_contacts(self, index: int) -> tuple[str, ...]:
+        """Contacts that begin with phase ``index``; those of the first phase hold already."""
+        if index == 0:
+            return ()
+        before = self.phases[index - 1].contacts
+        return tuple(name for name in self.phases[index].contacts if name not in before)
+
+    def beginning(self, contact: str, index: int) -> int:
+        """Phase with which an active contact of phase ``index`` began; 0 if it holds from the start."""
+        while index and contact in self.phases[index - 1].contacts:
+            index -= 1
+        return index
+
+    def kept_contacts(self, index: int) -> tuple[str, ...]:
+        """Contacts of phase ``index`` that held before it."""
+        return tuple(name for name in self.phases[index].contacts if name not in self.new_contacts(index))
+
+    def intervals(self, total: int) -> tuple[int, ...]:
+        """Share ``total`` intervals among the phases by duration, at least one each.
+
+        Raises InputError when there are fewer intervals than phases.
+        """
+        if total < len(self.phases):
+            raise InputError(
+                f"{total} intervals for {len(self.phases)} phases", f"allowed: at least {len(self.phases)}"
+            )
+        ideal = np.array([phase.duration for phase in self.phases]) / self.duration * total
+        counts = np.maximum(1, np.floor(ideal).astype(int))
+        while counts.sum() < total:
+            counts[np.argmax(ideal / counts)] += 1
+        while counts.sum() > total:
+            spare = np.where(counts > 1, counts / ideal, -np.inf)
+            counts[np.argmax(spare)] -= 1
+        return tuple(int(count) for count in counts)
+
+
+def _same_patch(before: Patch | None, named: Patch | None) -> bool:
+    """Whether a patch named again is the one before; naming none is always right."""
+    if named is None or named is before:
+        return True
+    return before is not None and before.describe() == named.describe()

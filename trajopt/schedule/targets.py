@@ -1,0 +1,83 @@
+"""Targets: what a problem asks of places and postures at moments, told in a solution's meta.
+
+Terms say which they hold by `Term.targets`; footholds of the schedule are targets too. `meta["goals"]` is a
+list of {frame, position, rotation, q, phase}, each null where nothing is asked.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from trajopt.errors import InputError, SolutionFileError
+
+if TYPE_CHECKING:
+    pass
+
+KEYS = ("frame", "position", "rotation", "q", "phase")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Target:
+    """Where a frame or the whole robot has to be at one moment.
+
+    frame: of the model, with ``position`` (3,) m and ``rotation`` (3, 3) in the world, either or both; or
+    without a frame ``q`` (nq,), a configuration. phase: its name, where it begins; None: the end of the
+    schedule. Raises `InputError` for shapes that are not these.
+    """
+
+    frame: str | None = None
+    position: np.ndarray | None = None
+    rotation: np.ndarray | None = None
+    q: np.ndarray | None = None
+    phase: str | None = None
+
+    def __post_init__(self) -> None:
+        for name, shape in (("position", (3,)), ("rotation", (3, 3)), ("q", None)):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            array = _numbers(value)
+            if not np.isfinite(array).all() or array.ndim == 0 or (shape and array.shape != shape):
+                raise InputError(
+                    f"{name} of a target is {value!r}", f"allowed: finite, of shape {shape or '(nq,)'}"
+                )
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        if (self.frame is None) != (self.position is None and self.rotation is None):
+            raise InputError("a target has a frame without a place, or a place without a frame", "both")
+        if self.frame is None and self.q is None:
+            raise InputError("a target asks for nothing", "a frame's place, or a configuration q")
+
+    def describe(self) -> dict[str, Any]:
+        """JSON-able description for a solution file."""
+        entries = {name: getattr(self, name) for name in KEYS}
+        return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in entries.items()}
+
+    @classmethod
+    def from_description(cls, described: Any) -> Target:
+        """The target that ``describe`` wrote. Raises `InputError`."""
+        if not isinstance(described, dict) or set(described) != set(KEYS):
+            raise InputError(f"a target is described by {described!r}", f"allowed: {', '.join(KEYS)}")
+        return cls(**described)
+
+
+def _numbers(value: Any) -> np.ndarray:
+    try:
+        return np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        return np.array(np.nan)
+
+
+def targets_of(described: Any) -> list[Target]:
+    """Read ``meta["goals"]``; none where there is no such key. Raises `SolutionFileError`."""
+    if described is None:
+        return []
+    if not isinstance(described, list):
+        raise SolutionFileError("goals of meta is not null or a list of targets")
+    try:
+        return [Target.from_description(entry) for entry in described]
+    except InputError as error:
+        raise SolutionFileError(f"goals of meta: {error.what}", error.allowed) from None

@@ -1,0 +1,1 @@
+"""The motion that was found, and its file."""

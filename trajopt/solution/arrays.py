@@ -1,0 +1,76 @@
+"""The arrays of a solution: their names and types, ranges of equal indices, the text of the model."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.errors import InputError
+
+# Field -> dtype of every array that has one row a sample.
+SAMPLED: dict[str, type] = {
+    "t": float,
+    "phase": int,
+    "interval": int,
+    "collocation": bool,
+    "q": float,
+    "v": float,
+    "a": float,
+    "tau": float,
+    "f": float,
+    "active": bool,
+}
+OTHERS: dict[str, type] = {
+    "interval_t": float,
+    "impulse": float,
+    "impact_index": int,
+    "row_multiplier": float,
+    "row_place": int,
+    "bound_multiplier": float,
+}
+# What a solution may lack.
+OPTIONAL = ("impulse", "impact_index", "row_multiplier", "row_place", "bound_multiplier")
+
+
+def read_only(given: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Return copies of a solution's arrays that cannot be written, of their types; without those it may lack.
+
+    Raises `InputError` for what is no array of its type, or has not one row a sample where it must.
+    """
+    found: dict[str, np.ndarray] = {}
+    for name, dtype in {**SAMPLED, **OTHERS}.items():
+        if given.get(name) is None and name in OPTIONAL:
+            continue
+        try:
+            found[name] = np.array(given.get(name), dtype=dtype)
+        except (TypeError, ValueError):
+            raise InputError(f"'{name}' of the solution is not an array of {dtype.__name__}") from None
+        found[name].setflags(write=False)
+    samples = found["t"].shape
+    for name in SAMPLED:
+        shape = found[name].shape
+        if len(samples) != 1 or shape[:1] != samples:
+            raise InputError(
+                f"'{name}' of the solution has shape {shape}", f"first dimension as t: {samples}"
+            )
+    return found
+
+
+def runs(index: np.ndarray) -> tuple[range, ...]:
+    """Ranges of equal consecutive values."""
+    edges = [0, *(np.flatnonzero(np.diff(index)) + 1).tolist(), len(index)]
+    return tuple(range(start, stop) for start, stop in itertools.pairwise(edges) if stop > start)
+
+
+def model_from_text(text: str) -> pin.Model:
+    """Return the model of a ``pin.Model.saveToString()``; raises `InputError` if the text is damaged."""
+    model = pin.Model()
+    try:
+        model.loadFromString(text)
+    except (RuntimeError, ValueError, MemoryError):
+        raise InputError("the model in the solution is damaged or of another Pinocchio version") from None
+    return model

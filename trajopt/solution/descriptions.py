@@ -1,0 +1,109 @@
+"""What the meta of a solution describes: surfaces, patches, terrain, and the scene of collisions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.errors import InputError, SolutionFileError
+from trajopt.robot.collision.near import CollisionScene
+from trajopt.robot.collision.shapes import LinkCapsule, obstacle_from_description
+from trajopt.terrain.patch import Patch
+from trajopt.terrain.piecewise import PiecewiseTerrain
+from trajopt.terrain.smooth import SmoothTerrain
+from trajopt.terrain.surface import UP, Surface
+
+Read = Surface | PiecewiseTerrain | SmoothTerrain
+
+
+def surfaces_of(described: Any) -> list[dict[str, Surface]]:
+    """Read ``meta["surfaces"]``: for each phase the surfaces of active contacts, by their frames.
+
+    Empty where all contacts touch the terrain. Raises `SolutionFileError`.
+    """
+    if described is None:
+        return []
+    if not isinstance(described, list) or not all(isinstance(phase, dict) for phase in described):
+        raise SolutionFileError("surfaces of meta is not null or a list of {contact frame: surface}")
+    try:
+        return [
+            {str(frame): Surface.from_description(entry) for frame, entry in phase.items()}
+            for phase in described
+        ]
+    except InputError as error:
+        raise SolutionFileError(f"surfaces of meta: {error.what}", error.allowed) from None
+
+
+def patches_of(described: Any) -> list[dict[str, Patch]]:
+    """Read ``meta["patches"]``: for each phase the patches on which active contacts stand, by their frames.
+
+    Empty where there are none. Raises `SolutionFileError`.
+    """
+    if described is None:
+        return []
+    if not isinstance(described, list) or not all(isinstance(phase, dict) for phase in described):
+        raise SolutionFileError("patches of meta is not null or a list of {contact frame: patch}")
+    try:
+        return [
+            {str(frame): Patch.from_description(entry) for frame, entry in phase.items()}
+            for phase in described
+        ]
+    except InputError as error:
+        raise SolutionFileError(f"patches of meta: {error.what}", error.allowed) from None
+
+
+def terrain_of(described: Any) -> Read | None:
+    """Read ``meta["terrain"]``; None where there is none. Raises `SolutionFileError` for another kind."""
+    kind = described.get("kind") if isinstance(described, dict) else described
+    if kind not in ("piecewise", "smooth"):
+        return terrain_surface(described)
+    try:
+        return (PiecewiseTerrain if kind == "piecewise" else SmoothTerrain).from_description(described)
+    except InputError as error:
+        raise SolutionFileError(f"terrain in meta: {error.what}", error.allowed) from None
+
+
+def terrain_surface(terrain: Any) -> Surface | None:
+    """Read flat ground of ``meta["terrain"]``, None where there is none. Raises `SolutionFileError`."""
+    if terrain is None:
+        return None
+    if not isinstance(terrain, dict) or terrain.get("kind") != "flat":
+        kind = terrain.get("kind") if isinstance(terrain, dict) else terrain
+        raise SolutionFileError(
+            f"terrain of kind {kind!r} in meta is not known",
+            "'flat', 'piecewise', 'smooth' or null",
+        )
+    try:
+        height = float(terrain.get("height", 0.0))
+        return Surface(point=np.array([0.0, 0.0, height]), normal=terrain.get("normal", UP))
+    except (TypeError, ValueError):
+        raise SolutionFileError("terrain in meta has no numeric 'height' and 'normal'") from None
+    except InputError:
+        raise SolutionFileError("terrain in meta has no finite 'height' and 'normal' (3,)") from None
+
+
+def scene_of_meta(model: pin.Model, described: Any) -> CollisionScene | None:
+    """Read ``meta["collision"]``; None where there is none. Raises `SolutionFileError`."""
+    if described is None:
+        return None
+    try:
+        return _scene(model, described)
+    except InputError as error:
+        raise SolutionFileError(f"collision of meta: {error.what}", error.allowed) from None
+
+
+def _scene(model: pin.Model, described: Any) -> CollisionScene:
+    keys = ("capsules", "obstacles", "self_pairs")
+    if not isinstance(described, dict) or not all(isinstance(described.get(key), list) for key in keys):
+        raise InputError("it is no object of lists", f"keys: {', '.join(keys)}")
+    pairs = described["self_pairs"]
+    if not all(isinstance(pair, list) and len(pair) == 2 for pair in pairs):
+        raise InputError("self_pairs are no pairs", "allowed: [capsule, capsule] by name")
+    return CollisionScene(
+        model=model,
+        capsules=tuple(LinkCapsule.from_description(entry) for entry in described["capsules"]),
+        obstacles=tuple(obstacle_from_description(entry) for entry in described["obstacles"]),
+        self_pairs=tuple((str(first), str(second)) for first, second in pairs),
+    )

@@ -1,0 +1,142 @@
+"""The solution file of version 1: an ``.npz`` without pickles, written at once, read with suspicion."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajopt.errors import InputError, SolutionFileError
+from trajopt.solution.arrays import OTHERS, SAMPLED, read_only
+from trajopt.solution.consistency import inconsistency
+
+FORMAT = "trajopt-solution"
+VERSION = 1
+
+
+def write(
+    path: str | Path, meta: Mapping[str, Any], model_text: str, arrays: Mapping[str, np.ndarray]
+) -> Path:
+    """Write a solution to a temporary file beside ``path`` and rename it; see `Solution.save`."""
+    target = Path(path).expanduser()
+    text = consistent_meta(meta, model_text, arrays)
+    try:
+        _replace(target, {"meta": np.array(text), "model": np.array(model_text), **arrays})
+    except OSError as error:
+        raise InputError(
+            f"cannot write {target}: {error.strerror or error}", "a file in an existing folder"
+        ) from None
+    return target
+
+
+def consistent_meta(meta: Mapping[str, Any], model_text: str, arrays: Mapping[str, np.ndarray]) -> str:
+    """Return meta as JSON; raises `InputError` if it is none or the solution is inconsistent."""
+    try:
+        text = json.dumps(_jsonable({**meta, "format": FORMAT, "version": VERSION}), allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"meta of the solution cannot be written as JSON: {error}") from None
+    problem = inconsistency(arrays, model_text, json.loads(text))
+    if problem:
+        raise InputError(f"the solution is inconsistent: {problem}")
+    return text
+
+
+def _replace(target: Path, arrays: dict[str, np.ndarray]) -> None:
+    if target.is_dir():
+        raise IsADirectoryError(0, "it is a folder")
+    if target.exists() and not target.is_file():
+        raise OSError(0, "it is no regular file")
+    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **arrays)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(name, 0o666 & ~_umask())
+        os.replace(name, target)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _jsonable(value: Any) -> Any:
+    """Plain Python for JSON: arrays become lists, infinite limits null."""
+    if isinstance(value, dict):
+        return {str(key): _jsonable(entry) for key, entry in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_jsonable(entry) for entry in value]
+    return None if isinstance(value, float) and math.isinf(value) else value
+
+
+def read(path: str | Path) -> tuple[dict[str, Any], str, dict[str, np.ndarray]]:
+    """Read meta, the model's text and arrays; raises `SolutionFileError`, one line; see `Solution.load`."""
+    source = Path(path).expanduser()
+    arrays = _arrays(source)
+    meta = _meta(source, arrays)
+    missing = [name for name in (*SAMPLED, "interval_t", "model") if name not in arrays]
+    if missing:
+        raise SolutionFileError(f"{source}: missing key {', '.join(repr(name) for name in missing)}")
+    for name, kind in {**SAMPLED, **OTHERS}.items():
+        allowed = {float: "fiu", int: "iu", bool: "b"}[kind]
+        if name in arrays and arrays[name].dtype.kind not in allowed:
+            raise SolutionFileError(f"{source}: '{name}' is of type {arrays[name].dtype}", kind.__name__)
+    if arrays["model"].dtype.kind != "U" or arrays["model"].ndim != 0:
+        raise SolutionFileError(f"{source}: 'model' is not a text")
+    text = str(arrays["model"])
+    try:
+        values = read_only(arrays)
+        problem = inconsistency(values, text, meta)
+    except InputError as error:
+        problem = str(error)
+    if problem:
+        raise SolutionFileError(f"{source}: {problem}")
+    return meta, text, values
+
+
+def _arrays(source: Path) -> dict[str, np.ndarray]:
+    if not source.is_file():
+        raise SolutionFileError(
+            f"{source} does not exist" if not source.exists() else f"{source} is not a file"
+        )
+    try:
+        with source.open("rb") as file:
+            if file.read(4) != b"PK\x03\x04":
+                raise SolutionFileError(f"{source} is not a {FORMAT} file", "an .npz archive")
+        with np.load(source, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except (zipfile.BadZipFile, zlib.error, EOFError, KeyError):
+        raise SolutionFileError(f"{source} is truncated or damaged") from None
+    except (ValueError, NotImplementedError, RuntimeError) as error:
+        raise SolutionFileError(f"{source} cannot be read: {str(error).splitlines()[0]}") from None
+    except OSError as error:
+        raise SolutionFileError(f"{source} cannot be read: {error.strerror or error}") from None
+
+
+def _meta(source: Path, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+    if "meta" not in arrays or arrays["meta"].dtype.kind != "U" or arrays["meta"].ndim != 0:
+        raise SolutionFileError(f"{source} is not a {FORMAT} file: it has no text 'meta'")
+    try:
+        meta = json.loads(str(arrays["meta"]))
+    except json.JSONDecodeError as error:
+        raise SolutionFileError(f"{source}: 'meta' is not JSON: {error.msg}") from None
+    if not isinstance(meta, dict) or meta.get("format") != FORMAT:
+        raise SolutionFileError(f"{source} is not a {FORMAT} file")
+    if meta.get("version") != VERSION or isinstance(meta.get("version"), bool):
+        raise SolutionFileError(f"{source} is of version {meta.get('version')!r}", f"version {VERSION}")
+    return meta

@@ -1,0 +1,52 @@
+"""The mesh on which a solution was made, its schemes, and values between collocation points."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.solution.solution import Solution
+from trajopt.transcription.mesh import Mesh, PhaseMesh
+from trajopt.transcription.schemes import Scheme
+
+# Widths that a file's times tell are equal up to the rounding of the times.
+SAME_WIDTH = 1e-9
+
+
+def mesh_of(solution: Solution) -> Mesh:
+    """The mesh on which a solution was made; raises InputError where its meta names no scheme that is known.
+
+    Files without it have one scheme, and tell the widths by their times.
+    """
+    described = solution.meta.get("mesh")
+    if described is not None:
+        try:
+            return Mesh(phases=tuple(PhaseMesh.from_description(phase) for phase in described))
+        except (TypeError, KeyError, AttributeError):
+            raise InputError("mesh of the solution's meta is damaged") from None
+    name = solution.meta["transcription"]
+    widths = [_widths(solution, rows) for rows in solution.phases]
+    return Mesh(phases=tuple(PhaseMesh(scheme=name, widths=phase) for phase in widths))
+
+
+def interval_schemes(solution: Solution) -> tuple[Scheme, ...]:
+    """Scheme of every interval of a solution."""
+    return tuple(phase.method for phase in mesh_of(solution).phases for _ in phase.widths)
+
+
+def interpolated(solution: Solution, values: np.ndarray) -> np.ndarray:
+    """Values (K, ...) at collocation points with the interpolants' values at the ends of every interval."""
+    found = values.copy()
+    for rows, method in zip(solution.intervals, interval_schemes(solution), strict=True):
+        inner = [k for k in rows if solution.collocation[k]]
+        ends = method.interpolation(np.array([0.0, 1.0]))
+        found[[rows[0], rows[-1]]] = np.tensordot(ends, values[inner], axes=1)
+    return found
+
+
+def _widths(solution: Solution, rows: range) -> tuple[float, ...]:
+    first, last = solution.interval[rows.start], solution.interval[rows.stop - 1]
+    steps = np.diff(solution.interval_t[first : last + 1], axis=1)[:, 0]
+    if np.ptp(steps) <= SAME_WIDTH * steps.sum():
+        return (1.0 / len(steps),) * len(steps)
+    return tuple((steps / steps.sum()).tolist())

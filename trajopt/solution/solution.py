@@ -1,0 +1,145 @@
+"""A solution: the planned motion, sampled, with all that is needed to check and replay it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from trajopt.solution import file
+from trajopt.solution.arrays import OTHERS, SAMPLED, model_from_text, read_only, runs
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Solution:
+    """Samples of a motion, grouped by interval in time order: start node, collocation points, end node.
+
+    A node shared by two intervals appears twice (limit from the left and from the right). ``a``,
+    ``tau`` and ``f`` at a sample that is no collocation point are values of the interval's
+    interpolating polynomials through its collocation points. SI units; arrays are copied and
+    read-only. K samples, I intervals, nc contacts, J impacts.
+
+    meta: JSON-able facts: names, limits, terrain, solver, versions (see `trajopt.solution.file`).
+    model_text: ``pin.Model.saveToString()`` of the model that was optimised.
+    t: (K,) s. phase, interval: (K,) index. interval_t: (I, 2) start and end.
+    collocation: (K,) the rows of the dynamics hold here.
+    q, v, a: (K, nq), (K, nv), (K, nv) in Pinocchio's convention.
+    tau: (K, nu) torques of the actuated rows, which come last in v.
+    f: (K, nc, 6) force N and moment N m of the surroundings on the robot, world-aligned axes at
+        the contact frame's origin; zero when inactive, but for the wrench of a payload that it carries.
+    active: (K, nc) the contact is active.
+    impulse, impact_index: (J, nc, 6) N s and N m s, (J,) sample just after; None without impacts.
+    row_multiplier, row_place, bound_multiplier: multipliers of the NLP's rows (R,), for each row its block
+        (a name in ``row_names`` of meta), stage and point (R, 3), and multipliers of the bounds of unknowns
+        (X,), in the solver's scaled units; a warm start uses them. None where there are none.
+
+    Raises `InputError` for an array that is not of these numbers or dimensions. The full test
+    of consistency is `consistency.inconsistency`, made when a file is written and read.
+    """
+
+    meta: dict[str, Any]
+    model_text: str = field(repr=False)
+    t: np.ndarray
+    phase: np.ndarray
+    interval: np.ndarray
+    collocation: np.ndarray
+    interval_t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    tau: np.ndarray
+    f: np.ndarray
+    active: np.ndarray
+    impulse: np.ndarray | None = None
+    impact_index: np.ndarray | None = None
+    row_multiplier: np.ndarray | None = None
+    row_place: np.ndarray | None = None
+    bound_multiplier: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        given = {name: getattr(self, name) for name in (*SAMPLED, *OTHERS)}
+        for name, array in read_only(given).items():
+            object.__setattr__(self, name, array)
+
+    @cached_property
+    def model(self) -> pin.Model:
+        """The model that was optimised; raises `InputError` if its text is damaged."""
+        return model_from_text(self.model_text)
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All arrays by name, without those that the solution lacks."""
+        named = {name: getattr(self, name) for name in (*SAMPLED, *OTHERS)}
+        return {name: array for name, array in named.items() if array is not None}
+
+    @property
+    def contact_frames(self) -> tuple[str, ...]:
+        """Frame of each contact, in the order of ``f`` and ``active``."""
+        return tuple(self.meta["contact_frames"])
+
+    @property
+    def success(self) -> bool:
+        """The solver met its tolerance."""
+        return bool(self.meta["success"])
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples K."""
+        return len(self.t)
+
+    @property
+    def n_intervals(self) -> int:
+        """Number of intervals I."""
+        return len(self.interval_t)
+
+    @property
+    def n_unactuated(self) -> int:
+        """Number of base rows, which come first in v and have no torque."""
+        return self.v.shape[1] - self.tau.shape[1]
+
+    @cached_property
+    def intervals(self) -> tuple[range, ...]:
+        """Samples of each interval."""
+        return runs(self.interval)
+
+    @cached_property
+    def phases(self) -> tuple[range, ...]:
+        """Samples of each phase."""
+        return runs(self.phase)
+
+    def interpolate(self, t: ArrayLike) -> np.ndarray:
+        """Return the configuration at time ``t`` (s), for display: geodesics between samples.
+
+        A scalar gives (nq,), an array (n,) gives (n, nq). Times outside the motion give its ends;
+        at a node shared by two intervals the later one counts.
+        """
+        times = np.asarray(t, dtype=float)
+        last = np.clip(np.searchsorted(self.t, times.ravel(), side="right") - 1, 0, self.n_samples - 2)
+        rows = [self._between(int(index), time) for index, time in zip(last, times.ravel(), strict=True)]
+        return np.array(rows).reshape(*times.shape, self.q.shape[1])
+
+    def _between(self, index: int, time: float) -> np.ndarray:
+        span = self.t[index + 1] - self.t[index]
+        fraction = np.clip((time - self.t[index]) / span, 0.0, 1.0) if span > 0 else 1.0
+        configuration: np.ndarray = pin.interpolate(
+            self.model, self.q[index], self.q[index + 1], float(fraction)
+        )
+        return configuration
+
+    def save(self, path: str | Path) -> Path:
+        """Write the file (version 1) at once or not at all; return its path.
+
+        Raises `InputError` if the place cannot be written or the solution is inconsistent.
+        """
+        return file.write(path, self.meta, self.model_text, self.arrays)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Solution:
+        """Read a file; raises `SolutionFileError`, one line, if anything about it is wrong."""
+        meta, model_text, arrays = file.read(path)
+        return cls(meta=meta, model_text=model_text, **arrays)

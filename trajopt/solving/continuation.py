@@ -1,0 +1,176 @@
+"""A sequence of problems over a parameter, each started from the last solution (Allgower and Georg, 1990)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
+from trajopt.solution.solution import Solution
+from trajopt.solving.ladder import INTERRUPTED, OWN_GUESS, figures, total
+from trajopt.solving.solving import solve
+
+MAX_HALVINGS = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """One solve: at ``value``, started from the solution at ``origin`` (None: from the problem's own guess).
+
+    ``asked``: the value is one of the sequence, not one put between two. ``cold``: the same problem from its
+    own guess, where that is compared.
+    """
+
+    value: float
+    solution: Solution
+    origin: float | None
+    asked: bool
+    cold: Solution | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The step's figures."""
+        cold = None if self.cold is None else figures(self.cold)
+        own = {"value": self.value, "origin": self.origin, "asked": self.asked}
+        return {**own, **figures(self.solution), "cold": cold}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Continuation:
+    """All solves in the order they were made, those that failed too; ``values`` were asked for."""
+
+    values: tuple[float, ...]
+    steps: tuple[Step, ...]
+
+    @property
+    def solutions(self) -> dict[float, Solution]:
+        """Solution of every value of the sequence that was solved."""
+        return {step.value: step.solution for step in self.steps if step.asked and step.solution.success}
+
+    @property
+    def success(self) -> bool:
+        """Every value of the sequence was solved."""
+        return len(self.solutions) == len(set(self.values))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Steps, their totals (all that was done), and the totals from own guesses where compared."""
+        cold = [step.cold for step in self.steps if step.cold is not None]
+        found: dict[str, Any] = {
+            "values": list(self.values),
+            "success": self.success,
+            "steps": [step.to_dict() for step in self.steps],
+            "total": total([step.solution for step in self.steps]),
+            "cold": total(cold) if cold else None,
+        }
+        if cold:
+            found["cold_solved"] = sum(solution.success for solution in cold)
+            found["saved"] = {key: found["cold"][key] - value for key, value in found["total"].items()}
+        return found
+
+
+def continuation(
+    load: Callable[[float], Problem],
+    values: Sequence[float],
+    *,
+    start: Solution | str | Path | None = None,
+    compare: bool = False,
+    max_halvings: int = MAX_HALVINGS,
+    on_step: Callable[[Step], None] | None = None,
+    **settings: Any,
+) -> Continuation:
+    """Solve ``load(value)`` for every value in turn, each from the last solution.
+
+    start: a solution, or its file, for the first value; without it the first problem's own guess.
+    compare: solve every value from its own guess, too, for the time saved.
+    max_halvings: where a value is not solved, the step from the last solved one is halved up to so many
+    times; then the value's own guess is tried. on_step: called after every solve. ``settings`` are those of
+    `trajopt.solve`; limits of time and iterations are for each solve.
+
+    Functions are compiled once where a parameter changes numbers alone. Raises InputError as ``load`` and
+    `trajopt.solve` do.
+    """
+    asked = _numbers(values)
+    if not isinstance(max_halvings, int) or isinstance(max_halvings, bool) or max_halvings < 0:
+        raise InputError(f"max_halvings is {max_halvings!r}", "allowed: a whole number of at least 0")
+    walk = _Walk(load, settings, on_step, start)
+    for value in asked:
+        if not walk.to(value, max_halvings, compare):
+            break
+    return Continuation(values=asked, steps=tuple(walk.steps))
+
+
+def _numbers(values: Sequence[float]) -> tuple[float, ...]:
+    try:
+        asked = tuple(float(value) for value in values)
+    except (TypeError, ValueError):
+        asked = ()
+    if not asked or not all(math.isfinite(value) for value in asked):
+        raise InputError(f"values of a continuation are {values!r}", "allowed: at least one finite number")
+    return asked
+
+
+class _Walk:
+    """The steps made so far, and the last solution with its value (None: of no value in the sequence)."""
+
+    def __init__(
+        self,
+        load: Callable[[float], Problem],
+        settings: dict[str, Any],
+        on_step: Callable[[Step], None] | None,
+        start: Solution | str | Path | None,
+    ) -> None:
+        self.load, self.settings, self.on_step = load, settings, on_step
+        self.start = start
+        self.origin: float | None = None
+        self.steps: list[Step] = []
+
+    def to(self, value: float, halvings: int, compare: bool) -> bool:
+        """Go on to ``value``, with steps between where needed; False when the user stops it."""
+        targets = [value]
+        while targets:
+            step = self.solve(targets[-1], asked=len(targets) == 1)
+            if step.solution.success:
+                targets.pop()
+            elif _stopped(step.solution):
+                return False
+            elif self.origin is None or not halvings:
+                break
+            else:
+                halvings -= 1
+                targets.append((self.origin + targets[-1]) / 2)
+        if targets and self.start is not None and _stopped(self.solve(value, own_guess=True).solution):
+            return False
+        return not (compare and _stopped(self.compare(value)))
+
+    def solve(self, value: float, *, asked: bool = True, own_guess: bool = False) -> Step:
+        """One solve, from the last solution or from the problem's own guess."""
+        start = None if own_guess else self.start
+        solution = solve(self.load(value), start=start, label=f"value {value:g}", **self.settings)
+        origin = None if start is None else self.origin
+        step = Step(value=value, solution=solution, origin=origin, asked=asked)
+        self.steps.append(step)
+        if solution.success:
+            self.start, self.origin = solution, value
+        if self.on_step is not None:
+            self.on_step(step)
+        return step
+
+    def compare(self, value: float) -> Solution:
+        """Solve from the problem's own guess, unless the last step at ``value`` did, and note it there."""
+        index = max(i for i, step in enumerate(self.steps) if step.asked and step.value == value)
+        last = self.steps[index]
+        own = not last.solution.meta["warm_start"]
+        cold = (
+            last.solution
+            if own
+            else solve(self.load(value), label=f"value {value:g} {OWN_GUESS}", **self.settings)
+        )
+        self.steps[index] = replace(last, cold=cold)
+        return cold
+
+
+def _stopped(solution: Solution) -> bool:
+    return bool(solution.meta["status"] == INTERRUPTED)

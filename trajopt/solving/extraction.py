@@ -1,0 +1,302 @@
+"""From solved unknowns to a Solution: samples of motion, torques and contact wrenches."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.dynamics.model_quantities import generalized_force
+from trajopt.problem.goals import goals_meta
+from trajopt.problem.problem import Problem
+from trajopt.robot.contact import Contact
+from trajopt.robot.payload import payload_wrench
+from trajopt.solution.solution import Solution
+from trajopt.terms.clearance import collision_meta
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.surface import Surface
+from trajopt.transcription.layout import Layout
+from trajopt.transcription.timeline import NodeForm, StageKind
+from trajopt.transcription.transcription import Transcription
+from trajopt.versions import VERSIONED, installed_version
+
+
+@dataclass(frozen=True)
+class _Interval:
+    """Motion of the whole robot at an interval's start, points and end; ``f`` (s, nc, 6) at the points."""
+
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    f: np.ndarray
+    tau: np.ndarray
+
+
+def extract(transcription: Transcription, x: np.ndarray, meta: dict[str, Any]) -> Solution:
+    """Solution of scaled unknowns ``x``; ``meta`` adds what the solver knows to what the problem says.
+
+    Rotations are normalised: they leave the manifold only by what the solver's tolerance leaves in the
+    defects, which ``rotation_norm_error`` in meta keeps on record.
+    """
+    layout, problem = transcription.layout, transcription.problem
+    unknowns = x * transcription.scale
+    clocks = layout.clocks(unknowns)
+    steps = layout.steps * clocks[layout.phase_of]
+    times = layout.times(unknowns)
+    columns: dict[str, list[np.ndarray]] = {name: [] for name in ("t", "q", "v", "a", "tau", "f")}
+    for k in layout.interval_stages:
+        interval = _interval(
+            problem, layout, unknowns, int(k), float(steps[k]), float(clocks[layout.phase_of[k]])
+        )
+        scheme = layout.scheme_of(int(layout.phase_of[k]))
+        ends = scheme.interpolation(np.array([0.0, 1.0]))
+        inner = times[k] + scheme.c * steps[k]
+        columns["t"].append(np.concatenate([[times[k]], inner, [times[k + 1]]]))
+        for name in ("q", "v", "a"):
+            columns[name].append(getattr(interval, name))
+        for name in ("tau", "f"):
+            points = getattr(interval, name)
+            outer = np.tensordot(ends, points, axes=1)
+            columns[name].append(np.concatenate([outer[:1], points, outer[1:]]))
+    raw = np.concatenate(columns.pop("q"))
+    q = np.array([pin.normalize(layout.robot.model, row) for row in raw])
+    error = float(np.abs(q - raw).max())
+    return Solution(
+        meta={
+            **_problem_meta(transcription),
+            "durations": [float(steps[layout.intervals_of(i)].sum()) for i in range(len(clocks))],
+            "rotation_norm_error": error if math.isfinite(error) else None,
+            **meta,
+        },
+        q=q,
+        model_text=transcription.problem.robot.limited_model().saveToString(),
+        interval_t=np.column_stack([times[layout.interval_stages], times[layout.interval_stages + 1]]),
+        **{name: np.concatenate(parts) for name, parts in columns.items()},
+        **_labels(layout),
+        **_impacts(layout, unknowns),
+    )
+
+
+def _impacts(layout: Layout, unknowns: np.ndarray) -> dict[str, np.ndarray]:
+    """Impulses of every impact, and the sample just after it."""
+    stages = layout.transitions_of(StageKind.IMPACT)
+    if not stages:
+        return {}
+    impulse = [
+        _wrenches(
+            layout,
+            layout.touching[layout.stages[k].phase],
+            unknowns[layout.window(k)][layout.local_impulse(k)],
+        )
+        for k in stages
+    ]
+    before = [layout.interval_stages[layout.interval_stages < k] for k in stages]
+    first = [int(_widths(layout, intervals).sum()) for intervals in before]
+    return {"impulse": np.array(impulse), "impact_index": np.array(first)}
+
+
+def _labels(layout: Layout) -> dict[str, np.ndarray]:
+    """Phase, interval, collocation and active of every sample."""
+    widths = _widths(layout, layout.interval_stages)
+    inner = np.ones(widths.sum(), dtype=bool)
+    ends = np.cumsum(widths)
+    inner[[*(ends - widths), *(ends - 1)]] = False
+    every = [contact.name for contact in layout.robot.contacts]
+    phases = layout.schedule.phases
+    active = np.array([[name in phase.contacts for name in every] for phase in phases], dtype=bool)
+    phase = np.repeat(layout.phase_of[layout.interval_stages], widths)
+    return {
+        "phase": phase,
+        "interval": np.repeat(np.arange(layout.n_intervals), widths),
+        "collocation": inner,
+        "active": active.reshape(len(phases), len(every))[phase],
+    }
+
+
+def _widths(layout: Layout, stages: np.ndarray) -> np.ndarray:
+    """Number of samples of each of these intervals: its points and its two nodes."""
+    return np.array([layout.scheme_of(int(layout.phase_of[k])).s + 2 for k in stages], dtype=int)
+
+
+def _interval(
+    problem: Problem, layout: Layout, unknowns: np.ndarray, k: int, h: float, clock: float
+) -> _Interval:
+    """Motion from the collocation map, torques from numeric Pinocchio; ``h`` in s, ``clock`` over nominal."""
+    phase, form = int(layout.phase_of[k]), layout.forms[k]
+    method = layout.scheme_of(phase)
+    window, nv = unknowns[layout.window(k)], form.coordinates.nv
+    y = np.array([window[layout.local_derivative(phase, i)] for i in range(method.s)])
+    nodes = [
+        form.state(unknowns[layout.node(k)])[0],
+        layout.forms[k + 1].state(unknowns[layout.node(k + 1)])[0],
+    ]
+    start, rates = np.zeros(nv), nodes[0][-nv:]
+    start[form.coordinates.additive_index] = nodes[0][form.additive]
+    rotations = nodes[0][form.rotations]
+    if layout.order == 2:
+        highest = y / clock**2
+        xi = start + h * np.outer(method.c, rates) + h * h * method.A2 @ highest
+        q, v, a = _in_pinocchio(form, rotations, xi, rates + h * method.A1 @ highest, highest)
+        moved = form.coordinates.node_to_pinocchio(np.array(nodes))
+        ends = np.tensordot(method.interpolation(np.array([0.0, 1.0])), a, axes=1)
+        edge = (*moved, ends)
+    else:
+        fractions = np.concatenate([[0.0], method.c, [1.0]])
+        weights = np.vstack([np.zeros(method.s), method.A1, method.b1])
+        first = method.interpolation(fractions) @ y / clock
+        second = method.interpolation_rate(fractions) @ y / (clock * h)
+        every = _in_pinocchio(form, rotations, start + h * weights @ y / clock, first, second)
+        q, v, a = (part[1:-1] for part in every)
+        edge = (form.coordinates.node_to_pinocchio(np.array(nodes))[0], every[1][[0, -1]], every[2][[0, -1]])
+    f = np.array(
+        [
+            _wrenches(layout, layout.contacts[phase], window[layout.local_wrench(phase, i)])
+            for i in range(method.s)
+        ]
+    )
+    full = [np.concatenate([e[:1], p, e[1:]]) for p, e in zip((q, v, a), edge, strict=True)]
+    mode = layout.modes.get(layout.schedule.phases[phase].name)
+    if mode is not None:
+        still = np.zeros_like(full[1])
+        reaction = mode.lifted(full[0], still, still)[3] if layout.order == 1 else mode.lifted(*full)[3]
+        full = list(mode.lifted(*full)[:3])
+        names = [contact.name for contact in layout.robot.contacts]
+        f[:, names.index(mode.embedded.name), :3] = reaction[1:-1] - f[:, :, :3].sum(axis=1)
+    points = [part[1:-1] for part in full]
+    _add_payload(problem, layout.schedule.phases[phase].name, points, f)
+    tau = _torques(layout, points, f)
+    return _Interval(full[0], full[1], full[2], f, tau)
+
+
+def _add_payload(problem: Problem, phase: str, motion: list[np.ndarray], f: np.ndarray) -> None:
+    """Add the wrench of what is carried in a phase to the wrenches (s, nc, 6) at its points."""
+    payload = problem.payloads.get(phase)
+    if payload is None:
+        return
+    model, data = problem.robot.model, problem.robot.model.createData()
+    contact = problem.robot.contact(payload.contact)
+    index = problem.robot.contacts.index(contact)
+    for row, state in enumerate(zip(*motion, strict=True)):
+        f[row, index] += payload_wrench(model, data, contact.frame, payload.spatial, state)
+
+
+def _in_pinocchio(
+    form: NodeForm, rotations: np.ndarray, xi: np.ndarray, dxi: np.ndarray, ddxi: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return form.coordinates.local_to_pinocchio(np.tile(rotations, (len(xi), 1)), xi, dxi, ddxi)
+
+
+def _torques(layout: Layout, motion: list[np.ndarray], f: np.ndarray) -> np.ndarray:
+    """Actuated rows of RNEA(q, v, a) - J^T f at every point."""
+    model, data = layout.robot.model, layout.robot.model.createData()
+    frames = [model.getFrameId(contact.frame) for contact in layout.robot.contacts]
+    forces = [
+        generalized_force(model, data, (q, v, a), frames, wrench)
+        for q, v, a, wrench in zip(*motion, f, strict=True)
+    ]
+    return np.array(forces)[:, layout.robot.n_unactuated :]
+
+
+def _wrenches(layout: Layout, contacts: tuple[Contact, ...], w: np.ndarray) -> np.ndarray:
+    """Wrench of every contact of the robot (nc, 6), zero where inactive."""
+    names = [contact.name for contact in layout.robot.contacts]
+    f, start = np.zeros((len(names), 6)), 0
+    for contact in contacts:
+        f[names.index(contact.name), list(contact.rows)] = w[start : start + contact.dimension]
+        start += contact.dimension
+    return f
+
+
+def _problem_meta(transcription: Transcription) -> dict[str, Any]:
+    problem = transcription.problem
+    return {
+        "problem": problem.name,
+        "parameters": dict(problem.parameters),
+        "actuation": problem.actuation,
+        "redundant_contact_rows": dict(transcription.redundant),
+        "terrain": problem.terrain.describe(),
+        "transcription": transcription.layout.mesh.transcription,
+        "intervals": list(transcription.layout.intervals),
+        "mesh": transcription.layout.mesh.describe(),
+        "phase_names": [phase.name for phase in problem.schedule.phases],
+        "versions": {name: installed_version(name) for name in VERSIONED},
+        **robot_meta(problem),
+    }
+
+
+def robot_meta(problem: Problem) -> dict[str, Any]:
+    """What a solution's meta says of the problem's robot: contacts and what they touch, limits, drives."""
+    robot = problem.robot
+    limits = {"effort_limit": robot.effort_limit, "velocity_limit": robot.velocity_limit}
+    for term in problem.point_constraints:
+        limits |= term.limits(robot)
+    limits["effort_limit"] = robot.actuated_row_limit(limits["effort_limit"])
+    meta: dict[str, Any] = {
+        "robot": robot.name,
+        "contact_frames": [contact.frame for contact in robot.contacts],
+        "contact_kinds": [contact.kind for contact in robot.contacts],
+        "contact_sizes": [
+            [c.half_length, c.half_width] if c.kind == "surface" else None for c in robot.contacts
+        ],
+        "friction": [problem.terrain.friction for _ in robot.contacts],
+        "surfaces": _surfaces(problem),
+        "patches": _patches(problem),
+        "goals": goals_meta(problem),
+        "gravity": robot.model.gravity.linear.tolist(),
+        **{name: _as_numbers(limit) for name, limit in limits.items()},
+    }
+    if problem.payloads:
+        meta["payloads"] = _payloads(problem)
+    if problem.periodicity is not None:
+        meta["periodicity"] = problem.periodicity.describe(problem.robot, problem.initial_q[:3])
+    if robot.drives is not None:
+        meta["drives"] = [None if drive is None else drive.to_meta() for drive in robot.drives]
+    if robot.visual is not None:
+        meta["visual"] = robot.visual.to_meta()
+    return meta | collision_meta(problem.terms)
+
+
+def _payloads(problem: Problem) -> list[dict[str, Any]]:
+    """What is carried, and the indices of the phases in which it is."""
+    names = [phase.name for phase in problem.schedule.phases]
+    return [
+        {**payload.describe(problem.robot), "phases": [names.index(name)]}
+        for name, payload in problem.payloads.items()
+    ]
+
+
+def _surfaces(problem: Problem) -> list[dict[str, Any]] | None:
+    """For each phase what contacts touch instead of flat terrain, by their frames; None if nothing else.
+
+    Of piecewise terrain the planes of the faces they stand on; curved ground follows from the terrain.
+    """
+    flat, robot, schedule = isinstance(problem.terrain, FlatGround), problem.robot, problem.schedule
+    phases = [
+        {
+            robot.contact(name).frame: ground.describe()
+            for name, ground in problem.surfaces_of(i).items()
+            if isinstance(ground, Surface)
+            and not (flat and phase.own_surface(name) is None and schedule.patch(i, name) is None)
+        }
+        for i, phase in enumerate(schedule.phases)
+    ]
+    return phases if any(phases) else None
+
+
+def _patches(problem: Problem) -> list[dict[str, Any]] | None:
+    """For each phase the patches on which active contacts stand, by their frames; None if there are none."""
+    found = []
+    for i, phase in enumerate(problem.schedule.phases):
+        patches = {name: problem.schedule.patch(i, name) for name in phase.contacts}
+        named = {name: patch for name, patch in patches.items() if patch is not None}
+        found.append({problem.robot.contact(n).frame: patch.describe() for n, patch in named.items()})
+    return found if any(found) else None
+
+
+def _as_numbers(limit: np.ndarray | None) -> list[float] | None:
+    """A limit for JSON, which has no infinity: unlimited is the largest number, as in Pinocchio's models."""
+    return None if limit is None else np.minimum(limit, sys.float_info.max).tolist()

@@ -1,0 +1,134 @@
+"""What a watch is given: one iterate of a solve, whose motion costs nothing until it is asked for."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.solution.solution import Solution
+from trajopt.solving.extraction import extract
+from trajopt.transcription.layout import Layout
+from trajopt.transcription.transcription import Transcription
+
+Stage = Literal["guess", "iteration", "end"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Iterate:
+    """One iterate of a solve.
+
+    stage: ``guess`` before the solver starts, ``iteration``, or ``end`` where it has returned.
+    figures: iteration, objective (in the problem's weights), primal and dual infeasibility (scaled), barrier,
+    step, regularization, line_search (trials), restoration; none of a guess, the first four of an end.
+    label: which of several solves this is, or empty. status: how it ended, in words, or empty.
+    """
+
+    stage: Stage
+    transcription: Transcription
+    read: Callable[[], np.ndarray] = field(repr=False)
+    figures: Mapping[str, float] = field(default_factory=dict)
+    solver: str = ""
+    label: str = ""
+    status: str = ""
+
+    @cached_property
+    def unknowns(self) -> np.ndarray | None:
+        """Scaled unknowns (n,), None where the solver cannot tell them.
+
+        First read while the watch is called; a copy is kept for later. Raises RuntimeError when it is first
+        read afterwards: the solver has gone on.
+        """
+        found = np.array(self.read(), dtype=float)
+        return found if found.size == self.transcription.layout.n_unknowns else None
+
+    @property
+    def grid(self) -> str:
+        """Scheme and intervals in words."""
+        layout = self.transcription.layout
+        return f"{layout.mesh.transcription}, {layout.n_intervals} intervals"
+
+    def solution(self) -> Solution:
+        """The iterate as a solution: motion, torques, wrenches; some 40 ms of numeric Pinocchio on a jump.
+
+        Raises as ``unknowns``, and RuntimeError where the solver cannot tell them.
+        """
+        if self.unknowns is None:
+            raise RuntimeError(f"{self.solver} cannot tell the unknowns of this iteration")
+        meta = {"solver": self.solver, "status": self.status or self.stage, "success": False, **self.figures}
+        return extract(self.transcription, self.unknowns, meta)
+
+    def configurations(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Times (n,) in s, configurations (n, nq) and phases (n,) at the nodes that are finite.
+
+        The cheap part of `solution`. A node between two phases is the later one's.
+        """
+        if self.unknowns is None:
+            model = self.transcription.layout.robot.model
+            return np.zeros(0), np.zeros((0, model.nq)), np.zeros(0, dtype=int)
+        return configurations(self.transcription, self.unknowns)
+
+
+# Called with the guess, every iterate, and the end of a solve.
+Watch = Callable[[Iterate], None]
+
+
+def combined(*watches: Watch | None) -> Watch:
+    """One watch that calls several, each guarded: one that fails is left out, with one warning.
+
+    What a watch does must not end a solve; an interrupt from the keyboard goes through.
+    """
+    left = [watch for watch in watches if watch is not None]
+
+    def call(iterate: Iterate) -> None:
+        for watch in tuple(left):
+            try:
+                watch(iterate)
+            except Exception as error:
+                left.remove(watch)
+                text = " ".join(f"{type(error).__name__}: {error}".split())
+                warnings.warn(f"watching has stopped, solving goes on: {text}", stacklevel=2)
+
+    return call
+
+
+def configurations(transcription: Transcription, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times (n,) in s, configurations (n, nq) of the whole robot, and phases (n,) at the nodes of intervals.
+
+    x: scaled unknowns. Nodes that are not finite are left out; rotations are normalised.
+    """
+    layout, unknowns = transcription.layout, x * transcription.scale
+    with np.errstate(all="ignore"):
+        times = layout.times(unknowns)
+        starts = [(int(k), int(layout.phase_of[k])) for k in layout.interval_stages]
+        nodes = [*starts, (starts[-1][0] + 1, starts[-1][1])]
+        q = np.vstack([_normalized(layout, row) for row in _by_phase(layout, unknowns, nodes)])
+    t, phases = times[[node for node, _ in nodes]], np.array([phase for _, phase in nodes])
+    good = np.isfinite(q).all(axis=1) & np.isfinite(t)
+    return t[good], q[good], phases[good]
+
+
+def _by_phase(layout: Layout, unknowns: np.ndarray, nodes: list[tuple[int, int]]) -> np.ndarray:
+    """Configurations of the whole robot at nodes in time order, one call of its functions a phase."""
+    found = []
+    for phase in dict.fromkeys(phase for _, phase in nodes):
+        form, own = layout.form_of(phase), [node for node, of in nodes if of == phase]
+        states = form.state(np.array([unknowns[layout.node(node)] for node in own]))
+        q, v = form.coordinates.node_to_pinocchio(states)
+        mode = layout.modes.get(layout.schedule.phases[phase].name)
+        found.append(q if mode is None else mode.lifted(q, np.zeros_like(v), np.zeros_like(v))[0])
+    return np.vstack(found)
+
+
+def _normalized(layout: Layout, q: np.ndarray) -> np.ndarray:
+    """The configuration on the manifold; a rotation of no length stays what it is: not finite."""
+    return np.asarray(pin.normalize(layout.robot.model, q))
+
+
+# Seconds after its time limit that a solver may take to finish a step.
+GRACE = 30.0

@@ -1,0 +1,201 @@
+"""Multipliers of a solution, resampled onto the rows and bounds of another grid of the same problem.
+
+A multiplier of a row at a collocation point is the integral's weight times a function of time,
+lambda_i = h b_i lambda(t_i); of a defect a costate, a function of time itself; of a row or a bound at all
+nodes of a phase the spacing of nodes times a function of time (Hager, "Runge-Kutta methods in optimal
+control and the transformed adjoint system", Numerische Mathematik, 2000). These functions are interpolated
+linearly in the fraction of their phase. Rows are matched by name, phase, place and number; what finds no
+match starts at zero, as without a warm start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trajopt.solution.grid import mesh_of
+from trajopt.solution.solution import Solution
+from trajopt.transcription.layout import Layout
+from trajopt.transcription.row_collection import RowInfo
+from trajopt.transcription.timeline import StageKind
+from trajopt.transcription.transcription import Transcription
+
+# Fraction of an interval by which its points move inwards: the ends of two intervals are one time.
+INSIDE = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Multipliers:
+    """Of rows (n_rows,) and of the bounds of unknowns (n_unknowns,): Lagrangian f + rows . g + bounds . x."""
+
+    rows: np.ndarray
+    bounds: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Key:
+    """What rows must share to be samples of one function: a block of a phase at its kind of place."""
+
+    block: str
+    phase: int
+    place: str
+    size: int
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Rows of one block at one place: their numbers, fraction of the phase, and weight in the integral."""
+
+    key: _Key
+    rows: np.ndarray
+    fraction: float
+    weight: float
+
+
+def with_multipliers(
+    solution: Solution, transcription: Transcription, rows: np.ndarray, bounds: np.ndarray
+) -> Solution:
+    """The solution with its multipliers and what names their rows, if all are finite; else as it is."""
+    if not (np.isfinite(rows).all() and np.isfinite(bounds).all()):
+        return solution
+    info = transcription.rows
+    return replace(
+        solution,
+        meta={**solution.meta, "row_names": list(info.names)},
+        row_multiplier=rows,
+        bound_multiplier=bounds,
+        row_place=np.column_stack([info.block, info.stage, info.point]),
+    )
+
+
+def resampled_multipliers(transcription: Transcription, solution: Solution) -> Multipliers | None:
+    """The solution's multipliers on the rows and bounds of ``transcription``; None where none fit."""
+    if solution.row_multiplier is None or solution.bound_multiplier is None:
+        return None
+    old = _layout_of(transcription.layout, solution, solution.bound_multiplier)
+    info = None if old is None else _rows_of(old, solution)
+    if old is None or info is None:
+        return None
+    rows = np.zeros(transcription.n_rows)
+    known = _functions(list(_blocks(old, info)), solution.row_multiplier)
+    for block in _blocks(transcription.layout, transcription.rows):
+        if block.key in known:
+            rows[block.rows] = block.weight * known[block.key].at(block.fraction)
+    bounds = np.zeros(transcription.layout.n_unknowns)
+    known = _functions(list(_nodes(old)), solution.bound_multiplier)
+    for node in _nodes(transcription.layout):
+        if node.key in known:
+            bounds[node.rows] = node.weight * known[node.key].at(node.fraction)
+    return Multipliers(rows=rows, bounds=bounds)
+
+
+@dataclass(frozen=True)
+class _Function:
+    """Samples (n, size) at fractions (n,) of a phase."""
+
+    fractions: np.ndarray
+    values: np.ndarray
+
+    def at(self, fraction: float) -> np.ndarray:
+        """Linear interpolation (size,), constant beyond the samples."""
+        if len(self.fractions) == 1:
+            return np.asarray(self.values[0])
+        after = int(np.clip(np.searchsorted(self.fractions, fraction), 1, len(self.fractions) - 1))
+        low, high = self.fractions[after - 1 : after + 1]
+        share = float(np.clip((fraction - low) / (high - low), 0.0, 1.0)) if high > low else 0.0
+        return np.asarray((1 - share) * self.values[after - 1] + share * self.values[after])
+
+
+def _functions(blocks: list[_Block], multipliers: np.ndarray) -> Mapping[_Key, _Function]:
+    """Functions of time by key."""
+    members: dict[_Key, list[_Block]] = {}
+    for block in blocks:
+        members.setdefault(block.key, []).append(block)
+    return {
+        key: _Function(
+            np.array([one.fraction for one in own]),
+            np.array([multipliers[one.rows] / one.weight for one in own]),
+        )
+        for key, own in members.items()
+    }
+
+
+def _layout_of(layout: Layout, solution: Solution, bounds: np.ndarray) -> Layout | None:
+    """The solution's own layout, if its unknowns are those of this problem on its grid."""
+    mesh = mesh_of(solution)
+    if len(mesh.phases) != len(layout.mesh.phases):
+        return None
+    old = replace(layout, mesh=mesh)
+    return old if len(bounds) == old.n_unknowns else None
+
+
+def _rows_of(old: Layout, solution: Solution) -> RowInfo | None:
+    """What names the rows of the solution's multipliers, if they are in that layout."""
+    if solution.row_place is None:
+        return None
+    block, stage, point = solution.row_place.T
+    points = [old.scheme_of(old.phase_at(k)).s for k in range(old.n_stages + 1)]
+    outside = (stage < 0) | (stage > old.n_stages) | (point < -1)
+    outside |= point >= np.array(points)[np.clip(stage, 0, old.n_stages)]
+    if outside.any():
+        return None
+    return RowInfo(names=tuple(solution.meta["row_names"]), block=block, stage=stage, point=point)
+
+
+def _blocks(layout: Layout, info: RowInfo) -> Iterator[_Block]:
+    """All rows, those of one block at one place together."""
+    edges = np.flatnonzero(np.any(np.diff([info.block, info.stage, info.point], axis=1), axis=0)) + 1
+    for rows in np.split(np.arange(len(info.block)), edges):
+        if len(rows):
+            first = rows[0]
+            place = (int(info.stage[first]), int(info.point[first]))
+            yield _block(layout, info.names[info.block[first]], *place, rows)
+
+
+def _block(layout: Layout, name: str, k: int, point: int, rows: np.ndarray) -> _Block:
+    transition = k < layout.n_stages and layout.stages[k].kind is not StageKind.INTERVAL
+    if point >= 0:
+        phase, (start, end) = _interval_in_phase(layout, k)
+        method = layout.scheme_of(phase)
+        c = float(method.c[point])
+        inner = start + (c + INSIDE * (0.5 - c)) * (end - start)
+        weight = layout.steps[k] * method.b1[point]
+        return _Block(_Key(name, phase, "point", len(rows)), rows, inner, weight)
+    if name == "defect" and not transition:
+        phase, (_, end) = _interval_in_phase(layout, k)
+        return _Block(_Key(name, phase, "defect", len(rows)), rows, end, 1.0)
+    if transition:
+        kind = layout.stages[k].kind.value
+        return _Block(_Key(name, int(layout.phase_of[k]), kind, len(rows)), rows, 0.0, 1.0)
+    return _at_node(layout, name, k, rows)
+
+
+def _at_node(layout: Layout, name: str, k: int, rows: np.ndarray) -> _Block:
+    """A node within a phase is one of many, its ends are places of their own."""
+    place = layout.timeline.places[k]
+    if place is None:
+        return _Block(_Key(name, layout.phase_at(k), "repeated", len(rows)), rows, 0.0, 1.0)
+    phase, index = place
+    mesh = layout.mesh.phases[phase]
+    if index in (0, mesh.count):
+        return _Block(_Key(name, phase, "first" if index == 0 else "last", len(rows)), rows, 0.0, 1.0)
+    key = _Key(name, phase, "node", len(rows))
+    spacing = (mesh.widths[index - 1] + mesh.widths[index]) / 2
+    return _Block(key, rows, mesh.fractions[index], layout.schedule.phases[phase].duration * spacing)
+
+
+def _nodes(layout: Layout) -> Iterator[_Block]:
+    """The unknowns of every node; nothing else has bounds."""
+    for k in range(layout.n_stages + 1):
+        node = layout.node(k)
+        yield _at_node(layout, "node", k, np.arange(node.start, node.stop))
+
+
+def _interval_in_phase(layout: Layout, k: int) -> tuple[int, tuple[float, float]]:
+    """Phase of an interval, and its start and end as fractions of it."""
+    phase = int(layout.phase_of[k])
+    index = k - int(layout.intervals_of(phase)[0])
+    fractions = layout.mesh.phases[phase].fractions
+    return phase, (fractions[index], fractions[index + 1])

@@ -1,0 +1,292 @@
+"""A converged reference of a problem: finer meshes until two successive solutions agree.
+
+The first rung is the problem's own mesh. The second keeps its intervals and raises the degree, every further
+one doubles the intervals; each starts from the last. Two rungs agree when objective, durations and the whole
+motion do. The second and the first are not asked: what holds at nodes alone looks the same on their mesh.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from trajopt.certify.accuracy.comparison import Comparison, compare
+from trajopt.certify.accuracy.natural_units import NaturalUnits
+from trajopt.errors import InputError, TrajoptError
+from trajopt.problem.problem import Problem
+from trajopt.solution.solution import Solution
+from trajopt.solving.optima import in_other_optimum
+from trajopt.solving.solving import DEFAULT_SOLVER, solve
+from trajopt.transcription.compilation import DEFAULT_LEVEL
+
+# Degree three: order six where controls are smooth; where limits begin or end to act, within an interval, no
+# degree helps and intervals do.
+SCHEME = "legendre:3"
+# Stops the solver far below what is compared: an optimum that is flat in some direction moves along it by the
+# root of what is left in the objective.
+TOLERANCE = 1e-9
+# An objective that changes by less between two meshes is known to more digits than weights mean anything.
+OBJECTIVE = 1e-5
+# Part of the robot's reach by which no point of it moves any more: half a millimetre for a dog.
+DISTANCE = 1e-3
+# Motions further apart than this part of the reach are looked at for being different optima, not meshes.
+APART = 0.02
+# So are those that are this many times as far apart as the two before them, which meshes alone make smaller.
+GREW = 2.0
+MAX_UNKNOWNS = 200_000
+MAX_TIME = 600.0
+# A solver that is called just before the end has this long, s, to return.
+LEAST_TIME = 1.0
+
+Start = Solution | str | Path | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Agreement:
+    """How far two solutions may be apart: relative objective; part of the reach l (times: of sqrt(l / g)).
+
+    Joints may differ by ``distance`` rad: they may turn without any named point moving.
+    """
+
+    objective: float = OBJECTIVE
+    distance: float = DISTANCE
+
+    def __post_init__(self) -> None:
+        for name in ("objective", "distance"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise InputError(f"the {name} of an agreement is {value:g}", "allowed: finite and > 0")
+
+    def holds(self, apart: Comparison, units: NaturalUnits) -> bool:
+        """Whether a comparison is within these bounds."""
+        return (
+            apart.objective_gap is not None
+            and abs(apart.objective_gap) <= self.objective
+            and apart.farthest <= self.distance * units.length
+            and apart.joints <= self.distance * max(1.0, units.length)
+            and apart.time <= self.distance * units.time
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rung:
+    """One solve on the way; ``apart`` is how far it is from the last solved rung, None for the first.
+
+    other_optimum: on the coarser mesh of the two both optima were found, so that they differ by more than
+    their meshes; False where that was not looked for.
+    """
+
+    scheme: str
+    intervals: int
+    unknowns: int
+    iterations: int
+    status: str
+    objective: float | None
+    seconds: float
+    apart: Comparison | None = None
+    other_optimum: bool = False
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able."""
+        return asdict(self)
+
+    def __str__(self) -> str:
+        text = f"{self.scheme}, {self.intervals} intervals, {self.unknowns} unknowns: {self.status}"
+        text += f" in {self.iterations} iterations, {self.seconds:.1f} s"
+        if self.objective is not None:
+            text += f", objective {self.objective:.9g}"
+        if self.apart is not None:
+            text += f"; from the last {distances(self.apart)}"
+        return text + (", another optimum" if self.other_optimum else "")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reference:
+    """A converged solution, how far it is from the rung before it, and the rungs that led to it."""
+
+    solution: Solution = field(repr=False)
+    agreement: Comparison
+    rungs: tuple[Rung, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able: agreement and rungs."""
+        return {"agreement": asdict(self.agreement), "rungs": [rung.to_dict() for rung in self.rungs]}
+
+    def __str__(self) -> str:
+        last = self.rungs[-1]
+        mesh = f"{last.scheme}, {last.intervals} intervals"
+        changed = sum(rung.other_optimum for rung in self.rungs)
+        note = f"; the optimum changed {changed} times on the way" if changed else ""
+        return (
+            f"{mesh}, objective {last.objective:.9g}; the last two agree to {distances(self.agreement)}{note}"
+        )
+
+
+class NoReferenceError(TrajoptError):
+    """No two successive meshes agreed; ``rungs`` tell how far it came."""
+
+    def __init__(self, what: str, rungs: tuple[Rung, ...]) -> None:
+        self.rungs = rungs
+        super().__init__(what)
+
+
+def distances(apart: Comparison) -> str:
+    """A comparison in a few words."""
+    gap = (
+        "no objective" if apart.objective_gap is None else f"{abs(apart.objective_gap):.1e} of the objective"
+    )
+    when = f", {apart.time:.1e} s" if apart.time > 1e-9 else ""
+    return f"{gap}, {apart.farthest:.1e} m{when}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Solver:
+    """How a rung is solved, and what all of them together may cost."""
+
+    problem: Problem
+    settings: Mapping[str, Any]
+    scheme: str
+    agreement: Agreement
+    max_unknowns: int
+    deadline: float
+
+    def left(self) -> float:
+        """Time left, s."""
+        return self.deadline - time.monotonic()
+
+    def __call__(self, scheme: str | None, intervals: int | None, start: Start) -> Solution:
+        return solve(
+            self.problem,
+            transcription=scheme,
+            intervals=intervals,
+            start=start,
+            max_time=max(self.left(), LEAST_TIME),
+            **self.settings,
+        )
+
+
+def reference(
+    problem: Problem,
+    *,
+    scheme: str = SCHEME,
+    solver: str = DEFAULT_SOLVER,
+    tolerance: float = TOLERANCE,
+    agreement: Agreement | None = None,
+    max_unknowns: int = MAX_UNKNOWNS,
+    max_time: float = MAX_TIME,
+    compile: str = DEFAULT_LEVEL,
+    threads: int = 1,
+    start: Start = None,
+    progress: Callable[[Rung], None] | None = None,
+) -> Reference:
+    """Refine until two successive solutions agree, and return the finer one with how far they are apart.
+
+    scheme: of all rungs but the first. agreement: bounds on objective, motion and durations. max_unknowns,
+    max_time (s): the budget of one rung, and of all. start: of the first rung, as in `solve`. progress: is
+    called with every rung. Raises `NoReferenceError`, which names how far the last two agree and whether they
+    sit in different optima, where the budget ends first or a rung is not solved; `InputError` as `solve`.
+    """
+    for name, value in (("max_time", max_time), ("max_unknowns", max_unknowns)):
+        if not value > 0:
+            raise InputError(f"{name} is {value:g}", "allowed: > 0")
+    run = _Solver(
+        problem=problem,
+        settings={"solver": solver, "tolerance": tolerance, "compile": compile, "threads": threads},
+        scheme=scheme,
+        agreement=agreement or Agreement(),
+        max_unknowns=max_unknowns,
+        deadline=time.monotonic() + max_time,
+    )
+    return _climb(run, start, progress or _ignore)
+
+
+def _ignore(_: Rung) -> None:
+    return None
+
+
+def _climb(run: _Solver, start: Start, progress: Callable[[Rung], None]) -> Reference:
+    """Rung after rung until two agree."""
+    begun = time.monotonic()
+    last = _rung(run, [], start)
+    rungs = [_described(last, time.monotonic() - begun)]
+    progress(rungs[0])
+    units = NaturalUnits.of(last.model)
+    while True:
+        begun = time.monotonic()
+        found = _rung(run, rungs, last)
+        apart = compare(found, last)
+        agreed = len(rungs) > 1 and run.agreement.holds(apart, units)
+        rung = _described(found, time.monotonic() - begun, apart)
+        if not agreed and _is_other(run, rungs[-1], last, found, apart):
+            rung = replace(rung, other_optimum=True)
+        rungs.append(rung)
+        progress(rung)
+        if agreed:
+            return _reference(found, apart, rungs)
+        last = found
+
+
+def _rung(run: _Solver, rungs: list[Rung], start: Start) -> Solution:
+    """A solved rung; where it is not from ``start``, from the problem's own guess."""
+    scheme, intervals = _mesh(run, rungs)
+    found = run(scheme, intervals, start)
+    if not found.success and start is not None and run.left() > 0:
+        found = run(scheme, intervals, None)
+    if not found.success:
+        mesh = f"{found.meta['transcription']} with {found.n_intervals} intervals"
+        raise _gives_up(f"{mesh} is not solved ({found.meta['status'].replace('_', ' ')})", rungs)
+    return found
+
+
+def _mesh(run: _Solver, rungs: list[Rung]) -> tuple[str | None, int | None]:
+    """Scheme and intervals of the next rung, None for the problem's own; raises where the budget is spent."""
+    if not rungs:
+        return None, None
+    if run.left() <= 0:
+        raise _gives_up("the time is up", rungs)
+    last, finer = rungs[-1], 1 if len(rungs) == 1 else 2
+    if finer * last.unknowns > run.max_unknowns:
+        raise _gives_up(f"the next mesh has more than {run.max_unknowns} unknowns", rungs)
+    return run.scheme, finer * last.intervals
+
+
+def _is_other(run: _Solver, coarser: Rung, coarse: Solution, fine: Solution, apart: Comparison) -> bool:
+    """Whether two rungs sit in different optima: looked for where they are far apart, or ever further."""
+    grew = coarser.apart is not None and apart.farthest > GREW * coarser.apart.farthest
+    far = apart.farthest > APART * NaturalUnits.of(coarse.model).length
+    if run.left() <= 0 or not (far or grew):
+        return False
+    return in_other_optimum(run.problem, coarse, fine, max_time=run.left(), **run.settings)
+
+
+def _described(found: Solution, seconds: float, apart: Comparison | None = None) -> Rung:
+    meta = found.meta
+    return Rung(
+        scheme=meta["transcription"],
+        intervals=found.n_intervals,
+        unknowns=meta["variables"],
+        iterations=meta["iterations"],
+        status=meta["status"],
+        objective=meta["objective"],
+        seconds=seconds,
+        apart=apart,
+    )
+
+
+def _reference(found: Solution, apart: Comparison, rungs: list[Rung]) -> Reference:
+    """The reference; its file tells what it agrees to and how it was found."""
+    made = Reference(solution=found, agreement=apart, rungs=tuple(rungs))
+    return replace(made, solution=replace(found, meta={**found.meta, "reference": made.to_dict()}))
+
+
+def _gives_up(why: str, rungs: list[Rung]) -> NoReferenceError:
+    text = f"no reference: {why}"
+    if rungs and rungs[-1].apart is not None:
+        text += f"; the last two meshes agree to {distances(rungs[-1].apart)}"
+        if rungs[-1].other_optimum:
+            text += " and sit in different optima: one mesh has both"
+    return NoReferenceError(text, tuple(rungs))

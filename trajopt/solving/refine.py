@@ -1,0 +1,255 @@
+"""Refine a mesh until the motion is as accurate as asked for, reusing each solution for the next mesh.
+
+The error of a phase is what the planned torques do in it (`accuracy.measure`: open loop by numeric Pinocchio,
+from the phase's planned start), or the drift of its contacts where that is larger: metres either way.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajopt.certify.accuracy.measures import Accuracy, measure
+from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
+from trajopt.solution.grid import mesh_of
+from trajopt.solution.solution import Solution
+from trajopt.solving.ladder import INTERRUPTED
+from trajopt.solving.remeshing import PhaseErrors, remeshed
+from trajopt.solving.solving import solve
+from trajopt.solving.verdicts import is_start
+from trajopt.solving.warm_start import solution_of
+from trajopt.transcription.mesh import Mesh
+
+# The first mesh has this part of the problem's own intervals, and two a phase at least: its solution takes
+# little time and tells where the error is.
+COARSE = 0.2
+LEAST_INTERVALS = 2
+MAX_ROUNDS = 8
+MAX_VARIABLES = 100_000
+# Part of the target over the robot's length that is the solver's tolerance: what that leaves grows later.
+TOLERANCE_SHARE = 1e-3
+TOLERANCES = (1e-10, 1e-6)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Round:
+    """One solve: its mesh, size, and the error of each phase in m (None where it was not solved)."""
+
+    mesh: Mesh
+    variables: int
+    iterations: int
+    wall_time: float
+    status: str
+    errors: tuple[float, ...] | None
+
+    @classmethod
+    def of(cls, mesh: Mesh, solution: Solution) -> Round:
+        """The round of a solution on a mesh, not yet measured."""
+        meta = solution.meta
+        return cls(
+            mesh=mesh,
+            variables=meta["variables"],
+            iterations=meta["iterations"],
+            wall_time=meta["wall_time_s"],
+            status=meta["status"],
+            errors=None,
+        )
+
+    @property
+    def error(self) -> float | None:
+        """Largest error of a phase, m."""
+        return None if self.errors is None else max(self.errors)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able; an error that is not finite is None."""
+        errors = None
+        if self.errors is not None:
+            errors = [error if math.isfinite(error) else None for error in self.errors]
+        return {
+            "transcription": self.mesh.transcription,
+            "intervals": list(self.mesh.counts),
+            "variables": self.variables,
+            "iterations": self.iterations,
+            "wall_time_s": self.wall_time,
+            "status": self.status,
+            "errors_m": errors,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Refinement:
+    """The best solution, its measured ``accuracy`` (None where nothing was solved) and how it was reached."""
+
+    target: float
+    solution: Solution
+    accuracy: Accuracy | None
+    rounds: tuple[Round, ...]
+    why: str
+
+    @property
+    def error(self) -> float:
+        """Largest error of a phase of the solution, m; inf where nothing was solved."""
+        return math.inf if self.accuracy is None else max(phase_errors(self.accuracy))
+
+    @property
+    def reached(self) -> bool:
+        """Whether the target is met, by measurement."""
+        return self.error <= self.target
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able."""
+        error = self.error
+        return {
+            "target_m": self.target,
+            "reached": self.reached,
+            "error_m": error if math.isfinite(error) else None,
+            "why": self.why,
+            "rounds": [own.to_dict() for own in self.rounds],
+        }
+
+
+def phase_errors(accuracy: Accuracy) -> tuple[float, ...]:
+    """Error of each phase in m: open loop from its planned start, or the drift of its contacts."""
+    return tuple(max(own.open_loop.position, own.foot_drift or 0.0) for own in accuracy.phases)
+
+
+def coarse_mesh(problem: Problem) -> Mesh:
+    """The mesh that refinement begins with where none is given."""
+    schedule = problem.schedule
+    total = max(round(COARSE * problem.default_intervals), len(schedule.phases))
+    counts = [max(count, LEAST_INTERVALS) for count in schedule.intervals(total)]
+    return Mesh.uniform(problem.default_transcription, counts)
+
+
+def tolerance_for(target: float, length: float) -> float:
+    """A solver's tolerance that leaves a small part of ``target`` (m) on a robot of ``length`` m."""
+    return float(np.clip(TOLERANCE_SHARE * target / length, *TOLERANCES))
+
+
+def refine(
+    problem: Problem,
+    target: float,
+    *,
+    mesh: Mesh | None = None,
+    start: Solution | str | Path | None = None,
+    raise_degree: bool = True,
+    max_rounds: int = MAX_ROUNDS,
+    max_variables: int = MAX_VARIABLES,
+    tolerance: float | None = None,
+    **settings: Any,
+) -> Refinement:
+    """Solve a problem to an accuracy of ``target`` m in every phase, on as few unknowns as that takes.
+
+    mesh: the first one; default: a fifth of the problem's own intervals. start: a solution, or its file, from
+    which the first solve starts; without a mesh it is measured itself, and its own mesh is refined.
+    raise_degree: False only splits intervals. tolerance: the solver's; default: by the target. ``settings``
+    are `trajopt.solve`'s.
+
+    Returns what was reached: `Refinement.reached` and ``why`` say whether and, if not, what stopped it.
+    Raises InputError for a target that is no length, and as `trajopt.solve` does.
+    """
+    if not (isinstance(target, int | float) and math.isfinite(target) and target > 0):
+        raise InputError(f"accuracy is {target!r} m", "allowed: finite and > 0")
+    tolerance = tolerance_for(target, problem.robot.length) if tolerance is None else tolerance
+    loop = _Loop(problem, float(target), raise_degree, {**settings, "tolerance": tolerance})
+    known = None if start is None else solution_of(start)
+    if mesh is None and known is not None and is_start(known):
+        loop.take(known)
+        mesh, max_rounds = mesh_of(known), max_rounds + 1
+    loop.run(mesh or coarse_mesh(problem), known, max_rounds, max_variables)
+    return loop.result()
+
+
+class _Loop:
+    def __init__(self, problem: Problem, target: float, raise_degree: bool, settings: dict[str, Any]) -> None:
+        self.problem, self.target, self.raise_degree = problem, target, raise_degree
+        self.settings = settings
+        self.rounds: list[Round] = []
+        self.best: tuple[Solution, Accuracy] | None = None
+        self.last: Solution | None = None
+        self.given: Solution | None = None
+        self.why = ""
+
+    def take(self, solution: Solution) -> None:
+        """A solution that is there already, as the first round."""
+        self._record(mesh_of(solution), solution)
+        self.given = solution
+
+    def run(self, mesh: Mesh, start: Solution | None, max_rounds: int, max_variables: int) -> None:
+        """Solve, measure, remesh, until the target is met or something says stop."""
+        for _ in range(max_rounds):
+            given, self.given = self.given, None
+            solution = given or self._solve(mesh, start)
+            if solution is None:
+                return
+            accuracy = measure(solution)
+            errors = phase_errors(accuracy)
+            self.rounds[-1] = replace(self.rounds[-1], errors=errors)
+            if self.best is None or max(errors) <= max(phase_errors(self.best[1])):
+                self.best = (solution, accuracy)
+            if max(errors) <= self.target:
+                self.why = "the target is met"
+                return
+            made = unknowns_of(self.problem)
+            found = [
+                PhaseErrors(local=accuracy.interval_errors[own], phase=error, unknowns=sizes)
+                for own, error, sizes in zip(_intervals(mesh), errors, made, strict=True)
+            ]
+            mesh = remeshed(mesh, found, self.target, self.problem.robot.length, self.raise_degree)
+            if size_of(self.problem, mesh) > max_variables:
+                self.why = f"the next mesh would have more than {max_variables} unknowns"
+                return
+            start = solution
+        self.why = f"{max_rounds} rounds were not enough"
+
+    def _record(self, mesh: Mesh, solution: Solution) -> None:
+        self.rounds.append(Round.of(mesh, solution))
+        self.last = solution
+
+    def _solve(self, mesh: Mesh, start: Solution | None) -> Solution | None:
+        """The solution on a mesh; from the problem's own guess where ``start`` does not lead to one."""
+        for origin in (start, None) if start is not None else (None,):
+            label = f"mesh {len(self.rounds) + 1}"
+            solution = solve(self.problem, mesh=mesh, start=origin, label=label, **self.settings)
+            self._record(mesh, solution)
+            if is_start(solution):
+                return solution
+            if solution.meta["status"] == INTERRUPTED:
+                break
+        self.why = f"a mesh was not solved: {solution.meta['status'].replace('_', ' ')}"
+        return None
+
+    def result(self) -> Refinement:
+        solution, accuracy = (self.last, None) if self.best is None else self.best
+        assert solution is not None
+        made = Refinement(
+            target=self.target, solution=solution, accuracy=accuracy, rounds=tuple(self.rounds), why=self.why
+        )
+        return replace(made, solution=replace(solution, meta={**solution.meta, "refinement": made.to_dict()}))
+
+
+def _intervals(mesh: Mesh) -> list[slice]:
+    ends = np.cumsum(mesh.counts)
+    return [slice(int(end - count), int(end)) for end, count in zip(ends, mesh.counts, strict=True)]
+
+
+def unknowns_of(problem: Problem) -> list[tuple[int, int]]:
+    """Unknowns of each phase per node and per point, about: states, accelerations and wrenches."""
+    robot = problem.robot
+    wrenches = [
+        sum(robot.contact(name).dimension for name in phase.contacts) for phase in problem.schedule.phases
+    ]
+    return [(2 * robot.nv, robot.nv + size) for size in wrenches]
+
+
+def size_of(problem: Problem, mesh: Mesh) -> int:
+    """Number of unknowns of a problem on a mesh, about."""
+    return sum(
+        phase.count * (node + phase.method.s * point)
+        for phase, (node, point) in zip(mesh.phases, unknowns_of(problem), strict=True)
+    )

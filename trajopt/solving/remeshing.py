@@ -1,0 +1,128 @@
+"""Which mesh meets a target: intervals split, or a phase's degree raised, where the error between points is.
+
+The local error of an interval of width h with s points is that of its quadrature,
+
+    e = L c_s x^(p + 1),      x = h / l,      Gauss c_s = s!^4 / ((2 s + 1) (2 s)!^3),       p = 2 s
+                                              Radau c_s = s (s - 1)!^4 / (2 (2 s - 1)!^3),   p = 2 s - 1
+
+(Davis and Rabinowitz, "Methods of Numerical Integration", 1984, ch. 2.7), with L the robot's length and l
+the unknown time scale of the motion there, which a measured e tells. Cut into k parts with s' points each it
+makes k L c_s' (x / k)^(p' + 1). The error of a phase is the sum of its local errors times the growth that was
+measured. Of all degrees and cuts that meet the target by this model, the one with fewest unknowns is
+taken; parts grow with e^(1 / (p + 1)), which spreads the error evenly (de Boor, "Good approximation
+by splines with variable knots", 1973).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajopt.transcription.mesh import Mesh, PhaseMesh
+from trajopt.transcription.schemes import MAX_DEGREE
+
+# Part of the target that the model aims at: it knows neither growth nor time scale exactly.
+AIM = 0.5
+# An interval is cut into so many parts at most in one round: a coarse mesh tells little of a fine one.
+MOST_PARTS = 4
+# A phase that runs away tells no growth: its local errors shall be this part of themselves.
+RUN_AWAY = 1e-2
+# Smallest local error that is told from rounding, as a part of the robot's length.
+ROUNDING = 1e-15
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhaseErrors:
+    """Local errors (n,) of a phase's intervals and the error of the whole phase, m.
+
+    ``unknowns``: (per node, per collocation point) of the phase.
+    """
+
+    local: np.ndarray
+    phase: float
+    unknowns: tuple[int, int]
+
+
+def error_constant(scheme: str) -> float | None:
+    """c_s of a scheme's quadrature; None for the classic ones, whose order is not raised."""
+    family, _, degree = scheme.partition(":")
+    if family == "legendre":
+        s = int(degree)
+        return math.factorial(s) ** 4 / ((2 * s + 1) * math.factorial(2 * s) ** 3)
+    if family == "radau":
+        s = int(degree)
+        return s * math.factorial(s - 1) ** 4 / (2 * math.factorial(2 * s - 1) ** 3)
+    return None
+
+
+def remeshed(
+    mesh: Mesh, errors: Sequence[PhaseErrors], target: float, length: float, raise_degree: bool = True
+) -> Mesh:
+    """The mesh for the next round: phases whose error is within ``target`` m stay as they are.
+
+    length: the robot's, m. raise_degree: False only splits intervals.
+    """
+    phases = [
+        phase if own.phase <= target else _remeshed_phase(phase, own, target, length, raise_degree)
+        for phase, own in zip(mesh.phases, errors, strict=True)
+    ]
+    return Mesh(phases=tuple(phases))
+
+
+def _remeshed_phase(
+    mesh: PhaseMesh, errors: PhaseErrors, target: float, length: float, raise_degree: bool
+) -> PhaseMesh:
+    local = np.clip(errors.local, ROUNDING * length, length)
+    wanted = AIM * target / errors.phase if math.isfinite(errors.phase) else RUN_AWAY
+    allowed = wanted * float(local.sum())
+    node, point = errors.unknowns
+    candidates = []
+    for name in _schemes(mesh.scheme)[: 1 + raise_degree]:
+        method = mesh.with_scheme(name)
+        single = _raised(local, mesh.scheme, name, length)
+        parts = _parts(single, method.method.order, allowed)
+        met = float((single * parts ** -float(method.method.order)).sum()) <= allowed
+        size = int(parts.sum()) * (node + method.method.s * point)
+        candidates.append((not met, size, name, parts))
+    _, _, name, parts = min(candidates, key=lambda candidate: candidate[:2])
+    return mesh.with_scheme(name).split(parts.tolist())
+
+
+def _schemes(name: str) -> list[str]:
+    """A scheme and, where there is one, the next degree of its family."""
+    family, _, degree = name.partition(":")
+    if not degree or int(degree) >= MAX_DEGREE:
+        return [name]
+    return [name, f"{family}:{int(degree) + 1}"]
+
+
+def _raised(local: np.ndarray, old: str, new: str, length: float) -> np.ndarray:
+    """Local errors that a scheme of another degree would make on the same intervals, m."""
+    if old == new:
+        return local
+    constants = error_constant(old), error_constant(new)
+    assert constants[0] is not None
+    assert constants[1] is not None
+    orders = PhaseMesh.uniform(old, 1).method.order, PhaseMesh.uniform(new, 1).method.order
+    x = (local / (length * constants[0])) ** (1 / (orders[0] + 1))
+    return np.asarray(length * constants[1] * x ** (orders[1] + 1))
+
+
+def _parts(local: np.ndarray, order: int, allowed: float) -> np.ndarray:
+    """Parts (n,) of each interval, at most `MOST_PARTS`, with which the sum of local errors is allowed."""
+    shape = local ** (1 / (order + 1))
+
+    def total(scale: float) -> tuple[np.ndarray, float]:
+        parts = np.clip(np.ceil(scale * shape), 1, MOST_PARTS).astype(int)
+        return parts, float((local * parts ** -float(order)).sum())
+
+    low, high = 1 / shape.max(), MOST_PARTS / shape.min()
+    if total(high)[1] > allowed:
+        return total(high)[0]
+    for _ in range(60):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if total(middle)[1] > allowed else (low, middle)
+    return total(high)[0]

@@ -1,0 +1,43 @@
+"""A robot at rest in its reference posture, as a problem: the first picture of a new robot."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajopt.problem.problem import Problem
+from trajopt.robot.inspection.standing import standing_feet
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms.costs import AccelerationCost, WrenchCost
+from trajopt.terms.friction import FrictionPyramid, SoleCone
+from trajopt.terrain.flat import FlatGround
+
+# Long enough to look at, s; what rests needs no grid.
+DURATION, INTERVALS = 1.0, 4
+# Weight of wrenches beside that of accelerations: forces in balance are spread, and move nothing for it.
+SPREAD = 1e-6
+# Rubber on a dry floor.
+FRICTION = 0.7
+
+
+def rest(robot: Robot, duration: float = DURATION) -> Problem:
+    """Return the problem to stay in the reference posture for ``duration`` s, on the feet if it has some.
+
+    Accelerations cost, and wrenches very little, so that they are spread. Torques are not limited, and the
+    robot starts at rest: a posture that falls over falls.
+    """
+    feet = standing_feet(robot)
+    kinds = {contact.kind for contact in feet}
+    cones = [cone for kind, cone in (("point", FrictionPyramid()), ("surface", SoleCone())) if kind in kinds]
+    spread = (WrenchCost(weight=SPREAD),) if feet else ()
+    return Problem(
+        name="rest",
+        robot=robot,
+        schedule=Schedule((Phase(name="rest", duration=duration, contacts=tuple(c.name for c in feet)),)),
+        terrain=FlatGround(friction=FRICTION),
+        initial_q=robot.reference,
+        initial_v=np.zeros(robot.nv),
+        terms=(AccelerationCost(weight=1.0), *spread, *cones),
+        guess=lambda _: robot.reference,
+        default_intervals=INTERVALS,
+    )

@@ -1,0 +1,282 @@
+"""Problem -> transcription -> compiled NLP -> solver -> Solution, in one call."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
+from trajopt.solution.solution import Solution
+from trajopt.solvers.drivers import SOLVERS, check_hessian, run
+from trajopt.solvers.result import Option, Result, Stop, Warm
+from trajopt.solvers.status import Status
+from trajopt.solving.extraction import extract
+from trajopt.solving.iterate import Watch
+from trajopt.solving.multipliers import with_multipliers
+from trajopt.solving.telling import Progress, Teller
+from trajopt.solving.verdicts import (
+    TRUSTED_VIOLATION,
+    advice_for,
+    creep_reported,
+    finite,
+    judged,
+    locks_reported,
+)
+from trajopt.solving.warm_start import solution_of, warm_start
+from trajopt.transcription.compilation import (
+    DEFAULT_HESSIAN,
+    DEFAULT_LEVEL,
+    CompilationReport,
+    compile_points,
+    entry_key,
+)
+from trajopt.transcription.guess import initial_guess, perturbed
+from trajopt.transcription.mesh import Mesh
+from trajopt.transcription.nlp import Nlp, assemble
+from trajopt.transcription.transcription import Transcription, transcribe
+from trajopt.transcription.violations import nonfinite_place, row_violations, worst_blocks
+
+DEFAULT_SOLVER = "ipopt"
+MAX_PERTURBATION = 100.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prepared:
+    """A problem ready to be solved from its guess; ``build_time`` in s is all but the C compiler."""
+
+    transcription: Transcription
+    nlp: Nlp
+    guess: np.ndarray
+    compilation: CompilationReport
+    build_time: float
+    warm: Warm | None = None
+
+
+def prepare(
+    problem: Problem,
+    *,
+    transcription: str | None = None,
+    intervals: int | None = None,
+    mesh: Mesh | None = None,
+    compile: str = DEFAULT_LEVEL,
+    hessian: str = DEFAULT_HESSIAN,
+    threads: int = 1,
+    start: Solution | str | Path | None = None,
+) -> Prepared:
+    """Transcribe, compile (or fetch from the cache) and assemble, with the Hessian of `solve`.
+
+    The guess is the solution ``start``, resampled, or the problem's own. Raises InputError.
+    """
+    begun = time.perf_counter()
+    transcribed = transcribe(problem, transcription, intervals, mesh)
+    points = {id(group.point): group.point for group in transcribed.groups}
+    compiled, report = compile_points(points.values(), compile, hessian)
+    by_point = {key: compiled[entry_key(point, report.level)] for key, point in points.items()}
+    nlp = assemble(transcribed, by_point, threads, hessian)
+    guess, warm = _guess(transcribed, start)
+    build_time = time.perf_counter() - begun - report.compile_time
+    return Prepared(
+        transcription=transcribed,
+        nlp=nlp,
+        guess=guess,
+        compilation=report,
+        build_time=build_time,
+        warm=warm,
+    )
+
+
+def _guess(transcribed: Transcription, start: Solution | str | Path | None) -> tuple[np.ndarray, Warm | None]:
+    if start is None:
+        return initial_guess(transcribed), None
+    found = warm_start(transcribed, solution_of(start))
+    known = found.multipliers
+    return found.x, Warm() if known is None else Warm(lam_g=known.rows, lam_x=known.bounds)
+
+
+def solve(
+    problem: Problem,
+    *,
+    transcription: str | None = None,
+    intervals: int | None = None,
+    mesh: Mesh | None = None,
+    solver: str = DEFAULT_SOLVER,
+    tolerance: float = 1e-6,
+    max_iterations: int = 500,
+    max_time: float = 600.0,
+    seed: int = 0,
+    perturb: float = 0.0,
+    compile: str = DEFAULT_LEVEL,
+    hessian: str = DEFAULT_HESSIAN,
+    threads: int = 1,
+    options: Mapping[str, Option] | None = None,
+    progress: Progress | None = None,
+    watch: Watch | None = None,
+    label: str = "",
+    start: Solution | str | Path | None = None,
+) -> Solution:
+    """Solve a problem; never raises because the solver did not converge.
+
+    transcription: scheme by name, for example ``legendre:2``, or one for each phase, separated by commas;
+        default: the problem's.
+    intervals: number over the whole schedule; default: the problem's.
+    mesh: schemes and widths of intervals by phase, instead of both.
+    solver: ``ipopt``, ``fatrop`` or ``sqp``; ``options`` are its own, refused when unknown.
+    hessian: ``exact``, ``gauss-newton`` (of costs that are squares, no curvature of rows), or with IPOPT
+        ``limited-memory`` (made up from gradients: nothing of second order is compiled).
+    tolerance: on feasibility and optimality, in natural units (weight, length, sqrt(l/g)).
+    seed, perturb: noise on the guess, standard deviation in scaled units.
+    compile: ``none``, ``quick`` or ``fast``. threads: for evaluating functions.
+    progress: called at each iteration with its figures; returns False to stop there.
+    watch: called with the guess, each iterate and the end (`trajopt.watching.Iterate`); what it raises is a
+    warning. label: which of several solves this is, for the watch.
+    start: a solution, or its file, to start from instead of the problem's guess: of the same joints and
+    phases, on any grid, scheme, durations or parameters (see ``warm_start``).
+
+    Returns a Solution whose ``meta`` has status, success, advice, iterations, objective, times and the
+    worst blocks of rows. Raises InputError for a value that is not allowed.
+    """
+    check_settings(solver, tolerance, max_iterations, max_time, perturb, seed, hessian)
+    prepared = prepare(
+        problem,
+        transcription=transcription,
+        intervals=intervals,
+        mesh=mesh,
+        compile=compile,
+        hessian=hessian,
+        threads=threads,
+        start=start,
+    )
+    guess = perturbed(prepared.transcription, prepared.guess, seed, perturb) if perturb else prepared.guess
+    stop = Stop(tolerance=tolerance, max_iterations=max_iterations, max_time=max_time)
+    origin = {"seed": seed, "perturb": perturb}
+    return solve_prepared(
+        prepared,
+        guess,
+        origin=origin,
+        solver=solver,
+        stop=stop,
+        options=options,
+        progress=progress,
+        watch=watch,
+        label=label,
+    )
+
+
+def solve_prepared(
+    prepared: Prepared,
+    start: np.ndarray,
+    *,
+    origin: Mapping[str, Any],
+    solver: str = DEFAULT_SOLVER,
+    stop: Stop | None = None,
+    options: Mapping[str, Option] | None = None,
+    progress: Progress | None = None,
+    watch: Watch | None = None,
+    label: str = "",
+) -> Solution:
+    """Solve what `prepare` made, from the scaled unknowns ``start`` (n_unknowns,): any number of times.
+
+    origin: where the start comes from, for ``meta``: ``seed`` and ``perturb`` at least. The rest is as in
+    `solve`. Never raises because the solver did not converge.
+    """
+    stop = stop or Stop()
+    place = nonfinite_place(prepared.nlp, start)
+    told = Teller(prepared.transcription, progress, watch, solver, label)
+    told.see("guess", lambda: start)
+    if place is None:
+        result = run(prepared.nlp, start, solver, stop, options or {}, told, prepared.warm)
+    else:
+        result = _not_finite(prepared, start)
+    found = _solution(prepared, result, solver, stop.tolerance, place, origin)
+    told.end(result, found.meta["status"])
+    return found
+
+
+def check_settings(
+    solver: str,
+    tolerance: float,
+    max_iterations: int,
+    max_time: float,
+    perturb: float,
+    seed: int,
+    hessian: str = DEFAULT_HESSIAN,
+) -> None:
+    if solver not in SOLVERS:
+        raise InputError(f"unknown solver '{solver}'", f"allowed: {', '.join(SOLVERS)}")
+    check_hessian(solver, hessian)
+    if not (math.isfinite(tolerance) and 0 < tolerance < 1):
+        raise InputError(f"tolerance is {tolerance:g}", "allowed: between 0 and 1")
+    if max_iterations < 0:
+        raise InputError(f"max_iterations is {max_iterations}", "allowed: 0 or more")
+    if not max_time > 0:
+        raise InputError(f"max_time is {max_time:g} s", "allowed: > 0")
+    if not (math.isfinite(perturb) and 0 <= perturb <= MAX_PERTURBATION):
+        raise InputError(f"perturb is {perturb:g}", f"allowed: 0 to {MAX_PERTURBATION:g}")
+    if seed < 0:
+        raise InputError(f"seed is {seed}", "allowed: 0 or more")
+
+
+def _not_finite(prepared: Prepared, x: np.ndarray) -> Result:
+    return Result(
+        x=x,
+        lam_g=np.zeros(prepared.transcription.n_rows),
+        lam_x=np.zeros_like(x),
+        status=Status.NOT_FINITE,
+        solver_status="not started",
+        iterations=0,
+        objective=math.nan,
+        wall_time=0.0,
+        function_time=0.0,
+    )
+
+
+def _solution(
+    prepared: Prepared,
+    result: Result,
+    solver: str,
+    tolerance: float,
+    place: str | None,
+    origin: Mapping[str, Any],
+) -> Solution:
+    t, report = prepared.transcription, prepared.compilation
+    violations = row_violations(prepared.nlp, result.x)
+    worst = float(violations.max()) if np.all(np.isfinite(violations)) else math.nan
+    status = judged(result.status, worst, tolerance)
+    success = status is Status.SOLVED
+    meta = {
+        "solver": solver,
+        "hessian": prepared.nlp.hessian,
+        "status": status.word,
+        "solver_status": result.solver_status,
+        "success": success,
+        "advice": advice_for(status, place, worst <= TRUSTED_VIOLATION * tolerance),
+        "iterations": result.iterations,
+        "objective": finite(result.objective * t.objective_unit),
+        "tolerance": tolerance,
+        "variables": t.layout.n_unknowns,
+        "constraints": t.n_rows,
+        "max_violation": finite(worst),
+        "primal_infeasibility": finite(result.primal),
+        "dual_infeasibility": finite(result.dual),
+        "complementarity": finite(result.complementarity),
+        "worst_blocks": worst_blocks(t, result.x, violations, 3),
+        "wall_time_s": result.wall_time,
+        "function_time_s": result.function_time,
+        "build_time_s": prepared.build_time,
+        "compile_time_s": report.compile_time,
+        "compile": report.level,
+        "functions_compiled": report.built,
+        "warm_start": prepared.warm is not None,
+        **result.figures,
+        **origin,
+    }
+    found = with_multipliers(extract(t, result.x, meta), t, result.lam_g, result.lam_x)
+    found = locks_reported(found)
+    return creep_reported(found, t.problem.robot.length) if t.problem.holds_contacts else found

@@ -1,0 +1,84 @@
+"""What a solve is worth: the solver's verdict, measured anew, and what a plan must not do besides."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+from trajopt.certify.contact_figures import place_figures
+from trajopt.certify.samples import evaluate
+from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin_along
+from trajopt.solution.solution import Solution
+from trajopt.solution.touched import touched
+from trajopt.solvers.status import Status
+
+# A solver's "solved" is believed up to this multiple of its tolerance, measured anew on all rows.
+TRUSTED_VIOLATION = 10.0
+# A solver that stops for want of a step this far from feasible (natural units) has found no feasible point.
+STILL_FEASIBLE = 1e-3
+# Why a solver does not end at a point that meets all rows: where they lose rank there are no multipliers.
+DEPENDENT = (
+    "; all rows hold at this iterate, so they may depend on each other there, as of a goal at a singular"
+    " posture or a place that is asked for twice: trajopt diagnose names them"
+)
+# A solved motion whose contacts move by more than this part of the robot's length within a phase is none: its
+# grid is too coarse to hold them. What `check` allows is far less.
+MOST_CREEP = 0.25
+
+
+def judged(status: Status, worst: float, tolerance: float) -> Status:
+    """The solver's status, by the largest violation ``worst`` of any row or bound, in natural units."""
+    if status is Status.SOLVED and not worst <= TRUSTED_VIOLATION * tolerance:
+        return Status.INACCURATE
+    if status is Status.STEP_FAILED and not worst <= STILL_FEASIBLE:
+        return Status.INFEASIBLE
+    return status
+
+
+def advice_for(status: Status, place: str | None, feasible: bool) -> str:
+    if place is not None:
+        return f"{status.advice}: {place}"
+    stuck = feasible and status in (Status.STEP_FAILED, Status.ITERATION_LIMIT)
+    return f"{status.advice}{DEPENDENT}" if stuck else status.advice
+
+
+def locks_reported(solution: Solution) -> Solution:
+    """A plan whose virtual base comes to gimbal lock is no success, whatever the solver says."""
+    margin = gimbal_margin_along(solution.model, solution.t, solution.q, solution.v)
+    if margin is None:
+        return solution
+    found: dict[str, Any] = {"gimbal_margin": finite(margin)}
+    if not margin >= LEAST_MARGIN:
+        status = Status.SINGULAR_BASE
+        found["advice"] = f"{status.advice} (margin {margin:.3f}, least {LEAST_MARGIN:g})"
+        if solution.success:
+            found |= {"status": status.word, "success": False}
+        else:
+            found["advice"] = f"{solution.meta['advice']}; {found['advice']}"
+    return replace(solution, meta={**solution.meta, **found})
+
+
+def creep_reported(solution: Solution, length: float) -> Solution:
+    """A plan whose contacts leave their places by a good part of the robot's ``length`` m is no success."""
+    if not solution.success:
+        return solution
+    samples = evaluate(solution)
+    creep = place_figures(solution, samples, touched(solution, samples.position))["foot_drift"]
+    if creep is None or creep <= MOST_CREEP * length:
+        return solution
+    status = Status.COARSE_GRID
+    advice = f"{status.advice} (by {creep:.2g} m, most {MOST_CREEP * length:.2g} m)"
+    return replace(
+        solution, meta={**solution.meta, "status": status.word, "success": False, "advice": advice}
+    )
+
+
+def is_start(solution: Solution) -> bool:
+    """Whether another solve can start from it: all rows hold, if only at the points of a coarse grid."""
+    return solution.success or solution.meta["status"] == Status.COARSE_GRID.word
+
+
+def finite(value: float) -> float | None:
+    """The value, or None where it is not finite, as JSON wants it."""
+    return value if math.isfinite(value) else None

@@ -1,0 +1,1 @@
+"""Measuring: suites of problems, sweeps over settings, choices from them, diagnosis."""

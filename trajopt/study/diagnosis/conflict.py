@@ -1,0 +1,187 @@
+"""Which rows stand in each other's way: the elastic minimum of the linearised constraints.
+
+About an iterate, within a box of natural units, the least sum of violations of the linearised rows,
+
+    min sum w (s+ + s-)    lower <= g + J p + s+ - s- <= upper,    |p| <= box,  bounds of unknowns
+
+w is 1, and large for the motion itself (defects and dynamics): nature does not give way, goals and limits do.
+Rows with s > 0 have to give way. Its multipliers y, at most w in magnitude, are a certificate of Farkas'
+kind: rows weighted with y add up to a contradiction, so that the rows and bounds with large ones are those
+that stand against the rows that give way. (Gill, Murray, Saunders, "SNOPT", SIAM Review 2005, elastic mode.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import piqp  # type: ignore[import-untyped]
+from scipy import sparse
+
+from trajopt.study.diagnosis.activity import BOUNDS
+from trajopt.study.diagnosis.names import Site
+from trajopt.study.diagnosis.snapshot import Snapshot
+
+# How far unknowns may move, scaled units: what the linearisation can be trusted for.
+BOX = 1.0
+# Price of moving at all: among equal minima the nearest, and a well-posed program.
+NEAREST = 1e-6
+# Multipliers below the noise are an interior-point method's; sums of them below this part of the largest take
+# no part, and violations below that part of the largest need no give.
+NOISE, PART, GIVES = 1e-4, 0.1, 1e-3
+# Rows that make it a motion: they pass a conflict on from place to place, and give way last.
+TRANSMITTING = ("defect", "base_dynamics", "contact_acceleration", "contact_velocity", "impact_dynamics")
+LAST = 1e3
+# Parts of the violation that are left after the best small motion: of a conflict, and of an early iterate.
+STUCK, MENDED = 0.5, 0.01
+NAMED = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Party:
+    """Rows or bounds of one block and subject in one phase.
+
+    amount: the violation that they cannot do without, natural units; 0 for those that stand against it.
+    weight: multipliers, added up over the phase. place: of the largest.
+    """
+
+    what: str
+    phase: str
+    amount: float
+    weight: float
+    place: str
+
+    def __str__(self) -> str:
+        if self.amount > 0:
+            return f"{self.what} lacks {self.amount:.2e} at {self.place}"
+        return f"{self.what} in phase '{self.phase}' (weight {self.weight:.2f}, most at {self.place})"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conflict:
+    """before, after: sum of violations at the iterate, and what of it has to give way within the box.
+
+    giving: rows that have to give way; against: limits, bounds and goals that stand against them; edge: part
+    of the unknowns that would move further than the box allows.
+    """
+
+    before: float
+    after: float
+    giving: tuple[Party, ...]
+    against: tuple[Party, ...]
+    edge: float
+
+    @property
+    def stuck(self) -> bool:
+        """Whether no small motion mends half of what is violated: a conflict, not merely an early iterate."""
+        return self.after > STUCK * self.before
+
+    @property
+    def mended(self) -> bool:
+        """Whether a small motion mends all but little of what is violated: an early iterate."""
+        return self.after <= MENDED * self.before
+
+
+def conflict(snapshot: Snapshot) -> Conflict | None:
+    """The conflict at an iterate; None where the quadratic program is not solved."""
+    t = snapshot.transcription
+    free = np.flatnonzero(~snapshot.fixed)
+    jacobian = snapshot.jacobian[:, free].tocsc()
+    m, n = jacobian.shape
+    result = _elastic(snapshot, jacobian, free)
+    if result is None:
+        return None
+    x, rows, bounds = result
+    step, give = x[:n], x[n : n + m] + x[n + m :]
+    before = float(snapshot.violations[: t.n_rows].sum())
+    give[give < GIVES * max(give.max(initial=0.0), snapshot.tolerance)] = 0.0
+    return Conflict(
+        before=before,
+        after=float(give.sum()),
+        giving=_giving(snapshot, give),
+        against=_against(snapshot, give, rows, free, bounds),
+        edge=float(np.mean(np.abs(step) > 0.99 * BOX)),
+    )
+
+
+def _elastic(
+    snapshot: Snapshot, jacobian: sparse.csc_matrix, free: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Unknowns of the elastic program, multipliers of its rows, and of bounds that are not the box's."""
+    t = snapshot.transcription
+    m, n = jacobian.shape
+    eye = sparse.eye(m, format="csc")
+    rows = sparse.hstack([jacobian, eye, -eye], format="csc")
+    equal = snapshot.equality
+    lower_room, upper_room = (t.lower_x - snapshot.x)[free], (t.upper_x - snapshot.x)[free]
+    low = np.concatenate([np.clip(lower_room, -BOX, 0.0), np.zeros(2 * m)])
+    high = np.concatenate([np.clip(upper_room, 0.0, BOX), np.full(2 * m, np.inf)])
+    price = np.concatenate([np.full(n, NEAREST), np.full(2 * m, NEAREST)])
+    motion = np.isin(t.rows.block, [i for i, name in enumerate(t.rows.names) if name in TRANSMITTING])
+    elastic = np.where(motion, LAST, 1.0)
+    solver = piqp.SparseSolver()
+    solver.settings.verbose = False
+    solver.settings.eps_abs, solver.settings.eps_rel, solver.settings.max_iter = 1e-7, 1e-8, 100
+    solver.setup(
+        sparse.diags(price, format="csc"),
+        np.concatenate([np.zeros(n), elastic, elastic]),
+        rows[equal].tocsc(),
+        (t.lower_g - snapshot.g)[equal],
+        rows[~equal].tocsc(),
+        (t.lower_g - snapshot.g)[~equal],
+        (t.upper_g - snapshot.g)[~equal],
+        low,
+        high,
+    )
+    status = solver.solve()
+    if status not in (piqp.PIQP_SOLVED, piqp.PIQP_MAX_ITER_REACHED):
+        return None
+    found = solver.result
+    weights = np.zeros(m)
+    weights[equal] = found.y
+    weights[~equal] = found.z_u - found.z_l
+    at_bound = found.z_bu[:n] * (upper_room < BOX) - found.z_bl[:n] * (lower_room > -BOX)
+    return np.array(found.x), weights, np.array(at_bound)
+
+
+def _giving(snapshot: Snapshot, give: np.ndarray) -> tuple[Party, ...]:
+    order = [row for row in np.argsort(-give).tolist() if give[row] > 0]
+    parties: dict[tuple[str, str], Party] = {}
+    for row in order:
+        name = snapshot.names.row(row)
+        key = (name.what, snapshot.names.phase(name.site.stage))
+        if key not in parties and len(parties) < NAMED:
+            place = snapshot.names.place(name.site)
+            parties[key] = Party(what=key[0], phase=key[1], amount=float(give[row]), weight=1.0, place=place)
+    return tuple(parties.values())
+
+
+def _against(
+    snapshot: Snapshot, give: np.ndarray, weights: np.ndarray, free: np.ndarray, bounds: np.ndarray
+) -> tuple[Party, ...]:
+    """Limits, bounds and goals with the largest multipliers, added up over time."""
+    names, giving = snapshot.names, {snapshot.names.block(row) for row in np.flatnonzero(give).tolist()}
+    found: dict[tuple[str, str], list[tuple[float, Site]]] = {}
+    for row in np.flatnonzero(np.abs(weights) > NOISE).tolist():
+        if names.block(row) not in (*TRANSMITTING, *giving):
+            site = names.row_sites[row]
+            key = (names.row(row).what, names.phase(site.stage))
+            found.setdefault(key, []).append((abs(float(weights[row])), site))
+    for position in np.flatnonzero(np.abs(bounds) > NOISE).tolist():
+        index = int(free[position])
+        site = names.unknown_sites[index]
+        key = (f"{BOUNDS} [{names.unknown_labels[index]}]", names.phase(site.stage))
+        found.setdefault(key, []).append((abs(float(bounds[position])), site))
+    sums = {key: sum(weight for weight, _ in entries) for key, entries in found.items()}
+    largest = max(sums.values(), default=0.0)
+    order = sorted((key for key in sums if sums[key] > PART * largest), key=lambda key: -sums[key])
+    return tuple(
+        Party(
+            what=what,
+            phase=phase,
+            amount=0.0,
+            weight=sums[what, phase],
+            place=names.place(max(found[what, phase], key=lambda entry: entry[0])[1]),
+        )
+        for what, phase in order[:NAMED]
+    )

@@ -1,0 +1,125 @@
+"""Rank of the contacts' own Jacobian along the motion: what physics says of redundant contacts.
+
+The wrenches of contacts whose rows depend on each other are not unique, whatever the transcription does. A
+rank that changes along a phase belongs to a posture: a straight leg, or an axis through two contacts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.certify.contact.contact_response import ContactRank, contact_rank, mass_factor, response
+from trajopt.certify.contact.contact_set import AXES, ContactSet, contact_kinematics
+from trajopt.errors import TrajoptError
+from trajopt.robot.contact import Contact
+from trajopt.solution.solution import Solution
+from trajopt.transcription.transcription import Transcription
+
+# Condition of the contacts beyond which a posture is next to singular: a leg straight to a thousandth.
+NEARLY_SINGULAR = 1e3
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactDependency:
+    """Rows (contact and axis) that depend on each other, and how many are too many."""
+
+    rows: tuple[str, ...]
+    excess: int
+
+    def __str__(self) -> str:
+        return f"{self.excess} too many among {', '.join(self.rows)}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhaseContacts:
+    """Contacts of one phase over its samples.
+
+    rows: number of rows. least, most: rank over the samples. condition: the worst, at the time ``at`` in s.
+    dependencies: at the sample of least rank. left_out: rows that the transcription does not impose.
+    """
+
+    phase: str
+    rows: int
+    least: int
+    most: int
+    condition: float
+    at: float
+    dependencies: tuple[ContactDependency, ...]
+    left_out: tuple[str, ...]
+
+    @property
+    def redundant(self) -> bool:
+        """Whether rows depend on each other all along the phase."""
+        return self.most < self.rows
+
+    @property
+    def singular(self) -> bool:
+        """Whether postures of the phase are singular, or next to it."""
+        return self.least < self.most or self.condition > NEARLY_SINGULAR
+
+    def __str__(self) -> str:
+        if not self.rows:
+            return "no contact rows"
+        span = f"{self.least}" if self.least == self.most else f"{self.least} to {self.most}"
+        groups = "; ".join(map(str, self.dependencies))
+        text = f"{self.rows} contact rows of rank {span}, condition up to {self.condition:.1e}"
+        text += f" at t = {self.at:.3f} s" + (f": {groups}" if groups else "")
+        return text + (f"; left out: {', '.join(self.left_out)}" if self.left_out else "")
+
+
+def phase_contacts(transcription: Transcription, solution: Solution) -> tuple[PhaseContacts, ...]:
+    """Contact ranks of every phase at the collocation points of its motion.
+
+    Samples that are not finite, and phases without any other, are passed over.
+    """
+    return tuple(_phases(transcription, solution))
+
+
+def _phases(transcription: Transcription, solution: Solution) -> Iterator[PhaseContacts]:
+    layout, model = transcription.layout, solution.model
+    finite = np.isfinite(solution.q).all(axis=1) & solution.collocation
+    for index, phase in enumerate(layout.schedule.phases):
+        contacts = layout.touching[index]
+        samples = [k for k in solution.phases[index] if finite[k]]
+        ranks = [rank for k in samples if (rank := _rank(model, contacts, solution.q[k])) is not None]
+        if not contacts or not ranks:
+            continue
+        absent = _absent_rows(contacts)
+        least = min(ranks, key=lambda rank: rank.delassus)
+        worst = int(np.argmax([rank.condition for rank in ranks]))
+        groups = [ContactDependency(rows=g.rows, excess=g.excess) for g in least.dependencies]
+        yield PhaseContacts(
+            phase=phase.name,
+            rows=least.rows - len(absent),
+            least=least.delassus,
+            most=max(rank.delassus for rank in ranks),
+            condition=ranks[worst].condition,
+            at=float(solution.t[samples[worst]]),
+            dependencies=tuple(group for group in groups if not set(group.rows) <= absent),
+            left_out=tuple(transcription.redundant.get(phase.name, ())),
+        )
+
+
+def _absent_rows(contacts: tuple[Contact, ...]) -> set[str]:
+    """Rows that a contact within a plane does not have, by name."""
+    return {
+        f"{contact.name} {AXES[row]}"
+        for contact in contacts
+        for row in range(3 if contact.kind == "point" else 6)
+        if row not in contact.rows
+    }
+
+
+def _rank(model: pin.Model, contacts: tuple[Contact, ...], q: np.ndarray) -> ContactRank | None:
+    try:
+        active = ContactSet.of(model, contacts)
+        data = model.createData()
+        lower = mass_factor(pin.crba(model, data, q))
+        rows = contact_kinematics(model, data, q, np.zeros(model.nv), active)
+        return contact_rank(active, rows.jacobian, response(lower, active, rows.jacobian))
+    except (TrajoptError, np.linalg.LinAlgError):  # a body without mass, an iterate far from any motion
+        return None

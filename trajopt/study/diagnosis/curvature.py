@@ -1,0 +1,196 @@
+"""Curvature of the Lagrangian along the motions that active constraints leave free.
+
+With H the Hessian of the Lagrangian and A the active rows over the free unknowns, the second-order condition
+asks p^T H p > 0 for all p with A p = 0. Eigenvalues of H on that null space near zero come from Lanczos on
+
+    p -> first block of [H - s I   A^T   ]^-1 [p]        (shift and invert)
+                        [A         -beta I]   [0]
+
+whose eigenvalues are 1 / (lambda - s), and those far from it from Lanczos on P H P, P the projector on the
+null space by the same system with H - s I replaced by I. Ritz values are quotients p^T H p / p^T p of vectors
+that are in the null space to rounding: a negative one proves negative curvature. That none is found proves
+its absence only as far as Lanczos goes; small problems take a dense decomposition, which is a proof.
+(Nocedal, Wright, "Numerical Optimization", 2006, ch. 12.5 and 16; Parlett, "The Symmetric Eigenvalue
+Problem", ch. 13.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg, sparse
+
+from trajopt.study.diagnosis.rank import DENSE, RANK_TOLERANCE, quiet_factor
+
+# Curvature below this part of the largest is none: of a Hessian in natural units it is rounding, or the price
+# of something that nobody should pay attention to.
+FLAT = 1e-8
+BETA = 1e-14
+# Lanczos steps with full orthogonalisation, and directions that are named.
+STEPS = 40
+NAMED = 4
+# Ritz vectors of different runs that differ by less than this are one: their difference is rounding.
+DISTINCT = 1e-5
+# Between the flat and the largest curvature one more shift looks for what both ends miss.
+BETWEEN = -1e-2
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Curvature:
+    """Eigenvalues of the reduced Hessian, per unit of scaled unknowns squared.
+
+    directions: number of free directions. smallest, largest: None where there is no free direction.
+    values (k,), vectors (n, k): the smallest found, ascending, with unit directions over the free unknowns.
+    nearest (k,), nearest_vectors (n, k): those nearest to zero. exact: by a dense decomposition.
+    """
+
+    directions: int
+    smallest: float | None
+    largest: float | None
+    values: np.ndarray
+    vectors: np.ndarray
+    nearest: np.ndarray
+    nearest_vectors: np.ndarray
+    exact: bool
+
+    @property
+    def flat(self) -> float:
+        """Curvature below which there is none."""
+        return FLAT * max(abs(self.largest or 0.0), abs(self.smallest or 0.0))
+
+    @property
+    def negative(self) -> bool:
+        """Whether some direction curves downwards: the second-order condition does not hold."""
+        return self.smallest is not None and self.smallest < -self.flat
+
+    @property
+    def holds(self) -> bool:
+        """Whether every free direction curves upwards: the second-order sufficient condition."""
+        return self.smallest is None or self.smallest > self.flat
+
+
+def curvature(hessian: sparse.spmatrix, active: sparse.spmatrix) -> Curvature:
+    """Smallest eigenvalues of ``hessian`` (n, n) on the null space of ``active`` (m, n)."""
+    full, rows = sparse.csc_matrix(hessian), sparse.csc_matrix(active)
+    if min(rows.shape[1], rows.shape[0] + DENSE) <= DENSE or rows.shape[1] <= 2 * DENSE:
+        return _dense(full.toarray(), rows.toarray())
+    return _sparse(full, rows)
+
+
+def _dense(hessian: np.ndarray, active: np.ndarray) -> Curvature:
+    n = len(hessian)
+    if len(active):
+        _, values, right = np.linalg.svd(active, full_matrices=True)
+        rank = int(np.sum(values > RANK_TOLERANCE * values.max(initial=0.0)))
+        basis = right[rank:].T
+    else:
+        basis = np.eye(n)
+    if basis.shape[1] == 0:
+        return _none(n, exact=True)
+    values, vectors = linalg.eigh(basis.T @ hessian @ basis)
+    return _found(basis.shape[1], values, basis @ vectors, exact=True)
+
+
+def _found(directions: int, values: np.ndarray, vectors: np.ndarray, *, exact: bool) -> Curvature:
+    """From eigenvalues (k,), ascending, and their directions (n, k)."""
+    nearest = np.argsort(np.abs(values), kind="stable")[:NAMED]
+    return Curvature(
+        directions=directions,
+        smallest=float(values[0]) if len(values) else None,
+        largest=float(values[-1]) if len(values) else None,
+        values=values[:NAMED],
+        vectors=vectors[:, :NAMED],
+        nearest=values[nearest],
+        nearest_vectors=vectors[:, nearest],
+        exact=exact,
+    )
+
+
+def _none(n: int, *, exact: bool) -> Curvature:
+    return _found(0, np.zeros(0), np.zeros((n, 0)), exact=exact)
+
+
+Operator = Callable[[np.ndarray], np.ndarray]
+
+
+def _sparse(hessian: sparse.csc_matrix, active: sparse.csc_matrix) -> Curvature:
+    m, n = active.shape
+    unit = float(sparse.linalg.norm(hessian, np.inf)) or 1.0
+    scaled = hessian / unit
+    project = _operator(sparse.eye(n, format="csc"), active)
+    if project is None:  # the rows' own factor fails: nothing can be said
+        return replace(_none(n, exact=False), directions=max(0, n - m), smallest=np.nan, largest=np.nan)
+    start = project(np.random.default_rng(0).standard_normal(n))
+    if np.linalg.norm(start) < np.sqrt(np.finfo(float).eps) * np.sqrt(n):
+        return _none(n, exact=False)
+    found = [lanczos(lambda p: project(scaled @ p), start)]
+    for shift in (0.0, BETWEEN):
+        inverse = _operator(scaled - shift * sparse.eye(n, format="csc"), active)
+        if inverse is not None:
+            found.append(lanczos(inverse, start))
+    return _from_vectors(np.hstack(found), scaled, active, project, unit)
+
+
+def _operator(first: sparse.csc_matrix, active: sparse.csc_matrix) -> Operator | None:
+    m, n = active.shape
+    factor = quiet_factor(sparse.bmat([[first, active.T], [active, -BETA * sparse.eye(m)]], format="csc"))
+    if factor is None:
+        return None
+    rest = np.zeros(m)
+    return lambda p: factor.solve(np.concatenate([p, rest]))[:n]
+
+
+def lanczos(operator: Operator, start: np.ndarray, steps: int = STEPS) -> np.ndarray:
+    """Ritz vectors (n, k) of a symmetric operator at both ends of its spectrum, from one Krylov space."""
+    n = len(start)
+    steps = min(steps, n)
+    basis = np.zeros((n, steps))
+    basis[:, 0] = start / np.linalg.norm(start)
+    size = steps
+    images = np.zeros((n, steps))
+    for j in range(steps):
+        image = operator(basis[:, j])
+        images[:, j] = image
+        if not np.isfinite(image).all():
+            size = j
+            break
+        rest = image
+        for _ in range(2):
+            rest = rest - basis[:, : j + 1] @ (basis[:, : j + 1].T @ rest)
+        length = np.linalg.norm(rest)
+        if j + 1 == steps or length <= 1e-12 * np.linalg.norm(image):
+            size = j + 1
+            break
+        basis[:, j + 1] = rest / length
+    if size == 0:
+        return np.zeros((n, 0))
+    small = basis[:, :size].T @ images[:, :size]
+    _, vectors = np.linalg.eigh((small + small.T) / 2)
+    ends = np.unique(
+        np.concatenate([np.arange(min(2 * NAMED, size)), np.arange(max(0, size - 2 * NAMED), size)])
+    )
+    return basis[:, :size] @ vectors[:, ends]
+
+
+def _from_vectors(
+    vectors: np.ndarray,
+    hessian: sparse.csc_matrix,
+    active: sparse.csc_matrix,
+    project: Operator,
+    unit: float,
+) -> Curvature:
+    """Rayleigh-Ritz on the span of all vectors found, put into the null space again."""
+    m, n = active.shape
+    basis = _orthonormal(_orthonormal(vectors, project), project)
+    small = basis.T @ (hessian @ basis)
+    values, rotation = np.linalg.eigh((small + small.T) / 2)
+    return _found(max(0, n - m), values * unit, basis @ rotation, exact=False)
+
+
+def _orthonormal(vectors: np.ndarray, project: Operator) -> np.ndarray:
+    """Orthonormal basis of the projected vectors, without what is there to rounding alone."""
+    inside = np.column_stack([project(column) for column in vectors.T])
+    basis, values, _ = np.linalg.svd(inside, full_matrices=False)
+    return basis[:, values > DISTINCT * values[0]]

@@ -1,0 +1,175 @@
+"""A diagnosis: the NLP of a solution rebuilt, looked at from every side, and put into words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from trajopt.errors import TrajoptError
+from trajopt.problem.problem import Problem
+from trajopt.solution.grid import mesh_of
+from trajopt.solution.solution import Solution
+from trajopt.solving.extraction import extract
+from trajopt.solving.solving import Prepared, prepare
+from trajopt.solving.verdicts import STILL_FEASIBLE
+from trajopt.solving.warm_start import solution_of
+from trajopt.study.diagnosis.activity import active_limits
+from trajopt.study.diagnosis.advice import advice
+from trajopt.study.diagnosis.conflict import conflict
+from trajopt.study.diagnosis.contacts import phase_contacts
+from trajopt.study.diagnosis.curvature import curvature
+from trajopt.study.diagnosis.diagnosis import Diagnosis, Violation
+from trajopt.study.diagnosis.findings import (
+    CurvatureReport,
+    RankReport,
+    curvature_report,
+    rank_report,
+    start_findings,
+)
+from trajopt.study.diagnosis.nonfinite import first_nonfinite
+from trajopt.study.diagnosis.scaling import scaling
+from trajopt.study.diagnosis.snapshot import Snapshot
+from trajopt.study.diagnosis.sources import at_guess, at_solution, cached_level, problem_of
+
+# Rows are violated where they miss this, or ten times the solve's tolerance: as a solve itself judges.
+TRUSTED = 10.0
+WORST = 5
+# Objective and violation of a file are those of the problem rebuilt from it, up to this.
+SAME = 1e-4
+
+
+def diagnose(
+    what: Solution | Prepared | str | Path, problem: Problem | None = None, *, compile: str | None = None
+) -> Diagnosis:
+    """Say what is wrong, or well, with an NLP at an iterate.
+
+    what: a solution or its file, solved or not; or a prepared problem, looked at at its guess.
+    problem: of the solution; default: that of the catalogue which the file names, with its parameters.
+    compile: level at which functions are compiled; default: the file's if it is in the cache, as where it was
+    solved, else none. Raises InputError where the problem is unknown, or of other joints or phases than the
+    solution.
+    """
+    if isinstance(what, Prepared):
+        return _diagnosed(at_guess(what), None, f"guess of {what.transcription.problem.name}")
+    solution = solution_of(what)
+    source = str(what) if isinstance(what, str | Path) else "solution"
+    rebuilt = problem_of(solution) if problem is None else problem
+    mesh = mesh_of(solution)
+    level = compile or cached_level(rebuilt, mesh, str(solution.meta.get("compile", "none")))
+    prepared = prepare(rebuilt, mesh=mesh, compile=level)
+    return _diagnosed(at_solution(prepared, solution), solution, source)
+
+
+def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Diagnosis:
+    t = snapshot.transcription
+    finite = snapshot.finite
+    near = bool(snapshot.violations.max(initial=0.0) <= STILL_FEASIBLE)
+    judged = snapshot if near else snapshot.structure
+    worst = _worst(snapshot, TRUSTED * snapshot.tolerance)
+    largest = float(snapshot.violations.max(initial=0.0)) if np.isfinite(snapshot.violations).all() else None
+    meta = {} if solution is None else solution.meta
+    motion = extract(t, snapshot.x, {"success": False}) if solution is None else solution
+    found = Diagnosis(
+        problem=t.problem.name,
+        robot=t.problem.robot.name,
+        source=source,
+        status=meta.get("status"),
+        solved=bool(meta.get("success", False)),
+        variables=t.layout.n_unknowns,
+        constraints=t.n_rows,
+        max_violation=largest,
+        stationarity=snapshot.stationarity if finite else None,
+        worst=tuple(worst),
+        nonfinite=None if finite else first_nonfinite(snapshot.nlp, snapshot.names, snapshot.x),
+        ranks=tuple(_ranks(judged)) if finite else (),
+        contacts=phase_contacts(t, motion),
+        curvature=_curvature(judged) if finite else None,
+        scaling=scaling(snapshot) if finite else None,
+        limits=tuple(active_limits(snapshot)) if finite else (),
+        conflict=conflict(snapshot) if finite and worst else None,
+        local_error=_local_errors(solution) if meta.get("success") else None,
+        start=tuple(start_findings(t.problem)),
+        notes=tuple(_notes(snapshot, solution, largest)),
+    )
+    return replace(found, advice=tuple(advice(found)))
+
+
+def _worst(snapshot: Snapshot, limit: float) -> list[Violation]:
+    """The worst violated rows and bounds, each block once."""
+    t, names = snapshot.transcription, snapshot.names
+    amounts = np.where(np.isfinite(snapshot.violations), snapshot.violations, np.inf)
+    found: dict[str, Violation] = {}
+    for index in np.argsort(-amounts, kind="stable").tolist():
+        if not amounts[index] > limit or len(found) == WORST:
+            break
+        bound = index >= t.n_rows
+        block = "bounds" if bound else names.block(index)
+        if block in found:
+            continue
+        site = names.unknown_sites[index - t.n_rows] if bound else names.row_sites[index]
+        text = f"bounds [{names.unknown(index - t.n_rows)}]" if bound else names.row_text(index)
+        amount = float(amounts[index])
+        found[block] = Violation(
+            row=text,
+            block=block,
+            phase=names.phase(site.stage),
+            amount=amount if math.isfinite(amount) else None,
+        )
+    return list(found.values())
+
+
+def _ranks(snapshot: Snapshot) -> Iterator[RankReport]:
+    """Of all rows, then of every phase where there are several."""
+    yield rank_report(snapshot, None)
+    count = len(snapshot.transcription.layout.schedule.phases)
+    if count > 1:
+        for phase in range(count):
+            yield rank_report(snapshot, phase)
+
+
+def _curvature(snapshot: Snapshot) -> CurvatureReport:
+    free, rows = snapshot.free, snapshot.active_rows
+    found = curvature(snapshot.hessian[free][:, free], snapshot.jacobian[rows][:, free])
+    return curvature_report(snapshot, found)
+
+
+def _local_errors(solution: Solution | None) -> dict[str, float] | None:
+    """Largest error of one interval by phase, m; None where re-integration fails."""
+    from trajopt.certify.accuracy.measures import interval_errors
+
+    if solution is None:
+        return None
+    try:
+        with np.errstate(all="ignore"):
+            errors = interval_errors(solution)
+    except (TrajoptError, ArithmeticError, ValueError):
+        return None
+    names = solution.meta.get("phase_names") or [str(i) for i in range(len(solution.phases))]
+    return {
+        str(name): float(np.max(errors[np.unique(solution.interval[list(rows)])]))
+        for name, rows in zip(names, solution.phases, strict=True)
+    }
+
+
+def _notes(snapshot: Snapshot, solution: Solution | None, largest: float | None) -> Iterator[str]:
+    """Where the rebuilt problem is not the one that the file was made from."""
+    if solution is None:
+        return
+    unit = snapshot.transcription.objective_unit
+    before, now = solution.meta.get("objective"), unit * float(snapshot.nlp.engine.f(snapshot.x))
+    if before is not None and math.isfinite(now) and abs(now - before) > SAME * max(1.0, abs(before)):
+        yield f"the rebuilt problem's objective is {now:.6g} here, the file says {before:.6g}: they differ"
+    told = solution.meta.get("max_violation")
+    if told is not None and largest is not None and abs(largest - told) > SAME * max(1.0, told):
+        yield f"the rebuilt problem's rows miss {largest:.2e} here, the file says {told:.2e}: they differ"
+    if solution.success and snapshot.complementarity > SAME:
+        yield (
+            f"multipliers do not fit the slacks of the rebuilt problem's limits "
+            f"({snapshot.complementarity:.1e}): the problem has changed since the file was made"
+        )
+    if solution.success and snapshot.row_multiplier is None:
+        yield "the file has no multipliers of these rows: limits and curvature are judged without"

@@ -1,0 +1,296 @@
+"""Every unknown and every row of an NLP in words: whose, which quantity, where, when, in which phase."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from trajopt.robot.contact import Contact
+from trajopt.robot.units import Units
+from trajopt.study.diagnosis.symbols import Label, SymbolNames, coordinate_labels, node_labels, wrench_labels
+from trajopt.terms.context_symbols import Place
+from trajopt.terms.dynamics import ImpactDynamics
+from trajopt.terms.interfaces import Rows
+from trajopt.transcription.layout import Layout
+from trajopt.transcription.term_functions import TermFunctions
+from trajopt.transcription.timeline import StageKind
+from trajopt.transcription.transcription import Transcription
+
+# A row that is about many things is named by the one or two unknowns that weigh most in it.
+MOST_UNKNOWNS, MOSTLY = 2, 0.8
+
+
+@dataclass(frozen=True, kw_only=True, order=True)
+class Site:
+    """Where something is: ``stage`` (the node's number, or the interval's), ``point`` (-1 at a node)."""
+
+    stage: int
+    point: int
+
+
+@dataclass(frozen=True, kw_only=True, order=True)
+class RowName:
+    """A row: its block, what it is about in words (or its number within the block), and where."""
+
+    block: str
+    about: str
+    site: Site
+
+    @property
+    def what(self) -> str:
+        """Block and subject, without the place."""
+        return f"{self.block} [{self.about}]"
+
+
+@dataclass(frozen=True)
+class Names:
+    """Names of one transcription; ``times`` (n_stages + 1,) s of its nodes.
+
+    A row's subject is read off the symbols in its term's expression, so that terms of users are named too.
+    Where these are many, ``slopes`` gives the row's Jacobian (indices, values), None where there is none.
+    """
+
+    transcription: Transcription
+    times: np.ndarray
+    slopes: Callable[[int], tuple[np.ndarray, np.ndarray]] | None = None
+    _subjects: dict[tuple[int, int], dict[str, list[str]]] = field(default_factory=dict, init=False)
+    _by_terms: dict[tuple[object, ...], dict[str, list[str]]] = field(default_factory=dict, init=False)
+
+    # Places
+
+    def phase_index(self, stage: int) -> int:
+        """Phase of a stage's rows and unknowns; of the last node the last phase."""
+        return self.layout.phase_at(stage)
+
+    def phase(self, stage: int) -> str:
+        """Its name."""
+        return self.layout.schedule.phases[self.phase_index(stage)].name
+
+    def time(self, site: Site) -> float:
+        """Time of a place, s."""
+        start = float(self.times[site.stage])
+        if site.point < 0:
+            return start
+        fraction = float(self.layout.scheme_of(self.phase_index(site.stage)).c[site.point])
+        return start + fraction * (float(self.times[site.stage + 1]) - start)
+
+    def place(self, site: Site) -> str:
+        """``node 12, t = 0.310 s, phase 'flight'``, or ``interval 12, point 0, ...``."""
+        where = f"node {site.stage}"
+        if site.point >= 0:
+            where = f"interval {site.stage}, point {site.point}"
+        elif site.stage < self.layout.n_stages and self.layout.stages[site.stage].step == 0:
+            where = f"{self.layout.stages[site.stage].kind.value} at node {site.stage}"
+        return f"{where}, t = {self.time(site):.3f} s, phase '{self.phase(site.stage)}'"
+
+    @property
+    def layout(self) -> Layout:
+        """Layout of the unknowns."""
+        return self.transcription.layout
+
+    @cached_property
+    def clocks(self) -> tuple[str, ...]:
+        """Phases of free duration, in the order of the clocks."""
+        schedule = self.layout.schedule
+        pairs = zip(schedule.phases, schedule.clocks, strict=True)
+        return tuple(phase.name for phase, clock in pairs if clock is not None)
+
+    # Unknowns
+
+    @cached_property
+    def unknown_labels(self) -> list[Label]:
+        """Label of every unknown."""
+        return [label for label, _ in self._unknowns]
+
+    @cached_property
+    def unknown_sites(self) -> list[Site]:
+        """Place of every unknown."""
+        return [site for _, site in self._unknowns]
+
+    def unknown(self, index: int) -> str:
+        """An unknown in words: ``FL_KFE rate, node 12, t = 0.310 s, phase 'flight'``."""
+        return f"{self.unknown_labels[index]}, {self.place(self.unknown_sites[index])}"
+
+    @cached_property
+    def _unknowns(self) -> list[tuple[Label, Site]]:
+        layout = self.layout
+        nothing = (Label(owner="", kind="", quantity=""), Site(stage=0, point=-1))
+        found = [nothing] * layout.n_unknowns
+        every = np.arange(layout.n_unknowns)
+        for k, form in enumerate(layout.forms):
+            site = Site(stage=k, point=-1)
+            _put(found, every[layout.node(k)], node_labels(form, self.clocks), site)
+            if k == layout.n_stages:
+                break
+            window, stage = every[layout.window(k)], layout.stages[k]
+            if stage.kind is StageKind.IMPACT:
+                jumps = coordinate_labels(form.robot, form.coordinates, "jump")
+                _put(found, window[layout.local_jump(k)], jumps, site)
+                impulses = _wrenches(layout.touching[stage.phase], "impulse", "angular impulse")
+                _put(found, window[layout.local_impulse(k)], impulses, site)
+            elif stage.kind is StageKind.INTERVAL:
+                self._name_interval(found, window, k)
+        return found
+
+    def _name_interval(self, found: list[tuple[Label, Site]], window: np.ndarray, k: int) -> None:
+        layout, form = self.layout, self.layout.forms[k]
+        phase = layout.stages[k].phase
+        kind = "acceleration" if layout.order == 2 else "rate"
+        labels = coordinate_labels(form.robot, form.coordinates, kind)
+        forces = _wrenches(layout.contacts[phase], "force", "moment")
+        for i in range(layout.scheme_of(phase).s):
+            site = Site(stage=k, point=i)
+            _put(found, window[layout.local_derivative(phase, i)], labels, site)
+            _put(found, window[layout.local_wrench(phase, i)], forces, site)
+
+    # Rows
+
+    @cached_property
+    def row_sites(self) -> list[Site]:
+        """Place of every row."""
+        rows = self.transcription.rows
+        pairs = zip(rows.stage.tolist(), rows.point.tolist(), strict=True)
+        return [Site(stage=stage, point=point) for stage, point in pairs]
+
+    @cached_property
+    def row_numbers(self) -> np.ndarray:
+        """Number of every row within its block at its place (n_rows,)."""
+        rows = self.transcription.rows
+        keys = np.column_stack([rows.block, rows.stage, rows.point])
+        _, which = np.unique(keys, axis=0, return_inverse=True)
+        order = np.argsort(which, kind="stable")
+        sorted_keys = which.ravel()[order]
+        first = np.concatenate([[True], np.diff(sorted_keys) != 0]) if len(order) else np.zeros(0, bool)
+        start = np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))
+        numbers = np.zeros(len(order), dtype=int)
+        numbers[order] = np.arange(len(order)) - start
+        return numbers
+
+    def block(self, row: int) -> str:
+        """Name of a row's block."""
+        rows = self.transcription.rows
+        return rows.names[int(rows.block[row])]
+
+    def row(self, index: int) -> RowName:
+        """Name of a row."""
+        block, site, number = self.block(index), self.row_sites[index], int(self.row_numbers[index])
+        about = ""
+        if block == "defect":
+            about = str(node_labels(self.layout.forms[site.stage + 1], self.clocks)[number])
+        else:
+            subjects = self._subjects_at(site).get(block, [])
+            about = subjects[number] if number < len(subjects) else ""
+        if not about:
+            about = ", ".join(part for part in (f"row {number}", self._by_weight(index)) if part)
+        return RowName(block=block, about=about, site=site)
+
+    def row_text(self, index: int) -> str:
+        """A row in words, with its place."""
+        name = self.row(index)
+        return f"{name.what}, {self.place(name.site)}"
+
+    def _by_weight(self, index: int) -> str:
+        """The unknowns that weigh most in a row, if one or two of them are most of it."""
+        if self.slopes is None:
+            return ""
+        weights: dict[str, float] = {}
+        for column, value in zip(*self.slopes(index), strict=True):
+            label = str(self.unknown_labels[int(column)])
+            weights[label] = weights.get(label, 0.0) + float(value) ** 2
+        largest = sorted(weights, key=lambda label: -weights[label])[:MOST_UNKNOWNS]
+        total = sum(weights.values())
+        for count in range(1, len(largest) + 1):
+            if sum(weights[label] for label in largest[:count]) >= MOSTLY * total > 0:
+                return "mostly " + "; ".join(largest[:count])
+        return ""
+
+    def _subjects_at(self, site: Site) -> dict[str, list[str]]:
+        key = (site.stage, site.point)
+        if key not in self._subjects:
+            found: dict[str, list[str]] = {}
+            for part in self._parts(site):
+                for name, subjects in part.items():
+                    found.setdefault(name, []).extend(subjects)
+            self._subjects[key] = found
+        return self._subjects[key]
+
+    def _parts(self, site: Site) -> Iterable[dict[str, list[str]]]:
+        """Subjects by block of a point's rows, or of those of an impact and then of its node."""
+        layout, k = self.layout, site.stage
+        if site.point >= 0:
+            yield self._phase_subjects(int(layout.phase_of[k]), Place.POINT, k)
+            return
+        if k < layout.n_stages and layout.stages[k].kind is StageKind.IMPACT:
+            yield self._phase_subjects(layout.stages[k].phase, Place.IMPACT, k)
+        yield self._node_subjects(k)
+
+    @cached_property
+    def functions(self) -> TermFunctions:
+        """What builds contexts of this transcription."""
+        problem, layout = self.transcription.problem, self.layout
+        robots = {id(form.robot): form.robot for form in layout.forms}
+        return TermFunctions(problem, layout, {key: Units(r, problem.robot) for key, r in robots.items()})
+
+    def _phase_subjects(self, phase: int, place: Place, k: int) -> dict[str, list[str]]:
+        key = (phase, place)
+        if key not in self._by_terms:
+            problem, form = self.transcription.problem, self.layout.forms[k]
+            name, units = problem.schedule.phases[phase].name, self.functions.units[id(form.robot)]
+            terms = [term for term in problem.point_constraints if term.acts_in(name)]
+            if place is Place.IMPACT:
+                terms = [ImpactDynamics(), *(term for term in terms if term.acts_at_impacts)]
+                units = units.impulsive()
+            context = self.functions.context(phase, form, place)
+            rows = [(term.name, term.rows(context, units)) for term in terms]
+            self._by_terms[key] = _subjects(SymbolNames(context, form, self.clocks), rows)
+        return self._by_terms[key]
+
+    def _node_subjects(self, k: int) -> dict[str, list[str]]:
+        layout, problem = self.layout, self.transcription.problem
+        place, phase, form = layout.place(k), layout.place_phase(k), layout.forms[k]
+        if place is None:
+            return {}
+        terms = [term for term in problem.node_constraints if term.acts_at(place)]
+        context = self.functions.context(phase, form, Place.NODE)
+        units = self.functions.units[id(form.robot)]
+        rows = [(term.name, term.rows(context, units, place)) for term in terms]
+        return _subjects(SymbolNames(context, form, self.clocks), rows)
+
+
+def _put(found: list[tuple[Label, Site]], indices: np.ndarray, labels: Iterable[Label], site: Site) -> None:
+    for index, label in zip(indices.tolist(), labels, strict=True):
+        found[index] = (label, site)
+
+
+def _wrenches(contacts: Iterable[Contact], linear: str, angular: str) -> list[Label]:
+    return [
+        label for contact in contacts for label in wrench_labels(contact.name, contact.rows, linear, angular)
+    ]
+
+
+def _subjects(names: SymbolNames, blocks: Iterable[tuple[str, Rows | None]]) -> dict[str, list[str]]:
+    """Subject of every row by block; rows of a block that share one are told apart by their numbers."""
+    found: dict[str, list[str]] = {}
+    for block, rows in blocks:
+        if rows is None:
+            continue
+        own = [names.row(entry) for entry in ca.vertsplit(rows.expression)] if rows.expression.numel() else []
+        found.setdefault(block, []).extend(own)
+    return {block: _told_apart(subjects) for block, subjects in found.items()}
+
+
+def _told_apart(subjects: list[str]) -> list[str]:
+    shared = {subject for subject in subjects if subject and subjects.count(subject) > 1}
+    counts = dict.fromkeys(shared, 0)
+    found = []
+    for subject in subjects:
+        if subject in shared:
+            counts[subject] += 1
+            found.append(f"{subject} ({counts[subject]})")
+        else:
+            found.append(subject)
+    return found

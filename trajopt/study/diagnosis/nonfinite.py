@@ -1,0 +1,245 @@
+"""The first value or derivative that is not finite: the term, the place, and the inputs that cause it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajopt.study.diagnosis.names import Names, Site
+from trajopt.study.diagnosis.symbols import (
+    Label,
+    coordinate_labels,
+    input_labels,
+    node_labels,
+    rotation_labels,
+)
+from trajopt.study.diagnosis.term_values import Value, guilty_terms, slopes_of, values_of
+from trajopt.terms.context_symbols import Place
+from trajopt.transcription.nlp import Nlp
+from trajopt.transcription.timeline import NodeForm, StageKind
+from trajopt.transcription.transcription import Group, Transcription
+
+# Changes of one input, in its natural units, by which a value becomes finite: the least that does counts.
+# Small ones leave a point without slope, such as a norm at zero; large ones reach into a root or a logarithm.
+# Entries of quaternions are changed little: far from unit length they turn nothing.
+CHANGES = (1e-3, 1e-1, 1.0, 10.0, 100.0)
+MOST_TURN = 0.1
+# So many inputs are named at most; where more of them cause it together, their kinds say more.
+MOST_NAMED = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class GuiltyInput:
+    """An input of the function: name, value (SI units, true or nominal time as the unknown is)."""
+
+    name: str
+    value: float
+
+    def __str__(self) -> str:
+        return f"{self.name} = {self.value:.6g}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class NonFinite:
+    """What is not finite: ``output`` (cost, rows, gradient, jacobian, hessian) of ``terms`` at a place.
+
+    row: what the row is about, where it is one. inputs: those that are not finite themselves, or of which one
+    alone, changed a little, makes all finite. kinds: where no single one does, kinds of inputs that do.
+    """
+
+    output: str
+    terms: tuple[str, ...]
+    row: str
+    phase: str
+    node: int
+    point: int | None
+    time: float
+    place: str
+    inputs: tuple[GuiltyInput, ...]
+    kinds: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        what = f"{self.output} of {' and '.join(self.terms) or 'a function'}"
+        what += f" [{self.row}]" if self.row else ""
+        cause = ", ".join(map(str, self.inputs)) or " and ".join(self.kinds)
+        return f"{what} is not finite at {self.place}" + (f"; because of {cause}" if cause else "")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Where:
+    """The group of functions, its position, and how its inputs are called."""
+
+    group: Group
+    position: int
+    site: Site
+    form: NodeForm
+    place: Place | None
+    labels: Sequence[Label]
+
+
+def first_nonfinite(nlp: Nlp, names: Names, x: np.ndarray) -> NonFinite | None:
+    """The first function of the NLP that is not finite at scaled unknowns x (n_unknowns,), or None."""
+    found = nlp.engine.first_nonfinite(x)
+    if found is None:
+        return _unknown_itself(names, x)
+    number, position, output, index = found
+    t = nlp.transcription
+    where = _where(t, names, number, position)
+    inputs = _inputs(t, where, x)
+    row = ""
+    if output == "rows":
+        row = names.row(int(where.group.rows[position, index])).about
+    guilty = []
+    if where.place is not None:
+        guilty = guilty_terms(names, where.site, where.form, where.place, inputs)
+    functions = [value for _, value in guilty] or _whole(where)
+    wrong = _wrong_unknowns(names, where, x)
+    causes, kinds = (wrong, ()) if wrong else _causes(functions, where, inputs)
+    terms = tuple(name for name, _ in guilty) or (() if where.place else ("defect",))
+    return NonFinite(
+        output=output,
+        terms=terms,
+        row=row,
+        phase=names.phase(where.site.stage),
+        node=where.site.stage,
+        point=where.site.point if where.site.point >= 0 else None,
+        time=names.time(where.site),
+        place=names.place(where.site),
+        inputs=causes,
+        kinds=kinds,
+    )
+
+
+def _unknown_itself(names: Names, x: np.ndarray) -> NonFinite | None:
+    """An unknown that is not finite and that no function sees."""
+    wrong = np.flatnonzero(~np.isfinite(x))
+    if not len(wrong):
+        return None
+    first = int(wrong[0])
+    site = names.unknown_sites[first]
+    return NonFinite(
+        output="unknown",
+        terms=(),
+        row="",
+        phase=names.phase(site.stage),
+        node=site.stage,
+        point=site.point if site.point >= 0 else None,
+        time=names.time(site),
+        place=names.place(site),
+        inputs=(GuiltyInput(name=str(names.unknown_labels[first]), value=float(x[first])),),
+    )
+
+
+def _where(t: Transcription, names: Names, number: int, position: int) -> _Where:
+    group, layout = t.groups[number], t.layout
+    k = int(group.stages[position])
+    form = layout.forms[k]
+    point, place = _point_of(t, group, k), None
+    if point >= 0:
+        place = Place.POINT
+    elif k < layout.n_stages and group.point.name.startswith("impact_"):
+        place = Place.IMPACT
+    elif group.point.name.startswith("node_"):
+        place = Place.NODE
+    return _Where(
+        group=group,
+        position=position,
+        site=Site(stage=k, point=point),
+        form=form,
+        place=place,
+        labels=_labels(t, names, group, k, place),
+    )
+
+
+def _point_of(t: Transcription, group: Group, k: int) -> int:
+    """Index of a group's collocation point, -1 where it is at a node; points share one function."""
+    if k == t.layout.n_stages or t.layout.stages[k].kind is not StageKind.INTERVAL:
+        return -1
+    siblings = [
+        one for one in t.groups if one.point is group.point and np.array_equal(one.stages, group.stages)
+    ]
+    count = t.layout.scheme_of(int(t.layout.phase_of[k])).s
+    plain = group.point.name in ("interval_end", "change") or group.point.name.startswith("node_")
+    if plain or len(siblings) != count:
+        return -1
+    return next(i for i, one in enumerate(siblings) if one is group)
+
+
+def _labels(t: Transcription, names: Names, group: Group, k: int, place: Place | None) -> Sequence[Label]:
+    layout, form = t.layout, t.layout.forms[k]
+    if place is not None:
+        phase = layout.place_phase(k) if place is Place.NODE else layout.stages[k].phase
+        return input_labels(names.functions.context(phase, form, place), form, names.clocks)
+    if group.point.name == "change":
+        return node_labels(form, names.clocks)
+    turning = [form.coordinates.rotation_index] * (2 if form.order == 2 else 1)
+    kinds = ("position", "rate")
+    own = [coordinate_labels(form.robot, form.coordinates, kind) for kind in kinds]
+    ends = [own[i][int(j)] for i, entries in enumerate(turning) for j in entries]
+    return [*rotation_labels(form.robot, form.coordinates), *ends]
+
+
+def _inputs(t: Transcription, where: _Where, x: np.ndarray) -> np.ndarray:
+    k = where.site.stage
+    own = slice(int(t.layout.node_offset[k]), int(t.layout.node_offset[k]) + where.group.gather.shape[1])
+    dense = where.group.gather.toarray()
+    with np.errstate(invalid="ignore"):  # NaN times a structural zero is no NaN
+        return np.array([row[row != 0] @ x[own][row != 0] for row in dense])
+
+
+# Inputs
+
+
+def _wrong_unknowns(names: Names, where: _Where, x: np.ndarray) -> tuple[GuiltyInput, ...]:
+    """Unknowns of the function that are not finite themselves."""
+    start = int(names.layout.node_offset[where.site.stage])
+    own = np.arange(start, start + where.group.gather.shape[1])
+    wrong = own[~np.isfinite(x[own])][:MOST_NAMED]
+    labels = names.unknown_labels
+    return tuple(GuiltyInput(name=str(labels[int(i)]), value=float(x[i])) for i in wrong)
+
+
+def _whole(where: _Where) -> list[Value]:
+    """Values and derivatives of the group's function, where no term of it is to be had."""
+    parameters = where.group.parameters[where.position]
+    return [values_of(where.group.point, parameters), slopes_of(where.group.point, parameters)]
+
+
+def _causes(
+    functions: Sequence[Value], where: _Where, inputs: np.ndarray
+) -> tuple[tuple[GuiltyInput, ...], tuple[str, ...]]:
+    """Inputs of which one alone makes all finite, or, without any, kinds of inputs."""
+    units = np.abs(where.group.gather).max(axis=1).toarray().ravel()
+    units[units == 0] = 1.0
+    kinds = np.array([label.kind for label in where.labels])
+    turning = np.array(["quaternion" in label.quantity for label in where.labels])
+    members = {kind: np.flatnonzero(kinds == kind).tolist() for kind in dict.fromkeys(kinds.tolist())}
+    for change in CHANGES:
+        steps = units * np.where(turning, min(change, MOST_TURN), change)
+        alone = [j for j in range(len(inputs)) if _mended(functions, inputs, [j], steps)]
+        if alone:
+            return _named(where, inputs, np.array(alone)), ()
+    found = [
+        kind
+        for kind, own in members.items()
+        if any(_mended(functions, inputs, own, units * c) for c in CHANGES)
+    ]
+    return (), tuple(found)
+
+
+def _mended(functions: Sequence[Value], inputs: np.ndarray, which: list[int], steps: np.ndarray) -> bool:
+    """Whether all functions are finite when these inputs alone are changed, one way or the other."""
+    for sign in (1.0, -1.0):
+        trial = inputs.copy()
+        trial[which] += sign * steps[which]
+        if all(np.isfinite(function(trial)).all() for function in functions):
+            return True
+    return False
+
+
+def _named(where: _Where, inputs: np.ndarray, which: np.ndarray) -> tuple[GuiltyInput, ...]:
+    return tuple(
+        GuiltyInput(name=str(where.labels[int(j)]), value=float(inputs[int(j)])) for j in which[:MOST_NAMED]
+    )

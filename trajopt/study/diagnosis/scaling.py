@@ -1,0 +1,145 @@
+"""Ranges of unknowns, rows, derivatives and multipliers in the units that the solver sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from trajopt.study.diagnosis.snapshot import Snapshot
+
+# Row or column norms this far from one, either way, slow a solver down: its tolerances then mean different
+# things in different rows.
+FAR = 1e4
+# Entries below this are rounding: those of scaled functions are of order one.
+ROUNDING = 1e-13
+
+
+@dataclass(frozen=True, kw_only=True)
+class Range:
+    """Smallest and largest magnitude of what is not zero to rounding; both 0 where all is."""
+
+    smallest: float
+    largest: float
+
+    @classmethod
+    def of(cls, values: np.ndarray) -> Range:
+        """Range of an array."""
+        magnitudes = np.abs(values)
+        magnitudes = magnitudes[magnitudes > ROUNDING * max(1.0, magnitudes.max(initial=0.0))]
+        if not len(magnitudes):
+            return cls(smallest=0.0, largest=0.0)
+        return cls(smallest=float(magnitudes.min()), largest=float(magnitudes.max()))
+
+    @property
+    def spread(self) -> float:
+        """Largest over smallest."""
+        return self.largest / self.smallest if self.smallest > 0 else 1.0
+
+    @property
+    def far(self) -> float:
+        """How far from one, as a factor."""
+        return max(self.largest, 1 / self.smallest) if self.smallest > 0 else 1.0
+
+    def __str__(self) -> str:
+        return f"{self.smallest:.0e} to {self.largest:.0e}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlockScale:
+    """A block of rows: number, norms of its Jacobian's rows, entries of it, multipliers (or None)."""
+
+    block: str
+    rows: int
+    row_norm: Range
+    entries: Range
+    multiplier: Range | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class KindScale:
+    """Unknowns of one kind: number, scaled values, SI value of a scaled unit, column norms of the Jacobian,
+    diagonal entries of the Lagrangian's Hessian."""
+
+    kind: str
+    unknowns: int
+    value: Range
+    unit: Range
+    column_norm: Range
+    hessian: Range
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scaling:
+    """Blocks and kinds, those with norms farthest from one first."""
+
+    blocks: tuple[BlockScale, ...]
+    kinds: tuple[KindScale, ...]
+    jacobian: Range
+    hessian: Range
+    gradient: Range
+
+    @property
+    def worst_blocks(self) -> tuple[BlockScale, ...]:
+        """Blocks with row norms or multipliers beyond `FAR`."""
+        return tuple(
+            block
+            for block in self.blocks
+            if block.row_norm.far > FAR or (block.multiplier is not None and block.multiplier.largest > FAR)
+        )
+
+    @property
+    def worst_kinds(self) -> tuple[KindScale, ...]:
+        """Kinds of unknowns with values or column norms beyond `FAR`."""
+        return tuple(k for k in self.kinds if k.column_norm.far > FAR or k.value.largest > FAR)
+
+
+def scaling(snapshot: Snapshot) -> Scaling:
+    """Ranges at one iterate."""
+    jacobian, hessian = snapshot.jacobian, snapshot.hessian
+    rows, columns = sparse.linalg.norm(jacobian, axis=1), sparse.linalg.norm(jacobian, axis=0)
+    return Scaling(
+        blocks=_blocks(snapshot, rows),
+        kinds=_kinds(snapshot, columns, hessian.diagonal()),
+        jacobian=Range.of(jacobian.data),
+        hessian=Range.of(hessian.data),
+        gradient=Range.of(snapshot.gradient),
+    )
+
+
+def _blocks(snapshot: Snapshot, norms: np.ndarray) -> tuple[BlockScale, ...]:
+    info, known = snapshot.transcription.rows, snapshot.row_multiplier
+    found = []
+    for index, name in enumerate(info.names):
+        members = np.flatnonzero(info.block == index)
+        found.append(
+            BlockScale(
+                block=name,
+                rows=len(members),
+                row_norm=Range.of(norms[members]),
+                entries=Range.of(snapshot.jacobian[members].data),
+                multiplier=None if known is None else Range.of(known[members]),
+            )
+        )
+    return tuple(sorted(found, key=lambda block: -block.row_norm.far))
+
+
+def _kinds(snapshot: Snapshot, norms: np.ndarray, diagonal: np.ndarray) -> tuple[KindScale, ...]:
+    labels = np.array([label.kind for label in snapshot.names.unknown_labels])
+    free = ~snapshot.fixed
+    found = []
+    for kind in dict.fromkeys(labels.tolist()):
+        members = np.flatnonzero((labels == kind) & free)
+        if len(members):
+            found.append(
+                KindScale(
+                    kind=kind,
+                    unknowns=len(members),
+                    value=Range.of(snapshot.x[members]),
+                    unit=Range.of(snapshot.transcription.scale[members]),
+                    column_norm=Range.of(norms[members]),
+                    hessian=Range.of(diagonal[members]),
+                )
+            )
+    return tuple(sorted(found, key=lambda one: -one.column_norm.far))

@@ -1,0 +1,173 @@
+"""Names of what a term's expression is about, found from the symbols in it.
+
+A term is a small expression over the symbols of its context. Whatever the term, the symbols that a row holds
+say what the row is about: one joint's torque, one contact's force, the height of one frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+
+from trajopt.dynamics.manifold import Coordinates
+from trajopt.robot.robot import Robot
+from trajopt.terms.context import Context
+from trajopt.terms.context_symbols import Place
+from trajopt.transcription.timeline import NodeForm
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+QUATERNION = ("x", "y", "z", "w")
+# A row that is about more owners than these is named by its number alone.
+MOST_OWNERS = 4
+
+
+@dataclass(frozen=True, kw_only=True, order=True)
+class Label:
+    """``owner``: a joint, the base, a contact, a frame or a phase; ``quantity``: which of its quantities.
+
+    ``kind``: position, rate, acceleration, force, moment, impulse, jump, torque, clock or frame.
+    """
+
+    owner: str
+    kind: str
+    quantity: str
+
+    def __str__(self) -> str:
+        return f"{self.owner} {self.quantity}"
+
+
+def coordinate_owners(robot: Robot, coordinates: Coordinates) -> list[tuple[str, str]]:
+    """Owner and axis of each local coordinate (nv,); the axis is empty for a joint of one."""
+    found: list[tuple[str, str]] = []
+    for joint in coordinates.joints:
+        size = joint.v.stop - joint.v.start
+        base = robot.base != "fixed" and joint is coordinates.joints[0] and size > 1
+        owner = "base" if base else joint.name
+        axes = {
+            "freeflyer": ("x", "y", "z", "turn about x", "turn about y", "turn about z"),
+            "planar": ("x", "y", "turn"),
+            "spherical": ("turn about x", "turn about y", "turn about z"),
+        }.get(joint.kind, ("",) if size == 1 else AXES[:size])
+        found += [(owner, axis) for axis in axes]
+    return found
+
+
+def coordinate_labels(robot: Robot, coordinates: Coordinates, kind: str) -> list[Label]:
+    """Labels (nv,) of the local coordinates' positions, rates, accelerations, jumps or torques."""
+    return [
+        Label(owner=owner, kind=kind, quantity=f"{axis} {kind}".strip())
+        for owner, axis in coordinate_owners(robot, coordinates)
+    ]
+
+
+def rotation_labels(robot: Robot, coordinates: Coordinates) -> list[Label]:
+    """Labels of the quaternions' entries, four a rotation."""
+    owners = coordinate_owners(robot, coordinates)
+    first = coordinates.rotation_index[::3]
+    return [
+        Label(owner=owners[int(index)][0], kind="position", quantity=f"quaternion {entry}")
+        for index in first
+        for entry in QUATERNION
+    ]
+
+
+def wrench_labels(name: str, rows: Sequence[int], linear: str, angular: str) -> list[Label]:
+    """Labels of a contact's wrench, or of its motion, along these rows."""
+    return [
+        Label(
+            owner=name,
+            kind=linear if row < 3 else angular,
+            quantity=f"{linear if row < 3 else angular} {AXES[row % 3]}",
+        )
+        for row in rows
+    ]
+
+
+def node_labels(form: NodeForm, clocks: Sequence[str]) -> list[Label]:
+    """Labels of a node's entries; ``clocks`` are the phases of free duration."""
+    positions = coordinate_labels(form.robot, form.coordinates, "position")
+    rates = coordinate_labels(form.robot, form.coordinates, "rate")
+    additive = [positions[int(index)] for index in form.coordinates.additive_index]
+    own = [Label(owner=f"phase {name}", kind="clock", quantity="duration") for name in clocks]
+    rotations = rotation_labels(form.robot, form.coordinates)
+    return [*rotations, *additive, *(rates if form.order == 2 else []), *own]
+
+
+def input_labels(context: Context, form: NodeForm, clocks: Sequence[str]) -> list[Label]:
+    """Labels of the inputs z of a context, in its order."""
+    if context.place is Place.NODE:
+        return node_labels(form, clocks)
+    robot, coordinates = form.robot, context.coordinates
+    impact = context.place is Place.IMPACT
+    labels = rotation_labels(robot, coordinates)
+    highest = "jump" if impact else "acceleration"
+    kinds = ["position", "rate", *([highest] if form.order == 2 else [])]
+    for kind in kinds:
+        labels += coordinate_labels(robot, coordinates, kind)
+    names = ("impulse", "angular impulse") if impact else ("force", "moment")
+    for contact in context.contacts:
+        labels += wrench_labels(contact.name, contact.rows, *names)
+    if form.clock is not None:
+        labels.append(Label(owner=f"phase {clocks[form.clock]}", kind="clock", quantity="duration"))
+    return labels
+
+
+class SymbolNames:
+    """Labels of the symbols of one context, by identity."""
+
+    def __init__(self, context: Context, form: NodeForm, clocks: Sequence[str]) -> None:
+        self._labels: dict[int, Label] = {}
+        self._add(context.z, input_labels(context, form, clocks))
+        if context.uses_dynamics:
+            torques = coordinate_labels(form.robot, context.coordinates, "torque")
+            forces = [
+                Label(owner=one.owner, kind="balance", quantity=one.quantity.replace("torque", "balance"))
+                for one in torques[: form.robot.n_unactuated]
+            ]
+            self._add(context.generalized_forces, [*forces, *torques[form.robot.n_unactuated :]])
+        for contact in context.used_accelerations:
+            rows = context.held_rows(contact)
+            labels = wrench_labels(contact.name, rows, "acceleration", "angular acceleration")
+            self._add(context.contact_acceleration(contact), labels)
+        for name, frame in context.frames.items():
+            self._add(ca.vec(frame.rotation), [Label(owner=name, kind="frame", quantity="orientation")] * 9)
+            self._add(frame.position, wrench_labels(name, (0, 1, 2), "position", ""))
+            for twist, kinds in (
+                (frame.velocity, ("velocity", "angular velocity")),
+                (frame.acceleration, ("acceleration", "angular acceleration")),
+            ):
+                self._add(twist, wrench_labels(name, range(6), *kinds))
+
+    def _add(self, symbols: ca.SX, labels: Sequence[Label]) -> None:
+        for index, label in enumerate(labels):
+            self._labels[symbols[index].element_hash()] = label
+
+    def of(self, expression: ca.SX) -> list[Label]:
+        """Labels of the symbols in an expression, without parameters, sorted."""
+        found = {self._labels.get(symbol.element_hash()) for symbol in ca.symvar(expression)}
+        return sorted(label for label in found if label is not None)
+
+    def row(self, expression: ca.SX) -> str:
+        """What one row is about, in words; empty where it is about too much for that."""
+        labels = self.of(expression)
+        forces = [label for label in labels if label.kind in ("torque", "balance")]
+        if len(forces) == 1:  # with the rate that a drive's friction asks for
+            labels = forces
+        by_owner: dict[str, list[str]] = {}
+        for label in labels:
+            by_owner.setdefault(label.owner, []).append(label.quantity)
+        if not 0 < len(by_owner) <= MOST_OWNERS:
+            return ""
+        return "; ".join(f"{owner} {_shortened(parts)}" for owner, parts in by_owner.items())
+
+
+def _shortened(quantities: Sequence[str]) -> str:
+    """``force x, z`` for ``force x``, ``force z``."""
+    by_head: dict[str, list[str]] = {}
+    for quantity in quantities:
+        head, _, axis = quantity.rpartition(" ")
+        known = axis in (*AXES, *QUATERNION) and head
+        by_head.setdefault(head if known else quantity, []).extend([axis] if known else [])
+    return ", ".join(f"{head} {', '.join(axes)}".strip() for head, axes in by_head.items())

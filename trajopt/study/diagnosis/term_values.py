@@ -1,0 +1,102 @@
+"""Every term at a place as a function of its own, evaluated layer by layer: which of them is to blame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from trajopt.study.diagnosis.names import Names, Site
+from trajopt.terms.context_symbols import Place
+from trajopt.terms.dynamics import ImpactDynamics
+from trajopt.transcription.stage_functions import PointFunction, derivatives, point_function
+from trajopt.transcription.timeline import NodeForm
+
+Value = Callable[[np.ndarray], np.ndarray]
+
+
+def guilty_terms(
+    names: Names, site: Site, form: NodeForm, place: Place, inputs: np.ndarray
+) -> list[tuple[str, Value]]:
+    """Terms whose own values at z = ``inputs`` are not finite, with what evaluates them.
+
+    Where all values are finite, those whose derivatives are not.
+    """
+    made = list(_terms(names, site, form, place))
+    for kind in (values_of, slopes_of):
+        found = [(name, kind(function, parameters)) for name, function, parameters in made]
+        guilty = [(name, value) for name, value in found if not np.isfinite(value(inputs)).all()]
+        if guilty:
+            return guilty
+    return []
+
+
+def values_of(function: PointFunction, parameters: np.ndarray) -> Value:
+    """All values of a point function at z in one column."""
+
+    def values(z: np.ndarray) -> np.ndarray:
+        o = ca.DM(z)
+        for layer in function.layers:
+            o = layer(o)
+        outputs = function.terms(z, o if function.layers else ca.DM(0, 1), parameters)
+        return np.concatenate([np.array(part).ravel() for part in outputs])
+
+    return values
+
+
+def slopes_of(function: PointFunction, parameters: np.ndarray) -> Value:
+    """All its first and second derivatives in one column."""
+    made = derivatives(function)
+    first, second, ones = made.first, made.second, np.ones(function.n_rows)
+
+    def slopes(z: np.ndarray) -> np.ndarray:
+        parts = [*first(z, parameters), second(z, parameters, 1.0, ones)]
+        return np.concatenate([np.array(ca.DM(part).nonzeros()) for part in parts])
+
+    return slopes
+
+
+def _terms(
+    names: Names, site: Site, form: NodeForm, place: Place
+) -> Iterator[tuple[str, PointFunction, np.ndarray]]:
+    """Name, function and parameters' values of every term that acts at a place."""
+    layout, k = names.layout, site.stage
+    units = names.functions.units[id(form.robot)]
+    if place is Place.IMPACT:
+        units = units.impulsive()
+    phase = layout.place_phase(k) if place is Place.NODE else layout.stages[k].phase
+    more = (layout.place(k),) if place is Place.NODE else ()
+    for term in _acting(names, site, place, phase):
+        context = names.functions.context(phase, form, place)
+        cost, rows = ca.SX(0), []
+        if hasattr(term, "rows"):
+            found = term.rows(context, units, *more)
+            rows = [] if found is None or not found.expression.numel() else [found.expression]
+        else:
+            cost = term.value(context, units, *more)
+        if rows or not cost.is_zero():
+            function = point_function(term.name, context, cost, rows)
+            yield term.name, function, context.parameter_values_at(_nominal_time(names, site))
+
+
+def _acting(names: Names, site: Site, place: Place, phase: int) -> list[Any]:
+    problem = names.transcription.problem
+    if place is Place.NODE:
+        at = names.layout.place(site.stage)
+        candidates: tuple[Any, ...] = (*problem.node_constraints, *problem.node_costs)
+        return [term for term in candidates if at is not None and term.acts_at(at)]
+    name, impact = problem.schedule.phases[phase].name, place is Place.IMPACT
+    costs = problem.impact_costs if impact else problem.costs
+    acting: list[Any] = [t for t in (*costs, *problem.point_constraints) if t.acts_in(name)]
+    return [ImpactDynamics(), *(t for t in acting if t.acts_at_impacts)] if impact else acting
+
+
+def _nominal_time(names: Names, site: Site) -> float:
+    layout = names.layout
+    time = float(layout.node_times[site.stage])
+    if site.point >= 0:
+        scheme = layout.scheme_of(names.phase_index(site.stage))
+        time += float(scheme.c[site.point] * layout.steps[site.stage])
+    return time

@@ -1,0 +1,142 @@
+"""Which pairs of problem and robot there are, and which of them are asked for."""
+
+from __future__ import annotations
+
+import difflib
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+from trajopt.errors import InputError
+from trajopt.problem.catalogue import robot_kind
+from trajopt.problem.family import Family
+
+# A robot that no family names may be given as a file that builds it.
+ROBOT_FILE = ".py"
+
+
+@dataclass(frozen=True, kw_only=True, order=True)
+class Case:
+    """One problem on one robot, with every other parameter at its default."""
+
+    problem: str
+    robot: str
+    takes_robot: bool
+
+    @property
+    def name(self) -> str:
+        """The pair as one word, ``problem@robot``."""
+        return f"{self.problem}@{self.robot}"
+
+    @property
+    def values(self) -> dict[str, object]:
+        """What the family is loaded with."""
+        return {"robot": self.robot} if self.takes_robot else {}
+
+
+def all_cases(families: Mapping[str, Family]) -> tuple[Case, ...]:
+    """Every family on every robot that it names, sorted."""
+    return tuple(
+        sorted(
+            Case(problem=family.name, robot=robot, takes_robot=family.takes_robot)
+            for family in families.values()
+            for robot in family.robots
+        )
+    )
+
+
+def select(
+    families: Mapping[str, Family], problems: Sequence[str] = (), robots: Sequence[str] = ()
+) -> tuple[Case, ...]:
+    """The cases whose problem fits one of the patterns and whose robot is named; none means all.
+
+    problems: names, or patterns with ``*``, ``?`` and ``[...]``. robots: names, or ``.py`` files that build
+    one. One that no family names meets the families that take a robot and name one of its kind.
+    Raises InputError for a pattern or a robot that fits nothing, and where no pair is left.
+    """
+    wanted = _fitting(families, problems)
+    known = {case.robot for case in all_cases(families)}
+    found = {case for case in all_cases(wanted) if not robots or case.robot in robots}
+    for robot in robots:
+        if robot not in known:
+            found |= _unnamed(robot, wanted, known)
+    if not found:
+        raise InputError(
+            f"no problem of {', '.join(problems) or 'all'} is run on {', '.join(robots)}",
+            "allowed: pairs of trajopt suite --list",
+        )
+    return tuple(sorted(found))
+
+
+def _fitting(families: Mapping[str, Family], patterns: Sequence[str]) -> dict[str, Family]:
+    for pattern in patterns:
+        if not any(fnmatchcase(name, pattern) for name in families):
+            raise _unknown("problem", pattern, families)
+    return {
+        name: family
+        for name, family in families.items()
+        if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)
+    }
+
+
+def _unnamed(robot: str, families: Mapping[str, Family], known: Iterable[str]) -> set[Case]:
+    """A robot that no family names on those that take a robot and name one of its kind."""
+    if robot.endswith(ROBOT_FILE):
+        _require_file(robot)
+        kind = robot_kind(robot)
+    else:
+        try:
+            kind = robot_kind(robot)
+        except InputError:
+            raise _unknown("robot", robot, known) from None
+        if kind is None:
+            raise _unknown("robot", robot, known)
+    return {
+        Case(problem=family.name, robot=robot, takes_robot=True)
+        for family in families.values()
+        if family.takes_robot and (kind is None or _kind(family.robot) in (None, kind))
+    }
+
+
+def _kind(robot: str) -> str | None:
+    """Kind of a robot that a family names; None for one that no package of robots knows."""
+    try:
+        return robot_kind(robot)
+    except InputError:
+        return None
+
+
+def _require_file(robot: str) -> None:
+    if not Path(robot).expanduser().is_file():
+        raise InputError(f"there is no robot file {robot}", "allowed: a .py file with build()")
+
+
+def _unknown(kind: str, name: str, known: Iterable[str]) -> InputError:
+    names = sorted(known)
+    close = difflib.get_close_matches(name, names, 1)
+    hint = f"did you mean {close[0]}? " if close else ""
+    return InputError(f"{kind} '{name}' is unknown", f"{hint}allowed: {', '.join(names)}")
+
+
+def representatives(cases: Sequence[Case]) -> tuple[Case, ...]:
+    """A subset with every problem once and every robot at least once, the same on every machine.
+
+    Problems in order of their number of robots, then by name: each takes the robot that has been taken
+    least often, of equals the first by name. Robots that are left then take their first problem.
+    """
+    by_problem: dict[str, list[Case]] = {}
+    for case in sorted(cases):
+        by_problem.setdefault(case.problem, []).append(case)
+    taken: Counter[str] = Counter()
+    chosen = []
+    for group in sorted(by_problem.values(), key=len):
+        case = min(group, key=lambda one: taken[one.robot])
+        taken[case.robot] += 1
+        chosen.append(case)
+    for case in sorted(cases):
+        if not taken[case.robot]:
+            taken[case.robot] += 1
+            chosen.append(case)
+    return tuple(sorted(chosen))

@@ -1,0 +1,206 @@
+"""Regression data: bands of objective and iterations for every pair, as text that can be reviewed.
+
+A comma-separated table, one line a pair, sorted, columns padded; above it, after ``#``, the versions of what
+solved. Bands:
+
+- objective: the own solution's, plus or minus `OBJECTIVE_BAND` of it. The solver's tolerance of 1e-6 leaves
+  far less, another optimum is further away.
+- iterations: from half to twice the own solve's (at least `LEAST_MARGIN` apart from it):
+  rounding, which differs between processors and compilers, changes them that much. Where perturbed starts
+  were run the band also holds the middle 80 % of theirs.
+- physics: what MuJoCo made of the plan (``tracked``, ``off``, ``fell``; empty where it was not asked, or no
+  legged robot): no later run may make less of it.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import TypeGuard
+
+from trajopt.errors import InputError
+from trajopt.study.suite.outcome import Outcome, quantile
+from trajopt.study.suite.physics import WORDS, Physics, in_words
+from trajopt.study.suite.settings import Settings
+
+OBJECTIVE_BAND = 1e-3
+FEWEST, MOST = 0.5, 2.0
+LEAST_MARGIN = 5
+# Objectives are written with so many digits: far finer than the band.
+DIGITS = 7
+# Objective of a problem that only asks for feasibility: nothing to compare but rounding.
+OBJECTIVE_FLOOR = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One line: a pair, how it was solved, and its bands (both ends included)."""
+
+    problem: str
+    robot: str
+    scheme: str
+    intervals: int
+    solver: str
+    objective_low: float
+    objective_high: float
+    iterations_low: int
+    iterations_high: int
+    physics: str = ""
+
+    @property
+    def name(self) -> str:
+        """The pair as one word."""
+        return f"{self.problem}@{self.robot}"
+
+
+def entry_of(outcome: Outcome, settings: Settings) -> Entry:
+    """The line of a pair that was solved and is within the check."""
+    assert outcome.own is not None
+    assert outcome.own.objective is not None
+    assert outcome.grid is not None
+    own, objective = outcome.own.iterations, outcome.own.objective
+    fewest = min(own - LEAST_MARGIN, math.floor(FEWEST * own))
+    most = max(own + LEAST_MARGIN, math.ceil(MOST * own))
+    others = sorted(start.iterations for start in outcome.starts if start.solved) or [own]
+    width = max(OBJECTIVE_BAND * abs(objective), OBJECTIVE_FLOOR)
+    return Entry(
+        problem=outcome.problem,
+        robot=outcome.robot,
+        scheme=outcome.grid.scheme,
+        intervals=outcome.grid.intervals,
+        solver=settings.solver,
+        objective_low=_rounded(objective - width),
+        objective_high=_rounded(objective + width),
+        iterations_low=max(0, min(fewest, quantile(others, 0.1))),
+        iterations_high=max(most, quantile(others, 0.9)),
+        physics="" if outcome.physics is None else outcome.physics.word,
+    )
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{DIGITS}g}")
+
+
+def deviation(outcome: Outcome, settings: Settings, entry: Entry | None) -> str:
+    """In words, how a pair differs from its line; empty where it does not.
+
+    A pair that is not solved or not within the check is outside whatever its line says. Intervals, scheme and
+    solver must be those of the line: bands of another grid say nothing.
+    """
+    if not outcome.ok:
+        return f"{outcome.mode}: {outcome.detail}"
+    if entry is None:
+        return "no line of data"
+    assert outcome.own is not None
+    assert outcome.own.objective is not None
+    assert outcome.grid is not None
+    found = (outcome.grid.scheme, outcome.grid.intervals, settings.solver)
+    wanted = (entry.scheme, entry.intervals, entry.solver)
+    if found != wanted:
+        return f"solved with {_grid(found)}, the data with {_grid(wanted)}"
+    parts = []
+    if not entry.objective_low <= outcome.own.objective <= entry.objective_high:
+        parts.append(
+            f"objective {outcome.own.objective:.{DIGITS}g}, "
+            f"band {entry.objective_low:g} to {entry.objective_high:g}"
+        )
+    if not entry.iterations_low <= outcome.own.iterations <= entry.iterations_high:
+        parts.append(
+            f"{outcome.own.iterations} iterations, band {entry.iterations_low} to {entry.iterations_high}"
+        )
+    if _worse(outcome.physics, entry.physics):
+        parts.append(f"{in_words(outcome.physics)}, the data say {entry.physics}")
+    return "; ".join(parts)
+
+
+def _worse(physics: Physics | None, word: str) -> TypeGuard[Physics]:
+    """Whether physics makes less of a plan than what its line says; never where it was not asked."""
+    if physics is None or not word:
+        return False
+    return not physics.word or WORDS.index(physics.word) < WORDS.index(word)
+
+
+def _grid(grid: tuple[str, int, str]) -> str:
+    return f"{grid[0]}, {grid[1]} intervals, {grid[2]}"
+
+
+def deviations(
+    outcomes: Iterable[Outcome], settings: Settings, entries: Mapping[str, Entry]
+) -> dict[str, str]:
+    """What is outside its bands, by pair."""
+    found = {outcome.name: deviation(outcome, settings, entries.get(outcome.name)) for outcome in outcomes}
+    return {name: text for name, text in sorted(found.items()) if text}
+
+
+def updated(
+    entries: Mapping[str, Entry], outcomes: Sequence[Outcome], settings: Settings, names: Iterable[str]
+) -> dict[str, Entry]:
+    """The lines with those of ``outcomes`` put in; a pair that failed keeps its old line.
+
+    names: all pairs of the catalogue; lines of others are dropped.
+    """
+    new = {}
+    for outcome in outcomes:
+        if outcome.ok:
+            entry = entry_of(outcome, settings)
+            known_word = entries[outcome.name].physics if outcome.name in entries else ""
+            new[outcome.name] = entry if outcome.physics is not None else replace(entry, physics=known_word)
+    known = set(names)
+    return {name: entry for name, entry in {**entries, **new}.items() if name in known}
+
+
+def read(path: Path) -> tuple[dict[str, Entry], dict[str, str]]:
+    """Lines by pair, and the versions at the head. Raises InputError for a file that is none."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not text"
+        raise InputError(f"cannot read {path}: {reason}", "allowed: a file that --update wrote") from None
+    heads = (line[1:].partition(":") for line in lines if line.startswith("#"))
+    versions = {name.strip(): value.strip() for name, colon, value in heads if colon}
+    rows = csv.reader(line for line in lines if not line.startswith("#"))
+    cells = [[cell.strip() for cell in row] for row in rows]
+    titles = cells[0] if cells else []
+    entries = [
+        _entry(path, number, dict(zip(titles, row, strict=False))) for number, row in enumerate(cells[1:], 1)
+    ]
+    return {entry.name: entry for entry in entries}, versions
+
+
+def _entry(path: Path, number: int, row: Mapping[str, str]) -> Entry:
+    kinds = {"int": int, "float": float, "str": str}
+    try:
+        row = {"physics": "", **row}
+        values = {field.name: kinds[str(field.type)](row[field.name]) for field in fields(Entry)}
+        if values["physics"] not in ("", *WORDS):
+            raise ValueError(values["physics"])
+    except (KeyError, ValueError):
+        names = ", ".join(field.name for field in fields(Entry))
+        raise InputError(f"line {number} of the table in {path} is not one", f"columns: {names}") from None
+    return Entry(**values)
+
+
+def write(path: Path, entries: Mapping[str, Entry], versions: Mapping[str, str]) -> None:
+    """Write the table. Raises InputError where that cannot be."""
+    titles = [field.name for field in fields(Entry)]
+    rows = [titles] + [
+        [_text(value) for value in asdict(entry).values()] for _, entry in sorted(entries.items())
+    ]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(titles))]
+    head = [f"# {name}: {value}" for name, value in versions.items()]
+    body = [
+        ", ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    ]
+    try:
+        path.write_text("\n".join([*head, *body]) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(
+            f"cannot write {path}: {error.strerror or error}", "allowed: a file in an existing folder"
+        ) from None
+
+
+def _text(value: object) -> str:
+    return f"{value:.{DIGITS}g}" if isinstance(value, float) else str(value)

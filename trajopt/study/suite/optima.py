@@ -1,0 +1,90 @@
+"""How many optima the solved runs of one problem have found: by objective and by motion.
+
+A run's motion is its configuration at `SAMPLES` equal parts of its time, in coordinates in which differences
+are what they look like: base positions in lengths of the robot, rotations as entries of their matrices,
+cosine and sine of joints without limits, joints in rad. Two motions are as far apart as their largest
+difference.
+
+Two runs are at *one optimum* unless their objectives differ by more than `SAME_OBJECTIVE` and their motions
+by more than `SAME_MOTION`: with the objective alone, noise of a flat minimum would count; with the motion
+alone mirror images, and what costs leave undetermined. They are of *one motion* if both are the same; there
+are at least as many motions as optima. Groups are what chains of such pairs connect.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+from scipy import sparse
+
+from trajopt.dynamics.manifold import Coordinates
+from trajopt.robot.building import reach
+from trajopt.solution.solution import Solution
+
+SAMPLES = 11
+# Of the larger objective. A tolerance of 1e-6 on optimality leaves 1e-7 and less of differences.
+SAME_OBJECTIVE = 1e-4
+# Lengths, rad: the same optimum, found twice at a tolerance of 1e-6, differs by a thousandth of it.
+SAME_MOTION = 1e-2
+# Objectives nearer to zero than this are zero: of problems that ask for feasibility alone.
+NOTHING = 1e-9
+
+
+def described(solution: Solution) -> str:
+    """A motion as text, for a record; empty where it is not finite."""
+    times = np.linspace(float(solution.t[0]), float(solution.t[-1]), SAMPLES)
+    if not np.isfinite(solution.q).all():
+        return ""
+    values = np.array([embedded(solution.model, q) for q in solution.interpolate(times)])
+    return base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")
+
+
+def embedded(model: pin.Model, q: np.ndarray) -> np.ndarray:
+    """A configuration (nq,) in coordinates whose differences are distances, see the module."""
+    length, parts = reach(model) or 1.0, []
+    for joint in Coordinates(model).joints:
+        own = q[joint.q]
+        if joint.kind == "freeflyer":
+            parts += [own[:3] / length, _rotation(own[3:])]
+        elif joint.kind == "spherical":
+            parts.append(_rotation(own))
+        elif joint.kind == "planar":
+            parts += [own[:2] / length, own[2:]]
+        else:
+            parts.append(own)
+    return np.concatenate(parts)
+
+
+def _rotation(quaternion: np.ndarray) -> np.ndarray:
+    x, y, z, w = quaternion / np.linalg.norm(quaternion)
+    return np.asarray(pin.Quaternion(w, x, y, z).toRotationMatrix()).ravel()
+
+
+def distances(motions: Sequence[str]) -> np.ndarray:
+    """Distances (n, n) of motions as `described`; NaN where one is not known, or of another robot."""
+    values = [np.frombuffer(base64.b64decode(motion), dtype="<f4") for motion in motions]
+    found = np.full((len(values), len(values)), np.nan)
+    for i, one in enumerate(values):
+        for j, other in enumerate(values[: i + 1]):
+            if len(one) and len(one) == len(other):
+                found[i, j] = found[j, i] = float(np.abs(one - other).max())
+    return found
+
+
+def counted(objectives: Sequence[float], motions: Sequence[str]) -> tuple[int, int]:
+    """Numbers of optima and of motions of solved runs; runs whose motion is not known go by the objective."""
+    if not objectives:
+        return 0, 0
+    value = np.asarray(objectives, dtype=float)
+    scale = np.maximum(np.abs(value)[:, None], np.abs(value)[None, :])
+    same_objective = np.abs(value[:, None] - value[None, :]) <= np.maximum(SAME_OBJECTIVE * scale, NOTHING)
+    apart = distances(motions)
+    same_motion = np.where(np.isnan(apart), same_objective, apart <= SAME_MOTION)
+    return _groups(same_objective | same_motion), _groups(same_objective & same_motion)
+
+
+def _groups(linked: np.ndarray) -> int:
+    return int(sparse.csgraph.connected_components(sparse.csr_matrix(linked), directed=False)[0])

@@ -1,0 +1,237 @@
+"""What was found on one pair: solves, check, statistics of the perturbed starts; as JSON and back."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from trajopt.study.suite.cases import Case
+from trajopt.study.suite.failure import CHECK, ERROR, SOLVED
+from trajopt.study.suite.optima import counted
+from trajopt.study.suite.physics import Physics
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attempt:
+    """One solve from one start; ``seed`` is None for the own guess, ``mode`` empty when solved.
+
+    wall_time: the solver's, s. detail: status, and the worst block of rows when not solved. motion: of a
+    solved run, see `trajopt.suite.optima`.
+    """
+
+    seed: int | None
+    mode: str
+    status: str = ""
+    iterations: int = 0
+    wall_time: float = 0.0
+    objective: float | None = None
+    primal: float | None = None
+    dual: float | None = None
+    complementarity: float | None = None
+    detail: str = ""
+    motion: str = ""
+
+    @property
+    def solved(self) -> bool:
+        """The solver's verdict."""
+        return self.mode == SOLVED
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checked:
+    """The check of the own solution: the worst judged figure, as a part of its tolerance."""
+
+    ok: bool
+    figure: str
+    used: float | None
+    failures: tuple[str, ...] = ()
+    error: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """What was transcribed: scheme, size, kind of robot, and the seconds of building and compiling."""
+
+    scheme: str
+    intervals: int
+    variables: int
+    constraints: int
+    legged: bool
+    build_time: float
+    compile_time: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Starts:
+    """Figures over the perturbed starts; iterations, optima and motions over those solved.
+
+    optima, motions: see `trajopt.suite.optima`. median_time: s, of the solver.
+    """
+
+    count: int
+    solved: int
+    median_iterations: float | None
+    iterations_90: int | None
+    optima: int
+    motions: int = 0
+    most_iterations: int | None = None
+    median_time: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """All that was found on one pair; what was not reached is None. ``error`` says what ended it early.
+
+    physics: what became of the own solution in MuJoCo, where that was asked for.
+    """
+
+    problem: str
+    robot: str
+    grid: Grid | None = None
+    own: Attempt | None = None
+    check: Checked | None = None
+    physics: Physics | None = None
+    starts: tuple[Attempt, ...] = ()
+    error: str = ""
+    error_mode: str = ERROR
+    total_time: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """The pair as one word."""
+        return f"{self.problem}@{self.robot}"
+
+    @property
+    def solved(self) -> bool:
+        """Solved from the own guess, by the solver's verdict."""
+        return self.own is not None and self.own.solved
+
+    @property
+    def mode(self) -> str:
+        """What failed, or nothing."""
+        if self.own is None:
+            return self.error_mode
+        if not self.own.solved:
+            return self.own.mode
+        if self.check is None:
+            return self.error_mode
+        return SOLVED if self.check.ok else CHECK
+
+    @property
+    def ok(self) -> bool:
+        """Solved from the own guess and within every tolerance of a check."""
+        return self.mode == SOLVED
+
+    @property
+    def detail(self) -> str:
+        """What failed, in words."""
+        if self.own is not None and not self.own.solved:
+            return self.own.detail
+        if self.check is not None and not self.check.ok:
+            return self.check.error or f"beyond tolerance: {', '.join(self.check.failures)}"
+        return self.error
+
+    def perturbed(self) -> Starts:
+        """Figures over the perturbed starts."""
+        solved = [attempt for attempt in self.starts if attempt.solved]
+        iterations = sorted(attempt.iterations for attempt in solved)
+        known = [attempt for attempt in solved if attempt.objective is not None]
+        objectives = [attempt.objective for attempt in known if attempt.objective is not None]
+        optima, motions = counted(objectives, [attempt.motion for attempt in known])
+        return Starts(
+            count=len(self.starts),
+            solved=len(solved),
+            median_iterations=statistics.median(iterations) if iterations else None,
+            iterations_90=quantile(iterations, 0.9) if iterations else None,
+            optima=optima,
+            motions=motions,
+            most_iterations=iterations[-1] if iterations else None,
+            median_time=statistics.median(attempt.wall_time for attempt in solved) if solved else None,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able: the fields, and the verdicts that follow from them."""
+        verdict = {"solved": self.solved, "ok": self.ok, "mode": self.mode, "detail": self.detail}
+        found = asdict(self) | verdict
+        found["perturbed"] = asdict(self.perturbed()) if self.starts else None
+        return found
+
+    @classmethod
+    def from_dict(cls, found: Mapping[str, Any]) -> Outcome:
+        """The inverse of `to_dict`. Raises KeyError, TypeError or ValueError for anything else."""
+        values = {field.name: found[field.name] for field in fields(cls)}
+        values["grid"] = None if values["grid"] is None else Grid(**values["grid"])
+        values["own"] = None if values["own"] is None else Attempt(**values["own"])
+        values["check"] = None if values["check"] is None else checked_from(values["check"])
+        physics = values.get("physics")
+        values["physics"] = None if physics is None else Physics(**physics)
+        values["starts"] = tuple(Attempt(**start) for start in values["starts"])
+        return cls(**values)
+
+
+def checked_from(values: Mapping[str, Any]) -> Checked:
+    """A `Checked` from JSON."""
+    return Checked(**{**values, "failures": tuple(values["failures"])})
+
+
+def quantile(ordered: Sequence[int], part: float) -> int:
+    """The least of ``ordered`` that at least ``part`` of them do not exceed."""
+    return ordered[max(0, math.ceil(part * len(ordered)) - 1)]
+
+
+class Ledger:
+    """Collects the events of a pair, in whatever process they arise, into an `Outcome`."""
+
+    def __init__(self, case: Case) -> None:
+        self.case = case
+        self._found: dict[str, Any] = {}
+        self._starts: dict[int, Attempt] = {}
+
+    def add(self, event: Mapping[str, Any]) -> None:
+        """Take one event of `trajopt.suite.run`; those without figures are passed over."""
+        kind, values = event["event"], event.get("values", {})
+        if kind == "grid":
+            self._found.setdefault("grid", Grid(**values))
+        elif kind == "own":
+            self._found["own"] = Attempt(**values)
+        elif kind == "check":
+            self._found["check"] = checked_from(values)
+        elif kind == "physics":
+            self._found["physics"] = Physics(**values)
+        elif kind == "start":
+            self.add_start(Attempt(**values))
+
+    def fail(self, error: str, mode: str) -> None:
+        """The pair has come to an early end."""
+        self._found |= {"error": error, "error_mode": mode}
+
+    def add_start(self, start: Attempt) -> None:
+        """Take one perturbed start."""
+        assert start.seed is not None
+        self._starts[start.seed] = start
+
+    @property
+    def own_known(self) -> bool:
+        """Whether the solve from the own guess and its check are known."""
+        return "own" in self._found and "check" in self._found
+
+    @property
+    def physics_known(self) -> bool:
+        """Whether it is known what physics makes of the own solution."""
+        return "physics" in self._found
+
+    @property
+    def seeds(self) -> frozenset[int]:
+        """The perturbed starts that are known."""
+        return frozenset(self._starts)
+
+    def outcome(self, total_time: float) -> Outcome:
+        """What is known by now."""
+        starts = tuple(self._starts[seed] for seed in sorted(self._starts))
+        case = self.case
+        return Outcome(
+            problem=case.problem, robot=case.robot, starts=starts, total_time=total_time, **self._found
+        )

@@ -1,0 +1,62 @@
+"""What physics makes of a solution: the plan of a legged robot in MuJoCo, see `trajopt.simulation`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from trajopt.errors import TrajoptError
+from trajopt.solution.solution import Solution
+
+# In the order of what they are worth; a plan that was not or cannot be simulated has no word.
+FELL, OFF, TRACKED = "fell", "off", "tracked"
+WORDS = (FELL, OFF, TRACKED)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Physics:
+    """A simulated plan: ``tracked``, ``off`` (it stands, but not where it should) or ``fell``; else empty.
+
+    base_error_end, base_error_max: m. slips: stances that slid; missed: touchdowns that never came. detail:
+    what is beyond its threshold, or why there is no simulation.
+    """
+
+    word: str = ""
+    base_error_end: float | None = None
+    base_error_max: float | None = None
+    slips: int | None = None
+    missed: int | None = None
+    detail: str = ""
+
+
+def simulated(solution: Solution, target: Path | None = None) -> Physics:
+    """Simulate a plan; one that has no physics says why. target: where the simulated motion is written."""
+    from trajopt.certify.simulation.simulate import simulate
+
+    try:
+        found = simulate(solution)
+        if target is not None:
+            found.as_solution().save(target)
+    except (TrajoptError, ArithmeticError, ValueError) as error:
+        return Physics(detail=f"cannot be simulated: {' '.join(str(error).split())}")
+    report = found.report
+    return Physics(
+        word=FELL if report.fell else TRACKED if report.passed else OFF,
+        base_error_end=report.base_error_end,
+        base_error_max=report.base_error_max,
+        slips=report.slips,
+        missed=report.missed,
+        detail="; ".join(report.failures),
+    )
+
+
+def in_words(physics: Physics) -> str:
+    """One simulation in a few words."""
+    if not physics.word:
+        return physics.detail
+    end = (
+        ""
+        if physics.base_error_end is None
+        else f", base {1e3 * physics.base_error_end:.0f} mm off at the end"
+    )
+    return f"{physics.word} in physics{end}" + (f" ({physics.detail})" if physics.detail else "")

@@ -1,0 +1,178 @@
+"""One pair: prepared once, solved from its own guess, checked, then solved from perturbed starts.
+
+What happens is told as events, JSON-able dicts, because a pair runs in a process of its own that may be
+killed at any moment: what was told by then is not lost.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajopt.certify.check import check
+from trajopt.certify.report import FIGURES, Report, Tolerances
+from trajopt.errors import TrajoptError
+from trajopt.problem.catalogue import families
+from trajopt.problem.family import choose
+from trajopt.solution.solution import Solution
+from trajopt.solvers.result import Stop
+from trajopt.solving.solving import Prepared, prepare, solve_prepared
+from trajopt.solving.telling import Progress
+from trajopt.study.suite.cases import Case
+from trajopt.study.suite.failure import mode_of
+from trajopt.study.suite.optima import described
+from trajopt.study.suite.outcome import Attempt, Checked, Grid, Ledger, Outcome
+from trajopt.study.suite.physics import Physics, simulated
+from trajopt.study.suite.settings import Settings
+from trajopt.transcription.guess import perturbed
+from trajopt.transcription.violations import describe_block
+
+Event = dict[str, Any]
+Tell = Callable[[Event], None]
+# Ending of the name of a file with a simulated motion.
+SIMULATED = "-simulated"
+
+
+def run(
+    case: Case,
+    settings: Settings,
+    tell: Tell,
+    *,
+    own: bool = True,
+    seeds: Sequence[int] | None = None,
+    progress: Progress | None = None,
+    folder: Path | None = None,
+) -> None:
+    """Run one pair and tell its events: stages as they begin, figures as they are known.
+
+    own: solve from the own guess and check; not where a run goes on after a lost process.
+    seeds: perturbed starts, default those of the settings. folder: where the solution file is written.
+    Raises TrajoptError where the pair cannot be built.
+    """
+    tell({"event": "stage", "stage": "build"})
+    problem = choose(families(), case.problem).load(case.values)
+    prepared = prepare(problem, compile=settings.compile)
+    tell({"event": "grid", "values": asdict(_grid(prepared))})
+    if own:
+        tell({"event": "stage", "stage": "own"})
+        solution = _solve(prepared, prepared.guess, settings, {"seed": 0, "perturb": 0.0}, progress)
+        tell({"event": "own", "values": asdict(attempt(solution, None))})
+        tell({"event": "stage", "stage": "check"})
+        tell({"event": "check", "values": asdict(checked(solution))})
+        if folder is not None:
+            _save(solution, folder / f"{case.problem}@{Path(case.robot).stem}.npz")
+        if settings.simulate:
+            tell({"event": "stage", "stage": "physics"})
+            tell({"event": "physics", "values": asdict(_physics(case, prepared, solution, folder))})
+    for seed in settings.seeds if seeds is None else seeds:
+        tell({"event": "stage", "stage": "start", "seed": seed})
+        start = perturbed(prepared.transcription, prepared.guess, seed, settings.sigma)
+        origin = {"seed": seed, "perturb": settings.sigma}
+        solution = _solve(prepared, start, settings, origin, progress)
+        tell({"event": "start", "values": asdict(attempt(solution, seed))})
+
+
+def measure(case: Case, settings: Settings) -> Outcome:
+    """Run one pair here, in this process. Raises TrajoptError where the pair cannot be built."""
+    ledger, begin = Ledger(case), time.perf_counter()
+    run(case, settings, ledger.add)
+    return ledger.outcome(time.perf_counter() - begin)
+
+
+def _solve(
+    prepared: Prepared,
+    start: np.ndarray,
+    settings: Settings,
+    origin: Mapping[str, Any],
+    progress: Progress | None,
+) -> Solution:
+    stop = Stop(
+        tolerance=settings.tolerance, max_iterations=settings.max_iterations, max_time=settings.max_time
+    )
+    return solve_prepared(
+        prepared, start, origin=origin, solver=settings.solver, stop=stop, progress=progress
+    )
+
+
+def _grid(prepared: Prepared) -> Grid:
+    t = prepared.transcription
+    return Grid(
+        scheme=t.layout.mesh.transcription,
+        intervals=t.layout.n_intervals,
+        variables=t.layout.n_unknowns,
+        constraints=t.n_rows,
+        legged=t.problem.robot.base != "fixed",
+        build_time=prepared.build_time,
+        compile_time=prepared.compilation.compile_time,
+    )
+
+
+def attempt(solution: Solution, seed: int | None) -> Attempt:
+    """The figures of one solve."""
+    meta = solution.meta
+    mode = mode_of(meta)
+    worst = "" if not mode else f"{meta['status']}: {describe_block(meta['worst_blocks'][0])}"
+    return Attempt(
+        seed=seed,
+        mode=mode,
+        status=meta["status"],
+        iterations=meta["iterations"],
+        wall_time=meta["wall_time_s"],
+        objective=meta["objective"],
+        primal=meta["primal_infeasibility"],
+        dual=meta["dual_infeasibility"],
+        complementarity=meta["complementarity"],
+        detail=worst,
+        motion="" if mode else described(solution),
+    )
+
+
+def checked(solution: Solution) -> Checked:
+    """The check of a solution, its worst figure named; one that cannot be computed is not ok."""
+    try:
+        with np.errstate(all="ignore"):  # an iterate that is no solution may overflow: its figures say so
+            report = check(solution)
+    except (TrajoptError, ArithmeticError, ValueError) as error:
+        return Checked(ok=False, figure="", used=None, error=f"cannot be checked: {error}")
+    name, used = worst_figure(report)
+    failures = tuple(FIGURES[failure].text for failure in report.failures())
+    return Checked(
+        ok=report.ok, figure=FIGURES[name].text, used=used if np.isfinite(used) else None, failures=failures
+    )
+
+
+def worst_figure(report: Report) -> tuple[str, float]:
+    """The judged figure that uses most of its tolerance: its name, and the part used (above 1: beyond)."""
+    tolerances, used = Tolerances(), {}
+    for name, figure in FIGURES.items():
+        limit = None if figure.tolerance is None else getattr(tolerances, figure.tolerance)
+        value = getattr(report, name)
+        if limit is None or value is None:
+            continue
+        if figure.least:
+            used[name] = limit / value if value > 0 else np.inf
+        else:
+            used[name] = (-value if figure.margin else value) / limit
+    worst = max(used, key=lambda name: np.inf if np.isnan(used[name]) else used[name])
+    return worst, float(used[worst])
+
+
+def _physics(case: Case, prepared: Prepared, solution: Solution, folder: Path | None) -> Physics:
+    """What physics makes of a solution of a legged robot; nothing of others, or of what is not solved."""
+    if not solution.success or prepared.transcription.problem.robot.base == "fixed":
+        return Physics()
+    name = f"{case.problem}@{Path(case.robot).stem}{SIMULATED}.npz"
+    return simulated(solution, None if folder is None else folder / name)
+
+
+def _save(solution: Solution, target: Path) -> None:
+    """Write the solution file; an iterate that is no motion has none."""
+    try:
+        solution.save(target)
+    except TrajoptError:
+        target.unlink(missing_ok=True)

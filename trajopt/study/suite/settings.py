@@ -1,0 +1,61 @@
+"""How every pair of a suite is solved: one set of settings for all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from trajopt.errors import InputError
+from trajopt.solving.solving import check_settings
+from trajopt.transcription.compilation import LEVELS
+
+# Noise on the guess: a tenth of the natural units, metres of leg or half a dozen degrees.
+DEFAULT_SIGMA = 0.1
+# Starts a pair may be given: more tell nothing new and take a day.
+MOST_STARTS = 10_000
+# Seconds a solve may take: several times what the longest of the library takes on one core.
+DEFAULT_MAX_TIME = 300.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """One choice for all pairs; no pair has options of its own.
+
+    perturbed: number of perturbed starts besides the own guess, seeds 0 to perturbed - 1.
+    sigma: standard deviation of their noise in scaled units. max_time: s for one solve. simulate: run what is
+    solved of legged robots in MuJoCo, too.
+    """
+
+    perturbed: int = 0
+    sigma: float = DEFAULT_SIGMA
+    solver: str = "ipopt"
+    tolerance: float = 1e-6
+    max_iterations: int = 500
+    max_time: float = DEFAULT_MAX_TIME
+    compile: str = "quick"
+    simulate: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.perturbed <= MOST_STARTS:
+            raise InputError(f"perturbed is {self.perturbed}", f"allowed: 0 to {MOST_STARTS}")
+        if not (math.isfinite(self.sigma) and self.sigma > 0):
+            raise InputError(f"sigma is {self.sigma:g}", "allowed: > 0")
+        if self.compile not in LEVELS:
+            raise InputError(f"unknown compile level '{self.compile}'", f"allowed: {', '.join(LEVELS)}")
+        check_settings(self.solver, self.tolerance, self.max_iterations, self.max_time, self.sigma, 0)
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """Seeds of the perturbed starts."""
+        return tuple(range(self.perturbed))
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able values by name."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Settings:
+        """The inverse of `to_dict`."""
+        return cls(**values)

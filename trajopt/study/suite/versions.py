@@ -1,0 +1,39 @@
+"""What a result depends on besides the problem: versions of libraries, solvers and the compiler."""
+
+from __future__ import annotations
+
+import platform
+import re
+from pathlib import Path
+
+import casadi
+
+from trajopt.transcription.compilation import compiler
+from trajopt.versions import installed_version
+
+UNKNOWN = "unknown"
+
+
+def versions() -> dict[str, str]:
+    """Names and versions; IPOPT and FATROP are those of CasADi's wheel."""
+    found = compiler()
+    return {
+        "trajopt": installed_version("trajopt"),
+        "casadi": installed_version("casadi"),
+        "ipopt": ipopt_version(),
+        "pin": installed_version("pin"),
+        "numpy": installed_version("numpy"),
+        "python": platform.python_version(),
+        "compiler": UNKNOWN if found is None else found[1],
+        "machine": platform.machine(),
+    }
+
+
+def ipopt_version() -> str:
+    """The version of IPOPT in CasADi's wheel, from the header beside its library."""
+    header = Path(casadi.__file__).parent / "include" / "coin-or" / "IpoptConfig.h"
+    try:
+        match = re.search(r'#define IPOPT_VERSION "([^"]+)"', header.read_text(encoding="utf-8"))
+    except OSError:
+        match = None
+    return match[1] if match else UNKNOWN

@@ -1,0 +1,37 @@
+"""The accuracy of a solution as one flat row, by `trajopt.accuracy`."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajopt.certify.accuracy.measures import measure
+from trajopt.solution.solution import Solution
+
+# Columns of ``settings.csv`` that say how accurate a solution is, as `trajopt.accuracy.Accuracy` names them;
+# the last two are against the reference.
+COLUMNS = {
+    "open_loop": "open_loop_m",
+    "open_loop_motion": "open_loop_motion_m",
+    "interval_error": "interval_error_m",
+    "collocation_error": "collocation_error",
+    "foot_drift": "foot_drift_m",
+    "violation_between": "violation_between",
+    "objective_gap": "objective_gap",
+    "distance": "distance_m",
+}
+
+
+def figures(file: Path, reference: Path | None) -> dict[str, float | None]:
+    """Figures of the solution in ``file`` by column; what cannot be had is None. Raises TrajoptError."""
+    known = None if reference is None else Solution.load(reference)
+    with np.errstate(all="ignore"):  # an inaccurate motion may run away: its figures say so
+        found: dict[str, Any] = measure(Solution.load(file), known).to_dict()
+    return {column: _number(found.get(name)) for name, column in COLUMNS.items()}
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if isinstance(value, int | float) and math.isfinite(value) else None

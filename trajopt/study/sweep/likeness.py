@@ -1,0 +1,17 @@
+"""What makes the front of one problem a guide to another."""
+
+from __future__ import annotations
+
+from trajopt.problem.problem import Problem
+
+KINDS = ("arm", "gait", "flight", "stance")
+
+
+def motion_kind(problem: Problem) -> str:
+    """``arm`` (a fixed base), ``gait`` (periodic), ``flight`` (a phase without contacts) or ``stance``."""
+    if problem.robot.base == "fixed":
+        return "arm"
+    if problem.periodicity is not None:
+        return "gait"
+    flies = any(not phase.contacts for phase in problem.schedule.phases)
+    return "flight" if flies else "stance"

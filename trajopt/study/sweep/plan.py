@@ -1,0 +1,181 @@
+"""Which settings a sweep runs: the grid of schemes and intervals, one factor at a time, or a product."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
+from trajopt.study.sweep.setting import STARTS, WORDS, Setting
+from trajopt.study.sweep.variants import cone_of
+from trajopt.transcription.compilation import HESSIANS
+
+# Parts of the problem's own number of intervals that are tried.
+SHARES = (0.2, 0.5, 1.0, 2.0)
+GRID_SCHEMES = ("legendre:1", "legendre:2", "legendre:3")
+# On the problem's own number of intervals alone.
+OTHER_SCHEMES = ("radau:2", "trapezoidal", "hermite-simpson", "legendre:4")
+TOLERANCES = (1e-4, 1e-8)
+# Ends of the front lie where several factors come together: fast ones on coarse grids, and the other way
+# round. Share of the intervals, and words of a setting.
+JOINED = (
+    (0.1, "legendre:3 1e-2"),
+    (0.1, "legendre:4 1e-3"),
+    (0.1, "legendre:4 1e-2 sqp"),
+    (0.2, "legendre:3 1e-2"),
+    (0.2, "legendre:3 1e-3 sqp"),
+    (0.2, "legendre:3 1e-3 fatrop"),
+    (0.2, "legendre:2 1e-3 sqp gauss-newton"),
+    (0.25, "legendre:4"),
+    (0.5, "legendre:3 1e-4"),
+    (0.5, "legendre:4"),
+    (1.0, "legendre:4 1e-8"),
+)
+# A level that is tried by itself only on robots without a free base.
+SLOW_COMPILER = "fast"
+GRID = ("transcription", "intervals")
+AXES = (*GRID, "tolerance", *WORDS)
+# A product of more settings is a mistake, or a week.
+MOST_SETTINGS = 2000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """The settings of a sweep, the base first; ``left_out`` says what the problem does not have."""
+
+    base: Setting
+    settings: tuple[Setting, ...]
+    left_out: tuple[str, ...] = ()
+
+
+def make_plan(
+    problem: Problem,
+    named: Mapping[str, Sequence[Any]] | None = None,
+    *,
+    also: Sequence[str] = (),
+    full: bool = False,
+) -> Plan:
+    """The settings to run.
+
+    named: values by axis (`AXES`). One value holds for all settings; several are tried. Without an axis of
+    several values the default plan is tried: the grid of schemes and shares of the problem's intervals, then
+    each other factor alone, then a few settings that join them. also: more settings, in words.
+    full: the product of all that is named instead of one factor at a time.
+    Raises InputError for values that are not allowed or that the problem does not have.
+    """
+    values = {axis: tuple(dict.fromkeys(given)) for axis, given in (named or {}).items() if given}
+    fixed = {axis: given[0] for axis, given in values.items() if len(given) == 1}
+    varied = {axis: given for axis, given in values.items() if len(given) > 1}
+    own = own_setting(problem)
+    base = replace(own, **fixed)
+    for axis, given in values.items():
+        for value in given:
+            _require(problem, replace(own, **{axis: value}))
+    notes: list[str] = []
+    if full:
+        settings: Iterable[Setting] = _product(base, varied)
+    elif varied:
+        settings = [*_grid(base, varied), *_one_by_one(base, varied)]
+    else:
+        settings = _default(problem, base, fixed, notes)
+    extra = [Setting.parse(text, base) for text in also]
+    for setting in extra:
+        _require(problem, setting)
+    chosen = tuple(dict.fromkeys([base, *settings, *extra]))
+    if len(chosen) > MOST_SETTINGS:
+        raise InputError(f"the plan has {len(chosen)} settings", f"allowed: at most {MOST_SETTINGS}")
+    return Plan(base=base, settings=chosen, left_out=tuple(notes))
+
+
+def own_setting(problem: Problem) -> Setting:
+    """How the problem is solved when nothing is named."""
+    return Setting(
+        transcription=problem.default_transcription,
+        intervals=problem.default_intervals,
+        cone=cone_of(problem) or "own",
+    )
+
+
+def _product(base: Setting, varied: Mapping[str, Sequence[Any]]) -> list[Setting]:
+    if math.prod(len(values) for values in varied.values()) > MOST_SETTINGS:
+        raise InputError(
+            "the product of all that is named is too large", f"allowed: {MOST_SETTINGS} settings"
+        )
+    return [
+        replace(base, **dict(zip(varied, values, strict=True)))
+        for values in itertools.product(*varied.values())
+    ]
+
+
+def _grid(base: Setting, varied: Mapping[str, Sequence[Any]]) -> list[Setting]:
+    return _product(base, {axis: varied[axis] for axis in GRID if axis in varied})
+
+
+def _one_by_one(base: Setting, varied: Mapping[str, Sequence[Any]]) -> list[Setting]:
+    return [
+        replace(base, **{axis: value})
+        for axis, values in varied.items()
+        if axis not in GRID
+        for value in values
+    ]
+
+
+def _default(
+    problem: Problem, base: Setting, fixed: Mapping[str, Any], notes: list[str]
+) -> Iterable[Setting]:
+    """The plan where nothing is named but what is fixed."""
+    least = len(problem.schedule.phases)
+    counts = tuple(max(least, round(share * base.intervals)) for share in SHARES)
+    schemes = (*GRID_SCHEMES, base.transcription)
+    free = {axis: values for axis, values in _alternatives(problem, base, notes).items() if axis not in fixed}
+    grid = {"transcription": schemes, "intervals": counts}
+    yield from _grid(base, {axis: values for axis, values in grid.items() if axis not in fixed})
+    if "transcription" not in fixed:
+        yield from (replace(base, transcription=name) for name in OTHER_SCHEMES)
+    yield from _one_by_one(base, free)
+    if not fixed:
+        for share, text in JOINED:
+            yield Setting.parse(f"@{max(least, round(share * base.intervals))} {text}", base)
+
+
+def _alternatives(problem: Problem, base: Setting, notes: list[str]) -> dict[str, tuple[Any, ...]]:
+    """What each factor is tried at besides the base; ``notes`` gets what the problem does not have."""
+    found: dict[str, tuple[Any, ...]] = {
+        "solver": WORDS["solver"],
+        "tolerance": TOLERANCES,
+        "hessian": HESSIANS,
+        "compile": WORDS["compile"],
+        "start": STARTS,
+    }
+    if problem.robot.base != "fixed":
+        found["compile"] = tuple(level for level in found["compile"] if level != SLOW_COMPILER)
+        notes.append(
+            f"compile {SLOW_COMPILER}: the compiler takes minutes for a free base; --also {SLOW_COMPILER}"
+        )
+    special: dict[str, tuple[str, ...]] = {"cone": ("smooth", "pyramid"), "model": ("two-stage",)}
+    for axis, values in special.items():
+        try:
+            _require(problem, Setting.parse(values[0], base))
+        except InputError as error:
+            notes.append(f"{axis} {', '.join(values)}: {error.what}")
+        else:
+            found[axis] = values
+    return found
+
+
+def _require(problem: Problem, setting: Setting) -> None:
+    """Refuse what the problem does not have; what a solver refuses is found when it is asked."""
+    problem.schedule.intervals(setting.intervals)
+    if setting.cone != "own" and cone_of(problem) is None:
+        raise InputError(
+            f"problem '{problem.name}' has no friction term of point contacts", "allowed: no --cone"
+        )
+    if setting.model == "two-stage" and (problem.actuation != "torque" or problem.robot.base == "fixed"):
+        raise InputError(
+            f"problem '{problem.name}' has no base rows that could be solved before its torques",
+            "allowed: --model full",
+        )

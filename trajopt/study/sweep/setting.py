@@ -1,0 +1,151 @@
+"""One setting of a sweep: everything about how a problem is solved that trades speed for accuracy."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
+
+from trajopt.errors import InputError
+from trajopt.solvers.drivers import SOLVERS
+from trajopt.solving.solving import DEFAULT_SOLVER
+from trajopt.transcription.compilation import DEFAULT_HESSIAN, DEFAULT_LEVEL, HESSIANS, LEVELS
+from trajopt.transcription.schemes import SCHEME_NAMES, scheme
+
+# ``own``: the problem's friction terms are of both kinds, or there are none.
+CONES = ("own", "smooth", "pyramid")
+MODELS = ("full", "two-stage")
+STARTS = ("cold", "warm")
+
+# A finer grid takes tens of gigabytes before anything is solved.
+MOST_INTERVALS = 100_000
+
+# Axis -> the words it takes; a word belongs to one axis only, so that a setting can be written in words.
+WORDS = {
+    "solver": tuple(SOLVERS),
+    "hessian": HESSIANS,
+    "compile": LEVELS,
+    "cone": CONES,
+    "model": MODELS,
+    "start": STARTS,
+}
+WORD_FORM = (
+    "allowed: SCHEME@INTERVALS, a tolerance, or one of "
+    f"{', '.join(word for words in WORDS.values() for word in words)}"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """How a problem is solved. Raises InputError for a value that is none.
+
+    intervals: over the whole schedule. cone: friction as the smooth cone or the inscribed pyramid. model:
+    ``full``, or ``two-stage``, motion and wrenches first, torques after (`trajopt.reduced.two_stage`). start:
+    ``cold`` from the problem's guess, or ``warm`` from the solution on half the intervals, whose time counts.
+    """
+
+    transcription: str
+    intervals: int
+    solver: str = DEFAULT_SOLVER
+    tolerance: float = 1e-6
+    hessian: str = DEFAULT_HESSIAN
+    compile: str = DEFAULT_LEVEL
+    cone: str = "own"
+    model: str = "full"
+    start: str = "cold"
+
+    def __post_init__(self) -> None:
+        scheme(self.transcription)
+        if not 1 <= self.intervals <= MOST_INTERVALS:
+            raise InputError(f"intervals is {self.intervals}", f"allowed: 1 to {MOST_INTERVALS}")
+        if not (math.isfinite(self.tolerance) and 0 < self.tolerance < 1):
+            raise InputError(f"tolerance is {self.tolerance:g}", "allowed: between 0 and 1")
+        for axis, words in WORDS.items():
+            if getattr(self, axis) not in words:
+                raise InputError(f"unknown {axis} '{getattr(self, axis)}'", f"allowed: {', '.join(words)}")
+
+    @property
+    def points(self) -> int:
+        """Collocation points over the whole schedule."""
+        return self.intervals * scheme(self.transcription).s
+
+    @property
+    def functions(self) -> str:
+        """What its compiled functions depend on, in words: no scheme, step or number of intervals."""
+        return " ".join((self.compile, self.hessian, self.cone, self.model))
+
+    def words(self) -> dict[str, str]:
+        """Each axis in a word; the grid is one."""
+        grid = f"{self.transcription}@{self.intervals}"
+        words = {axis: getattr(self, axis) for axis in WORDS}
+        return {"grid": grid, "solver": words.pop("solver"), "tolerance": _short(self.tolerance), **words}
+
+    @property
+    def name(self) -> str:
+        """All of it in words, the same for equal settings: what results are recorded under."""
+        return " ".join(self.words().values())
+
+    def label(self, base: Setting) -> str:
+        """The grid, and the words in which it differs from ``base``."""
+        others = base.words()
+        return " ".join(word for axis, word in self.words().items() if axis == "grid" or word != others[axis])
+
+    def slug(self) -> str:
+        """The name as a part of a file's name."""
+        return re.sub(r"[^A-Za-z0-9.]+", "-", self.name)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able values by axis."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Setting:
+        """The inverse of `to_dict`; text is converted. Raises InputError."""
+        try:
+            found = {axis.name: values[axis.name] for axis in fields(cls)}
+            return cls(
+                **found | {"intervals": int(found["intervals"]), "tolerance": float(found["tolerance"])}
+            )
+        except (KeyError, TypeError, ValueError):
+            names = ", ".join(axis.name for axis in fields(cls))
+            raise InputError("a setting lacks a value or has a wrong one", f"it has: {names}") from None
+
+    @classmethod
+    def parse(cls, text: str, base: Setting) -> Setting:
+        """``base`` with the words of ``text`` in place of its own, as in ``legendre:1@10 fatrop 1e-3``."""
+        found: dict[str, Any] = {}
+        for word in text.replace(",", " ").split():
+            for axis, value in _meaning(word).items():
+                if axis in found:
+                    raise InputError(f"setting '{text}' gives its {axis} twice", "allowed: once")
+                found[axis] = value
+        return replace(base, **found)
+
+
+def _meaning(word: str) -> dict[str, Any]:
+    """What a word of a setting says: values by axis. Raises InputError."""
+    for axis, words in WORDS.items():
+        if word in words:
+            return {axis: word}
+    name, at, count = word.partition("@")
+    grid: dict[str, Any] = {}
+    if at:
+        if not (count.isascii() and count.isdigit()):
+            raise InputError(f"'{word}' is no grid", "allowed: SCHEME@INTERVALS, such as legendre:2@25")
+        grid["intervals"] = int(count)
+    if name.partition(":")[0] in {known.partition(":")[0] for known in SCHEME_NAMES}:
+        return {"transcription": name, **grid}
+    if grid and not name:
+        return grid
+    try:
+        return {"tolerance": float(word)}
+    except ValueError:
+        raise InputError(f"'{word}' is no word of a setting", WORD_FORM) from None
+
+
+def _short(value: float) -> str:
+    """``1e-6`` for 1e-06 and for 0.000001."""
+    digits, _, exponent = f"{value:.15e}".partition("e")
+    return f"{digits.rstrip('0').rstrip('.')}e{int(exponent)}"

@@ -1,0 +1,158 @@
+"""One row a setting: medians over its runs, the accuracy of the median run, and what dominates it."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from trajopt.problem.problem import Problem
+from trajopt.robot.units import Units
+from trajopt.study.sweep.likeness import motion_kind
+from trajopt.study.sweep.pareto import GAIN, dominators, front, is_measured
+from trajopt.study.sweep.plan import Plan
+from trajopt.study.sweep.records import Found
+from trajopt.study.sweep.result import Run
+from trajopt.study.sweep.setting import Setting
+
+Figures = dict[str, float | None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """A setting and what was found on it.
+
+    runs: the best attempt from each start. median: the run of the median time, a failed one counting as the
+    slowest; None before the first. accuracy: of its solution, by column of `figures.COLUMNS`. compiled: what
+    compiling its functions took, shared by all settings with the same ones. dominated_by: the setting on the
+    front that is ahead of it by most.
+    """
+
+    setting: Setting
+    label: str
+    is_default: bool
+    runs: tuple[Run, ...]
+    median: Run | None
+    accuracy: Figures = field(default_factory=dict)
+    compiled: dict[str, Any] = field(default_factory=dict)
+    on_front: bool = False
+    dominated_by: str = ""
+
+    @property
+    def solved(self) -> list[Run]:
+        """The runs with a solution."""
+        return [run for run in self.runs if run.success]
+
+    @property
+    def time(self) -> float:
+        """Median time of a solve, s; infinite where half of the runs or more have failed, NaN before any."""
+        return math.nan if self.median is None else self.median.time
+
+    @property
+    def error(self) -> float:
+        """Open loop, worst phase, m; NaN where it is not known or not finite."""
+        value = self.accuracy.get("open_loop_m")
+        return math.nan if value is None else value
+
+    @property
+    def objectives(self) -> tuple[float, float]:
+        """What the front is made of."""
+        return self.time, self.error
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether it has a time and an error."""
+        return is_measured(self.objectives)
+
+    @property
+    def failure(self) -> str:
+        """What happened to the first run that is no solution, or nothing."""
+        failed = [run for run in self.runs if not run.success]
+        return f"{failed[0].status}: {failed[0].detail}".removesuffix(": ") if failed else ""
+
+    def median_of(self, name: str) -> float | None:
+        """Median of a figure over the runs with a solution."""
+        known = [value for run in self.solved if (value := getattr(run, name)) is not None]
+        return float(statistics.median(known)) if known else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scale:
+    """What makes figures of one robot and motion those of others: m, s, and the motion's duration in s.
+
+    kind: of `likeness.motion_kind`. n_velocities: nv.
+    """
+
+    robot: str
+    kind: str
+    n_velocities: int
+    length: float
+    natural_time: float
+    duration: float
+
+    @classmethod
+    def of(cls, problem: Problem) -> Scale:
+        """The scale of a problem, at the nominal durations of its phases."""
+        units = Units(problem.robot)
+        return cls(
+            robot=problem.robot.name,
+            kind=motion_kind(problem),
+            n_velocities=problem.robot.nv,
+            length=units.length,
+            natural_time=units.time,
+            duration=problem.schedule.duration,
+        )
+
+
+def median_run(found: Found, setting: str, starts: Iterable[int]) -> Run | None:
+    """The run of the (upper) median time over all starts; failed ones are the slowest."""
+    runs = [run for start in starts if (run := found.best(setting, start)) is not None]
+    return sorted(runs, key=lambda run: (run.time, run.start))[len(runs) // 2] if runs else None
+
+
+def summarize(plan: Plan, found: Found, starts: Sequence[int]) -> tuple[Summary, ...]:
+    """All settings of a plan, in its order."""
+    rows = [_summary(plan, found, starts, setting) for setting in plan.settings]
+    points = [row.objectives for row in rows]
+    best = set(front(points, GAIN))
+    over = dominators(points, GAIN)
+    return tuple(
+        replace(row, on_front=i in best, dominated_by="" if by is None else rows[by].label)
+        for i, (row, by) in enumerate(zip(rows, over, strict=True))
+    )
+
+
+def _summary(plan: Plan, found: Found, starts: Sequence[int], setting: Setting) -> Summary:
+    name = setting.name
+    median = median_run(found, name, starts)
+    job, _, figures = found.accuracy.get(name, (None, False, {}))
+    known = median is not None and median.success and job == median.job
+    return Summary(
+        setting=setting,
+        label=setting.label(plan.base),
+        is_default=setting == plan.base,
+        runs=tuple(run for start in starts if (run := found.best(name, start)) is not None),
+        median=median,
+        accuracy=dict(figures) if known else {},
+        compiled=found.compiled.get(setting.functions, {}),
+    )
+
+
+def disturbance(found: Found) -> dict[str, Any]:
+    """How steady the machine was: calibrations over the fastest one, and the runs beyond the bounds."""
+    known = sorted(run.calibration for run in found.runs.values() if run.calibration is not None)
+    shares = [run.cpu_share for run in found.runs.values() if run.cpu_share is not None]
+    least = min([*known, *found.calibrations], default=math.nan)
+    if not known:
+        return {"runs": len(found.runs), "disturbed": 0}
+    return {
+        "runs": len(found.runs),
+        "disturbed": sum(run.disturbed for run in found.runs.values()),
+        "calibration_s": least,
+        "calibration_median": statistics.median(known) / least,
+        "calibration_90": known[math.ceil(0.9 * len(known)) - 1] / least,
+        "calibration_most": known[-1] / least,
+        "least_cpu_share": min(shares),
+    }

@@ -1,0 +1,165 @@
+"""The tidy tables of a sweep: a row a run, a row a setting, a row a setting of the front."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from trajopt.errors import InputError
+from trajopt.study.sweep.figures import COLUMNS
+from trajopt.study.sweep.records import Found
+from trajopt.study.sweep.result import Run
+from trajopt.study.sweep.setting import Setting
+from trajopt.study.sweep.summary import Scale, Summary
+
+RUNS, SETTINGS, FRONT = "runs.csv", "settings.csv", "front.csv"
+AXES = tuple(axis.name for axis in fields(Setting))
+RUN_FIGURES = tuple(entry.name for entry in fields(Run) if entry.name != "setting")
+SECONDS = ("wall_time", "start_time", "stage_two_time", "function_time", "build_time")
+Row = dict[str, Any]
+
+
+def run_rows(problem: str, settings: Sequence[Setting], found: Found) -> list[Row]:
+    """All runs in the order in which they were made, disturbed attempts among them."""
+    by_name = {setting.name: setting for setting in settings}
+    rows = []
+    for run in found.runs.values():
+        setting = by_name[run.setting]
+        figures = {
+            f"{name}_s" if name.endswith("time") or name == "calibration" else name: getattr(run, name)
+            for name in RUN_FIGURES
+        }
+        rows.append({"problem": problem, "setting": run.setting, **setting.to_dict(), **figures})
+    return rows
+
+
+def setting_rows(problem: str, summaries: Sequence[Summary], scale: Scale) -> list[Row]:
+    """A row a setting; docs/front.md says what each column is."""
+    default = next((row.time for row in summaries if row.is_default), math.nan)
+    return [_setting_row(problem, summary, scale, default) for summary in summaries]
+
+
+def _setting_row(problem: str, row: Summary, scale: Scale, default: float) -> Row:
+    setting, own = row.setting, next((run for run in row.runs if run.start == 0), None)
+    times = [run.time for run in row.solved]
+    return {
+        "problem": problem,
+        "robot": scale.robot,
+        "kind": scale.kind,
+        "n_velocities": scale.n_velocities,
+        "label": row.label,
+        **setting.to_dict(),
+        "is_default": row.is_default,
+        "points": setting.points,
+        "intervals_per_natural_time": setting.intervals * scale.natural_time / scale.duration,
+        "natural_time_s": scale.natural_time,
+        "length_m": scale.length,
+        "variables": row.median_of("variables"),
+        "constraints": row.median_of("constraints"),
+        "runs": len(row.runs),
+        "solved": len(row.solved),
+        "success_rate": len(row.solved) / len(row.runs) if row.runs else None,
+        "disturbed": sum(run.disturbed for run in row.runs),
+        "iterations": row.median_of("iterations"),
+        "time_s": row.time,
+        "relative_time": row.time / default,
+        "calibration_s": row.median_of("calibration"),
+        "time_least_s": min(times, default=None),
+        "time_most_s": max(times, default=None),
+        "time_own_guess_s": None if own is None else own.time,
+        **{f"{name}_s": row.median_of(name) for name in SECONDS},
+        "compile_time_s": row.compiled.get("compile_time"),
+        "functions_compiled": row.compiled.get("functions_compiled"),
+        "max_violation": None if row.median is None else row.median.max_violation,
+        "objective": None if row.median is None else row.median.objective,
+        **{column: row.accuracy.get(column) for column in COLUMNS.values()},
+        "error_m": row.error,
+        "relative_error": row.error / scale.length,
+        "on_front": row.on_front,
+        "dominated_by": row.dominated_by,
+        "failure": row.failure,
+    }
+
+
+def write_tables(
+    folder: Path, problem: str, found: Found, summaries: Sequence[Summary], scale: Scale
+) -> None:
+    """Write ``runs.csv``, ``settings.csv`` and ``front.csv``. Raises InputError where that cannot be."""
+    rows = setting_rows(problem, summaries, scale)
+    write(folder / RUNS, run_rows(problem, [summary.setting for summary in summaries], found))
+    write(folder / SETTINGS, rows)
+    write(
+        folder / FRONT,
+        sorted((row for row in rows if row["on_front"]), key=lambda row: row["time_s"]),
+        list(rows[0]),
+    )
+
+
+def write(path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None) -> None:
+    """Write a table at once or not at all; truth as 1 and 0, what is not known or not finite as nothing."""
+    titles = list(columns or (rows[0] if rows else ()))
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+        with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow(titles)
+            writer.writerows([_cell(row[title]) for title in titles] for row in rows)
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except OSError as error:
+        raise InputError(
+            f"cannot write {path}: {error.strerror or error}", "allowed: a folder that can be written"
+        ) from None
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return str(int(value))
+    if isinstance(value, float):
+        return f"{value:.6g}" if math.isfinite(value) else ""
+    return str(value)
+
+
+def table(summaries: Iterable[Summary]) -> Table:
+    """The settings, those of the front first, fastest first; then by time, those that failed last."""
+    found = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    found.add_column("setting", no_wrap=True)
+    for title in ("solved", "iter", "time", "x default", "error", "objective gap"):
+        found.add_column(title, justify="right", no_wrap=True)
+    found.add_column("dominated by", overflow="fold")
+    rows = list(summaries)
+    default = next((row.time for row in rows if row.is_default), math.nan)
+    for row in sorted(rows, key=lambda row: (not row.on_front, not row.is_measured, _last(row.time))):
+        found.add_row(*_cells(row, default))
+    return found
+
+
+def _last(time: float) -> float:
+    """A time to sort by: what is not known comes last."""
+    return time if math.isfinite(time) else math.inf
+
+
+def _cells(row: Summary, default: float) -> list[str]:
+    iterations = row.median_of("iterations")
+    gap = row.accuracy.get("objective_gap")
+    note = row.dominated_by or ("front" if row.on_front else row.failure or "error not known")
+    return [
+        f"{row.label}{' (default)' if row.is_default else ''}",
+        f"{len(row.solved)}/{len(row.runs)}",
+        "" if iterations is None else f"{iterations:g}",
+        f"{row.time:.3g} s" if math.isfinite(row.time) else "",
+        f"{row.time / default:.2f}" if math.isfinite(row.time / default) else "",
+        f"{row.error:.1e} m" if math.isfinite(row.error) else "",
+        "" if gap is None else f"{gap:+.1e}",
+        note,
+    ]

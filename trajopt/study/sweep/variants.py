@@ -1,0 +1,46 @@
+"""A problem with the other friction cone, and what its own one is."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
+from trajopt.terms.friction import ContactConstraint, FrictionCone, FrictionPyramid
+from trajopt.terms.interfaces import Term
+
+KINDS: dict[str, type[ContactConstraint]] = {"smooth": FrictionCone, "pyramid": FrictionPyramid}
+
+
+def cone_of(problem: Problem) -> str | None:
+    """``smooth`` or ``pyramid``, ``own`` for terms of both kinds, None without a friction term of points."""
+    found = {
+        kind for kind, term_type in KINDS.items() if any(type(term) is term_type for term in problem.terms)
+    }
+    if len(found) == 1:
+        return found.pop()
+    return "own" if found else None
+
+
+def with_cone(problem: Problem, kind: str) -> Problem:
+    """The problem with all its friction terms of points of that kind; ``own`` leaves it as it is.
+
+    The pyramid is inscribed in the cone: where friction decides, the two problems have different optima.
+    The cones of soles (`SoleCone`) are pyramids by their making and stay. Raises InputError where there is no
+    friction term.
+    """
+    own = cone_of(problem)
+    if kind in ("own", own):
+        return problem
+    if own is None:
+        raise InputError(
+            f"problem '{problem.name}' has no friction term of point contacts", "allowed: no --cone"
+        )
+    return replace(problem, terms=tuple(_as_kind(term, KINDS[kind]) for term in problem.terms))
+
+
+def _as_kind(term: Term, kind: type[ContactConstraint]) -> Term:
+    """A friction term with the same values in another kind; any other term as it is."""
+    if type(term) not in KINDS.values():
+        return term
+    return kind(**{entry.name: getattr(term, entry.name) for entry in fields(term) if entry.init})

@@ -1,0 +1,109 @@
+"""The constraint that links stay clear of obstacles and of each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.robot.collision.distances import Axis, Box, box_distance, segment_distance
+from trajopt.robot.collision.near import CollisionScene, Pair
+from trajopt.robot.collision.shapes import BoxObstacle, LinkCapsule, Obstacle
+from trajopt.robot.units import Units
+from trajopt.terms.context import Context
+from trajopt.terms.interfaces import PointConstraint, Rows, Term
+
+# What smoothing may take off a distance, over the robot's length: a millimetre on an arm of one metre.
+SMOOTHING = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clearance(PointConstraint):
+    """Pairs of a scene keep at least ``margin`` m apart, at every collocation point.
+
+    ``scene`` says all that is there (a check of the solution measures all of it); ``pairs`` are those that
+    become rows, one each: the ones that can come near. Distances are smooth and on the safe side, see
+    `distances`: a pair that meets its row is ``margin`` apart, and one that is ``margin`` and 2e-3 of the
+    robot's length apart meets its row. Obstacles and margin are parameters: to move them compiles nothing.
+    Raises InputError.
+    """
+
+    scene: CollisionScene
+    pairs: tuple[Pair, ...]
+    margin: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.margin) and self.margin >= 0):
+            raise InputError(f"margin to obstacles is {self.margin:g} m", "allowed: finite and >= 0")
+        object.__setattr__(self, "pairs", tuple((str(a), str(b)) for a, b in self.pairs))
+        known = set(self.scene.pairs)
+        unknown = [pair for pair in self.pairs if pair not in known]
+        if unknown:
+            raise InputError(f"the scene has no pair {unknown[0]}", "allowed: pairs of the scene")
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        if not self.pairs:
+            return None
+        capsules = {capsule.name: capsule for capsule in self.scene.capsules}
+        obstacles = {obstacle.name: _Placed(obstacle, context) for obstacle in self._met()}
+        margin, smoothing = context.parameter(self.margin), SMOOTHING * units.length
+        rows = []
+        for first, second in self.pairs:
+            own, axis = capsules[first], _axis(context, capsules[first])
+            if second in capsules:
+                reach = own.radius + capsules[second].radius + margin
+                rows.append(segment_distance(axis, _axis(context, capsules[second]), reach, smoothing))
+            else:
+                rows.append(obstacles[second].beyond(axis, own.radius + margin, smoothing))
+        return Rows.create(ca.vertcat(*rows), 0.0, np.inf, units.length)
+
+    def _met(self) -> tuple[Obstacle, ...]:
+        met = {second for _, second in self.pairs}
+        return tuple(obstacle for obstacle in self.scene.obstacles if obstacle.name in met)
+
+
+class _Placed:
+    """An obstacle with its place and size as parameters of a context."""
+
+    def __init__(self, obstacle: Obstacle, context: Context) -> None:
+        self.box: Box | None = None
+        if isinstance(obstacle, BoxObstacle):
+            parts = (obstacle.turn, obstacle.position, obstacle.sides / 2)
+            self.box = Box(*(context.parameter(part) for part in parts))
+        else:
+            self.axis = Axis(*(context.parameter(end) for end in obstacle.axis))
+            self.radius = context.parameter(obstacle.radius)
+
+    def beyond(self, axis: Axis, reach: ca.SX, smoothing: float) -> ca.SX:
+        """Smooth distance of ``axis`` from the obstacle minus ``reach`` m."""
+        if self.box is not None:
+            return box_distance(axis, self.box, reach, smoothing)
+        return segment_distance(axis, self.axis, self.radius + reach, smoothing)
+
+
+def _axis(context: Context, capsule: LinkCapsule) -> Axis:
+    frame = context.frame(capsule.frame)
+    ends = (frame.position + ca.mtimes(frame.rotation, ca.DM(end)) for end in (capsule.start, capsule.end))
+    return Axis(*ends)
+
+
+def collision_scene(terms: Sequence[Term]) -> CollisionScene | None:
+    """What a motion under these terms must stay clear of; None where none of them is a `Clearance`.
+
+    Raises InputError where there are several scenes.
+    """
+    scenes = [term.scene for term in terms if isinstance(term, Clearance)]
+    if any(scene is not scenes[0] for scene in scenes):
+        raise InputError("a problem has several collision scenes", "allowed: one")
+    return scenes[0] if scenes else None
+
+
+def collision_meta(terms: Sequence[Term]) -> dict[str, Any]:
+    """What a solution's meta says of obstacles; nothing where there are none."""
+    scene = collision_scene(terms)
+    return {} if scene is None else {"collision": scene.describe()}

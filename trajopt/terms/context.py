@@ -1,0 +1,353 @@
+"""What a term sees at one point: symbols of the state, and of the robot's functions of it.
+
+Terms are written in two layers. The robot's functions (generalised forces, contact placements,
+velocities, accelerations) are *symbols* here; their graph is joined, and differentiated, once for
+all terms in ``stage_functions``. So a term stays a small expression.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from types import MappingProxyType
+
+import casadi as ca
+import numpy as np
+
+from trajopt.dynamics.manifold import Coordinates
+from trajopt.errors import InputError
+from trajopt.robot.actuators.on_robot import drive_torque
+from trajopt.robot.contact import Contact
+from trajopt.robot.robot import Robot
+from trajopt.robot.stance.mode import Mode
+from trajopt.robot.validation import require_configuration
+from trajopt.terms.context_symbols import Actuation, FrameSymbols, Place
+from trajopt.terrain.surface import Surface
+from trajopt.terrain.terrain import Ground
+
+
+class Context:
+    """Symbols of one point, node or impact.
+
+    At a collocation point the inputs ``z`` are (rotations, xi, xi', xi'', wrenches, clock); at a node they
+    are its unknowns; at an impact (rotations, xi, rates before, jump of the rates, impulses, clock). Entries
+    that a problem does not have (the clock of a fixed duration, xi'' of a velocity source) are left out.
+    ``xi`` (nv) are local coordinates (see ``manifold``), ``dxi``, ``ddxi`` their derivatives in true
+    time, ``q``, ``v``, ``a`` Pinocchio's; wrenches act on the robot, world axes at the contact frame's
+    origin, N and N m (impulses in N s and N m s).
+
+    ``clocks`` are the number of clocks in a node and the index of the own one (None in nominal time).
+    ``near`` (n_node,) is a state of the coordinates whose whole turns goals continue; None counts none.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        coordinates: Coordinates,
+        contacts: tuple[Contact, ...] = (),
+        *,
+        node: bool = False,
+        place: Place | None = None,
+        clocks: tuple[int, int | None] = (0, None),
+        actuation: Actuation = "torque",
+        surfaces: Mapping[str, Ground] = MappingProxyType({}),
+        mode: Mode | None = None,
+        kept_rows: Mapping[str, tuple[int, ...]] = MappingProxyType({}),
+        near: np.ndarray | None = None,
+    ) -> None:
+        self.robot, self.coordinates, self.contacts, self.near = robot, coordinates, contacts, near
+        self.place = place or (Place.NODE if node else Place.POINT)
+        self.actuation, self._surfaces, self._kept_rows = actuation, surfaces, kept_rows
+        own = ca.SX.sym("clock", 0 if clocks[1] is None else 1)
+        self.clock = own if own.numel() else ca.SX(1)
+        nv, order = coordinates.nv, 1 if actuation == "velocity" else 2
+        names = () if self.place is Place.NODE else tuple((c.name, c.dimension) for c in contacts)
+        self.unknown_wrenches: dict[str, ca.SX] = {name: ca.SX.sym(f"w_{name}", n) for name, n in names}
+        self._mode = mode if mode is not None and mode.robot is robot else None
+        if self.place is Place.NODE:
+            state = ca.SX.sym("x", coordinates.n_node if order == 2 else coordinates.n_node - nv)
+            every = ca.SX.sym("clocks", clocks[0])
+            self.clock = self.clock if clocks[1] is None else every[clocks[1]]
+            self.z = ca.vertcat(state, every)
+            full = state if order == 2 else ca.vertcat(state, ca.SX.zeros(nv))
+            self.rotations, self.xi, rates = coordinates.split_node(full)
+            highest = ca.SX.zeros(nv)
+        else:
+            self.rotations = ca.SX.sym("r", 4 * coordinates.n_rotations)
+            self.xi, rates = ca.SX.sym("xi", nv), ca.SX.sym("dxi", nv)
+            highest = ca.SX.sym("ddxi", nv if order == 2 else 0)
+            self.z = ca.vertcat(self.rotations, self.xi, rates, highest, *self.unknown_wrenches.values(), own)
+        self._rates = rates / self.clock
+        power = 1 if self.place is Place.IMPACT else 2
+        self._highest = highest / self.clock**power if highest.numel() else ca.SX.zeros(nv)
+        self._generalized_forces: ca.SX | None = None
+        self._accelerations: dict[Contact, ca.SX] = {}
+        self._frames: dict[str, FrameSymbols] = {}
+        self._parameters: list[ca.SX] = []
+        self._values: list[np.ndarray | Callable[[float], np.ndarray]] = []
+        self._squares: list[tuple[ca.SX, ca.SX]] = []
+
+    @property
+    def dxi(self) -> ca.SX:
+        """Rates of the local coordinates (nv,); before the jump at an impact."""
+        if self.actuation == "velocity" and self.place is Place.NODE:
+            raise InputError(
+                "a term asks for rates at a node, where a velocity source has none",
+                "allowed: terms about configurations there, or another actuation",
+            )
+        return self._rates
+
+    @property
+    def rates(self) -> ca.SX:
+        """Rates (nv,) as a change of coordinates maps them: zero where a node has none."""
+        return self._rates
+
+    @property
+    def ddxi(self) -> ca.SX:
+        """Second derivatives of the local coordinates (nv,); zero at a node."""
+        if self.actuation == "velocity":
+            raise InputError(
+                "a term asks for accelerations, which a source of velocity has not",
+                "allowed: terms about configurations and rates, or another actuation",
+            )
+        return self._highest
+
+    @property
+    def jump(self) -> ca.SX:
+        """Jump of the rates at an impact (nv,)."""
+        return self._highest
+
+    @property
+    def pressing(self) -> tuple[Contact, ...]:
+        """Active contacts with a wrench: unknown, or the reaction where coordinates embed the contact."""
+        if self._mode is None or self.place is not Place.POINT:
+            return self.contacts
+        return (*self.contacts, self._mode.embedded)
+
+    def contact(self, name: str) -> Contact:
+        """The contact of that name, of this phase's coordinates or embedded in them. Raises InputError."""
+        for contact in self.pressing:
+            if contact.name == name:
+                return contact
+        return (self._mode.whole if self._mode else self.robot).contact(name)
+
+    def actuated(self, values: np.ndarray) -> np.ndarray:
+        """Values of the whole robot's actuated rows (nu,) in the order of this context's torques."""
+        rows = np.array(values, dtype=float)
+        if rows.shape != (self.robot.nu,):
+            raise InputError(
+                f"a term has values of shape {rows.shape} for the actuated joints",
+                f"allowed: ({self.robot.nu},)",
+            )
+        return rows if self._mode is None else rows[self._mode.torque_rows]
+
+    def posture(self, q: np.ndarray) -> np.ndarray:
+        """A configuration of the whole robot in the coordinates of this context (nq,). Raises InputError."""
+        given, whole = np.array(q, dtype=float), self.robot if self._mode is None else self._mode.whole
+        if given.shape != (whole.nq,):
+            raise InputError(f"a term's posture has shape {given.shape}", f"allowed: ({whole.nq},)")
+        require_configuration(whole.model, given, "a term's posture")
+        return given if self._mode is None else self._mode.dropped(given, *np.zeros((2, whole.nv)))[0]
+
+    @cached_property
+    def wrenches(self) -> dict[str, ca.SX]:
+        """Wrench of every pressing contact: 3 or 6 entries, world axes, N and N m; none at a node."""
+        if self.place is Place.NODE:
+            return {}
+        full = {contact.name: self._full_wrench(contact) for contact in self.contacts}
+        if self._mode is None or self.place is not Place.POINT:
+            return full
+        rates = self.v if self.moving else ca.SX.zeros(self.coordinates.nv)
+        force = self._mode.reaction(self.q, rates, self.a)
+        for wrench in full.values():
+            force = force - wrench[:3]
+        return full | {self._mode.embedded.name: force}
+
+    def _full_wrench(self, contact: Contact) -> ca.SX:
+        """Wrench with zeros where a contact within a plane transmits nothing."""
+        unknown = self.unknown_wrenches[contact.name]
+        if contact.transmits_all:
+            return unknown
+        full = ca.SX.zeros(3 if contact.kind == "point" else 6)
+        full[list(contact.rows)] = unknown
+        return full
+
+    def held_rows(self, contact: Contact) -> tuple[int, ...]:
+        """Rows of an active contact's motion that no other's rows say already (see ``redundancy``)."""
+        if self.slides_on(contact) is not None:
+            return contact.rows
+        return self._kept_rows.get(contact.name, contact.rows)
+
+    def slides_on(self, contact: Contact) -> Surface | None:
+        """The surface along which an active contact slides (see ``sliding``), None where it is held."""
+        surface = self._surfaces.get(contact.name)
+        return surface if isinstance(surface, Surface) and surface.slip_speed is not None else None
+
+    def surface(self, contact: Contact) -> Ground:
+        """The surface, or curved ground, that an active contact touches."""
+        return self._surfaces[contact.name]
+
+    @cached_property
+    def _configuration(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        rates = self._rates + self.jump if self.place is Place.IMPACT else self._rates
+        return self.coordinates.to_pinocchio(self.rotations, self.xi, rates, self._highest)
+
+    @property
+    def q(self) -> ca.SX:
+        """Pinocchio's configuration (nq,); built on first use."""
+        return self._configuration[0]
+
+    @property
+    def v(self) -> ca.SX:
+        """Pinocchio's velocity (nv,); after the jump at an impact."""
+        return self._configuration[1]
+
+    @property
+    def a(self) -> ca.SX:
+        """Pinocchio's acceleration (nv,), zero for a velocity source; at an impact the jump of v."""
+        still = ca.SX.zeros(self.coordinates.nv)
+        if self.actuation == "velocity":
+            return still
+        if self.place is not Place.IMPACT:
+            return self._configuration[2]
+        return self.coordinates.to_pinocchio(self.rotations, self.xi, still, self.jump)[2]
+
+    @property
+    def moving(self) -> bool:
+        """Whether the dynamics feel velocities: not in the statics of a velocity source, nor at an impact."""
+        return self.actuation != "velocity" and self.place is not Place.IMPACT
+
+    @property
+    def generalized_forces(self) -> ca.SX:
+        """RNEA(q, v, a) minus the contacts' J^T w, (nv,): base rows first, then joint torques.
+
+        Of a velocity source RNEA(q, 0, 0) - J^T w, statics; at an impact M (v+ - v-) - J^T impulses.
+        """
+        if self._generalized_forces is None:
+            self._generalized_forces = ca.SX.sym("tau", self.coordinates.nv)
+        return self._generalized_forces
+
+    @property
+    def base_rows(self) -> ca.SX:
+        """Unactuated rows of the generalised forces; dynamics holds where they vanish."""
+        return self.generalized_forces[: self.robot.n_unactuated]
+
+    @property
+    def torque(self) -> ca.SX:
+        """Torque (nu,) that the drives deliver, N m, joint side: the actuated rows plus joint friction."""
+        if self.actuation != "torque":
+            raise InputError(
+                f"a term asks for torques, which a source of {self.actuation} has not",
+                "allowed: actuation 'torque', or terms about motion and contact forces",
+            )
+        unactuated = self.robot.n_unactuated
+        return drive_torque(self.robot.drives, self.generalized_forces[unactuated:], self.dxi[unactuated:])
+
+    def frame(self, name: str) -> FrameSymbols:
+        """Symbols of the frame ``name`` of the model."""
+        if name not in self._frames:
+            self._frames[name] = FrameSymbols.create(name)
+        return self._frames[name]
+
+    def parameter(self, value: np.ndarray | float) -> ca.SX:
+        """A symbol whose numeric ``value`` may change without building or compiling anything anew."""
+        array = np.atleast_1d(np.asarray(value, dtype=float))
+        if not np.all(np.isfinite(array)):
+            raise InputError(f"a term's parameter is {array}", "allowed: finite numbers")
+        symbol = ca.SX.sym(
+            f"p{len(self._parameters)}", *(array.shape if array.ndim == 2 else (array.size, 1))
+        )
+        self._parameters.append(ca.vec(symbol))
+        self._values.append(array.flatten(order="F"))
+        return symbol
+
+    def square(self, residual: ca.SX, weight: ca.SX) -> None:
+        """Tell Gauss-Newton of a cost: its curvature is that of sum weight residual^2, weights held fixed.
+
+        residual: (n,); weight: one, or (n,), and nowhere negative.
+        """
+        self._squares.append((residual, weight * ca.SX.ones(residual.numel())))
+
+    @property
+    def squares(self) -> tuple[ca.SX, ca.SX]:
+        """Residuals (n,) and weights (n,) of all costs here; a point's are of the rate in nominal time."""
+        rate = self.clock if self.place is Place.POINT else ca.SX(1)
+        residuals = ca.vertcat(ca.SX(0, 1), *[residual for residual, _ in self._squares])
+        return residuals, rate * ca.vertcat(ca.SX(0, 1), *[weight for _, weight in self._squares])
+
+    def varying(self, value: Callable[[float], np.ndarray], size: int) -> ca.SX:
+        """A parameter (size,) whose value depends on nominal time, s, from the schedule's start."""
+        symbol = ca.SX.sym(f"p{len(self._parameters)}", size)
+        self._parameters.append(symbol)
+        self._values.append(value)
+        return symbol
+
+    @property
+    def parameters(self) -> ca.SX:
+        """All parameters in one column."""
+        return ca.vertcat(*self._parameters) if self._parameters else ca.SX(0, 1)
+
+    @property
+    def parameter_values(self) -> np.ndarray:
+        """Their numeric values; of those that vary the values at the schedule's start."""
+        return self.parameter_values_at(0.0)
+
+    def parameter_values_at(self, t: float) -> np.ndarray:
+        """Their numeric values at nominal time ``t`` s. Raises InputError for values that are not finite."""
+        parts = [value(t) if callable(value) else value for value in self._values]
+        values = np.concatenate([np.zeros(0), *parts])
+        if not np.all(np.isfinite(values)):
+            raise InputError(f"a term's reference is not finite at t = {t:g} s", "allowed: finite numbers")
+        return values
+
+    def contact_acceleration(self, contact: Contact) -> ca.SX:
+        """Classical acceleration of an active contact (held rows), in axes that may be turned.
+
+        The axes are the base link's for a free-flyer, the world's otherwise: enough for a row that
+        asks it to vanish, and cheaper, since no orientation enters.
+        """
+        if contact not in self._accelerations:
+            self._accelerations[contact] = ca.SX.sym(f"a_{contact.name}", len(self.held_rows(contact)))
+        return self._accelerations[contact]
+
+    @property
+    def uses_dynamics(self) -> bool:
+        """Whether a term asked for generalised forces."""
+        return self._generalized_forces is not None
+
+    @property
+    def used_accelerations(self) -> tuple[Contact, ...]:
+        """Contacts whose acceleration a term asked for."""
+        return tuple(self._accelerations)
+
+    @property
+    def frames(self) -> Mapping[str, FrameSymbols]:
+        """Frames that terms asked for, in order of first use."""
+        return self._frames
+
+    def wrench_column(self) -> ca.SX:
+        """Wrenches of the contacts with unknown ones in one column, 3 or 6 entries each."""
+        return ca.vertcat(*[self.wrenches[contact.name] for contact in self.contacts])
+
+    def dynamics_symbols(self) -> ca.SX:
+        """Generalised forces and contact accelerations that terms asked for, in one column."""
+        forces = [self.generalized_forces] if self.uses_dynamics else []
+        return ca.vertcat(*forces, *self._accelerations.values())
+
+    def frame_symbols(self) -> ca.SX:
+        """Symbols of the frames that terms asked for, in one column."""
+        return ca.vertcat(*[frame.stacked() for frame in self._frames.values()])
+
+    @property
+    def has_free_flyer(self) -> bool:
+        """Whether the root is a free-flyer in world axes, the world's only joint, and axes may be turned."""
+        model = self.robot.model
+        roots = [i for i in range(1, model.njoints) if model.parents[i] == 0]
+        return (
+            self.moving
+            and all(c.transmits_all and self.held_rows(c) == c.rows for c in self.contacts)
+            and all(self.slides_on(contact) is None for contact in self.contacts)
+            and roots == [1]
+            and self.coordinates.joints[0].kind == "freeflyer"
+            and model.jointPlacements[1].isIdentity()
+        )

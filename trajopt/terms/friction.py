@@ -1,0 +1,247 @@
+"""Constraints on contact wrenches: friction, pressure and the cones of soles, each on its own surface."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.robot.contact import Contact
+from trajopt.robot.sole import friction_rows, pressure_rows, yaw_rows
+from trajopt.robot.units import Units
+from trajopt.terms.context import Context
+from trajopt.terms.interfaces import PointConstraint, Rows
+from trajopt.terrain.smooth import CurvedSurface
+
+# Part of the weight below which a smooth cone of friction is rounded off: a violation of 1e-9, what solvers
+# leave, is then a force of 3e-6 at most (3e-5 of a squared cone). With a sharper apex IPOPT takes several
+# times the iterations where forces start at zero (talos-wall: 16 at 1e-2, 102 at 1e-3).
+APEX = 1e-2
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactConstraint(PointConstraint):
+    """A constraint on the wrenches of unilateral contacts.
+
+    ``friction`` overrides the coefficient of the surfaces that the contacts touch; ``contacts`` restricts
+    the term to these names (default: all). Contacts on bilateral surfaces have no rows: a grasp holds; nor
+    have those that slide, whose force follows a law (`trajopt.sliding`).
+    At an impact it holds for the impulses. Raises InputError.
+    """
+
+    acts_at_impacts: ClassVar[bool] = True
+
+    friction: float | None = None
+    contacts: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.friction is not None and not (math.isfinite(self.friction) and self.friction >= 0):
+            raise InputError(f"friction of {self.name} is {self.friction:g}", "allowed: finite and >= 0")
+
+    def _pressed(self, context: Context) -> Iterator[Contact]:
+        """Active contacts that the term is about."""
+        chosen = None if self.contacts is None else [context.contact(name) for name in self.contacts]
+        for contact in context.pressing:
+            if context.slides_on(contact) is not None or context.surface(contact).bilateral:
+                continue
+            if chosen is None or contact in chosen:
+                yield contact
+
+    def _friction(self, context: Context, contact: Contact) -> float:
+        return context.surface(contact).friction if self.friction is None else self.friction
+
+
+def _turning(contact: Contact) -> tuple[int, ...]:
+    """Axes of a sole about which it transmits a moment: in a plane only the one across it."""
+    return (0, 1, 2) if contact.dimension == 6 else tuple(row - 3 for row in contact.rows if row > 2)
+
+
+def contact_force(context: Context, contact: Contact) -> ca.SX:
+    """Force (3,) of an active contact, world axes, N."""
+    return context.wrenches[contact.name][:3]
+
+
+def surface_force(context: Context, contact: Contact) -> ca.SX:
+    """Force (3,) of an active contact along the two tangents and the normal of its surface, N.
+
+    World axes on level ground; on other planes the axes are parameters, so that one compiled function serves
+    any normal; on curved ground they follow from where the contact is.
+    """
+    surface, force = context.surface(contact), contact_force(context, contact)
+    if isinstance(surface, CurvedSurface):
+        axes = surface.symbolic_frame(context.frame(contact.frame).position, context.parameter)
+        return ca.mtimes(axes.T, force)
+    return force if surface.is_level else ca.mtimes(context.parameter(surface.frame).T, force)
+
+
+@dataclass
+class _ConeRows:
+    """Rows that are >= 0, and what a contact without friction does not transmit, which is zero.
+
+    Without friction the sides of a pyramid are pairs of inequalities that leave no interior, and the smooth
+    cone has no gradient: solvers fail on both, where they do not on equations.
+    """
+
+    parts: list[ca.SX] = field(default_factory=list)
+    upper: list[float] = field(default_factory=list)
+    units: list[float] = field(default_factory=list)
+
+    def at_least_zero(self, expressions: Iterable[ca.SX], unit: float) -> None:
+        for expression in expressions:
+            self._add(expression, np.inf, unit)
+
+    def zero(self, expressions: Iterable[ca.SX], unit: float) -> None:
+        for expression in expressions:
+            if not expression.is_zero():
+                self._add(expression, 0.0, unit)
+
+    def _add(self, expression: ca.SX, upper: float, unit: float) -> None:
+        self.parts.append(expression)
+        self.upper.append(upper)
+        self.units.append(unit)
+
+    def rows(self) -> Rows | None:
+        if not self.parts:
+            return None
+        return Rows.create(ca.vertcat(*self.parts), 0, np.array(self.upper), np.array(self.units))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrictionPyramid(ContactConstraint):
+    """Unilateral force inside a pyramid inscribed in the Coulomb cone: |f_1|, |f_2| <= mu f_n / sqrt 2.
+
+    Its sides stand along the surface's tangents 1 and 2, the world's x and y on level ground. Without
+    friction f_1 = f_2 = 0.
+    """
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        found = _ConeRows()
+        for contact in self._pressed(context):
+            friction, f = self._friction(context, contact), ca.vertsplit(surface_force(context, contact))
+            found.at_least_zero([f[2]], units.force)
+            if friction == 0.0:
+                found.zero(f[:2], units.force)
+                continue
+            sides = friction_rows(f, context.parameter(friction / math.sqrt(2)))
+            kept = [side for i, side in enumerate(sides) if not f[i // 2].is_zero()]
+            found.at_least_zero(kept, units.force)
+        return found.rows()
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrictionCone(ContactConstraint):
+    """Unilateral force inside the smooth exact Coulomb cone: f_1^2 + f_2^2 <= (mu f_n)^2, f_n >= 0.
+
+    The squared form has no kink at the apex, but a solver's tolerance on it is the square of a force: it
+    lets small forces slip. The row is (N^2 - f_1^2 - f_2^2) / sqrt(N^2 + d^2) with N = mu f_n, forces over
+    the weight and d = `APEX`: the same set, and away from the apex about twice the distance from the cone's
+    side. Without friction f_1 = f_2 = 0.
+    """
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        found = _ConeRows()
+        for contact in self._pressed(context):
+            friction = self._friction(context, contact)
+            f = ca.vertsplit(surface_force(context, contact) / units.force)
+            found.at_least_zero([f[2]], 1.0)
+            if friction == 0.0:
+                found.zero(f[:2], 1.0)
+                continue
+            largest = context.parameter(friction) * f[2]
+            inside = largest**2 - f[0] ** 2 - f[1] ** 2
+            found.at_least_zero([inside / ca.sqrt(largest**2 + APEX**2)], 1.0)
+        return found.rows()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SoleLimits(ContactConstraint):
+    """Centre of pressure of surface contacts inside the sole, and yaw moment within a box.
+
+    |m_x| <= half_width f_n, |m_y| <= half_length f_n in the sole's axes, and the yaw moment within
+    mu f_n times the mean half size, whatever the other components are: `SoleCone` is exact.
+    """
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        found = _ConeRows()
+        for contact in self._pressed(context):
+            if contact.kind == "surface":
+                friction = self._friction(context, contact)
+                rotation = context.frame(contact.frame).rotation
+                moment = ca.mtimes(rotation.T, context.wrenches[contact.name][3:])
+                pressure = surface_force(context, contact)[2]
+                half = (contact.half_width, contact.half_length)
+                arm = (*half, sum(half) / 2 * context.parameter(friction) if friction else 0.0)
+                for i in _turning(contact):
+                    if i == 2 and friction == 0.0:
+                        found.zero([moment[i]], units.torque)
+                        continue
+                    sides = [arm[i] * pressure - moment[i], arm[i] * pressure + moment[i]]
+                    found.at_least_zero(sides, units.torque)
+        return found.rows()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SoleCone(ContactConstraint):
+    """Wrench of each sole inside the cone of all that its surface can transmit, 16 rows.
+
+    Friction, centre of pressure and yaw moment together, see `sole.yaw_rows` (Caron, Pham, Nakamura, ICRA
+    2015), for a pyramid along the sole's axes that is inscribed in the Coulomb cone, coefficient mu / sqrt 2.
+    Complete for soles: no other friction term is needed for them. Point contacts have no rows.
+    """
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        found = _ConeRows()
+        for contact in self._pressed(context):
+            if contact.kind == "surface":
+                friction = self._friction(context, contact)
+                to_sole, wrench = context.frame(contact.frame).rotation.T, context.wrenches[contact.name]
+                force, moment = (ca.vertsplit(ca.mtimes(to_sole, part)) for part in (wrench[:3], wrench[3:]))
+                size = (contact.half_length, contact.half_width)
+                if friction == 0.0:
+                    found.at_least_zero(pressure_rows(force, moment, size), units.torque)
+                    found.zero(force[:2], units.force)
+                    found.zero([moment[2]], units.torque)
+                    continue
+                mu = context.parameter(friction / math.sqrt(2))
+                found.at_least_zero(friction_rows(force, mu), units.force)
+                moments = [*pressure_rows(force, moment, size), *yaw_rows(force, moment, size, mu)]
+                found.at_least_zero(moments, units.torque)
+        return found.rows()
+
+
+@dataclass(frozen=True, kw_only=True)
+class NormalForce(PointConstraint):
+    """Force of one contact along its surface's normal between ``lower`` and ``upper``, N (None: free).
+
+    Positive is the surface pushing the robot away; negative, on bilateral surfaces, is holding it. Acts
+    where the contact is active. Raises InputError.
+    """
+
+    contact: str
+    lower: float | None = None
+    upper: float | None = None
+
+    def __post_init__(self) -> None:
+        low, high = self._bounds()
+        if not low <= high or (self.lower is None and self.upper is None):
+            raise InputError(
+                f"normal force of '{self.contact}' is bounded by {self.lower} and {self.upper}",
+                "allowed: at least one bound, lower <= upper",
+            )
+
+    def _bounds(self) -> tuple[float, float]:
+        return (
+            -math.inf if self.lower is None else self.lower,
+            math.inf if self.upper is None else self.upper,
+        )
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        contact = context.contact(self.contact)
+        if contact not in context.pressing:
+            return None
+        return Rows.create(surface_force(context, contact)[2], *self._bounds(), units.force)

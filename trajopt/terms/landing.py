@@ -1,0 +1,171 @@
+"""Constraints of feet and ground at nodes: where a contact lands, how high a foot swings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.robot.contact import Contact
+from trajopt.robot.units import Units
+from trajopt.terms.context import Context
+from trajopt.terms.interfaces import Rows
+from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.patch import Patch
+from trajopt.terrain.smooth import CurvedSurface, SmoothTerrain
+from trajopt.terrain.surface import Surface
+from trajopt.terrain.swing_profile import swing_profile
+from trajopt.terrain.terrain import Ground, Terrain
+
+# An edge asks nothing of a robot in a plane when its normal's part in that plane is below this.
+ACROSS = 1e-6
+
+
+def along_normal(context: Context, surface: Surface, columns: ca.SX) -> ca.SX:
+    """Components (1, n) along a surface's normal of columns (3, n) in world axes.
+
+    On level ground the third row; elsewhere the normal is a parameter.
+    """
+    return columns[2, :] if surface.is_level else ca.mtimes(context.parameter(surface.normal).T, columns)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactLanding(NodeConstraint):
+    """New contacts of a phase lie on their surface, patch or foothold and do not move.
+
+    The surface is the phase's for that contact, else the terrain; a sole lies flat on it. On a patch a point
+    keeps the margin from every edge, and so do the four corners of a sole. Contacts that are ``held`` through
+    an impact do not move after it either.
+    """
+
+    phase: str
+    contacts: tuple[str, ...]
+    terrain: Terrain
+    held: tuple[str, ...] = ()
+
+    def acts_at(self, place: NodePlace) -> bool:
+        return place.phase.name == self.phase and place.index == 0
+
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        parts: list[Rows] = []
+        for name in self.contacts:
+            parts += _places(context, units, place, context.robot.contact(name), self.terrain)
+        if context.actuation != "velocity":
+            for name in (*self.contacts, *self.held):
+                contact = context.robot.contact(name)
+                rows, surface = list(context.held_rows(contact)), context.slides_on(contact)
+                velocity, unit = context.frame(contact.frame).velocity[rows], units.twist[rows]
+                if surface is not None:
+                    velocity, unit = along_normal(context, surface, velocity), units.twist[0]
+                parts.append(Rows.create(velocity, 0.0, 0.0, unit))
+        return _joined(parts)
+
+
+def _joined(parts: list[Rows]) -> Rows:
+    lower, upper, unit = (
+        np.concatenate([np.zeros(0), *[getattr(part, name) for part in parts]])
+        for name in ("lower", "upper", "unit")
+    )
+    return Rows.create(ca.vertcat(*[part.expression for part in parts]), lower, upper, unit)
+
+
+def _places(
+    context: Context, units: Units, place: NodePlace, contact: Contact, terrain: Terrain
+) -> list[Rows]:
+    """Where one contact lands: at its foothold, or on its ground and inside its patch; a sole lies flat."""
+    frame, held = context.frame(contact.frame), context.held_rows(contact)
+    foothold, ground = place.phase.footholds.get(contact.name), place.phase.surface(contact.name, terrain)
+    movable, edges = [row for row in held if row < 3], []
+    if foothold is None and contact.name in place.phase.patches:
+        edges = _inside(context, units, contact, place.phase.patches[contact.name])
+    if foothold is not None:
+        found = [Rows.create(frame.position[movable], foothold[movable], foothold[movable], units.length)]
+    elif 2 in held or (movable and not ground.is_level):
+        found = [_on_ground(context, ground, frame.position, units.length)]
+    else:
+        return edges
+    tilting = _tilting_axes(contact, held)
+    if tilting and isinstance(ground, Surface):
+        found.append(Rows.create(along_normal(context, ground, frame.rotation[:, tilting]).T, 0.0, 0.0, 1.0))
+    return found + edges
+
+
+def _on_ground(context: Context, ground: Ground, position: ca.SX, length: float) -> Rows:
+    if isinstance(ground, CurvedSurface):
+        return Rows.create(ground.symbolic_gap(position, context.parameter), 0.0, 0.0, length)
+    return Rows.create(along_normal(context, ground, position), ground.height, ground.height, length)
+
+
+def _inside(context: Context, units: Units, contact: Contact, patch: Patch) -> list[Rows]:
+    """Rows of every edge for the contact's point or corners.
+
+    The distance from the plane has its own row, so these speak of directions in the plane alone: independent
+    of it. A robot that moves in a plane of the world gets no rows for edges along that plane.
+    """
+    moves = [row for row in contact.rows if row < 3]
+    edges = np.linalg.norm(patch.inward[:, moves], axis=1) > ACROSS
+    inward, least = context.parameter(patch.inward[edges]), (patch.offsets + patch.margin)[edges]
+    points = contact_points(context, contact)
+    return [Rows.create(ca.mtimes(inward, point), least, np.inf, units.length) for point in points]
+
+
+def contact_points(context: Context, contact: Contact) -> list[ca.SX]:
+    """The point (3,) of a contact, or the four corners of its sole, world, m."""
+    frame = context.frame(contact.frame)
+    if contact.kind == "point":
+        return [frame.position]
+    return [frame.position + ca.mtimes(frame.rotation[:, :2], corner) for corner in corners(contact)]
+
+
+def corners(contact: Contact) -> np.ndarray:
+    """Where a contact touches, (n, 2) along its frame's x and y, m: its point, or its sole's four corners."""
+    if contact.kind == "point":
+        return np.zeros((1, 2))
+    return np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [contact.half_length, contact.half_width]
+
+
+def _tilting_axes(contact: Contact, held: tuple[int, ...]) -> list[int]:
+    """Axes of a sole (0: x, 1: y) that must lie in its surface: of a planar robot the one in its plane."""
+    if contact.dimension == 6:
+        return [0, 1][: sum(row > 2 for row in held)]
+    return [0 if row == 4 else 1 for row in held if row in (3, 4)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SwingClearance(NodeConstraint):
+    """Contacts that do not touch, of soles all four corners, stay above the terrain at nodes inside a phase.
+
+    The least distance from flat ground, or height over smooth ground, is ``height`` times `swing_profile`
+    of the fraction of the phase, m. Piecewise ground has edges: see `trajopt.terrain.swing_terms`.
+    """
+
+    height: float
+    terrain: FlatGround | SmoothTerrain
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.height) and self.height >= 0):
+            raise InputError(f"swing clearance is {self.height:g} m", "allowed: finite and >= 0")
+        if not isinstance(self.terrain, FlatGround | SmoothTerrain):
+            raise InputError(
+                "SwingClearance over piecewise ground, where feet would cut edges between nodes",
+                "allowed: flat or smooth ground; swing_clearance() of trajopt.terrain.swing_terms for both",
+            )
+
+    def acts_at(self, place: NodePlace) -> bool:
+        return 0 < place.index < place.count and self.acts_in(place.phase.name)
+
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        swing = [c for c in context.robot.contacts if c.name not in place.phase.contacts]
+        least = self.height * swing_profile(place.fraction)
+        ground = self.terrain.surface
+        positions = [point for contact in swing for point in contact_points(context, contact)]
+        if isinstance(ground, CurvedSurface):
+            heights = [ground.symbolic_gap(position, context.parameter) for position in positions]
+        else:
+            # Over the ground, not the origin: solvers relax a bound in proportion to its size.
+            level = context.parameter(ground.height) if ground.height else ca.SX(0)
+            heights = [along_normal(context, ground, p) - level for p in positions]
+        return Rows.create(ca.vertcat(*heights), least, np.inf, units.length)

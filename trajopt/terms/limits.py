@@ -1,0 +1,130 @@
+"""Constraints at collocation points: limits and the dynamics themselves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from trajopt.dynamics.manifold import Coordinates
+from trajopt.errors import InputError
+from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
+from trajopt.terms.context import Context
+from trajopt.terms.interfaces import PointConstraint, Rows
+
+
+@dataclass(frozen=True, kw_only=True)
+class EffortLimits(PointConstraint):
+    """Joint torques within ``limit`` (nu,) N m, joint side; default: the robot's limits."""
+
+    limit: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        given = np.atleast_1d(np.asarray(0.0 if self.limit is None else self.limit, dtype=float))
+        if not np.all(given >= 0):
+            wrong = given[~(given >= 0)][0]
+            raise InputError(f"limit of {self.name} holds {wrong:g}", "allowed: numbers >= 0, or inf, N m")
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        limit = context.robot.effort_limit if self.limit is None else context.actuated(self.limit)
+        if limit is None:
+            return None
+        bound = np.flatnonzero(limit < units.unreachable_torque)
+        if len(bound) == 0:
+            return None
+        torque = ca.vertcat(*[context.torque[int(i)] for i in bound])
+        return Rows.create(torque, -limit[bound], limit[bound], units.torque)
+
+    def limits(self, robot: Robot) -> dict[str, np.ndarray]:
+        return {} if self.limit is None else {"effort_limit": np.asarray(self.limit, dtype=float)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class VelocityLimits(PointConstraint):
+    """Joint rates within the robot's limits, at points and nodes."""
+
+    def _limits(self, robot: Robot) -> np.ndarray:
+        limit = np.where(
+            robot.velocity_limit < Units(robot).unreachable_velocity, robot.velocity_limit, np.inf
+        )
+        limit[: robot.n_unactuated] = np.inf
+        return limit
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        limit = self._limits(context.robot)
+        bound = np.flatnonzero(np.isfinite(limit))
+        if len(bound) == 0:
+            return None
+        rates = ca.vertcat(*[context.dxi[int(i)] for i in bound])
+        return Rows.create(rates, -limit[bound], limit[bound], units.velocity[bound])
+
+    def node_bounds(self, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        limit, free = self._limits(robot), np.full(robot.nv, np.inf)
+        return -free, free, -limit, limit
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionLimits(PointConstraint):
+    """Joint positions within the robot's limits, at points and nodes.
+
+    A limit more than a full turn (2 pi) away from the reference posture is not imposed: no useful
+    motion winds a joint that far, and ``check`` still verifies it.
+    """
+
+    def _limits(self, robot: Robot, context: Context) -> tuple[np.ndarray, np.ndarray]:
+        lower, upper = np.full(robot.nv, -np.inf), np.full(robot.nv, np.inf)
+        for joint in context.coordinates.joints:
+            if joint.kind != "plain" or joint.v.start < robot.n_unactuated:
+                continue
+            near_lower = robot.position_lower[joint.q] > robot.reference[joint.q] - 2 * math.pi
+            near_upper = robot.position_upper[joint.q] < robot.reference[joint.q] + 2 * math.pi
+            lower[joint.v] = np.where(near_lower, robot.position_lower[joint.q], -np.inf)
+            upper[joint.v] = np.where(near_upper, robot.position_upper[joint.q], np.inf)
+        return lower, upper
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        lower, upper = self._limits(context.robot, context)
+        bound = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
+        if len(bound) == 0:
+            return None
+        positions = ca.vertcat(*[context.xi[int(i)] for i in bound])
+        return Rows.create(positions, lower[bound], upper[bound], units.position[bound])
+
+    def node_bounds(self, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        lower, upper = self._limits(robot, Context(robot, Coordinates(robot.model), (), node=True))
+        free = np.full(robot.nv, np.inf)
+        return lower, upper, -free, free
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseDynamics(PointConstraint):
+    """Unactuated rows of the dynamics vanish: nobody pushes the base (Newton-Euler of the whole body)."""
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        n = context.robot.n_unactuated
+        if n == 0:
+            return None
+        return Rows.create(context.base_rows, 0, 0, units.generalized_force[:n])
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactAcceleration(PointConstraint):
+    """Active contacts do not accelerate: J a + Jdot v = 0, linear (and for a sole angular), world axes.
+
+    One that slides does not along the normal of its surface.
+    """
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        parts, scales = [], []
+        for contact in context.contacts:
+            acceleration, surface = context.contact_acceleration(contact), context.slides_on(contact)
+            if surface is not None:
+                parts.append(ca.mtimes(context.parameter(surface.normal).T, acceleration))
+                scales.append(units.contact_acceleration[0])
+                continue
+            parts.append(acceleration)
+            scales += units.contact_acceleration[list(context.held_rows(contact))].tolist()
+        return Rows.create(ca.vertcat(*parts), 0, 0, np.array(scales)) if parts else None

@@ -1,0 +1,95 @@
+"""Costs at single nodes: how high a frame is at some moment, how far it has come at the end.
+
+They are linear in the quantity, over its natural unit, and what is to be large has a minus sign: with a
+weight of one a rise by the robot's length is worth as much as torques of weight times length for sqrt(l/g).
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.robot.units import Units
+from trajopt.terms.context import Context
+from trajopt.terms.interfaces import Term
+from trajopt.terms.node_interfaces import NodePlace, nearest_node
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodeCost(Term, ABC):
+    """A cost at some nodes (a Mayer term); ``weight`` is dimensionless, finite and >= 0."""
+
+    acts_at_points: ClassVar[bool] = False
+
+    weight: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.weight) and self.weight >= 0):
+            raise InputError(f"weight of {self.name} is {self.weight:g}", "allowed: finite and >= 0")
+
+    def acts_at(self, place: NodePlace) -> bool:
+        """Whether the cost acts at this node; default: at the end of the schedule."""
+        return place.last
+
+    @abstractmethod
+    def quantity(self, context: Context, units: Units, place: NodePlace) -> ca.SX:
+        """What the weight multiplies, a number over its unit; only parameters may depend on ``place``."""
+
+    def value(self, context: Context, units: Units, place: NodePlace) -> ca.SX:
+        """Cost at one node."""
+        return context.parameter(self.weight) * self.quantity(context, units, place)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameHeightCost(NodeCost):
+    """Minus the height of a frame over the robot's length, at the node nearest to ``fraction`` of a phase.
+
+    As high as possible: of a ballistic flight the middle. Of the phase's own nodes, as `FrameHeight`.
+    """
+
+    frame: str
+    phase: str
+    fraction: float = 0.5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 <= self.fraction <= 1:
+            raise InputError(f"fraction of {self.name} is {self.fraction:g}", "allowed: 0 to 1")
+        object.__setattr__(self, "phases", (self.phase,))
+
+    def acts_at(self, place: NodePlace) -> bool:
+        return place.phase.name == self.phase and place.index == nearest_node(place, self.fraction)
+
+    def quantity(self, context: Context, units: Units, place: NodePlace) -> ca.SX:
+        return -context.frame(self.frame).position[2] / units.length
+
+
+@dataclass(frozen=True, kw_only=True)
+class DistanceCost(NodeCost):
+    """Minus a frame's way along ``direction`` (3,), world, over the robot's length, at the schedule's end.
+
+    As far as possible. The direction is made a unit vector. Raises InputError if it has none.
+    """
+
+    frame: str
+    direction: tuple[float, float, float] = (1.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        direction = np.array(self.direction, dtype=float)
+        size = float(np.linalg.norm(direction))
+        if direction.shape != (3,) or not (math.isfinite(size) and size > 0):
+            raise InputError(
+                f"direction of {self.name} is {self.direction}", "allowed: 3 finite numbers, not all zero"
+            )
+        object.__setattr__(self, "direction", tuple((direction / size).tolist()))
+
+    def quantity(self, context: Context, units: Units, place: NodePlace) -> ca.SX:
+        direction = context.parameter(np.array(self.direction))
+        return -ca.dot(direction, context.frame(self.frame).position) / units.length

@@ -1,0 +1,66 @@
+"""What terms at nodes share: the place of a node within its phase, and the constraint's interface."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Phase
+from trajopt.terms.context import Context
+from trajopt.terms.interfaces import Rows, Term
+
+# Of two nodes equally far from a fraction, up to rounding, the earlier one is the nearest.
+SAME_FRACTION = 1e-9
+
+
+@dataclass(frozen=True)
+class NodePlace:
+    """A node of a phase with nodes at ``fractions`` of its duration; ``last`` of the whole schedule.
+
+    ``ends_schedule``: the phase is the last one.
+    """
+
+    phase: Phase
+    index: int
+    fractions: tuple[float, ...]
+    last: bool
+    ends_schedule: bool = True
+
+    @property
+    def fraction(self) -> float:
+        """Fraction of the phase's duration at this node, 0 to 1."""
+        return self.fractions[self.index]
+
+    @property
+    def count(self) -> int:
+        """Number of the phase's intervals."""
+        return len(self.fractions) - 1
+
+    @property
+    def step(self) -> float:
+        """Width of the wider interval at this node, as a fraction of the phase's duration."""
+        here = slice(max(self.index - 1, 0), self.index + 2)
+        return float(np.diff(self.fractions[here]).max())
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodeConstraint(Term, ABC):
+    """A constraint at some nodes; nodes of one phase at which the same constraints act share a function."""
+
+    def acts_at(self, place: NodePlace) -> bool:
+        """Whether the constraint acts at this node; default: at the end of the schedule."""
+        return place.last
+
+    @abstractmethod
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        """Rows at the node; only bounds and parameter values may depend on ``place``."""
+
+
+def nearest_node(place: NodePlace, fraction: float) -> int:
+    """Index of a phase's own node nearest to ``fraction``: a last node is the next phase's."""
+    distances = np.abs(np.array(place.fractions) - fraction)
+    nearest = int(np.flatnonzero(distances <= distances.min() + SAME_FRACTION)[0])
+    return nearest if place.ends_schedule else min(nearest, place.count - 1)

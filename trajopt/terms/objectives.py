@@ -1,0 +1,141 @@
+"""Named goals of a motion, as terms in natural units: the same weights on every robot.
+
+    effort      torques, squared
+    time        duration of phases that are free
+    height      a frame as high as possible, in the middle of a phase
+    distance    a frame as far as possible along a direction, at the end
+    transport   energy over weight and way: the cost of transport
+    smooth      accelerations, squared
+    track       distance from a reference motion
+
+What a goal leaves undetermined is decided by the costs of `effort`, a hundredth of them; a tenth beside time,
+height and distance, which have no curvature of their own: without it torques only jump from limit to limit,
+and a robot without torque limits could jump to any height.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal, get_args
+
+from trajopt.errors import InputError
+from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Motion, Schedule
+from trajopt.terms.costs import AccelerationCost, PostureCost, TimeCost, TorqueCost, VelocityCost, WrenchCost
+from trajopt.terms.interfaces import Cost, Term
+from trajopt.terms.node_costs import DistanceCost, FrameHeightCost, NodeCost
+from trajopt.terms.power import PowerCost
+from trajopt.terms.tracking import TrackingCost
+
+Goal = Literal["effort", "time", "height", "distance", "transport", "smooth", "track"]
+GOALS: tuple[Goal, ...] = get_args(Goal)
+
+# Part of the costs of effort beside another goal: enough to decide, little enough not to be felt; and
+# beside a goal that is linear, for which a tenth of that means up to three times the iterations and motions
+# that need finer grids (docs/modelling/objectives.md).
+REST, REST_OF_LINEAR = 1e-2, 1e-1
+
+
+def effort_costs(
+    *, acceleration: float = 1e-2, velocity: float = 1e-2, posture: float = 1e-1, joints_only: bool = False
+) -> tuple[Cost, ...]:
+    """Torques, and little for all else, so that no direction of a motion is left without a price.
+
+    acceleration, velocity, posture: weights beside torques' one. joints_only: leave accelerations and rates
+    of the base out.
+    """
+    return (
+        TorqueCost(weight=1.0),
+        AccelerationCost(weight=acceleration, joints_only=joints_only),
+        VelocityCost(weight=velocity, joints_only=joints_only),
+        PostureCost(weight=posture),
+        WrenchCost(weight=1e-2),
+    )
+
+
+def goal_terms(
+    goal: str,
+    robot: Robot,
+    schedule: Schedule,
+    *,
+    frame: str | None = None,
+    phase: str | None = None,
+    direction: tuple[float, float, float] = (1.0, 0.0, 0.0),
+    travel: float | None = None,
+    reference: Motion | None = None,
+    effort: Sequence[Cost] | None = None,
+    rest: float | None = None,
+) -> tuple[Term, ...]:
+    """Cost terms of a goal out of ``GOALS``, with the rest that makes its motion unique.
+
+    frame: for "height" and "distance". phase: for "height", by default the longest without contacts.
+    direction: (3,) world, for "distance". travel: m, for "transport", the way that the motion has to go.
+    reference: q(t) (nq,), for "track". effort: costs of effort, by default `effort_costs()`.
+    rest: part of them beside another goal, by default ``REST`` or ``REST_OF_LINEAR``.
+    Raises InputError for an unknown goal, and for one whose argument is missing or without effect.
+    """
+    effort = tuple(effort_costs() if effort is None else effort)
+    if goal == "effort":
+        return effort
+    main = _main_term(goal, robot, schedule, frame, phase, direction, travel, reference)
+    linear = isinstance(main, TimeCost | NodeCost)
+    share = (REST_OF_LINEAR if linear else REST) if rest is None else rest
+    return (main, *(replace(term, weight=share * term.weight) for term in effort))
+
+
+def _main_term(
+    goal: str,
+    robot: Robot,
+    schedule: Schedule,
+    frame: str | None,
+    phase: str | None,
+    direction: tuple[float, float, float],
+    travel: float | None,
+    reference: Motion | None,
+) -> Term:
+    """What the goal itself is, of weight one."""
+    if goal == "smooth":
+        return AccelerationCost(weight=1.0)
+    if goal == "time":
+        free = any(clock is not None for clock in schedule.clocks)
+        _require(free, goal, "a schedule with duration_bounds in some phase")
+        return TimeCost(weight=1.0)
+    if goal == "height":
+        return FrameHeightCost(weight=1.0, frame=_frame(frame, goal), phase=phase or _flight(schedule))
+    if goal == "distance":
+        return DistanceCost(weight=1.0, frame=_frame(frame, goal), direction=direction)
+    if goal == "transport":
+        way = 0.0 if travel is None else travel
+        _require(math.isfinite(way) and way > 0, goal, "travel > 0, the way of the motion in m")
+        return PowerCost(weight=Units(robot).length / way)
+    if goal == "track":
+        if reference is None:
+            raise _missing(goal, "a reference motion")
+        return TrackingCost(weight=1.0, reference=reference)
+    raise InputError(f"goal '{goal}' is unknown", f"allowed: {', '.join(GOALS)}")
+
+
+def _missing(goal: str, what: str) -> InputError:
+    return InputError(f"goal '{goal}' lacks what it is about", f"allowed: {what}")
+
+
+def _require(given: bool, goal: str, what: str) -> None:
+    if not given:
+        raise _missing(goal, what)
+
+
+def _frame(frame: str | None, goal: str) -> str:
+    if frame is None:
+        raise _missing(goal, "a frame's name")
+    return frame
+
+
+def _flight(schedule: Schedule) -> str:
+    """Name of the longest phase without contacts."""
+    flights = [phase for phase in schedule.phases if not phase.contacts]
+    if not flights:
+        raise _missing("height", "a phase, or a schedule with one without contacts")
+    return max(flights, key=lambda phase: phase.duration).name

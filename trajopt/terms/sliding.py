@@ -1,0 +1,78 @@
+"""Sliding contacts: a point that is held along its surface's normal alone, with Coulomb friction against it.
+
+A contact on a `Surface` with a ``slip_speed`` v_s may move within the surface. The force f of the surface on
+it follows from its normal part f_n >= 0 and its velocity v_t within the surface,
+
+    f = f_n (n - mu v_t / sqrt(|v_t|^2 + v_s^2))
+
+which is Coulomb's law for speeds far above v_s, smooth where the contact stops or turns round: at v_s the
+friction is 1 / sqrt 2 of what it is at speed (the regularisation of Andersson, Soederberg and Bjoerklund,
+Tribology International 40, 2007, without their static peak). A contact that sticks is one without slip speed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms.context import Context
+from trajopt.terms.friction import surface_force
+from trajopt.terms.interfaces import PointConstraint, Rows
+from trajopt.terrain.surface import Surface
+
+
+def sliding_surfaces(phase: Phase) -> dict[str, Surface]:
+    """Surfaces of the contacts that slide in a phase, by the contact's name."""
+    return {name: surface for name, surface in phase.surfaces.items() if surface.slip_speed is not None}
+
+
+def require_sliding(robot: Robot, schedule: Schedule, actuation: str, modes: tuple[str, ...]) -> None:
+    """Raise `InputError` where a contact slides that cannot. ``modes``: phases in minimal coordinates."""
+    for phase, after in zip(schedule.phases, (*schedule.phases[1:], None), strict=True):
+        for name in sliding_surfaces(phase):
+            contact, allowed = robot.contact(name), ""
+            if contact.kind != "point" or not contact.transmits_all:
+                allowed = "point contacts, of robots in space"
+            elif actuation != "torque" or phase.name in modes:
+                allowed = "actuation 'torque', and no minimal coordinates"
+            elif phase.impact:
+                allowed = "phases that begin without an impact"
+            elif after is not None and name in after.contacts and name not in sliding_surfaces(after):
+                allowed = f"that it slides in phase '{after.name}' too, or is not in contact there"
+            if allowed:
+                raise InputError(f"'{name}' slides in phase '{phase.name}'", f"allowed: {allowed}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlidingFriction(PointConstraint):
+    """Force of every sliding contact: pressing, and its tangential part opposite to the sliding.
+
+    The law at the top of this file, as rows over the weight. Part of the motion itself where a schedule has
+    such contacts, see `Problem.motion_rows`.
+    """
+
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        law, pressing = [], []
+        for contact in context.contacts:
+            surface = context.slides_on(contact)
+            if surface is None:
+                continue
+            force = surface_force(context, contact)
+            velocity = context.frame(contact.frame).velocity[:3]
+            if not surface.is_level:
+                velocity = ca.mtimes(context.parameter(surface.frame).T, velocity)
+            constants = context.parameter(np.array([surface.friction, float(surface.slip_speed or 0.0)]))
+            speed = ca.sqrt(ca.sumsqr(velocity[:2]) + constants[1] ** 2)
+            law.append(force[:2] + constants[0] * force[2] * velocity[:2] / speed)
+            pressing.append(force[2])
+        if not law:
+            return None
+        rows = ca.vertcat(*law, *pressing)
+        upper = np.concatenate([np.zeros(2 * len(law)), np.full(len(pressing), np.inf)])
+        return Rows.create(rows, 0.0, upper, units.force)

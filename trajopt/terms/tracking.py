@@ -1,0 +1,106 @@
+"""Following a reference motion: its cost, and references from solutions and from key frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal, get_args
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+
+from trajopt.dynamics.manifold import Joint
+from trajopt.dynamics.rotations import quaternion_product
+from trajopt.errors import InputError
+from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Motion
+from trajopt.terms.context import Context
+from trajopt.terms.interfaces import Cost
+
+Part = Literal["all", "joints", "base"]
+PARTS: tuple[Part, ...] = get_args(Part)
+
+# Clips are written with few digits: norms of their rotations are one within this.
+NORMALIZED = 1e-4
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackingCost(Cost):
+    """Distance of the configuration from a ``reference`` q(t) (nq,): of the joints, the base, or all.
+
+    Angles in rad, lengths over the robot's; of an angle that counts no turns 2 sin(angle / 2), of a rotation
+    2 sin(angle / 2) along its axis: smooth, and the same whichever sign a quaternion has. ``t`` is nominal
+    time, s, from the schedule's start: where durations are free the reference stretches with its phase.
+    Its values are parameters: another reference compiles nothing. Raises InputError.
+    """
+
+    reference: Motion
+    part: Part = "all"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.part not in PARTS:
+            raise InputError(f"part of {self.name} is {self.part!r}", f"allowed: {', '.join(PARTS)}")
+
+    def residual(self, context: Context, units: Units) -> ca.SX:
+        coordinates = context.coordinates
+        n4 = 4 * coordinates.n_rotations
+        state = context.varying(partial(self._state, context), coordinates.n_node - coordinates.nv)
+        goal = ca.SX.zeros(coordinates.nv)
+        goal[coordinates.additive_index.tolist()] = state[n4:]
+        quaternions = iter(ca.vertsplit(state[:n4], 4)) if n4 else iter(())
+        parts = [ca.SX(0, 1)]
+        for joint in coordinates.joints:
+            quaternion = None if joint.rotation is None else next(quaternions)
+            if self.part == "all" or (joint.v.start < context.robot.n_unactuated) == (self.part == "base"):
+                parts.append(_distance(context, joint, goal[joint.v], quaternion, units))
+        return ca.vertcat(*parts)
+
+    def _state(self, context: Context, t: float) -> np.ndarray:
+        """The reference at a time as rotations and additive positions of the context's coordinates."""
+        coordinates = context.coordinates
+        q = context.posture(self.reference(t))
+        return coordinates.node_from_pinocchio(q, np.zeros(coordinates.nv))[: -coordinates.nv]
+
+
+def _distance(context: Context, joint: Joint, goal: ca.SX, quaternion: ca.SX | None, units: Units) -> ca.SX:
+    """Residual (nv of the joint) from local coordinates ``goal`` and, for rotations, a quaternion."""
+    away = context.xi[joint.v] - goal
+    if quaternion is not None:
+        inverse = quaternion * ca.SX([-1, -1, -1, 1])
+        turn = 2 * quaternion_product(inverse, context.q[joint.q][-4:])[:3]
+        return turn if joint.kind == "spherical" else ca.vertcat(away[:3] / units.length, turn)
+    if joint.kind == "continuous":
+        return 2 * ca.sin(away / 2)
+    if joint.kind == "planar":
+        return ca.vertcat(away[:2] / units.length, 2 * ca.sin(away[2] / 2))
+    return away / units.position[joint.v]
+
+
+def key_frames(robot: Robot, times: Sequence[float], configurations: np.ndarray) -> Motion:
+    """A motion through ``configurations`` (n, nq) at ``times`` (n,) s: geodesics between, still beyond.
+
+    Two make a straight line, many a clip of motion capture. Raises `InputError` for times that do not rise,
+    configurations of another size, and rotations that are no unit quaternions.
+    """
+    at, rows = np.array(times, dtype=float), np.atleast_2d(np.array(configurations, dtype=float))
+    if at.ndim != 1 or len(at) < 2 or not np.all(np.isfinite(at)) or np.any(np.diff(at) <= 0):
+        raise InputError(f"times of key frames are {times}", "allowed: two or more, finite, rising, s")
+    if rows.shape != (len(at), robot.nq) or not np.all(np.isfinite(rows)):
+        raise InputError(
+            f"configurations of key frames have shape {rows.shape}",
+            f"allowed: ({len(at)}, {robot.nq}), finite",
+        )
+    if not all(pin.isNormalized(robot.model, row, NORMALIZED) for row in rows):
+        raise InputError("a key frame's rotation has no unit norm", "allowed: normalised configurations")
+
+    def motion(t: float) -> np.ndarray:
+        k = int(np.clip(np.searchsorted(at, t, side="right") - 1, 0, len(at) - 2))
+        fraction = float(np.clip((t - at[k]) / (at[k + 1] - at[k]), 0.0, 1.0))
+        between: np.ndarray = pin.interpolate(robot.model, rows[k], rows[k + 1], fraction)
+        return between
+
+    return motion

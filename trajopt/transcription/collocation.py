@@ -1,0 +1,164 @@
+"""What is linear in the unknowns: scales, gathers of points, ends and impacts, and the additive defects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from trajopt.robot.units import Units
+from trajopt.transcription.layout import Layout
+from trajopt.transcription.timeline import NodeForm, StageKind
+
+
+@dataclass(frozen=True)
+class Collocation:
+    """The collocation map of a layout's schemes between scaled unknowns, in the robot's units.
+
+    ``units`` are those of every form's robot, by identity of the robot.
+    """
+
+    layout: Layout
+    units: dict[int, Units]
+
+    def units_of(self, form: NodeForm) -> Units:
+        """Natural units over the coordinates of a node's form."""
+        return self.units[id(form.robot)]
+
+    def node_scale(self, form: NodeForm) -> np.ndarray:
+        """Natural unit of each entry of a node (size,)."""
+        units = self.units_of(form)
+        additive = units.position[form.coordinates.additive_index]
+        rates = units.velocity[: len(form.rates)]
+        return np.concatenate([np.ones(len(form.rotations)), additive, rates, np.ones(form.n_clocks)])
+
+    def window_scale(self, k: int) -> np.ndarray:
+        """Natural unit of each entry of stage k's window; contacts share the weight."""
+        layout, stage, form = self.layout, self.layout.stages[k], self.layout.forms[k]
+        units, node = self.units_of(form), self.node_scale(form)
+        if stage.kind is StageKind.CHANGE:
+            return node
+        impact = stage.kind is StageKind.IMPACT
+        contacts = (layout.touching if impact else layout.contacts)[stage.phase]
+        share = units.wrench / max(1, len(contacts))
+        wrench = np.concatenate([np.zeros(0), *[share[list(contact.rows)] for contact in contacts]])
+        if impact:
+            return np.concatenate([node, units.velocity, wrench * units.time])
+        derivative = units.acceleration if layout.order == 2 else units.velocity
+        return np.concatenate(
+            [node, *[np.concatenate([derivative, wrench])] * layout.scheme_of(stage.phase).s]
+        )
+
+    @cached_property
+    def scale(self) -> np.ndarray:
+        """Natural unit of each unknown (n_unknowns,)."""
+        windows = [self.window_scale(k) for k in range(self.layout.n_stages)]
+        return np.concatenate([*windows, self.node_scale(self.layout.forms[-1])])
+
+    def point_gather(self, stage: int, i: int) -> sparse.csr_matrix:
+        """z of a point of an interval: rotations, local coordinates and derivatives, wrenches, own clock."""
+        layout, phase = self.layout, int(self.layout.phase_of[stage])
+        scheme, form = layout.scheme_of(phase), layout.form_of(phase)
+        lower = self._lower_derivatives(stage, scheme.c[i], scheme.A1[i], scheme.A2[i])
+        eye = np.eye(layout.window_size(stage))
+        highest = eye[layout.local_derivative(phase, i)]
+        rows = [eye[form.rotations], *lower, highest, eye[layout.local_wrench(phase, i)]]
+        return sparse.csr_matrix(np.vstack([*rows, self._clock(eye, form)]) * self.window_scale(stage))
+
+    def impact_gather(self, k: int) -> sparse.csr_matrix:
+        """z of an impact: rotations, xi, rates before, jump of the rates, impulses, own clock."""
+        layout, form = self.layout, self.layout.forms[k]
+        eye = np.eye(layout.window_size(k))
+        jump, impulse = eye[layout.local_jump(k)], eye[layout.local_impulse(k)]
+        rows = [eye[form.rotations], self._positions(eye, form), eye[form.rates], jump, impulse]
+        return sparse.csr_matrix(np.vstack([*rows, self._clock(eye, form)]) * self.window_scale(k))
+
+    def node_gather(self, form: NodeForm) -> sparse.csr_matrix:
+        """z of a node: its own unknowns."""
+        return sparse.csr_matrix(np.diag(self.node_scale(form)))
+
+    def end_gather(self, stage: int) -> sparse.csr_matrix:
+        """z = (rotations, theta, and theta' if there are rates) at the end of an interval."""
+        layout, form = self.layout, self.layout.forms[stage]
+        rotation = form.coordinates.rotation_index
+        eye = np.eye(layout.window_size(stage))
+        ends = [matrix[rotation] for matrix in self._end_derivatives(stage)]
+        return sparse.csr_matrix(np.vstack([eye[form.rotations], *ends]) * self.window_scale(stage))
+
+    def linear_part(
+        self,
+        gap_rows: list[np.ndarray],
+        others: list[tuple[np.ndarray, sparse.coo_matrix]],
+        n_rows: int,
+    ) -> sparse.csr_matrix:
+        """Rows (n_rows, n_unknowns): identity of the next node minus the map of what is linear.
+
+        ``others`` are further linear rows: their numbers and coefficients over all unknowns.
+        """
+        layout = self.layout
+        rows = [numbers[matrix.row] for numbers, matrix in others]
+        columns = [matrix.col for _, matrix in others]
+        values = [matrix.data for _, matrix in others]
+        for k in range(layout.n_stages):
+            block = self._linear_map(k)
+            scaled = block * self.window_scale(k) / self.node_scale(layout.forms[k + 1])[:, None]
+            local = sparse.coo_matrix(-scaled)
+            rows.append(gap_rows[k][local.row])
+            columns.append(layout.node_offset[k] + local.col)
+            values.append(local.data)
+            node = layout.node(k + 1)
+            rows.append(gap_rows[k])
+            columns.append(np.arange(node.start, node.stop))
+            values.append(np.ones(node.stop - node.start))
+        entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+        return sparse.csr_matrix(entries, shape=(n_rows, layout.n_unknowns))
+
+    def _linear_map(self, k: int) -> np.ndarray:
+        """What of the next node (size, window) is linear in the window of stage k, unscaled."""
+        layout, form, kind = self.layout, self.layout.forms[k], self.layout.stages[k].kind
+        eye = np.eye(layout.window_size(k))
+        block = np.zeros((layout.forms[k + 1].size, layout.window_size(k)))
+        if kind is StageKind.CHANGE:
+            return block
+        block[form.clocks] = eye[form.clocks]
+        if kind is StageKind.IMPACT:
+            block[: form.size] = eye[: form.size]
+            block[form.rates] += eye[layout.local_jump(k)]
+            return block
+        additive = form.coordinates.additive_index
+        position, *rate = self._end_derivatives(k)
+        block[form.additive] = position[additive]
+        if rate:
+            block[form.rates[additive]] = rate[0][additive]
+        return block
+
+    def _end_derivatives(self, k: int) -> list[np.ndarray]:
+        scheme = self.layout.scheme_of(int(self.layout.phase_of[k]))
+        return self._lower_derivatives(k, 1.0, scheme.b1, scheme.b2)
+
+    def _lower_derivatives(self, k: int, c: float, a1: np.ndarray, a2: np.ndarray) -> list[np.ndarray]:
+        """xi (and xi' where that is no unknown) at fraction c of interval k: matrices (nv, window)."""
+        layout, form = self.layout, self.layout.forms[k]
+        phase, h = layout.stages[k].phase, layout.steps[k]
+        eye = np.eye(layout.window_size(k))
+        position = self._positions(eye, form)
+        unknown = [eye[layout.local_derivative(phase, j)] for j in range(layout.scheme_of(phase).s)]
+        if layout.order == 1:
+            return [position + h * sum(a * y for a, y in zip(a1, unknown, strict=True))]
+        start = eye[form.rates]
+        rate = start + h * sum(a * y for a, y in zip(a1, unknown, strict=True))
+        position = position + h * c * start + h * h * sum(a * y for a, y in zip(a2, unknown, strict=True))
+        return [position, rate]
+
+    @staticmethod
+    def _positions(eye: np.ndarray, form: NodeForm) -> np.ndarray:
+        """xi (nv, window) at a node: the additive positions, zero for rotations."""
+        position = np.zeros((form.coordinates.nv, eye.shape[1]))
+        position[form.coordinates.additive_index] = eye[form.additive]
+        return position
+
+    @staticmethod
+    def _clock(eye: np.ndarray, form: NodeForm) -> np.ndarray:
+        return eye[form.clocks[[] if form.clock is None else [form.clock]]]

@@ -1,0 +1,241 @@
+"""Where every unknown sits: the only index arithmetic of the toolkit.
+
+Unknowns are ordered in time: node 0, controls of stage 0, node 1, ..., node N. A node holds what its form
+says (see ``timeline``); the controls of an interval hold, for each point, the highest derivative y (nv) of
+the local coordinates and the wrenches of the phase's contacts; those of an impact the jump of the rates
+(nv) and the impulses; a change of coordinates has none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from trajopt.dynamics.manifold import Coordinates
+from trajopt.robot.contact import Contact
+from trajopt.robot.robot import Robot
+from trajopt.robot.stance.mode import Mode
+from trajopt.schedule.schedule import Schedule
+from trajopt.terms.node_interfaces import NodePlace
+from trajopt.transcription.mesh import Mesh
+from trajopt.transcription.schemes import Scheme
+from trajopt.transcription.timeline import NodeForm, Stage, StageKind, Timeline, timeline
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """The intervals (stages, or None) around a node, and whether impacts lie between it and them."""
+
+    before: int | None
+    after: int | None
+    impact_behind: bool
+    impact_ahead: bool
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Index ranges of one transcription on ``mesh``: schemes and intervals of each phase.
+
+    ``order`` of the equations of motion: 2, or 1 for a velocity source, whose nodes have no rates.
+    ``closed``: the ends are compared, so their rates are in true time.
+    """
+
+    robot: Robot
+    schedule: Schedule
+    mesh: Mesh
+    order: int = 2
+    modes: Mapping[str, Mode] = field(default_factory=dict)
+    closed: bool = False
+
+    @cached_property
+    def timeline(self) -> Timeline:
+        """Stages, forms of nodes, places of nodes."""
+        return timeline(self.robot, self.schedule, self.modes, self.mesh, self.order, self.closed)
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """Stages in time order."""
+        return self.timeline.stages
+
+    @property
+    def forms(self) -> tuple[NodeForm, ...]:
+        """Form of every node, one more than there are stages."""
+        return self.timeline.forms
+
+    @property
+    def n_stages(self) -> int:
+        """Number of stages; there is one node more."""
+        return len(self.stages)
+
+    @property
+    def intervals(self) -> tuple[int, ...]:
+        """Number of intervals of each phase."""
+        return self.mesh.counts
+
+    def scheme_of(self, phase: int) -> Scheme:
+        """Scheme of a phase."""
+        return self.mesh.phases[phase].method
+
+    @property
+    def n_intervals(self) -> int:
+        """Number of intervals over the whole schedule."""
+        return sum(self.intervals)
+
+    @cached_property
+    def interval_stages(self) -> np.ndarray:
+        """Indices of the stages that are intervals, in time order (n_intervals,)."""
+        return np.flatnonzero([stage.kind is StageKind.INTERVAL for stage in self.stages])
+
+    def transitions_of(self, kind: StageKind) -> tuple[int, ...]:
+        """Indices of the stages of that kind."""
+        return tuple(k for k, stage in enumerate(self.stages) if stage.kind is kind)
+
+    @cached_property
+    def phase_of(self) -> np.ndarray:
+        """Phase index of each stage (n_stages,)."""
+        return np.array([stage.phase for stage in self.stages])
+
+    @cached_property
+    def steps(self) -> np.ndarray:
+        """Nominal duration of each stage in s (n_stages,)."""
+        return np.array([stage.step for stage in self.stages])
+
+    @cached_property
+    def node_times(self) -> np.ndarray:
+        """Nominal time of each node in s (n_stages + 1,)."""
+        return np.concatenate([[0.0], np.cumsum(self.steps)])
+
+    @cached_property
+    def contacts(self) -> tuple[tuple[Contact, ...], ...]:
+        """Active contacts of each phase that have wrenches: those that its coordinates do not embed."""
+        return tuple(
+            tuple(
+                self.form_of(i).robot.contact(name)
+                for name in phase.contacts
+                if phase.name not in self.modes or name != self.modes[phase.name].embedded.name
+            )
+            for i, phase in enumerate(self.schedule.phases)
+        )
+
+    @cached_property
+    def touching(self) -> tuple[tuple[Contact, ...], ...]:
+        """Active contacts of each phase, of the whole robot."""
+        return tuple(
+            tuple(self.robot.contact(name) for name in phase.contacts) for phase in self.schedule.phases
+        )
+
+    def form_of(self, phase: int) -> NodeForm:
+        """Form of the nodes within a phase."""
+        return self.forms[int(self.intervals_of(phase)[0])]
+
+    def n_wrench(self, phase: int) -> int:
+        """Size of all wrenches at a point of a phase."""
+        return sum(contact.dimension for contact in self.contacts[phase])
+
+    def n_control(self, k: int) -> int:
+        """Size of the controls of stage k."""
+        stage, nv = self.stages[k], self.forms[k].coordinates.nv
+        if stage.kind is StageKind.INTERVAL:
+            return self.scheme_of(stage.phase).s * (nv + self.n_wrench(stage.phase))
+        if stage.kind is StageKind.IMPACT:
+            return nv + sum(contact.dimension for contact in self.touching[stage.phase])
+        return 0
+
+    @cached_property
+    def node_offset(self) -> np.ndarray:
+        """First index of each node (n_stages + 1,)."""
+        widths = [self.forms[k].size + self.n_control(k) for k in range(self.n_stages)]
+        return np.concatenate([[0], np.cumsum(widths)]).astype(np.int32)
+
+    @property
+    def n_unknowns(self) -> int:
+        """Number of unknowns."""
+        return int(self.node_offset[-1]) + self.forms[-1].size
+
+    def node(self, k: int) -> slice:
+        """Unknowns of node k."""
+        start = int(self.node_offset[k])
+        return slice(start, start + self.forms[k].size)
+
+    def window(self, k: int) -> slice:
+        """Unknowns of stage k: its start node and its controls."""
+        return slice(int(self.node_offset[k]), int(self.node_offset[k]) + self.window_size(k))
+
+    def window_size(self, k: int) -> int:
+        """Size of a stage's window: its start node and its controls."""
+        return self.forms[k].size + self.n_control(k)
+
+    def local_derivative(self, phase: int, i: int) -> np.ndarray:
+        """Indices of y at point i, within the window (node, controls) of an interval."""
+        form = self.form_of(phase)
+        width = form.coordinates.nv + self.n_wrench(phase)
+        return form.size + i * width + np.arange(form.coordinates.nv)
+
+    def local_wrench(self, phase: int, i: int) -> np.ndarray:
+        """Indices of the wrenches at point i, within the window of an interval."""
+        form, width = self.form_of(phase), self.n_wrench(phase)
+        return form.size + i * (form.coordinates.nv + width) + form.coordinates.nv + np.arange(width)
+
+    def local_jump(self, k: int) -> np.ndarray:
+        """Indices of the jump of the rates within the window of an impact."""
+        return self.forms[k].size + np.arange(self.forms[k].coordinates.nv)
+
+    def local_impulse(self, k: int) -> np.ndarray:
+        """Indices of the impulses within the window of an impact."""
+        start = self.forms[k].size + self.forms[k].coordinates.nv
+        return np.arange(start, self.window_size(k))
+
+    def intervals_of(self, phase: int) -> np.ndarray:
+        """Indices of the stages that are a phase's intervals."""
+        return self.interval_stages[self.phase_of[self.interval_stages] == phase]
+
+    def place(self, k: int) -> NodePlace | None:
+        """Phase and fraction of node k, None where it repeats another; between phases it is the later's."""
+        found = self.timeline.places[k]
+        if found is None:
+            return None
+        phase, index = found
+        mesh = self.mesh.phases[phase]
+        final = phase == len(self.intervals) - 1
+        last = final and index == mesh.count
+        return NodePlace(self.schedule.phases[phase], index, mesh.fractions, last, final)
+
+    def meeting(self, k: int) -> Meeting:
+        """The intervals between which node k lies, whatever transitions are there."""
+        stages, before, after = self.stages, k - 1, k
+        while before >= 0 and stages[before].kind is not StageKind.INTERVAL:
+            before -= 1
+        while after < len(stages) and stages[after].kind is not StageKind.INTERVAL:
+            after += 1
+        return Meeting(
+            before=before if before >= 0 else None,
+            after=after if after < len(stages) else None,
+            impact_behind=any(stage.kind is StageKind.IMPACT for stage in stages[before + 1 : k]),
+            impact_ahead=any(stage.kind is StageKind.IMPACT for stage in stages[k:after]),
+        )
+
+    def times(self, unknowns: np.ndarray) -> np.ndarray:
+        """Time of each node in s (n_stages + 1,), from unscaled unknowns."""
+        return np.concatenate([[0.0], np.cumsum(self.steps * self.clocks(unknowns)[self.phase_of])])
+
+    def place_phase(self, k: int) -> int:
+        """Phase index of ``place(k)``, -1 where there is none."""
+        found = self.timeline.places[k]
+        return -1 if found is None else found[0]
+
+    def phase_at(self, k: int) -> int:
+        """Phase of node k: of the stage that begins there, or of the last."""
+        return int(self.phase_of[min(k, self.n_stages - 1)])
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """Coordinates of the first node."""
+        return self.forms[0].coordinates
+
+    def clocks(self, unknowns: np.ndarray) -> np.ndarray:
+        """Duration over nominal duration of every phase, (n_phases,), from unscaled unknowns."""
+        values = unknowns[self.node(0)][self.forms[0].clocks]
+        return np.array([1.0 if clock is None else values[clock] for clock in self.schedule.clocks])

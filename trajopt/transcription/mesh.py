@@ -1,0 +1,142 @@
+"""The mesh of a transcription: for each phase a scheme and the widths of its intervals.
+
+Phases may differ in scheme and degree, and intervals of one phase in width: refinement (``refine``) splits
+intervals where the error between points is large, or raises the degree of a phase.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.transcription.schemes import Scheme, scheme
+
+# Widths are sums of fractions: they add up to one within rounding.
+ONE = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhaseMesh:
+    """A scheme by name, and the widths of a phase's intervals as fractions of its duration, in time order.
+
+    Raises InputError for an unknown scheme, or widths that are not positive or do not add up to one.
+    """
+
+    scheme: str
+    widths: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        scheme(self.scheme)
+        widths = tuple(float(width) for width in self.widths)
+        if not widths or not all(math.isfinite(w) and w > 0 for w in widths) or abs(sum(widths) - 1) > ONE:
+            raise InputError(
+                f"widths of a phase's intervals are {_few(widths)}", "allowed: positive, 1 in sum"
+            )
+        object.__setattr__(self, "widths", widths)
+
+    @classmethod
+    def uniform(cls, scheme: str, count: int) -> PhaseMesh:
+        """``count`` intervals of one width."""
+        return cls(scheme=scheme, widths=(1.0 / count,) * count)
+
+    @cached_property
+    def method(self) -> Scheme:
+        """The scheme."""
+        return scheme(self.scheme)
+
+    @cached_property
+    def fractions(self) -> tuple[float, ...]:
+        """Nodes as fractions of the phase's duration, from 0 to 1."""
+        if self.is_uniform:
+            return equal_fractions(self.count)
+        return (0.0, *np.cumsum(self.widths)[:-1].tolist(), 1.0)
+
+    @property
+    def is_uniform(self) -> bool:
+        """Whether all intervals have one width."""
+        return len(set(self.widths)) == 1
+
+    @property
+    def count(self) -> int:
+        """Number of intervals."""
+        return len(self.widths)
+
+    def split(self, parts: Sequence[int]) -> PhaseMesh:
+        """The mesh with interval i cut into ``parts[i]`` equal ones."""
+        widths = [width / n for width, n in zip(self.widths, parts, strict=True) for _ in range(n)]
+        return PhaseMesh(scheme=self.scheme, widths=tuple(widths))
+
+    def with_scheme(self, name: str) -> PhaseMesh:
+        """The same intervals with another scheme."""
+        return PhaseMesh(scheme=name, widths=self.widths)
+
+    def describe(self) -> dict[str, Any]:
+        """JSON-able; of equal intervals only their number."""
+        return {"scheme": self.scheme, "intervals": self.count if self.is_uniform else list(self.widths)}
+
+    @classmethod
+    def from_description(cls, given: Mapping[str, Any]) -> PhaseMesh:
+        """From what `describe` says."""
+        intervals = given["intervals"]
+        if isinstance(intervals, int):
+            return cls.uniform(given["scheme"], intervals)
+        return cls(scheme=given["scheme"], widths=tuple(intervals))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mesh:
+    """The mesh of every phase of a schedule, in time order."""
+
+    phases: tuple[PhaseMesh, ...]
+
+    def __post_init__(self) -> None:
+        phases = tuple(self.phases)
+        if not phases or not all(isinstance(phase, PhaseMesh) for phase in phases):
+            raise InputError(f"phases of a mesh are {phases!r}", "allowed: a PhaseMesh for every phase")
+        object.__setattr__(self, "phases", phases)
+
+    @classmethod
+    def uniform(cls, transcription: str, counts: Sequence[int]) -> Mesh:
+        """Equal intervals in each phase.
+
+        transcription: one scheme for all phases, or one a phase, separated by commas. Raises InputError.
+        """
+        names = [name.strip() for name in transcription.split(",")]
+        if len(names) not in (1, len(counts)):
+            raise InputError(
+                f"transcription '{transcription}' names {len(names)} schemes for {len(counts)} phases",
+                "allowed: one scheme, or one for each phase",
+            )
+        names = names * len(counts) if len(names) == 1 else names
+        return cls(phases=tuple(map(PhaseMesh.uniform, names, counts)))
+
+    @property
+    def transcription(self) -> str:
+        """Name of the scheme; of several, one a phase, separated by commas."""
+        names = [phase.scheme for phase in self.phases]
+        return names[0] if len(set(names)) == 1 else ",".join(names)
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Number of intervals of each phase."""
+        return tuple(phase.count for phase in self.phases)
+
+    def describe(self) -> list[dict[str, Any]]:
+        """JSON-able, one entry a phase."""
+        return [phase.describe() for phase in self.phases]
+
+
+def equal_fractions(count: int) -> tuple[float, ...]:
+    """Nodes of ``count`` equal intervals as fractions, from 0 to 1."""
+    return tuple(i / count for i in range(count + 1))
+
+
+def _few(values: Sequence[float]) -> str:
+    shown = ", ".join(f"{value:g}" for value in values[:4])
+    return f"({shown}, ... {len(values)} of them)" if len(values) > 4 else f"({shown})"

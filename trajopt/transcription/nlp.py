@@ -1,0 +1,146 @@
+"""From a transcription and compiled point functions to the engine's sparse NLP."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajopt import _engine
+from trajopt.errors import InputError
+from trajopt.transcription.compilation import DEFAULT_HESSIAN, CompiledPoint
+from trajopt.transcription.sparse_maps import DerivativeMap, hessian_map, jacobian_map
+from trajopt.transcription.transcription import Group, Transcription
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nlp:
+    """The NLP ready to be solved, in scaled unknowns and rows.
+
+    ``engine`` evaluates it; ``row``, ``column`` name the Jacobian's nonzeros, ``hessian_row``,
+    ``hessian_column`` those of the lower triangle of the Lagrangian's Hessian, or of what
+    stands for it: ``hessian`` is one of ``compilation.HESSIANS``.
+    """
+
+    transcription: Transcription
+    engine: _engine.Nlp
+    row: np.ndarray
+    column: np.ndarray
+    hessian_row: np.ndarray
+    hessian_column: np.ndarray
+    hessian: str = DEFAULT_HESSIAN
+
+
+class _Pattern:
+    """Union of many entries (row, column); gives each entry its place among the sorted nonzeros."""
+
+    def __init__(self, width: int) -> None:
+        self.width, self.keys = width, [np.zeros(0, dtype=np.int64)]
+
+    def add(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        key = row.astype(np.int64) * self.width + column
+        self.keys.append(key.ravel())
+        return key
+
+    def close(self) -> tuple[np.ndarray, np.ndarray]:
+        self.sorted = np.unique(np.concatenate(self.keys))
+        return (self.sorted // self.width).astype(np.int32), (self.sorted % self.width).astype(np.int32)
+
+    def places(self, key: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(np.searchsorted(self.sorted, key).astype(np.int32))
+
+
+def assemble(
+    transcription: Transcription,
+    compiled: Mapping[int, CompiledPoint],
+    threads: int = 1,
+    hessian: str = DEFAULT_HESSIAN,
+) -> Nlp:
+    """Build the engine's NLP; ``compiled`` maps id(point function) to its compiled derivatives.
+
+    Raises InputError unless ``threads`` is a whole number of at least 1.
+    """
+    if not isinstance(threads, (int, np.integer)) or threads < 1:
+        raise InputError(f"threads is {threads!r}", "allowed: 1 or more")
+    n = transcription.layout.n_unknowns
+    jacobian, curvature = _Pattern(n), _Pattern(n)
+    linear = transcription.linear.tocoo()
+    linear_key = jacobian.add(linear.row, linear.col)
+    prepared = []
+    for group in transcription.groups:
+        point = compiled[id(group.point)]
+        offset = transcription.layout.node_offset[group.stages]
+        first = jacobian_map(point.jacobian, group.gather, group.row_scale)
+        second = hessian_map(point.hessian, group.gather)
+        first_key = jacobian.add(group.rows[:, first.row], offset[:, None] + first.column[None, :])
+        second_key = curvature.add(
+            offset[:, None] + second.row[None, :], offset[:, None] + second.column[None, :]
+        )
+        prepared.append((group, point, offset, first, first_key, second, second_key))
+    row, column = jacobian.close()
+    hessian_row, hessian_column = curvature.close()
+    constant = np.zeros(len(row))
+    np.add.at(constant, jacobian.places(linear_key), linear.data)
+    groups = [
+        _engine_group(group, point, offset, first, jacobian.places(k1), second, curvature.places(k2))
+        for group, point, offset, first, k1, second, k2 in prepared
+    ]
+    csr = transcription.linear
+    engine = _engine.Nlp(
+        n_x=n,
+        n_g=transcription.n_rows,
+        a_indptr=csr.indptr.astype(np.int32),
+        a_indices=csr.indices.astype(np.int32),
+        a_data=csr.data,
+        jac_row=row,
+        jac_col=column,
+        jac_const=constant,
+        hess_row=hessian_row,
+        hess_col=hessian_column,
+        groups=groups,
+        threads=threads,
+    )
+    return Nlp(
+        transcription=transcription,
+        engine=engine,
+        row=row,
+        column=column,
+        hessian_row=hessian_row,
+        hessian_column=hessian_column,
+        hessian=hessian,
+    )
+
+
+def _engine_group(
+    group: Group,
+    point: CompiledPoint,
+    offset: np.ndarray,
+    first: DerivativeMap,
+    jac_target: np.ndarray,
+    second: DerivativeMap,
+    hess_target: np.ndarray,
+) -> dict[str, object]:
+    gather = group.gather
+    return {
+        "value": point.sources["value"],
+        "first": point.sources["first"],
+        "second": point.sources["second"],
+        "x_offset": np.ascontiguousarray(offset, dtype=np.int32),
+        "nloc": gather.shape[1],
+        "gather_indptr": gather.indptr.astype(np.int32),
+        "gather_indices": gather.indices.astype(np.int32),
+        "gather_data": gather.data,
+        "p": np.ascontiguousarray(group.parameters),
+        "cost_weight": np.ascontiguousarray(group.cost_weight),
+        "row": np.ascontiguousarray(group.rows, dtype=np.int32),
+        "row_scale": np.ascontiguousarray(group.row_scale),
+        "jac_indptr": first.indptr,
+        "jac_src": first.source,
+        "jac_coef": first.coefficient,
+        "jac_target": jac_target,
+        "hess_indptr": second.indptr,
+        "hess_src": second.source,
+        "hess_coef": second.coefficient,
+        "hess_target": hess_target,
+    }

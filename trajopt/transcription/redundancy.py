@@ -1,0 +1,101 @@
+"""Contact rows that say what others say already: they are left out of the problem.
+
+Two points of one body, the four corners of a foot, four feet on legs that move in parallel planes: their
+velocities depend on each other wherever the contacts hold, so that the rows of all have no full rank (no
+LICQ). Forces keep all components; what they share among redundant contacts is for costs to decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.dynamics.model_quantities import contact_jacobian
+from trajopt.robot.contact import Contact
+from trajopt.robot.kinematics import contact_poses, inverse_kinematics
+from trajopt.robot.robot import Robot
+
+# What remains of a row of unit length when others are taken off: less is no row of its own to a solver. Feet
+# that fix an angle to second order only (the roll of a base on legs in parallel planes) leave the root of the
+# asymmetry of a description file, a thousandth; corners of a foot of a few centimetres leave more.
+INDEPENDENT = 1e-2
+# Postures about the given one that tell a dependence of the contacts from one of the posture (straight
+# legs): as many, displaced by this much (rad, m), with the contacts where they were.
+SAMPLES, SPREAD = 3, 0.2
+# Heights first, so that a foot of several points still lies flat; then sliding, then turning.
+ORDER = (2, 0, 1, 3, 4, 5)
+
+Kept = dict[str, tuple[int, ...]]
+
+
+def independent_rows(
+    robot: Robot,
+    q: np.ndarray,
+    before: Sequence[Contact],
+    after: Sequence[Contact],
+    places: Mapping[str, np.ndarray] = MappingProxyType({}),
+) -> Kept:
+    """Rows to keep of every contact, by name: of ``before`` first, then of ``after``.
+
+    A row is left out if at q (nq,), and at postures around it with the contacts where they hold, it depends
+    on those kept before it. ``places`` (3,) m are where contacts are, by name; default where q has them.
+    """
+    kept = _kept([q], robot, before, after)
+    if all(kept[contact.name] == contact.rows for contact in (*before, *after)):
+        return kept
+    return _kept([q, *_neighbours(robot, q, (*before, *after), places)], robot, before, after)
+
+
+def _kept(
+    postures: Sequence[np.ndarray], robot: Robot, before: Sequence[Contact], after: Sequence[Contact]
+) -> Kept:
+    kept: dict[str, list[int]] = {contact.name: [] for contact in (*before, *after)}
+    bases: list[list[np.ndarray]] = [[] for _ in postures]
+    for contact, row in _ordered(before, after):
+        lines = [_unit_row(robot, posture, contact, row) for posture in postures]
+        rest = [_without(line, basis) for line, basis in zip(lines, bases, strict=True)]
+        lengths = [float(np.linalg.norm(line)) for line in rest]
+        if max(lengths) <= INDEPENDENT:
+            continue
+        kept[contact.name].append(row)
+        for line, length, basis in zip(rest, lengths, bases, strict=True):
+            if length > INDEPENDENT:
+                basis.append(line / length)
+    return {name: tuple(sorted(rows)) for name, rows in kept.items()}
+
+
+def _ordered(before: Sequence[Contact], after: Sequence[Contact]) -> list[tuple[Contact, int]]:
+    return [(c, row) for group in (before, after) for row in ORDER for c in group if row in c.rows]
+
+
+def _neighbours(
+    robot: Robot, q: np.ndarray, contacts: Sequence[Contact], places: Mapping[str, np.ndarray]
+) -> list[np.ndarray]:
+    """Postures around q (nq,) with the contacts where they hold: a point's origin, a sole's pose."""
+    model, generator = robot.model, np.random.default_rng(0)
+    poses = contact_poses(robot, q)
+    targets: dict[str, pin.SE3 | np.ndarray] = {}
+    for contact in contacts:
+        pose = poses[contact.name]
+        pose.translation = places.get(contact.name, pose.translation)
+        targets[contact.frame] = pose.translation if contact.kind == "point" else pose
+    moves = np.vstack([np.zeros(robot.nv), generator.uniform(-SPREAD, SPREAD, (SAMPLES, robot.nv))])
+    moved = [np.clip(pin.integrate(model, q, m), robot.position_lower, robot.position_upper) for m in moves]
+    return [inverse_kinematics(robot, start, targets, move_base=True).q for start in moved]
+
+
+def _unit_row(robot: Robot, q: np.ndarray, contact: Contact, row: int) -> np.ndarray:
+    line = contact_jacobian(robot.model, q, [(contact.frame, [row])])[0]
+    length = float(np.linalg.norm(line))
+    return line / length if length > 0 else line
+
+
+def _without(line: np.ndarray, basis: Sequence[np.ndarray]) -> np.ndarray:
+    """What is left of a row after its projections on orthonormal ones, twice for rounding."""
+    for _ in range(2):
+        for direction in basis:
+            line = line - (direction @ line) * direction
+    return line

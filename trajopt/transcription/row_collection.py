@@ -1,0 +1,62 @@
+"""Rows of the NLP in order: names, places and bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from trajopt.terms.interfaces import Rows
+
+
+@dataclass(frozen=True, kw_only=True)
+class RowInfo:
+    """For every row: index of its block's name, stage, and point (-1 at a node or gap)."""
+
+    names: tuple[str, ...]
+    block: np.ndarray
+    stage: np.ndarray
+    point: np.ndarray
+
+
+@dataclass
+class RowCollection:
+    """Rows collected in order while transcribing, with their scaled bounds."""
+
+    names: list[str] = field(default_factory=list)
+    block: list[np.ndarray] = field(default_factory=list)
+    stage: list[np.ndarray] = field(default_factory=list)
+    point: list[np.ndarray] = field(default_factory=list)
+    lower: list[np.ndarray] = field(default_factory=list)
+    upper: list[np.ndarray] = field(default_factory=list)
+    count: int = 0
+
+    def add_blocks(self, blocks: Iterable[tuple[str, Rows]], stage: int, point: int) -> np.ndarray:
+        """Indices of the rows of named blocks, one after the other."""
+        parts = [
+            self.add(name, stage, point, rows.lower / rows.unit, rows.upper / rows.unit)
+            for name, rows in blocks
+        ]
+        return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int32)
+
+    def add(self, name: str, stage: int, point: int, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+        """Indices of new rows with these scaled bounds."""
+        if name not in self.names:
+            self.names.append(name)
+        n = len(lower)
+        for target, value in ((self.block, self.names.index(name)), (self.stage, stage), (self.point, point)):
+            target.append(np.full(n, value, dtype=np.int32))
+        self.lower.append(lower)
+        self.upper.append(upper)
+        first, self.count = self.count, self.count + n
+        return np.arange(first, self.count, dtype=np.int32)
+
+    def info(self) -> RowInfo:
+        """Where every row belongs."""
+        return RowInfo(
+            names=tuple(self.names),
+            block=np.concatenate(self.block),
+            stage=np.concatenate(self.stage),
+            point=np.concatenate(self.point),
+        )

@@ -1,0 +1,90 @@
+"""Linear rows over the whole schedule: how a periodic motion closes, how long all of it takes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from trajopt.problem.periodicity import closing_map
+from trajopt.problem.problem import Problem
+from trajopt.transcription.collocation import Collocation
+from trajopt.transcription.layout import Layout
+
+
+@dataclass(frozen=True)
+class ScheduleRow:
+    """Linear rows at a node: ``coefficients`` (n, n_unknowns) over scaled unknowns, scaled bounds (n,)."""
+
+    name: str
+    node: int
+    coefficients: sparse.coo_matrix
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+def schedule_rows(problem: Problem, layout: Layout, collocation: Collocation) -> Iterator[ScheduleRow]:
+    """Rows of a problem's periodicity and of the bounds of its total duration, where it has them."""
+    if problem.periodicity is not None:
+        yield _closing(problem, layout, collocation)
+    if problem.duration_bounds is not None and any(clock is not None for clock in layout.schedule.clocks):
+        yield _duration(problem, layout, collocation)
+
+
+def _closing(problem: Problem, layout: Layout, collocation: Collocation) -> ScheduleRow:
+    """left z_N - right z_0 - velocity * duration = constant, each row in the unit of what it compares."""
+    assert problem.periodicity is not None
+    made = closing_map(problem.robot, problem.periodicity, problem.initial_q)
+    form, last = layout.forms[0], layout.forms[-1]
+    scale = collocation.node_scale(form)
+    state = np.setdiff1d(np.arange(form.size), form.clocks)
+    rotations = len(made.left) - (len(state) - len(form.rotations))
+    unit = np.concatenate([np.ones(rotations), scale[state[len(form.rotations) :]]])
+    first = np.zeros((len(unit), form.size))
+    first[:, state] = -made.right
+    fixed = made.constant + made.translated @ problem.periodicity.moved(_fixed_duration(layout))
+    if problem.periodicity.velocity is not None:
+        speed = made.translated @ np.array(problem.periodicity.velocity)
+        first[:, form.clocks] = -np.outer(speed, _free_durations(layout))
+    final = np.zeros((len(unit), last.size))
+    final[:, state] = made.left
+    blocks = [(0, first * scale), (layout.n_stages, final * collocation.node_scale(last))]
+    bound = fixed / unit
+    return ScheduleRow("periodicity", layout.n_stages, _over_unknowns(layout, blocks, unit), bound, bound)
+
+
+def _duration(problem: Problem, layout: Layout, collocation: Collocation) -> ScheduleRow:
+    """Sum of the phases' durations over the time unit."""
+    assert problem.duration_bounds is not None
+    form = layout.forms[0]
+    unit = np.array([collocation.units_of(form).time])
+    row = np.zeros((1, form.size))
+    row[:, form.clocks] = _free_durations(layout)
+    lower, upper = (np.array([bound - _fixed_duration(layout)]) / unit for bound in problem.duration_bounds)
+    return ScheduleRow("duration", 0, _over_unknowns(layout, [(0, row)], unit), lower, upper)
+
+
+def _free_durations(layout: Layout) -> np.ndarray:
+    """Nominal duration of every free phase, in the order of the clocks, s."""
+    return np.array([phase.duration for phase in layout.schedule.phases if phase.duration_bounds is not None])
+
+
+def _fixed_duration(layout: Layout) -> float:
+    """Sum of the durations that are not free, s."""
+    return float(sum(p.duration for p in layout.schedule.phases if p.duration_bounds is None))
+
+
+def _over_unknowns(
+    layout: Layout, blocks: list[tuple[int, np.ndarray]], unit: np.ndarray
+) -> sparse.coo_matrix:
+    """Rows over all unknowns from blocks over nodes (node, (n, size)), divided by their units (n,)."""
+    rows, columns, values = [], [], []
+    for node, block in blocks:
+        local = sparse.coo_matrix(block / unit[:, None])
+        rows.append(local.row)
+        columns.append(layout.node(node).start + local.col)
+        values.append(local.data)
+    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+    return sparse.coo_matrix(entries, shape=(len(unit), layout.n_unknowns))

@@ -1,0 +1,228 @@
+"""The functions of a problem's points, nodes and transitions: terms written over contexts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TypeVar
+
+import casadi as ca
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
+from trajopt.robot.units import Units
+from trajopt.terms.context import Context
+from trajopt.terms.context_symbols import Place
+from trajopt.terms.dynamics import ImpactDynamics
+from trajopt.terms.interfaces import Rows, Term
+from trajopt.transcription.layout import Layout
+from trajopt.transcription.redundancy import independent_rows
+from trajopt.transcription.stage_functions import PointFunction, point_function
+from trajopt.transcription.timeline import NodeForm
+
+Built = TypeVar("Built")
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A point function with its rows' names, bounds and units, and its parameters' values at a time, s."""
+
+    function: PointFunction
+    blocks: tuple[tuple[str, Rows], ...]
+    parameters_at: Callable[[float], np.ndarray]
+
+    @property
+    def row_scale(self) -> np.ndarray:
+        """One over the unit of every row."""
+        return np.concatenate([np.zeros(0), *[1 / rows.unit for _, rows in self.blocks]])
+
+
+@dataclass(frozen=True)
+class TermFunctions:
+    """Point functions of one transcription; ``units`` by identity of the robot they measure."""
+
+    problem: Problem
+    layout: Layout
+    units: Mapping[int, Units]
+    _kept: dict[int, dict[str, tuple[int, ...]]] = field(default_factory=dict, init=False)
+
+    def point(self, phase: int) -> Kind:
+        """Function of a phase's collocation points."""
+        form = self.layout.form_of(phase)
+        own, context = self.units[id(form.robot)], self.context(phase, form, Place.POINT)
+        name, problem = self.problem.schedule.phases[phase].name, self.problem
+        costs = [_of(t, name, t.value, context, own) for t in problem.costs if t.acts_in(name)]
+        acting = [term for term in problem.point_constraints if term.acts_in(name)]
+        rows = [(t.name, _of(t, name, t.rows, context, own)) for t in acting]
+        return _kind(name, context, context.clock * sum(costs, ca.SX(0)), rows)
+
+    def impact(self, k: int) -> Kind:
+        """Function of the impact that is stage k: its dynamics, and terms on contact forces."""
+        phase, form = self.layout.stages[k].phase, self.layout.forms[k]
+        own = self.units[id(form.robot)].impulsive()
+        context = self.context(phase, form, Place.IMPACT)
+        name, problem = self.problem.schedule.phases[phase].name, self.problem
+        costs = [_of(t, name, t.value, context, own) for t in problem.impact_costs if t.acts_in(name)]
+        acting = [t for t in problem.point_constraints if t.acts_in(name) and t.acts_at_impacts]
+        rows = [(t.name, _of(t, name, t.rows, context, own)) for t in (ImpactDynamics(), *acting)]
+        return _kind(f"impact_{name}", context, sum(costs, ca.SX(0)), rows)
+
+    def nodes(self) -> dict[int, Kind]:
+        """For each node with constraints or costs: its function, named rows and parameter values."""
+        functions: dict[tuple[object, ...], PointFunction] = {}
+        kinds, constraints, prices = {}, self.problem.node_constraints, self.problem.node_costs
+        for k, form in enumerate(self.layout.forms):
+            place, phase = self.layout.place(k), self.layout.place_phase(k)
+            acting = [t for t in constraints if place is not None and t.acts_at(place)]
+            priced = [t for t in prices if place is not None and t.acts_at(place)]
+            if place is None or not (acting or priced):
+                continue
+            own, near = self.units[id(form.robot)], self._wound.get(k)
+            context = self.context(phase, form, Place.NODE, near)
+            name = place.phase.name
+            named = [(t.name, _of(t, name, t.rows, context, own, place)) for t in acting]
+            cost = sum((_of(t, name, t.value, context, own, place) for t in priced), ca.SX(0))
+            kind = _kind(f"node_{name}", context, cost, named)
+            if kind.blocks or priced:
+                key = (id(form), name, *(id(term) for term in (*acting, *priced)))
+                shared = functions.setdefault(key, kind.function)
+                kinds[k] = replace(kind, function=shared)
+        return kinds
+
+    def end(self, form: NodeForm) -> PointFunction | None:
+        """Rotations, and body rates if any, at an interval's end from (rotations, theta, theta')."""
+        n = form.coordinates.n_rotations
+        if n == 0:
+            return None
+        z = ca.SX.sym("z", (10 if form.order == 2 else 7) * n)
+        rates = z[7 * n :] if form.order == 2 else ca.SX.zeros(3 * n)
+        quaternions, body_rates = form.coordinates.next_rotations(z[: 4 * n], z[4 * n : 7 * n], rates)
+        return _plain("interval_end", z, [quaternions, *([body_rates] if form.order == 2 else [])])
+
+    def change(self, k: int) -> PointFunction:
+        """The next node's entries from those of node k: other coordinates, or rates in another clock."""
+        before, after = self.layout.forms[k], self.layout.forms[k + 1]
+        phase = self.layout.stages[k].phase
+        context = self.context(phase, before, Place.NODE)
+        clocks = context.z[before.clocks.tolist()] if before.n_clocks else ca.SX(0, 1)
+        if after.coordinates is before.coordinates:
+            n = len(before.rotations) + len(before.additive)
+            configuration, rates = context.z[:n], context.rates
+        else:
+            state = self._mapped(context, before, after)
+            n = state.numel() - after.coordinates.nv
+            configuration, rates = state[:n], state[n:]
+        ratio = ca.SX(1) if after.clock is None else clocks[after.clock]
+        parts = [configuration, ratio * rates] if after.order == 2 else [configuration]
+        return _plain("change", context.z, [*parts, clocks])
+
+    def _mapped(self, context: Context, before: NodeForm, after: NodeForm) -> ca.SX:
+        """State of the coordinates after a change from the symbols before: lift or drop of a mode."""
+        whole = after.robot is self.problem.robot
+        mode = next(m for m in self.problem.modes.values() if m.robot is (before if whole else after).robot)
+        still = ca.SX.zeros(before.coordinates.nv)
+        q, v, _ = (mode.lift if whole else mode.drop)(context.q, context.v, still)
+        shared = {joint.name: context.xi[joint.v] for joint in before.coordinates.joints if joint.is_counted}
+        return after.coordinates.symbolic_node(q, v, shared)
+
+    def redundant(self) -> dict[str, list[str]]:
+        """Rows of contacts that are left out for saying nothing new, in words, by phase."""
+        axes, found = ("x", "y", "z", "rx", "ry", "rz"), {}
+        for index, phase in enumerate(self.problem.schedule.phases):
+            kept = self.kept_rows(index)
+            left = [
+                f"{contact.name} {axes[row]}"
+                for contact in self.layout.contacts[index]
+                for row in contact.rows
+                if row not in kept.get(contact.name, contact.rows)
+            ]
+            if left:
+                found[phase.name] = left
+        return found
+
+    def kept_rows(self, phase: int) -> dict[str, tuple[int, ...]]:
+        """Rows of the contacts' motion that are imposed in a phase, at its guess: see ``redundancy``."""
+        if phase not in self._kept:
+            self._kept[phase] = self._independent(phase)
+        return self._kept[phase]
+
+    def _independent(self, phase: int) -> dict[str, tuple[int, ...]]:
+        layout, form = self.layout, self.layout.form_of(phase)
+        kept = self.problem.schedule.kept_contacts(phase) if phase else ()
+        contacts = layout.contacts[phase] if form.robot is not layout.robot else layout.touching[phase]
+        before = [contact for contact in contacts if contact.name in kept]
+        after = [contact for contact in contacts if contact.name not in kept]
+        first, last = layout.intervals_of(phase)[[0, -1]]
+        q = self.problem.guess_at(float(layout.node_times[first] + layout.node_times[last + 1]) / 2)
+        q = self._in_form(form, q)
+        known = {c.name: self.problem.contact_place(c.name, phase) for c in contacts}
+        places = {name: place for name, place in known.items() if place is not None}
+        return independent_rows(form.robot, q, before, after, places)
+
+    def _in_form(self, form: NodeForm, q: np.ndarray) -> np.ndarray:
+        """A configuration (nq,) of the whole robot in the coordinates of a form."""
+        mode = next((mode for mode in self.problem.modes.values() if mode.robot is form.robot), None)
+        return q if mode is None else mode.dropped(q, *np.zeros((2, self.layout.robot.nv)))[0]
+
+    @cached_property
+    def _wound(self) -> dict[int, np.ndarray]:
+        """The guess at nodes of coordinates that count whole turns: goals mean the turn nearest to it.
+
+        A motion that is guessed to turn all around ends so, and one past the angle pi does not turn back.
+        """
+        found: dict[int, np.ndarray] = {}
+        before: dict[int, np.ndarray] = {}
+        for k, form in enumerate(self.layout.forms):
+            coordinates = form.coordinates
+            if not any(joint.kind in ("planar", "continuous") for joint in coordinates.joints):
+                continue
+            fixed = k == 0 and self.problem.periodicity is None
+            time = float(self.layout.node_times[k])
+            q = self._in_form(form, self.problem.initial_q if fixed else self.problem.guess_at(time))
+            node = coordinates.node_from_pinocchio(q, np.zeros(coordinates.nv))
+            found[k] = coordinates.continued(node, before.get(id(coordinates), node))
+            before[id(coordinates)] = found[k]
+        return found
+
+    def context(self, phase: int, form: NodeForm, place: Place, near: np.ndarray | None = None) -> Context:
+        """Fresh symbols of a point, node or impact of a phase."""
+        contacts = {Place.POINT: self.layout.contacts, Place.IMPACT: self.layout.touching}
+        name = self.problem.schedule.phases[phase].name
+        return Context(
+            self.problem.robot_in(name) if name in self.problem.payloads else form.robot,
+            form.coordinates,
+            contacts[place][phase] if place in contacts else (),
+            place=place,
+            clocks=(form.n_clocks, form.clock),
+            actuation=self.problem.actuation,
+            surfaces=self.problem.surfaces_of(phase),
+            kept_rows=self.kept_rows(phase),
+            mode=self.problem.modes.get(name),
+            near=near,
+        )
+
+
+def _of(term: Term, phase: str, build: Callable[..., Built], *arguments: object) -> Built:
+    """What a term gives in a phase; what it refuses bears its name. Raises InputError."""
+    try:
+        return build(*arguments)
+    except InputError as error:
+        if type(error) is not InputError:
+            raise
+        raise InputError(f"{term.name} in phase '{phase}': {error.what}", error.allowed) from None
+
+
+def _kind(name: str, context: Context, cost: ca.SX, named: Sequence[tuple[str, Rows | None]]) -> Kind:
+    blocks = tuple((label, rows) for label, rows in named if rows is not None and rows.expression.numel())
+    function = point_function(name, context, cost, [rows.expression for _, rows in blocks])
+    return Kind(function, blocks, context.parameter_values_at)
+
+
+def _plain(name: str, z: ca.SX, parts: Sequence[ca.SX]) -> PointFunction:
+    """A point function of its inputs alone: no robot, no parameters, no cost."""
+    phi = ca.densify(ca.vertcat(*parts))
+    return PointFunction(
+        name, (), ca.Function("terms", [z, ca.SX.sym("o", 0), ca.SX.sym("p", 0)], [ca.SX(0), phi])
+    )

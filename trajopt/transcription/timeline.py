@@ -1,0 +1,201 @@
+"""The stages of a schedule in time order: intervals of phases, and transitions between phases.
+
+A stage leads from one node to the next. An *interval* is a stretch of motion with collocation points.
+Between two phases there may be *transitions*, which take no time: an *impact* (velocities jump, the
+configuration does not) and a *change* of coordinates or of the clock that rates are measured in.
+
+Rates and their unknown derivatives are measured in nominal time: a phase of free duration T runs at the
+clock s = T / T_nominal, so that x' = s v and x'' = s^2 a, and what collocation does stays linear in the
+unknowns; the clock of every free phase is a constant entry of all nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+
+import numpy as np
+
+from trajopt.dynamics.manifold import Coordinates
+from trajopt.robot.robot import Robot
+from trajopt.robot.stance.mode import Mode
+from trajopt.schedule.schedule import Schedule
+from trajopt.transcription.mesh import Mesh
+
+
+class StageKind(Enum):
+    """What happens from a stage's node to the next."""
+
+    INTERVAL = "interval"
+    IMPACT = "impact"
+    CHANGE = "change"
+
+
+@dataclass(frozen=True, eq=False)
+class NodeForm:
+    """What a node holds: rotations, additive positions, rates, and the clocks of all free phases.
+
+    ``clock`` is the index of the clock in which the rates are measured, None for nominal time;
+    ``order`` 1 (a velocity source) has no rates. The arrays are indices within the node.
+    """
+
+    robot: Robot
+    coordinates: Coordinates
+    clock: int | None
+    n_clocks: int
+    order: int
+
+    @cached_property
+    def rotations(self) -> np.ndarray:
+        """Indices of the rotations."""
+        return np.arange(4 * self.coordinates.n_rotations)
+
+    @cached_property
+    def additive(self) -> np.ndarray:
+        """Indices of the additive positions."""
+        return len(self.rotations) + np.arange(len(self.coordinates.additive_index))
+
+    @cached_property
+    def rates(self) -> np.ndarray:
+        """Indices of the rates (nv, or none)."""
+        start = len(self.rotations) + len(self.additive)
+        return start + np.arange(self.coordinates.nv if self.order == 2 else 0)
+
+    @cached_property
+    def clocks(self) -> np.ndarray:
+        """Indices of the clocks."""
+        return len(self.rotations) + len(self.additive) + len(self.rates) + np.arange(self.n_clocks)
+
+    @property
+    def size(self) -> int:
+        """Number of entries."""
+        return len(self.rotations) + len(self.additive) + len(self.rates) + self.n_clocks
+
+    def state(self, node: np.ndarray) -> np.ndarray:
+        """The coordinates' own state (rotations, additive, rates) of a node or of nodes (n, size).
+
+        Rates are in true time; zero where the node has none.
+        """
+        rows = np.atleast_2d(np.asarray(node, dtype=float))
+        rates = rows[:, self.rates] if self.order == 2 else np.zeros((len(rows), self.coordinates.nv))
+        if self.clock is not None:
+            rates = rates / rows[:, self.clocks[self.clock], None]
+        return np.hstack([rows[:, self.rotations], rows[:, self.additive], rates])
+
+    def node(self, state: np.ndarray, clocks: np.ndarray) -> np.ndarray:
+        """The node of a coordinates' state at these clocks (n_clocks,)."""
+        n = len(self.rotations) + len(self.additive)
+        rates = state[n:] * (1.0 if self.clock is None else clocks[self.clock])
+        return np.concatenate([state[:n], rates if self.order == 2 else rates[:0], clocks])
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stage of ``phase`` (the one it leads into, for a transition) of nominal duration ``step`` in s."""
+
+    kind: StageKind
+    phase: int
+    step: float
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Stages, the form of every node (one more), and the phase and index that a node stands for.
+
+    ``places[k]`` is (phase, index of the node within the phase), or None for a node between two
+    transitions that repeats another.
+    """
+
+    stages: tuple[Stage, ...]
+    forms: tuple[NodeForm, ...]
+    places: tuple[tuple[int, int] | None, ...]
+
+
+class _Builder:
+    def __init__(
+        self, robot: Robot, schedule: Schedule, modes: Mapping[str, Mode], order: int, closed: bool
+    ) -> None:
+        self.schedule, self.order, self.closed = schedule, order, closed
+        self.whole = (robot, Coordinates(robot.model))
+        self.modes = [modes.get(phase.name) for phase in schedule.phases]
+        made = {id(mode): (mode.robot, Coordinates(mode.robot.model)) for mode in self.modes if mode}
+        self.of_phase = [made[id(mode)] if mode else self.whole for mode in self.modes]
+        self.clocks = schedule.clocks
+        self.n_clocks = sum(clock is not None for clock in self.clocks)
+        self.known: dict[tuple[int, int | None], NodeForm] = {}
+        self.stages: list[Stage] = []
+        self.forms: list[NodeForm] = []
+        self.places: list[tuple[int, int] | None] = []
+
+    def form(self, pair: tuple[Robot, Coordinates], clock: int | None) -> NodeForm:
+        key = (id(pair[1]), clock)
+        if key not in self.known:
+            self.known[key] = NodeForm(*pair, clock, self.n_clocks, self.order)
+        return self.known[key]
+
+    def build(self, mesh: Mesh) -> Timeline:
+        last = len(self.schedule.phases) - 1
+        for phase, own_mesh in enumerate(mesh.phases):
+            own = self.form(self.of_phase[phase], self.clocks[phase])
+            if phase == 0:
+                self.begin(own)
+            duration = self.schedule.phases[phase].duration
+            for index, width in enumerate(own_mesh.widths, 1):
+                self.stages.append(Stage(StageKind.INTERVAL, phase, duration * width))
+                self.node(own, (phase, index))
+            self.transitions(phase, phase + 1 if phase < last else None)
+        return Timeline(tuple(self.stages), tuple(self.forms), tuple(self.places))
+
+    def node(self, form: NodeForm, place: tuple[int, int] | None) -> None:
+        self.forms.append(form)
+        self.places.append(place)
+
+    def begin(self, own: NodeForm) -> None:
+        """The first node; of a closed motion in true time, in which both ends can be compared."""
+        if self.closed and own.clock is not None:
+            self.node(self.form(self.of_phase[0], None), (0, 0))
+            self.change(0, own)
+        else:
+            self.node(own, (0, 0))
+
+    def transitions(self, before: int, after: int | None) -> None:
+        """Into the whole robot's coordinates, impact, into the next phase's; only what is needed."""
+        impact = after is not None and self.schedule.phases[after].impact
+        same = after is not None and self.modes[after] is self.modes[before] and not impact
+        lift = self.modes[before] is not None and not same
+        here = before if after is None else after
+        end = None if after is None and self.closed else self.clocks[before]
+        if lift or end is not self.clocks[before]:
+            self.change(here, self.form(self.whole, end))
+        if after is None:
+            if self.places[-1] is None:
+                self.places[-2:] = [None, self.places[-2]]
+            return
+        if impact:
+            self.stages.append(Stage(StageKind.IMPACT, after, 0.0))
+            self.node(self.forms[-1], None)
+        self.places[-1] = (after, 0)
+        target = self.form(self.of_phase[after], self.clocks[after])
+        if target is not self.forms[-1]:
+            self.change(after, target)
+
+    def change(self, phase: int, form: NodeForm) -> None:
+        self.stages.append(Stage(StageKind.CHANGE, phase, 0.0))
+        self.node(form, None)
+
+
+def timeline(
+    robot: Robot,
+    schedule: Schedule,
+    modes: Mapping[str, Mode],
+    mesh: Mesh,
+    order: int,
+    closed: bool = False,
+) -> Timeline:
+    """Stages and nodes of a schedule on a mesh.
+
+    closed: rates at the first and the last node are in true time, whatever clocks the phases have.
+    """
+    return _Builder(robot, schedule, modes, order, closed).build(mesh)

@@ -1,0 +1,332 @@
+"""Problem + mesh -> rows, bounds, scales and groups of point functions: an NLP without numbers of its own.
+
+Rows of stage k, in order: the gap rows ``x_(k+1) - F(x_k, u_k) = 0`` with an identity block in
+x_(k+1); the rows of each collocation point, or of an impact; the rows at node k. Every row is divided by
+its natural unit, every unknown is measured in its own, so that one tolerance means the same everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+
+from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
+from trajopt.robot.units import Units
+from trajopt.transcription.collocation import Collocation
+from trajopt.transcription.layout import Layout
+from trajopt.transcription.mesh import Mesh
+from trajopt.transcription.row_collection import RowCollection, RowInfo
+from trajopt.transcription.schedule_rows import schedule_rows
+from trajopt.transcription.stage_functions import PointFunction
+from trajopt.transcription.term_functions import Kind, TermFunctions
+from trajopt.transcription.timeline import StageKind
+from trajopt.transcription.variable_bounds import clocked_limits, variable_bounds
+
+
+@dataclass(frozen=True, kw_only=True)
+class Group:
+    """One point function at the same place of several stages.
+
+    ``gather`` (n_z, window) maps a window's scaled unknowns to z; ``stages`` (n,) are the intervals or
+    nodes; ``rows`` (n, n_rows) are row indices of the NLP; ``row_scale`` (n_rows,); ``parameters``
+    (n, n_p); ``cost_weight`` (n,).
+    """
+
+    point: PointFunction
+    gather: sparse.csr_matrix
+    stages: np.ndarray
+    rows: np.ndarray
+    row_scale: np.ndarray
+    parameters: np.ndarray
+    cost_weight: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Transcription:
+    """The NLP's structure: unknowns, rows, groups, linear part, bounds; all in scaled units.
+
+    ``gap_rows`` (one array a stage) and ``linear`` (n_rows, n_unknowns) are the defects' rows and the part
+    of all rows that is linear in the unknowns. ``scale`` (n_unknowns,) turns a scaled unknown into SI.
+    ``redundant`` names, by phase, rows of contacts that others say already (see ``redundancy``).
+    ``objective_unit``: the groups' costs are over it, see `objective_unit`.
+    """
+
+    problem: Problem
+    layout: Layout
+    groups: tuple[Group, ...]
+    rows: RowInfo
+    n_rows: int
+    linear: sparse.csr_matrix
+    lower_g: np.ndarray
+    upper_g: np.ndarray
+    lower_x: np.ndarray
+    upper_x: np.ndarray
+    scale: np.ndarray
+    gap_rows: tuple[np.ndarray, ...]
+    redundant: Mapping[str, list[str]]
+    objective_unit: float
+
+    def stage_sizes(self) -> tuple[list[int], list[int], list[int]]:
+        """Numbers of states, controls and path rows of each stage, as structured solvers want them."""
+        layout = self.layout
+        states = [form.size for form in layout.forms]
+        controls = [layout.n_control(k) for k in range(layout.n_stages)]
+        rows = np.bincount(self.rows.stage, minlength=layout.n_stages + 1)
+        gaps = [*states[1:], 0]
+        return states, [*controls, 0], [int(count) - gap for count, gap in zip(rows, gaps, strict=True)]
+
+
+@dataclass(frozen=True)
+class _Numbers:
+    """Row indices: of the gaps, of interval k at point i, of impacts and of the nodes that have rows."""
+
+    gap: list[np.ndarray]
+    point: dict[int, list[np.ndarray]]
+    impact: dict[int, np.ndarray]
+    node: dict[int, np.ndarray]
+
+
+class Transcriber:
+    """Builds a Transcription step by step; ``build()`` reads top to bottom."""
+
+    def __init__(self, problem: Problem, mesh: Mesh) -> None:
+        order = 1 if problem.actuation == "velocity" else 2
+        self.problem = problem
+        self.layout = Layout(
+            problem.robot,
+            problem.schedule,
+            mesh,
+            order,
+            dict(problem.modes),
+            closed=problem.periodicity is not None,
+        )
+        robots = {id(form.robot): form.robot for form in self.layout.forms}
+        units = {key: Units(robot, problem.robot) for key, robot in robots.items()}
+        self.collocation = Collocation(self.layout, units)
+        self.functions = TermFunctions(problem, self.layout, units)
+        self.time = units[id(self.layout.forms[0].robot)].time
+        self.clocked = clocked_limits(problem, self.layout, self.collocation)
+        self.linear_rows: list[tuple[np.ndarray, sparse.coo_matrix]] = []
+        self.rows = RowCollection()
+        self.groups: list[Group] = []
+
+    def build(self) -> Transcription:
+        phases = range(len(self.layout.intervals))
+        kinds = [self.functions.point(phase) for phase in phases]
+        impacts = {k: self.functions.impact(k) for k in self.layout.transitions_of(StageKind.IMPACT)}
+        nodes = self.functions.nodes()
+        numbers = self._number_rows(kinds, impacts, nodes)
+        for phase in phases:
+            self._add_point_groups(phase, kinds[phase], numbers.point)
+            self._add_end_group(phase, numbers.gap)
+        for k, kind in impacts.items():
+            self._add_impact_group(k, kind, numbers.impact[k])
+        for k in self.layout.transitions_of(StageKind.CHANGE):
+            self._add_change_group(k, numbers.gap[k])
+        self._add_node_groups(nodes, numbers.node)
+        lower_x, upper_x = variable_bounds(self.problem, self.layout, self.collocation)
+        return Transcription(
+            problem=self.problem,
+            layout=self.layout,
+            groups=tuple(
+                replace(group, cost_weight=group.cost_weight / objective_unit(self.problem))
+                for group in self.groups
+            ),
+            rows=self.rows.info(),
+            n_rows=self.rows.count,
+            linear=self.collocation.linear_part(numbers.gap, self.linear_rows, self.rows.count),
+            lower_g=np.concatenate(self.rows.lower),
+            upper_g=np.concatenate(self.rows.upper),
+            lower_x=lower_x,
+            upper_x=upper_x,
+            scale=self.collocation.scale,
+            gap_rows=tuple(numbers.gap),
+            redundant=self.functions.redundant(),
+            objective_unit=objective_unit(self.problem),
+        )
+
+    # Rows
+
+    def _number_rows(
+        self, kinds: Sequence[Kind], impacts: dict[int, Kind], nodes: dict[int, Kind]
+    ) -> _Numbers:
+        found = _Numbers([], {}, {}, {})
+        layout = self.layout
+        whole = tuple(schedule_rows(self.problem, layout, self.collocation))
+        for k in range(layout.n_stages + 1):
+            if k < layout.n_stages:
+                zero = np.zeros(layout.forms[k + 1].size)
+                found.gap.append(self.rows.add("defect", k, -1, zero, zero))
+                if layout.stages[k].kind is StageKind.INTERVAL:
+                    blocks = kinds[layout.phase_of[k]].blocks
+                    found.point[k] = [
+                        self.rows.add_blocks(blocks, k, i)
+                        for i in range(layout.scheme_of(layout.stages[k].phase).s)
+                    ]
+            if k in impacts:
+                found.impact[k] = self.rows.add_blocks(impacts[k].blocks, k, -1)
+            if k in nodes:
+                found.node[k] = self.rows.add_blocks(nodes[k].blocks, k, -1)
+            for limit in self.clocked.get(k, ()):
+                rows = self.rows.add(limit.name, k, -1, limit.lower, limit.upper)
+                self.linear_rows.append((rows, limit.map(int(layout.node_offset[k]))))
+            for joined in whole:
+                if joined.node == k:
+                    rows = self.rows.add(joined.name, k, -1, joined.lower, joined.upper)
+                    self.linear_rows.append((rows, joined.coefficients))
+        return found
+
+    # Groups
+
+    def _add_point_groups(self, phase: int, kind: Kind, point_rows: dict[int, list[np.ndarray]]) -> None:
+        method = self.layout.scheme_of(phase)
+        for stages in self._alike(phase):
+            for i in range(method.s):
+                self.groups.append(
+                    Group(
+                        point=kind.function,
+                        gather=self.collocation.point_gather(int(stages[0]), i),
+                        stages=stages,
+                        rows=np.array([point_rows[k][i] for k in stages]),
+                        row_scale=kind.row_scale,
+                        parameters=self._parameters(kind, stages, method.c[i]),
+                        cost_weight=self.layout.steps[stages] * method.b1[i] / self.time,
+                    )
+                )
+
+    def _alike(self, phase: int) -> Iterator[np.ndarray]:
+        """Intervals of a phase by their width: those of one width share the collocation map."""
+        stages = self.layout.intervals_of(phase)
+        steps = self.layout.steps[stages]
+        for step in np.unique(steps):
+            yield stages[steps == step]
+
+    def _parameters(self, kind: Kind, stages: np.ndarray, fraction: float = 0.0) -> np.ndarray:
+        """Values of the parameters (n, n_p) at that fraction of stages."""
+        times = self.layout.node_times[stages]
+        if fraction:
+            times = times + fraction * self.layout.steps[stages]
+        return np.array([kind.parameters_at(float(t)) for t in times])
+
+    def _add_end_group(self, phase: int, gap_rows: list[np.ndarray]) -> None:
+        form = self.layout.form_of(phase)
+        end = self.functions.end(form)
+        if end is None:
+            return
+        rotating = form.rates[form.coordinates.rotation_index] if form.order == 2 else form.rates
+        local = np.concatenate([form.rotations, rotating])
+        for stages in self._alike(phase):
+            self.groups.append(
+                _gap_group(
+                    end,
+                    self.collocation.end_gather(int(stages[0])),
+                    stages,
+                    np.array([gap_rows[k][local] for k in stages]),
+                    self.collocation.node_scale(form)[local],
+                )
+            )
+
+    def _add_impact_group(self, k: int, kind: Kind, rows: np.ndarray) -> None:
+        self.groups.append(
+            Group(
+                point=kind.function,
+                gather=self.collocation.impact_gather(k),
+                stages=np.array([k]),
+                rows=rows[None, :],
+                row_scale=kind.row_scale,
+                parameters=self._parameters(kind, np.array([k])),
+                cost_weight=np.ones(1),
+            )
+        )
+
+    def _add_change_group(self, k: int, gap_rows: np.ndarray) -> None:
+        scale = self.collocation.node_scale(self.layout.forms[k + 1])
+        gather = self.collocation.node_gather(self.layout.forms[k])
+        self.groups.append(
+            _gap_group(self.functions.change(k), gather, np.array([k]), gap_rows[None, :], scale)
+        )
+
+    def _add_node_groups(self, nodes: dict[int, Kind], node_rows: dict[int, np.ndarray]) -> None:
+        by_function: dict[int, list[int]] = {}
+        for k, kind in nodes.items():
+            by_function.setdefault(id(kind.function), []).append(k)
+        for members in by_function.values():
+            first = nodes[members[0]]
+            self.groups.append(
+                Group(
+                    point=first.function,
+                    gather=self.collocation.node_gather(self.layout.forms[members[0]]),
+                    stages=np.array(members),
+                    rows=np.array([node_rows[k] for k in members]),
+                    row_scale=first.row_scale,
+                    parameters=np.vstack([self._parameters(nodes[k], np.array([k])) for k in members]),
+                    cost_weight=np.ones(len(members)),
+                )
+            )
+
+
+def objective_unit(problem: Problem) -> float:
+    """The largest weight of a cost, 1 without any: what a solver sees is the objective over it.
+
+    Only ratios of weights mean something. A solver's tolerance is absolute: with weights of 1e-9 it would
+    call any feasible point optimal, and with 1e9 none.
+    """
+    weights = [term.weight for term in (*problem.costs, *problem.impact_costs)]
+    weights += [term.weight for term in problem.node_costs]
+    return max(weights, default=0.0) or 1.0
+
+
+def _gap_group(
+    point: PointFunction, gather: sparse.csr_matrix, stages: np.ndarray, rows: np.ndarray, scale: np.ndarray
+) -> Group:
+    """What is not linear of the map to the next node, x_next - F = 0; ``scale`` of the rows' entries."""
+    return Group(
+        point=point,
+        gather=gather,
+        stages=stages,
+        rows=rows,
+        row_scale=-1 / scale,
+        parameters=np.zeros((len(stages), 0)),
+        cost_weight=np.zeros(len(stages)),
+    )
+
+
+def transcribe(
+    problem: Problem,
+    transcription: str | None = None,
+    intervals: int | None = None,
+    mesh: Mesh | None = None,
+) -> Transcription:
+    """Transcribe a problem on ``intervals`` over the whole schedule, or on a mesh of its own.
+
+    transcription: a scheme by name for all phases, or one for each, separated by commas.
+    Raises InputError for an unknown scheme, fewer intervals than phases, or a mesh that does not fit.
+    """
+    chosen = mesh if mesh is not None else _uniform_mesh(problem, transcription, intervals)
+    if mesh is not None and (transcription is not None or intervals is not None):
+        raise InputError("a mesh is given with a transcription or intervals", "allowed: one of them")
+    phases = problem.schedule.phases
+    if len(chosen.phases) != len(phases):
+        raise InputError(
+            f"the mesh has {len(chosen.phases)} phases, problem '{problem.name}' {len(phases)}",
+            "allowed: as many",
+        )
+    for method in (phase.method for phase in chosen.phases):
+        if problem.actuation == "velocity" and problem.robot.n_unactuated and 0.0 in method.c:
+            raise InputError(
+                f"transcription '{method.name}' states the balance of a velocity source twice at every node",
+                "allowed: legendre or radau for a free base",
+            )
+    return Transcriber(problem, chosen).build()
+
+
+def _uniform_mesh(problem: Problem, transcription: str | None, intervals: int | None) -> Mesh:
+    total = problem.default_intervals if intervals is None else intervals
+    if not isinstance(total, (int, np.integer)) or isinstance(total, bool):
+        raise InputError(f"intervals is {total!r}", "allowed: a whole number")
+    name = problem.default_transcription if transcription is None else transcription
+    return Mesh.uniform(name, problem.schedule.intervals(total))

@@ -1,0 +1,1 @@
+"""Seeing solutions: replay, plots, and iterates while solving."""

@@ -1,0 +1,75 @@
+"""Replays and plots inside a notebook: what Jupyter, VS Code and others show of the value of a cell."""
+
+from __future__ import annotations
+
+import html
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from trajopt.errors import InputError
+from trajopt.solution.solution import Solution
+
+# Pixels: a page below this height has no room for its controls.
+HEIGHT, LEAST_HEIGHT = 460, 120
+
+
+@dataclass(frozen=True)
+class InlineReplay:
+    """A self-contained page in a frame of its own: it needs no server, and plays in a saved notebook too."""
+
+    page: str = field(repr=False)
+    height: int = HEIGHT
+
+    def _repr_html_(self) -> str:
+        # The page is the frame's source text: trusted as much as the notebook, without a file beside it.
+        text = html.escape(self.page, quote=True)
+        return f'<iframe srcdoc="{text}" style="width: 100%; height: {self.height}px; border: 0"></iframe>'
+
+
+@dataclass(frozen=True)
+class InlinePlot:
+    """A picture."""
+
+    png: bytes = field(repr=False)
+
+    def _repr_png_(self) -> bytes:
+        return self.png
+
+
+def show(
+    solutions: Solution | Sequence[Solution],
+    *,
+    speed: float = 1.0,
+    layout: str = "overlaid",
+    labels: Sequence[str] | None = None,
+    height: int = HEIGHT,
+) -> InlineReplay:
+    """Return the replay of one or several solutions for a notebook: the last value of a cell is shown.
+
+    speed, layout, labels: as of `trajopt.replay.replay`. height: of the frame, pixels. Raises `InputError`.
+    """
+    from trajopt.view.replay.show import replay
+
+    if not isinstance(height, int) or height < LEAST_HEIGHT:
+        raise InputError(f"height is {height}", f"allowed: {LEAST_HEIGHT} pixels or more")
+    with tempfile.TemporaryDirectory() as folder:
+        page = Path(folder) / "replay.html"
+        replay(solutions, html=page, speed=speed, layout=layout, labels=labels)
+        return InlineReplay(page.read_text(encoding="utf-8"), height)
+
+
+def plots(
+    solutions: Solution | Sequence[Solution],
+    *,
+    labels: Sequence[str] | None = None,
+    pages: Sequence[str] | None = None,
+) -> InlinePlot:
+    """Return the plots of solutions of one robot for a notebook; see `trajopt.plotting.report`."""
+    from trajopt.view.plotting.writing import report
+
+    with tempfile.TemporaryDirectory() as folder:
+        return InlinePlot(
+            report(solutions, Path(folder) / "plot.png", labels=labels, pages=pages).path.read_bytes()
+        )

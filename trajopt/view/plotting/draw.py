@@ -1,0 +1,157 @@
+"""Drawing into one pair of axes: curves of all solutions, limits, shares of limits as a map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from trajopt.view.plotting import style
+from trajopt.view.plotting.motion import Motion
+from trajopt.view.plotting.page import Entry, Tracks
+from trajopt.view.plotting.track import Track
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
+
+# Markers that name a curve, along the time axis.
+MARKS = 6
+# More collocation points than this in one panel are clutter.
+MOST_DOTS = 400
+# Shares of a limit are shown up to here at least, so that the limit is inside the picture.
+SHOWN = 1.05
+LIMIT_DASHES = (0, (6, 2))
+# Inches of a vertical axis for each of its ticks.
+TICK = 0.22
+# Empty part of a vertical axis above and below what is drawn.
+MARGIN = 0.06
+
+Values = Callable[[Motion], np.ndarray]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curve:
+    """One quantity: its name in the legend, its values (K,) of a motion, and its number among colours.
+
+    ``marked``: with markers; ``dots``: with its collocation points where they are few.
+    """
+
+    label: str
+    values: Values
+    number: int = 0
+    marked: bool = True
+    dots: bool = True
+    width: float = 1.1
+    shade: str = ""
+
+    @property
+    def colour(self) -> str:
+        """Its own shade, else the colour of its number."""
+        return self.shade or style.COLOURS[self.number % len(style.COLOURS)]
+
+    @property
+    def marker(self) -> str:
+        """Marker by number, empty where the curve has none."""
+        return style.MARKERS[self.number % len(style.MARKERS)] if self.marked else ""
+
+    @property
+    def entry(self) -> Entry:
+        """Its entry of a legend."""
+        look = {
+            "color": self.colour,
+            "linewidth": self.width,
+            "marker": self.marker,
+            **marker_look(self.colour),
+        }
+        return Entry(label=self.label, style=look)
+
+
+def marker_look(colour: str) -> dict[str, Any]:
+    """Open markers, which show the curve under them."""
+    return {"markersize": 3.4, "markerfacecolor": "white", "markeredgewidth": 0.7, "markeredgecolor": colour}
+
+
+def curves(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
+    """Draw curves of every solution, the solution by its line, the quantity by colour and marker."""
+    few = sum(int(t.solution.collocation.sum()) for t in tracks) * len(drawn) <= MOST_DOTS
+    for number, track in enumerate(tracks):
+        for curve in drawn:
+            _curve(axes, track, curve, number, len(drawn), few)
+
+
+def _curve(axes: Axes, track: Track, curve: Curve, solution: int, count: int, few: bool) -> None:
+    t, y = track.curve(curve.values)
+    named = bool(curve.marker) and solution == 0
+    axes.plot(
+        t,
+        y,
+        color=curve.colour,
+        linewidth=curve.width,
+        linestyle=style.LINES[solution % len(style.LINES)],
+        marker=curve.marker if named else "",
+        markevery=marks(t, y, curve.number, count) if named else None,
+        zorder=3 - 0.1 * solution,
+        label=f"{curve.label}/{track.label}",
+        **marker_look(curve.colour),
+    )
+    if few and curve.dots and solution == 0:
+        at, values = track.at_points(curve.values)
+        axes.plot(at, values, color=curve.colour, zorder=3.5, **style.DOTTED)
+
+
+def marks(t: np.ndarray, y: np.ndarray, number: int, count: int) -> list[int]:
+    """Samples that carry a marker: even in time, each curve's between those of the others."""
+    start, end = t[0], t[-1]
+    wanted = start + (end - start) * (np.arange(MARKS) + (number % count + 0.5) / count) / MARKS
+    found = np.unique(np.clip(np.searchsorted(t, wanted), 0, len(t) - 1))
+    return [int(i) for i in found if np.isfinite(y[i])]
+
+
+def fit(axes: Axes, *, zero: bool = False, least: float = 0.0) -> tuple[float, float]:
+    """Set the vertical axis to what the lines hold; returns their least and largest value.
+
+    ``zero``: hold zero too. ``least``: span at least that much, so that rounding is no curve.
+    """
+    values = np.concatenate(
+        [np.zeros(0), *[np.asarray(line.get_ydata(), dtype=float) for line in data_lines(axes)]]
+    )
+    values = values[np.isfinite(values)]
+    if not values.size:
+        axes.set_ylim(-1, 1)
+        axes.text(0.5, 0.5, "no finite value", transform=axes.transAxes, ha="center", color=style.GREY)
+        return 0.0, 0.0
+    low, high = float(values.min()), float(values.max())
+    bottom, top = (min(low, 0.0), max(high, 0.0)) if zero else (low, high)
+    room(axes, bottom, top, least)
+    return low, high
+
+
+def share_axis(axes: Axes) -> None:
+    """Fit shares of a limit: from 0 to the limit, which is marked, and to what lies beyond it, hatched."""
+    _, high = fit(axes, zero=True)
+    room(axes, 0.0, max(SHOWN, high))
+    axes.axhline(1.0, color=style.BLACK, linewidth=0.8, linestyle=LIMIT_DASHES)
+    axes.axhspan(1.0, axes.get_ylim()[1], facecolor="none", edgecolor=style.GREY, hatch="////", lw=0)
+    if high <= SHOWN:
+        axes.set_yticks([0.0, 0.25, 0.5, 0.75, 1.0])
+
+
+def room(axes: Axes, bottom: float, top: float, least: float = 0.0) -> None:
+    """Set the vertical axis to a range with a margin, and to at least a span of its own size."""
+    from matplotlib.ticker import MaxNLocator
+
+    span = max(top - bottom, least, 1e-9 * max(abs(top), abs(bottom)), 1e-12)
+    if span > top - bottom:
+        middle = (top + bottom) / 2
+        bottom, top = middle - span / 2, middle + span / 2
+    axes.set_ylim(bottom - MARGIN * span, top + MARGIN * span)
+    height = axes.bbox.height / axes.bbox.width * axes.get_position().width * style.WIDTH
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=int(np.clip(height / TICK, 2, 6)), steps=[1, 2, 5, 10]))
+
+
+def data_lines(axes: Axes) -> list[Line2D]:
+    """Lines that hold values: those with a name of a curve."""
+    return [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")]

@@ -1,0 +1,236 @@
+"""Rows behind the base as the plots see them: names, coordinates, limits, and the limbs they belong to."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.dynamics.base_joint import BASE_JOINT, UNLIMITED, base_of, position_limits
+from trajopt.solution.solution import Solution
+from trajopt.view.plotting.motion import Motion
+
+# Curves in one panel: as many as there are colours that are told apart.
+MOST_CURVES = 7
+# A branch of fewer joints (fingers, a head) shares the panel of other such branches.
+LEAST_BRANCH = 3
+AXIS_NAMES = {1: ("",), 2: (" x", " y"), 3: (" x", " y", " z")}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axis:
+    """A row of v behind the base.
+
+    ``row`` of v; ``torque`` its row of tau, None for a passive joint; ``column`` of q, None where q has no
+    such coordinate by itself. Limits in rad or m, rad/s or m/s, N m or N, on the joint side; infinite where
+    there is none. ``group`` is the number of its limb.
+    """
+
+    name: str
+    joint: int
+    row: int
+    torque: int | None
+    column: int | None
+    slides: bool
+    lower: float
+    upper: float
+    speed: float
+    effort: float
+    group: int = 0
+
+    @property
+    def unit(self) -> str:
+        """Unit of the coordinate."""
+        return "m" if self.slides else "rad"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limb:
+    """A kinematic branch: its name, its axes, and their names.
+
+    ``prefix`` is what no other limb's names begin with, empty where there is no such thing. ``short`` names
+    leave out what the limb's names have in common, ``long`` ones tell axes of all limbs apart.
+    """
+
+    name: str
+    prefix: str
+    axes: tuple[Axis, ...]
+    short: tuple[str, ...]
+    long: tuple[str, ...]
+
+    @property
+    def unit(self) -> str:
+        """Unit of its coordinates; of mixed ones both."""
+        return ", ".join(sorted({axis.unit for axis in self.axes}, reverse=True))
+
+
+def axes_of(solution: Solution) -> tuple[Axis, ...]:
+    """All rows of v behind the base joint, in their order."""
+    model, meta = solution.model, solution.meta
+    lower, upper = position_limits(model)
+    speed = _limits(meta.get("velocity_limit"), model.nv)
+    effort = _limits(meta.get("effort_limit"), solution.tau.shape[1])
+    found = []
+    for joint in list(model.joints)[BASE_JOINT[base_of(model)] + 1 :]:
+        for i in range(joint.nv):
+            row = joint.idx_v + i
+            torque = row - solution.n_unactuated
+            column = joint.idx_q + i if joint.nq == joint.nv else None
+            suffix = AXIS_NAMES[joint.nv][i] if joint.nv in AXIS_NAMES else f" {i + 1}"
+            found.append(
+                Axis(
+                    name=model.names[joint.id] + suffix,
+                    joint=joint.id,
+                    row=row,
+                    torque=torque if torque >= 0 else None,
+                    column=column,
+                    slides=_slides(joint, i),
+                    lower=-np.inf if column is None else float(lower[column]),
+                    upper=np.inf if column is None else float(upper[column]),
+                    speed=float(speed[row]),
+                    effort=float(effort[torque]) if torque >= 0 else np.inf,
+                )
+            )
+    return tuple(found)
+
+
+def _limits(given: Sequence[float | None] | None, size: int) -> np.ndarray:
+    values = [np.inf if entry is None or entry > UNLIMITED else entry for entry in given or ()]
+    return np.array(values, dtype=float) if values else np.full(size, np.inf)
+
+
+def _slides(joint: pin.JointModel, row: int) -> bool:
+    """Whether a row of a joint is a translation."""
+    kind = joint.shortname().removeprefix("JointModel")
+    translations = {"PX": 1, "PY": 1, "PZ": 1, "PrismaticUnaligned": 1, "Planar": 2, "Translation": 3}
+    return row < (translations | {"FreeFlyer": 3}).get(kind, 0)
+
+
+def position(axis: Axis, motion: Motion) -> np.ndarray:
+    """Coordinate (K,) of an axis: rad or m; turns are counted, and of a ball joint its rotation vector."""
+    solution, model = motion.solution, motion.solution.model
+    if axis.column is not None:
+        return solution.q[:, axis.column]
+    joint = model.joints[axis.joint]
+    q, inner = solution.q[:, joint.idx_q : joint.idx_q + joint.nq], axis.row - joint.idx_v
+    if joint.nq == 2 and joint.nv == 1:
+        return _unwrapped(np.arctan2(q[:, 1], q[:, 0]))
+    if joint.shortname() == "JointModelPlanar":
+        return q[:, inner] if inner < 2 else _unwrapped(np.arctan2(q[:, 3], q[:, 2]))
+    if joint.shortname() == "JointModelFreeFlyer" and inner < 3:
+        return q[:, inner]
+    turned = np.full((len(q), 3), np.nan)
+    for row in np.flatnonzero(np.isfinite(q).all(axis=1)):
+        turned[row] = pin.log3(pin.Quaternion(np.array(q[row, -4:])).toRotationMatrix())
+    return turned[:, inner % 3]
+
+
+def _unwrapped(angle: np.ndarray) -> np.ndarray:
+    found, finite = angle.copy(), np.isfinite(angle)
+    found[finite] = np.unwrap(angle[finite])
+    return found
+
+
+def limbs_of(axes: Sequence[Axis], model: pin.Model) -> tuple[Limb, ...]:
+    """Axes by kinematic branch: chains between forks of the tree, at most `MOST_CURVES` of them in one.
+
+    Short branches next to one another share a limb. Names are what their joints' names begin with.
+    """
+    groups: list[list[Axis]] = []
+    for chain in _merged(_chains(model, {axis.joint for axis in axes})):
+        own = [axis for joint in chain for axis in axes if axis.joint == joint]
+        parts = -(-len(own) // MOST_CURVES)
+        size = -(-len(own) // max(parts, 1))
+        groups += [own[start : start + size] for start in range(0, len(own), size)]
+    prefixes = [_limb_name([axis.name for axis in group]) for group in groups]
+    shorts = [_short_names([axis.name for axis in group]) for group in groups]
+    every = [short for own in shorts for short in own]
+    limbs = []
+    for number, (group, prefix, short) in enumerate(zip(groups, prefixes, shorts, strict=True)):
+        alone = len(group) == 1
+        named = bool(prefix) and prefixes.count(prefix) == 1 and not alone
+        unique = len(set(every)) == len(every)
+        limbs.append(
+            Limb(
+                name=prefix if named or alone else f"{group[0].name} to {group[-1].name}",
+                prefix=prefix if named else "",
+                axes=tuple(replace(axis, group=number) for axis in group),
+                short=short,
+                long=tuple(
+                    f"{prefix} {name}" if named else name if unique else axis.name
+                    for axis, name in zip(group, short, strict=True)
+                ),
+            )
+        )
+    return tuple(limbs)
+
+
+def _chains(model: pin.Model, joints: set[int]) -> list[list[int]]:
+    """Joints of the given set in chains: each ends at a leaf, or where the tree forks."""
+    children: dict[int, list[int]] = {joint: [] for joint in range(model.njoints)}
+    for joint in range(1, model.njoints):
+        children[model.parents[joint]].append(joint)
+    found: list[list[int]] = []
+
+    def follow(joint: int, chain: list[int]) -> None:
+        chain.append(joint)
+        if len(children[joint]) == 1:
+            follow(children[joint][0], chain)
+            return
+        found.append(chain)
+        for child in children[joint]:
+            follow(child, [])
+
+    roots = [joint for joint in sorted(joints) if model.parents[joint] not in joints]
+    for root in roots:
+        follow(root, [])
+    return found
+
+
+def _merged(chains: list[list[int]]) -> list[list[int]]:
+    """Chains shorter than `LEAST_BRANCH` put together with such neighbours, as far as they fit one panel."""
+    found: list[list[int]] = []
+    open_for_more = False
+    for chain in chains:
+        short = len(chain) < LEAST_BRANCH
+        if short and open_for_more and len(found[-1]) + len(chain) <= MOST_CURVES:
+            found[-1] = found[-1] + chain
+        else:
+            found.append(chain)
+        open_for_more = short
+    return found
+
+
+def _limb_name(names: Sequence[str]) -> str:
+    """What names begin with, up to a separator or a digit; empty if nothing."""
+    common = _common_start(names)
+    if len(names) == 1:
+        return names[0]
+    cut = max((match.end() for match in re.finditer(r"[_\W]", common)), default=0)
+    if len(common) > cut and all(name[len(common) : len(common) + 1].isdigit() for name in names):
+        cut = len(common)
+    return common[:cut].rstrip("_. -")
+
+
+def _common_start(names: Sequence[str]) -> str:
+    """The letters with which all names begin."""
+    same = itertools.takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
+    return "".join(letters[0] for letters in same)
+
+
+def _short_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Names without the words that all of them begin or end with."""
+    if len(names) == 1:
+        return tuple(names)
+    before = _limb_name(names)
+    cut = len(before)
+    ends = _common_start([name[::-1] for name in names])[::-1]
+    at = ends.find("_")
+    behind = len(ends) - at if at >= 0 else 0
+    bare = [name[: len(name) - behind] for name in names]
+    found = [name[cut:].strip("_. -") or name for name in bare]
+    return tuple(found) if all(found) and len(set(found)) == len(found) else tuple(names)

@@ -1,0 +1,215 @@
+"""What is plotted of a motion, sample by sample, by numeric Pinocchio: momentum, base, contact forces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.certify.accuracy.natural_units import NaturalUnits
+from trajopt.certify.contact_figures import is_sole
+from trajopt.certify.dynamics_figures import DynamicsRows, dynamics_rows
+from trajopt.certify.payloads import payload_wrenches
+from trajopt.certify.samples import Samples, evaluate
+from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.dynamics.virtual_base import angles_of
+from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.actuators.on_robot import drive_torque_values
+from trajopt.robot.sole import centre_of_pressure
+from trajopt.solution.descriptions import scene_of_meta
+from trajopt.solution.solution import Solution
+from trajopt.solution.touched import Touched, touched
+
+# A sole pressed with less than this part of the weight has no meaningful centre of pressure.
+LEAST_PRESSURE = 1e-3
+# From model, data, q and v to numbers.
+State = Callable[[pin.Model, pin.Data, np.ndarray, np.ndarray], np.ndarray]
+YAW_PITCH_ROLL = "ZYX"
+
+
+class Motion:
+    """Quantities at the K samples of a solution, computed when they are asked for; NaN where q or v are.
+
+    Vectors of forces, momenta and the base are in world axes, SI units.
+    """
+
+    def __init__(self, solution: Solution) -> None:
+        self.solution = solution
+        self.finite = np.isfinite(solution.q).all(axis=1) & np.isfinite(solution.v).all(axis=1)
+
+    @property
+    def t(self) -> np.ndarray:
+        """Times (K,) s."""
+        return self.solution.t
+
+    @cached_property
+    def drives(self) -> tuple[Drive | None, ...]:
+        """The drive of every actuated row, empty where the robot has none."""
+        entries = self.solution.meta.get("drives") or []
+        return tuple(None if entry is None else Drive.from_meta(entry) for entry in entries)
+
+    @cached_property
+    def drive_torque(self) -> np.ndarray:
+        """Torques (K, nu) that drives deliver, joint side: actuated rows and joint friction."""
+        if not self.drives:
+            return self.solution.tau
+        return drive_torque_values(self.drives, self.solution.tau, self.rates)
+
+    @property
+    def rates(self) -> np.ndarray:
+        """Rates (K, nu) of the actuated rows."""
+        return self.solution.v[:, self.solution.n_unactuated :]
+
+    @cached_property
+    def power(self) -> np.ndarray:
+        """Mechanical power (K, nu) W of the actuated rows, torque of the drive times rate."""
+        return self.drive_torque * self.rates
+
+    @cached_property
+    def centre(self) -> np.ndarray:
+        """Centre of mass (K, 3) m."""
+        return self._rows(3, lambda model, data, q, v: pin.centerOfMass(model, data, q, False))
+
+    @cached_property
+    def momentum(self) -> np.ndarray:
+        """Linear and, about the centre of mass, angular momentum (K, 6), kg m/s and kg m^2/s."""
+        return self._rows(
+            6, lambda model, data, q, v: pin.computeCentroidalMomentum(model, data, q, v).vector
+        )
+
+    @cached_property
+    def base_position(self) -> np.ndarray:
+        """Position (K, 3) m of the base."""
+        return self._base[:, :3, 3]
+
+    @cached_property
+    def base_angles(self) -> np.ndarray:
+        """Roll, pitch and yaw (K, 3) rad of the base, R = R_z(yaw) R_y(pitch) R_x(roll), without jumps."""
+        found, near = np.full((len(self.t), 3), np.nan), None
+        for row in np.flatnonzero(self.finite):
+            near = angles_of(YAW_PITCH_ROLL, self._base[row, :3, :3], near)
+            found[row] = near[::-1]
+        return found
+
+    @cached_property
+    def base_twist(self) -> np.ndarray:
+        """Velocity of the base's origin and its angular velocity (K, 6), m/s and rad/s."""
+        joint = BASE_JOINT[base_of(self.solution.model)]
+
+        def twist(model: pin.Model, data: pin.Data, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+            pin.forwardKinematics(model, data, q, v)
+            return np.asarray(pin.getVelocity(model, data, joint, pin.LOCAL_WORLD_ALIGNED).vector)
+
+        return self._rows(6, twist)
+
+    @cached_property
+    def _base(self) -> np.ndarray:
+        """Placements (K, 4, 4) of the base; of a planar joint without the turn that lays its plane."""
+        model, kind = self.solution.model, base_of(self.solution.model)
+        joint = BASE_JOINT[kind]
+        turn = model.jointPlacements[joint].rotation.T if kind == "planar" else np.eye(3)
+
+        def placement(model: pin.Model, data: pin.Data, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+            pin.forwardKinematics(model, data, q)
+            return np.asarray(
+                pin.SE3(data.oMi[joint].rotation @ turn, data.oMi[joint].translation).homogeneous
+            )
+
+        return self._rows(16, lambda *state: placement(*state).ravel()).reshape(-1, 4, 4)
+
+    def _rows(self, size: int, of: State) -> np.ndarray:
+        model, data = self.solution.model, self.solution.model.createData()
+        found = np.full((len(self.t), size), np.nan)
+        for row in np.flatnonzero(self.finite):
+            found[row] = of(model, data, self.solution.q[row], self.solution.v[row])
+        return found
+
+    @cached_property
+    def samples(self) -> Samples:
+        """Generalised forces and the motion of the contacts, see `certify.samples`."""
+        return evaluate(self.solution)
+
+    @cached_property
+    def surfaces(self) -> Touched:
+        """What contacts touch, see `certify.touched`."""
+        return touched(self.solution, self.samples.position)
+
+    @cached_property
+    def force(self) -> np.ndarray:
+        """Forces (K, nc, 3) N of the surroundings on active contacts, NaN on others; no carried loads."""
+        force = self.solution.f[..., :3]
+        if self.solution.meta.get("payloads"):
+            force = force - payload_wrenches(self.solution)[..., :3]
+        return np.where(self.solution.active[..., None], force, np.nan)
+
+    @cached_property
+    def normal(self) -> np.ndarray:
+        """Normal forces (K, nc) N."""
+        return self.surfaces.along_normal(self.force)
+
+    @cached_property
+    def tangential(self) -> np.ndarray:
+        """Tangential forces (K, nc) N, their magnitude."""
+        along = self.force - self.normal[..., None] * self.surfaces.normal
+        return np.asarray(np.linalg.norm(along, axis=-1))
+
+    @cached_property
+    def cone(self) -> np.ndarray:
+        """Radius mu f_n (K, nc) N of the friction cone; NaN on a bilateral surface, which has none."""
+        return np.where(self.surfaces.bilateral, np.nan, self.surfaces.friction * self.normal)
+
+    @cached_property
+    def cone_share(self) -> np.ndarray:
+        """Tangential force over the cone's radius (K, nc); NaN where nothing presses."""
+        pressed = self.normal > LEAST_PRESSURE * self.units.weight
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(pressed, self.tangential / self.cone, np.nan)
+
+    @cached_property
+    def load(self) -> np.ndarray:
+        """Magnitude (K,) N of the force of carried bodies on the robot, zero where nothing is carried."""
+        carried = payload_wrenches(self.solution)[..., :3].sum(axis=1)
+        return np.asarray(np.linalg.norm(carried, axis=-1))
+
+    @cached_property
+    def pressure_centre(self) -> np.ndarray:
+        """Centres of pressure (K, nc, 2) m in the axes of their soles; NaN for points and where none is."""
+        to_sole = np.swapaxes(self.samples.rotation, -1, -2)
+        force, moment = (
+            np.einsum("kcij,kcj->kci", to_sole, part)
+            for part in (self.solution.f[..., :3], self.solution.f[..., 3:])
+        )
+        pressed = self.solution.active & is_sole(self.solution) & ~self.surfaces.bilateral
+        pressed &= force[..., 2] > LEAST_PRESSURE * self.units.weight
+        centre = centre_of_pressure(force, moment, np.array([0.0, 0.0, 1.0]))[..., :2]
+        return np.where(pressed[..., None], centre, np.nan)
+
+    @cached_property
+    def units(self) -> NaturalUnits:
+        """Weight, reach and gravity of the robot."""
+        return NaturalUnits.of(self.solution.model)
+
+    @cached_property
+    def residual_rows(self) -> DynamicsRows:
+        """What is left of the dynamics and of contacts' accelerations, see `certify.dynamics_figures`."""
+        return dynamics_rows(self.solution, self.samples, self.surfaces)
+
+    @cached_property
+    def clearances(self) -> dict[str, np.ndarray]:
+        """Least signed distance (K,) m to each obstacle by name, and under "itself" between links."""
+        scene = scene_of_meta(self.solution.model, self.solution.meta.get("collision"))
+        if scene is None or not scene.pairs:
+            return {}
+        distances = np.full((len(self.t), len(scene.pairs)), np.nan)
+        for row in np.flatnonzero(self.finite):
+            distances[row] = scene.distances(self.solution.q[row])
+        outer = {
+            obstacle.name: [
+                i for i, pair in enumerate(scene.pairs[: scene.n_outer]) if pair[1] == obstacle.name
+            ]
+            for obstacle in scene.obstacles
+        }
+        columns = {**outer, "itself": list(range(scene.n_outer, len(scene.pairs)))}
+        return {name: distances[:, index].min(axis=1) for name, index in columns.items() if index}

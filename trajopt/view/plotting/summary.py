@@ -1,0 +1,86 @@
+"""The summary: one page with what matters of each topic, and the list of all pages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from trajopt.errors import InputError
+from trajopt.view.plotting import topics_accuracy as accuracy
+from trajopt.view.plotting import topics_base as base
+from trajopt.view.plotting import topics_contacts as contacts
+from trajopt.view.plotting import topics_drives as drives
+from trajopt.view.plotting import topics_joints as joints
+from trajopt.view.plotting import topics_limits as limits
+from trajopt.view.plotting.page import Page, Row, Tracks
+from trajopt.view.plotting.topics_power import power_row
+from trajopt.view.plotting.topics_soles import sole_pages
+
+# Rows of a map of shares in the summary: with more joints each limb has one.
+MAP_ROWS = 12
+# Limbs whose curves the summary of an arm shows.
+FEW_LIMBS = 2
+
+
+def summary_pages(tracks: Tracks) -> list[Page]:
+    """Contacts, shares of limits, base or joints, forces, momentum or power, errors: one page."""
+    found: list[Row | None] = [contacts.stance_row(tracks), _shares(tracks)]
+    moving = base.has_base(tracks)
+    if moving:
+        found += [base.position_row(tracks), base.orientation_row(tracks)]
+    else:
+        limbs = joints.limbs(tracks)
+        alone = len(limbs) == 1
+        for limb in limbs[:FEW_LIMBS]:
+            found += joints.limb_rows(limb, wide=alone, alone=alone)
+    if contacts.contacts(tracks):
+        found += [contacts.normal_row(tracks), contacts.cone_row(tracks)]
+    if moving:
+        found.append(base.angular_row(tracks))
+    found += [base.clearance_row(tracks), power_row(tracks), accuracy.residual_row(tracks)]
+    rows = tuple(row for row in found if row is not None)
+    maps = "Maps: share of the limit that is used, dark is all of it, on the right its largest in per cent. "
+    note = f"{maps if len(tracks) == 1 else ''}Residuals in natural units (weight, reach, g)."
+    return [Page(name="summary", title="summary", rows=rows, note=note)]
+
+
+def _shares(tracks: Tracks) -> Row | None:
+    """One solution's map of shares of limits; of several the largest share of each as a curve."""
+    found = joints.limbs(tracks)
+    rows = [axis for limb in found for axis in limb.axes]
+    if not rows or len(tracks) > 1:
+        return limits.largest_row(tracks) if rows else None
+    groups, names = [[axis] for axis in rows], [name for limb in found for name in limb.long]
+    if len(rows) > MAP_ROWS:
+        groups, names = [list(limb.axes) for limb in found], [limb.name for limb in found]
+    return limits.map_row(tracks, 0, groups, names, max(0.5, limits.MAP_ROW * len(groups)))
+
+
+PAGES: dict[str, Callable[[Tracks], list[Page]]] = {
+    "summary": summary_pages,
+    "limits": limits.limit_pages,
+    "joints": joints.joint_pages,
+    "drives": drives.drive_pages,
+    "forces": contacts.force_pages,
+    "soles": sole_pages,
+    "base": base.base_pages,
+    "momentum": base.momentum_pages,
+    "clearance": base.clearance_pages,
+    "accuracy": accuracy.accuracy_pages,
+}
+
+
+def pages_of(tracks: Tracks, names: Sequence[str]) -> list[Page]:
+    """Pages by name, in this order; those about what the robot lacks are left out.
+
+    Raises `InputError` for a name that is none, or where nothing is left.
+    """
+    for name in names:
+        if name not in PAGES:
+            raise InputError(f"page '{name}' is unknown", f"allowed: {', '.join(PAGES)}")
+    found = [page for name in names for page in PAGES[name](tracks)]
+    if not found:
+        have = [name for name, pages in PAGES.items() if pages(tracks)]
+        raise InputError(
+            f"the solution has nothing for page {', '.join(names)}", f"allowed: {', '.join(have)}"
+        )
+    return found

@@ -1,0 +1,268 @@
+"""The page about errors: what is left between the collocation points, local errors, widths of the mesh."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from trajopt.certify.limit_figures import _beyond
+from trajopt.dynamics.base_joint import position_limits
+from trajopt.solution.grid import interval_schemes
+from trajopt.view.plotting import draw, style
+from trajopt.view.plotting.draw import Curve, Values
+from trajopt.view.plotting.motion import Motion
+from trajopt.view.plotting.page import Page, Panel, Row, Tracks
+from trajopt.view.plotting.track import Track
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Below this, natural units or m, a residual is rounding: the logarithmic axes end here.
+FLOOR = 1e-12
+# Decades that a logarithmic axis shows at least.
+DECADES = 3
+
+
+def base_residual(motion: Motion) -> np.ndarray:
+    """Largest base row of the dynamics (K,), over weight and reach."""
+    rows, base = motion.residual_rows.base, motion.solution.n_unactuated
+    return _largest(rows / motion.units.generalized_force(motion.solution.model)[:base])
+
+
+def actuated_residual(motion: Motion) -> np.ndarray:
+    """Largest actuated row of the dynamics (K,), over weight and reach."""
+    rows, base = motion.residual_rows.actuated, motion.solution.n_unactuated
+    return _largest(rows / motion.units.generalized_force(motion.solution.model)[base:])
+
+
+def contact_residual(motion: Motion) -> np.ndarray:
+    """Largest acceleration of active contacts (K,) over g; of a velocity source velocities over sqrt(g l)."""
+    units, turning = motion.units, np.array([1.0] * 3 + [1.0 / motion.units.length] * 3)
+    gravity = units.gravity
+    scale = (
+        math.sqrt(gravity * units.length) if motion.solution.meta.get("actuation") == "velocity" else gravity
+    )
+    rows = motion.residual_rows.contact / (scale * turning)
+    return _largest(rows.reshape(len(rows), -1))
+
+
+def _largest(rows: np.ndarray) -> np.ndarray:
+    return np.abs(rows).max(axis=1, initial=0.0)
+
+
+RESIDUALS = {
+    "base": base_residual,
+    "actuated": actuated_residual,
+    "contacts": contact_residual,
+}
+
+
+def friction_violation(motion: Motion) -> np.ndarray:
+    """By how much tangential forces (K,) leave their cones, over the weight."""
+    return _beyond_zero((motion.tangential - motion.cone) / motion.units.weight)
+
+
+def pull(motion: Motion) -> np.ndarray:
+    """The largest pull (K,) of a surface that can only push, over the weight."""
+    return _beyond_zero(np.where(motion.surfaces.bilateral, np.nan, -motion.normal) / motion.units.weight)
+
+
+def penetration(motion: Motion) -> np.ndarray:
+    """The largest depth (K,) of a contact below its surface, over the reach."""
+    return _beyond_zero(-motion.surfaces.distance(motion.samples.position) / motion.units.length)
+
+
+def effort_excess(motion: Motion) -> np.ndarray:
+    """Torques beyond their limits (K,), over the limits."""
+    return _beyond_zero(_beyond(motion.solution.tau, motion.solution.meta["effort_limit"]))
+
+
+def velocity_excess(motion: Motion) -> np.ndarray:
+    """Velocities beyond their limits (K,), over the limits."""
+    return _beyond_zero(_beyond(motion.solution.v, motion.solution.meta["velocity_limit"]))
+
+
+def position_excess(motion: Motion) -> np.ndarray:
+    """Positions beyond their limits (K,), over the joints' ranges."""
+    lower, upper = position_limits(motion.solution.model)
+    with np.errstate(invalid="ignore"):
+        span = np.where(np.isfinite(upper - lower) & (upper > lower), upper - lower, 1.0)
+    return _beyond_zero(np.maximum(motion.solution.q - upper, lower - motion.solution.q) / span)
+
+
+def _beyond_zero(values: np.ndarray) -> np.ndarray:
+    """The largest of values (K, n) above zero, zero without any."""
+    return np.nanmax(np.where(np.isfinite(values), values, 0.0), axis=1, initial=0.0)
+
+
+VIOLATIONS = {
+    "friction": friction_violation,
+    "pull": pull,
+    "penetration": penetration,
+    "torque": effort_excess,
+    "velocity": velocity_excess,
+    "position": position_excess,
+}
+
+
+def accuracy_pages(tracks: Tracks) -> list[Page]:
+    """Residuals, violations, local errors and mesh of solutions that are plans."""
+    rows = [
+        row
+        for row in (residual_row(tracks), violation_row(tracks), local_row(tracks), mesh_row(tracks))
+        if row
+    ]
+    note = (
+        "Residuals: base and actuated rows over weight and reach, accelerations of contacts over g. They "
+        "vanish at the collocation points, dots, up to the solver's tolerance. Local error: each interval "
+        "integrated from its planned start, largest error of a point of the robot at its end."
+    )
+    return [Page(name="accuracy", title="errors between points", rows=tuple(rows), note=note)] if rows else []
+
+
+def plans(tracks: Tracks) -> list[Track]:
+    """Solutions that come from a transcription and are finite: what a simulation did has no points."""
+    return [track for track in tracks if track.is_finite and not track.is_simulated]
+
+
+def residual_row(tracks: Tracks) -> Row | None:
+    """Rows of the dynamics between the points on a logarithmic axis."""
+    return _log_row(tracks, RESIDUALS, "residual", "dynamics between the collocation points", "residual [1]")
+
+
+def violation_row(tracks: Tracks) -> Row | None:
+    """Constraints broken between the points."""
+    return _log_row(
+        tracks, VIOLATIONS, "violation", "constraints broken between the collocation points", "violation [1]"
+    )
+
+
+def _log_row(tracks: Tracks, named: Mapping[str, Values], name: str, title: str, ylabel: str) -> Row | None:
+    shown = plans(tracks)
+    if not shown:
+        return None
+    drawn = [
+        Curve(label=label, values=partial(_floored, values), number=i, dots=False, width=0.9)
+        for i, (label, values) in enumerate(named.items())
+        if any(values(track.dense).max(initial=0.0) > FLOOR for track in shown)
+    ]
+    panel = Panel(name=name, ylabel=ylabel, draw=partial(_log, drawn=drawn))
+    legend = tuple(curve.entry for curve in drawn)
+    return Row(
+        title=title if drawn else f"{title}: none",
+        panels=(panel,),
+        legend=legend,
+        height=1.0 if drawn else 0.4,
+    )
+
+
+def _floored(values: Values, motion: Motion) -> np.ndarray:
+    """Values above `FLOOR`, NaN below it."""
+    found = values(motion)
+    return np.where(found > FLOOR, found, np.nan)
+
+
+def _log(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
+    for number, track in enumerate(tracks):
+        if track not in plans(tracks):
+            continue
+        for curve in drawn:
+            t, y = track.curve(curve.values)
+            named = curve.marker and track is plans(tracks)[0]
+            axes.semilogy(
+                t, y, color=curve.colour, linewidth=curve.width, label=f"{curve.label}/{track.label}",
+                linestyle=style.LINES[number % len(style.LINES)], marker=curve.marker if named else "",
+                markevery=draw.marks(t, y, curve.number, len(drawn)) if named else None,
+                **draw.marker_look(curve.colour),
+            )  # fmt: skip
+    log_range(axes)
+    _ticks_at_points(axes, tracks)
+
+
+def _ticks_at_points(axes: Axes, tracks: Tracks) -> None:
+    """Collocation points of the first plan along the lower edge."""
+    track = plans(tracks)[0]
+    points = track.solution.t[track.solution.collocation]
+    edge = np.full(len(points), 0.012)
+    look: dict[str, Any] = {"color": style.BLACK, "transform": axes.get_xaxis_transform(), "clip_on": False}
+    axes.plot(points, edge, **look, **style.DOTTED)
+
+
+def log_range(axes: Axes) -> None:
+    """Set a logarithmic axis to what lines hold, `DECADES` at least; say where nothing is above rounding."""
+    values = np.concatenate(
+        [np.zeros(0), *[np.asarray(line.get_ydata(), dtype=float) for line in draw.data_lines(axes)]]
+    )
+    values = values[np.isfinite(values) & (values > FLOOR)]
+    axes.set_yscale("log")
+    from matplotlib.ticker import LogLocator, NullLocator
+
+    if not values.size:
+        axes.set_ylim(FLOOR, FLOOR * 10**DECADES)
+        axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", color=style.GREY)
+        return
+    top = math.ceil(math.log10(values.max()) + 0.1)
+    bottom = max(math.floor(math.log10(np.percentile(values, 2)) - 0.1), math.log10(FLOOR))
+    axes.set_ylim(10.0 ** min(bottom, top - DECADES), 10.0**top)
+    axes.yaxis.set_major_locator(LogLocator(numticks=5))
+    axes.yaxis.set_minor_locator(NullLocator())
+
+
+def local_row(tracks: Tracks) -> Row | None:
+    """Local error of every interval on a logarithmic axis."""
+    if not plans(tracks):
+        return None
+    panel = Panel(name="local error", ylabel="local error [m]", draw=_local)
+    return Row(title="local error of every interval", panels=(panel,))
+
+
+def _local(axes: Axes, tracks: Tracks) -> None:
+    for number, track in enumerate(tracks):
+        if track in plans(tracks):
+            errors = track.local_errors
+            _steps(axes, track, np.where(np.isfinite(errors), np.maximum(errors, FLOOR), np.nan), number)
+            away = np.flatnonzero(np.isinf(errors))
+            middle = track.solution.interval_t.mean(axis=1)
+            axes.plot(
+                middle[away],
+                np.full(len(away), 0.97),
+                "^",
+                transform=axes.get_xaxis_transform(),
+                color=style.RED,
+            )
+    log_range(axes)
+
+
+def mesh_row(tracks: Tracks) -> Row | None:
+    """Width of every interval."""
+    if not plans(tracks):
+        return None
+    panel = Panel(name="mesh", ylabel="width h [ms]", draw=_mesh)
+    degrees = [
+        sorted({len(method.c) for method in interval_schemes(track.solution)}) for track in plans(tracks)
+    ]
+    said = "; ".join(", ".join(str(degree) for degree in found) for found in degrees)
+    return Row(title=f"mesh: width of every interval, {said} points in each", panels=(panel,), height=0.7)
+
+
+def _mesh(axes: Axes, tracks: Tracks) -> None:
+    for number, track in enumerate(tracks):
+        if track in plans(tracks):
+            _steps(axes, track, 1e3 * np.diff(track.solution.interval_t, axis=1)[:, 0], number)
+    draw.fit(axes, zero=True)
+
+
+def _steps(axes: Axes, track: Track, values: np.ndarray, number: int) -> None:
+    """A level line for every interval, without ramps between them."""
+    edges = track.solution.interval_t
+    gaps = np.full(len(values), np.nan)
+    t = np.column_stack([edges, edges[:, 1]]).ravel()
+    y = np.column_stack([values, values, gaps]).ravel()
+    axes.plot(
+        t, y, color=style.COLOURS[number % len(style.COLOURS)], linewidth=1.2,
+        linestyle=style.LINES[number % len(style.LINES)], label=f"interval/{track.label}",
+    )  # fmt: skip

@@ -1,0 +1,139 @@
+"""The page about drives: what they use of torque and voltage, and where they work in their envelopes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from trajopt.robot.actuators.drive import Drive
+from trajopt.view.plotting import draw, style
+from trajopt.view.plotting.draw import Curve
+from trajopt.view.plotting.joints import Axis
+from trajopt.view.plotting.motion import Motion
+from trajopt.view.plotting.page import Page, Panel, Row, Tracks
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+PLANES_A_ROW, ROWS_A_PAGE = 3, 4
+# Points along an envelope, and how far beyond the no-load speed or the motion it is drawn.
+ENVELOPE, BEYOND = 200, 1.1
+
+
+def driven(tracks: Tracks) -> list[tuple[Axis, Drive]]:
+    """Axes with a drive."""
+    drives = tracks[0].dense.drives
+    found = []
+    for axis in tracks[0].axes:
+        drive = drives[axis.torque] if axis.torque is not None and axis.torque < len(drives) else None
+        if drive is not None:
+            found.append((axis, drive))
+    return found
+
+
+def torque_share(axis: Axis, drive: Drive, motion: Motion) -> np.ndarray:
+    """Motor torque over its limit (K,), which is current over its limit; NaN without a limit."""
+    if not np.isfinite(drive.torque_limit) or axis.torque is None:
+        return np.full(len(motion.t), np.nan)
+    return np.abs(drive.motor_torque(motion.drive_torque[:, axis.torque])) / drive.torque_limit
+
+
+def voltage_share(axis: Axis, drive: Drive, motion: Motion) -> np.ndarray:
+    """Voltage over the largest voltage (K,); NaN without a voltage line."""
+    if not np.isfinite(drive.stall_torque) or axis.torque is None:
+        return np.full(len(motion.t), np.nan)
+    return np.abs(drive.voltage_use(motion.drive_torque[:, axis.torque], motion.rates[:, axis.torque]))
+
+
+def drive_pages(tracks: Tracks) -> list[Page]:
+    """Shares of current and voltage over time, then every drive in its torque-speed plane."""
+    found = driven(tracks)
+    if not found:
+        return []
+    rows: list[Row] = []
+    for start in range(0, len(found), len(style.COLOURS)):
+        part = found[start : start + len(style.COLOURS)]
+        for share, title in (
+            (torque_share, "motor torque (current) over its limit"),
+            (voltage_share, "motor voltage over its limit"),
+        ):
+            drawn = [
+                Curve(label=axis.name, values=partial(share, axis, drive), number=i)
+                for i, (axis, drive) in enumerate(part)
+            ]
+            if any(np.isfinite(curve.values(tracks[0].dense)).any() for curve in drawn):
+                panel = Panel(
+                    name=f"{share.__name__}:{start}", ylabel="share [1]", draw=partial(_shares, drawn=drawn)
+                )
+                legend = tuple(curve.entry for curve in drawn)
+                rows.append(Row(title=title, panels=(panel,), legend=legend))
+    planes = _plane_rows(found)
+    note = (
+        "Torque that the drive delivers, with joint friction. Shaded: what voltage and current allow. Dots: "
+        "collocation points. Dashed red: the joint's velocity limit."
+    )
+    pages = [Page(name="drives", title="drives", rows=tuple(rows + planes[:2]), note=note)]
+    for start in range(2, len(planes), ROWS_A_PAGE):
+        pages.append(
+            Page(name="drives", title="drives", rows=tuple(planes[start : start + ROWS_A_PAGE]), note=note)
+        )
+    return pages
+
+
+def _plane_rows(found: Sequence[tuple[Axis, Drive]]) -> list[Row]:
+    """Each drive in its torque-speed plane."""
+    return [
+        Row(
+            title="torque over speed, joint side" if start == 0 else "",
+            panels=tuple(
+                Panel(
+                    name=f"plane:{axis.name}",
+                    ylabel=f"{axis.name}  {'f [N]' if axis.slides else 'τ [N m]'}",
+                    draw=partial(_plane, axis=axis, drive=drive),
+                    timed=False,
+                    gap=0.7,
+                )
+                for axis, drive in found[start : start + PLANES_A_ROW]
+            ),
+            height=1.5,
+        )
+        for start in range(0, len(found), PLANES_A_ROW)
+    ]
+
+
+def _shares(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
+    draw.curves(axes, tracks, drawn)
+    draw.share_axis(axes)
+
+
+def _plane(axes: Axes, tracks: Tracks, axis: Axis, drive: Drive) -> None:
+    row = axis.torque
+    assert row is not None
+    fastest = max(float(np.nanmax(np.abs(track.dense.rates[:, row]), initial=0.0)) for track in tracks)
+    ends = [speed for speed in (drive.joint_no_load_speed, axis.speed) if np.isfinite(speed)]
+    end = min(ends, default=fastest)
+    end = BEYOND * max(end, fastest, 1e-9)
+    rate = np.linspace(-end, end, ENVELOPE)
+    low, high = (np.broadcast_to(bound, rate.shape) for bound in drive.torque_range(rate))
+    if np.isfinite(low).all() and np.isfinite(high).all():
+        inside = low <= high
+        axes.fill_between(rate, low, high, where=inside, color=style.BAND, linewidth=0, zorder=0)
+        for bound in (low, high):
+            axes.plot(rate, np.where(inside, bound, np.nan), color=style.BLACK, linewidth=0.8)
+    for number, track in enumerate(tracks):
+        motion = track.dense
+        axes.plot(
+            motion.rates[:, row], motion.drive_torque[:, row], color=style.BLUE, linewidth=0.9,
+            linestyle=style.LINES[number % len(style.LINES)], label=f"{axis.name}/{track.label}",
+        )  # fmt: skip
+        if number == 0:
+            points, rows = track.points, track.points.solution.collocation
+            at = points.rates[rows, row], points.drive_torque[rows, row]
+            axes.plot(*at, color=style.BLUE, **style.DOTTED)
+    if np.isfinite(axis.speed):
+        for speed in (-axis.speed, axis.speed):
+            axes.axvline(speed, color=style.RED, linewidth=0.8, linestyle=draw.LIMIT_DASHES)
+    axes.set_xlabel(f"rate [{axis.unit}/s]", labelpad=1.0)

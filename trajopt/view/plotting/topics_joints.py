@@ -1,0 +1,135 @@
+"""Pages about joints: positions, velocities and torques by limb, against their limits."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from trajopt.view.plotting import draw, style
+from trajopt.view.plotting.draw import Curve
+from trajopt.view.plotting.joints import Axis, Limb, limbs_of, position
+from trajopt.view.plotting.limit_lines import Limit, limit_lines
+from trajopt.view.plotting.motion import Motion
+from trajopt.view.plotting.page import Page, Panel, Row, Tracks
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Rows of limbs on one page; robots of so few limbs have a whole row for each kind of quantity.
+LIMBS_A_PAGE, WIDE_LIMBS = 6, 2
+# Smallest span of a vertical axis in SI units: less is rounding.
+LEAST_SPAN = 1e-6
+SYMBOLS = {"position": "q", "velocity": "v", "torque": "\u03c4"}
+KINDS = ("position", "velocity", "torque")
+
+
+def limbs(tracks: Tracks) -> tuple[Limb, ...]:
+    """The limbs of the solutions' robot."""
+    return limbs_of(tracks[0].axes, tracks[0].solution.model)
+
+
+def share(kind: str, axis: Axis, motion: Motion) -> np.ndarray:
+    """Share (K,) of the limit that an axis uses; NaN where it has none.
+
+    Of a position its distance from the middle of its range over half of it; of velocities and torques the
+    magnitude over the limit.
+    """
+    empty = np.full(len(motion.t), np.nan)
+    if kind == "position":
+        half = (axis.upper - axis.lower) / 2
+        if not (np.isfinite(half) and half > 0):
+            return empty
+        return np.abs(position(axis, motion) - (axis.upper + axis.lower) / 2) / half
+    limit = axis.speed if kind == "velocity" else axis.effort
+    if not (np.isfinite(limit) and limit > 0) or (kind == "torque" and axis.torque is None):
+        return empty
+    return np.abs(value(kind, axis, motion)) / limit
+
+
+def value(kind: str, axis: Axis, motion: Motion) -> np.ndarray:
+    """Position, velocity or torque (K,) of an axis."""
+    if kind == "position":
+        return position(axis, motion)
+    if kind == "velocity":
+        return motion.solution.v[:, axis.row]
+    if axis.torque is None:
+        return np.full(len(motion.t), np.nan)
+    return motion.solution.tau[:, axis.torque]
+
+
+def limit_of(kind: str, axis: Axis) -> tuple[float, float]:
+    """Least and largest allowed value of an axis."""
+    if kind == "position":
+        return axis.lower, axis.upper
+    most = axis.speed if kind == "velocity" else axis.effort
+    return -most, most
+
+
+def joint_pages(tracks: Tracks) -> list[Page]:
+    """Position, velocity and torque of every limb's joints, against their limits."""
+    found = limbs(tracks)
+    wide, alone = len(found) <= WIDE_LIMBS, len(found) == 1
+    rows = [row for limb in found for row in limb_rows(limb, wide=wide, alone=alone)]
+    note = (
+        "Curves are the solution's own interpolation, dots its collocation points. Dashed: limits that "
+        "values come near, in the joint's colour; black, hatched beyond, where a panel's joints share them."
+    )
+    parts = [rows[start : start + LIMBS_A_PAGE] for start in range(0, len(rows), LIMBS_A_PAGE)]
+    return [Page(name="joints", title="joints", rows=tuple(part), note=note) for part in parts]
+
+
+def limb_rows(limb: Limb, *, wide: bool, alone: bool = False) -> list[Row]:
+    """Position, velocity and torque of a limb's joints side by side, or ``wide`` below one another.
+
+    A limb that is ``alone`` needs no name beside what its joints' names begin with.
+    """
+    legend = tuple(Curve(label=short, values=_nothing, number=i).entry for i, short in enumerate(limb.short))
+    panels = [
+        Panel(
+            name=f"{kind}:{limb.name}",
+            ylabel=f"{_word(kind, limb)} {SYMBOLS[kind]} [{_unit(kind, limb)}]",
+            draw=partial(_limb, limb=limb, kind=kind),
+            gap=0.66,
+        )
+        for kind in KINDS
+        if kind != "torque" or any(axis.torque is not None for axis in limb.axes)
+    ]
+    if not wide:
+        return [Row(title=limb.name, panels=tuple(panels), legend=legend)]
+    name = limb.prefix if alone else limb.name
+    titles = [f"{name}: {_word(kind, limb)}" if name else _word(kind, limb) for kind in KINDS]
+    return [
+        Row(title=title, panels=(panel,), legend=legend) for title, panel in zip(titles, panels, strict=False)
+    ]
+
+
+def _nothing(motion: Motion) -> np.ndarray:
+    return np.full(len(motion.t), np.nan)
+
+
+def _word(kind: str, limb: Limb) -> str:
+    return "force" if kind == "torque" and limb.unit == "m" else kind
+
+
+def _unit(kind: str, limb: Limb) -> str:
+    units = {
+        "position": limb.unit,
+        "velocity": f"{limb.unit.replace(', ', '/s, ')}/s",
+        "torque": {"rad": "N m", "m": "N"}.get(limb.unit, "N m, N"),
+    }
+    return units[kind]
+
+
+def _limb(axes: Axes, tracks: Tracks, limb: Limb, kind: str) -> None:
+    shown = [(i, axis) for i, axis in enumerate(limb.axes) if kind != "torque" or axis.torque is not None]
+    drawn = [Curve(label=limb.short[i], values=partial(value, kind, axis), number=i) for i, axis in shown]
+    draw.curves(axes, tracks, drawn)
+    limit_lines(axes, [_limit(kind, axis, i, tracks) for i, axis in shown], least=LEAST_SPAN)
+
+
+def _limit(kind: str, axis: Axis, number: int, tracks: Tracks) -> Limit:
+    lower, upper = limit_of(kind, axis)
+    values = np.concatenate([value(kind, axis, track.dense) for track in tracks])
+    return Limit(lower=lower, upper=upper, values=values, colour=style.COLOURS[number])

@@ -1,0 +1,226 @@
+"""A solution made ready for plotting: sampled between its points, with its phases and its name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.certify.accuracy.interpolation import Sampled, resampled, sample_interval
+from trajopt.certify.accuracy.measures import Accuracy, measure
+from trajopt.certify.accuracy.open_loop import interval_drifts
+from trajopt.certify.check import check, on_manifold
+from trajopt.certify.report import Report
+from trajopt.errors import InputError, TrajoptError
+from trajopt.solution.solution import Solution
+from trajopt.view.plotting.joints import Axis, axes_of
+from trajopt.view.plotting.motion import Motion
+from trajopt.view.plotting.style import short
+
+# About so many samples are drawn of a motion: a line across a page has no more dots.
+DRAWN = 1500
+# Of an interval at most so many (the polynomials' degree is four at most), and its two ends at least.
+MOST, LEAST = 11, 2
+# A jump between intervals of this part of a quantity's range leaves a gap in its curve: half a line's width.
+JUMP = 0.005
+
+Values = Callable[[Motion], np.ndarray]
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Phase:
+    """A phase by name, its start and end in s, and which contacts (nc,) are active in it."""
+
+    name: str
+    start: float
+    end: float
+    active: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Track:
+    """A solution with its ``label``; ``dense`` is its interpolated motion and ``points`` its own samples."""
+
+    label: str
+    solution: Solution
+    dense: Motion = field(init=False)
+    points: Motion = field(init=False)
+
+    def __post_init__(self) -> None:
+        plan = on_manifold(self.solution)
+        plan.__dict__["model"] = self.solution.model  # as cached: reading it from its text takes long
+        object.__setattr__(self, "points", Motion(plan))
+        object.__setattr__(self, "dense", Motion(between_points(plan)))
+
+    @property
+    def meta(self) -> dict[str, Any]:
+        """Facts of the solution."""
+        return self.solution.meta
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether it is what a simulation did with a plan, and no plan."""
+        return bool(self.meta.get("simulated"))
+
+    @cached_property
+    def is_finite(self) -> bool:
+        """Whether every number of the motion is finite."""
+        names = ("t", "q", "v", "a", "tau", "f")
+        return all(bool(np.isfinite(getattr(self.solution, name)).all()) for name in names)
+
+    @cached_property
+    def axes(self) -> tuple[Axis, ...]:
+        """Rows behind the base."""
+        return axes_of(self.solution)
+
+    @cached_property
+    def phases(self) -> tuple[Phase, ...]:
+        """The phases in time order."""
+        plan, names = self.solution, self.meta.get("phase_names") or []
+        found = []
+        for rows in plan.phases:
+            number = int(plan.phase[rows.start])
+            found.append(
+                Phase(
+                    name=short(str(names[number])) if number < len(names) else str(number),
+                    start=float(plan.t[rows.start]),
+                    end=float(plan.t[rows.stop - 1]),
+                    active=plan.active[rows.start],
+                )
+            )
+        return tuple(found)
+
+    @cached_property
+    def report(self) -> Report | None:
+        """The check of the solution, None where it is inconsistent or not finite."""
+        return self._tried(lambda: check(self.solution))
+
+    @cached_property
+    def accuracy(self) -> Accuracy | None:
+        """The accuracy of a plan, None of what a simulation did and where it cannot be measured."""
+        return None if self.is_simulated else self._tried(lambda: measure(self.solution))
+
+    @cached_property
+    def local_errors(self) -> np.ndarray:
+        """Local error (I,) m of every interval, see `accuracy.open_loop.interval_drifts`, or NaN."""
+        measured = self.__dict__.get("accuracy")  # where it is known already: it takes a second
+        if measured is not None:
+            return np.asarray(measured.interval_errors)
+        found = self._tried(lambda: interval_drifts(self.points.solution))
+        return np.full(self.solution.n_intervals, np.nan) if found is None else found
+
+    @staticmethod
+    def _tried(compute: Callable[[], Result]) -> Result | None:
+        """The result, or None where an iterate that is no motion has none."""
+        try:
+            with np.errstate(all="ignore"):
+                return compute()
+        except (TrajoptError, ArithmeticError, ValueError):
+            return None
+
+    def curve(self, values: Values) -> tuple[np.ndarray, np.ndarray]:
+        """Times and values of the interpolated motion, with NaN between where it jumps.
+
+        ``values`` gives (K,) of a motion. Within an interval the curve is its polynomial; a quantity that
+        differs on the two sides of a node has a gap there instead of a ramp.
+        """
+        y = np.asarray(values(self.dense), dtype=float)
+        jumps = self._jumps(y)
+        return np.insert(self.dense.t, jumps, self.dense.t[jumps]), np.insert(y, jumps, np.nan)
+
+    def pair(self, horizontal: Values, vertical: Values) -> tuple[np.ndarray, np.ndarray]:
+        """Two quantities along the interpolated motion, with NaN between where either of them jumps."""
+        x, y = (np.asarray(values(self.dense), dtype=float) for values in (horizontal, vertical))
+        jumps = np.union1d(self._jumps(x), self._jumps(y))
+        return np.insert(x, jumps, np.nan), np.insert(y, jumps, np.nan)
+
+    def _jumps(self, values: np.ndarray) -> np.ndarray:
+        """First samples of intervals before which values (K,) jump."""
+        starts = np.flatnonzero(np.diff(self.dense.solution.interval)) + 1
+        finite = values[np.isfinite(values)]
+        span = float(np.ptp(finite)) if finite.size else 0.0
+        with np.errstate(invalid="ignore"):
+            return starts[np.abs(values[starts] - values[starts - 1]) > JUMP * span]
+
+    def at_points(self, values: Values) -> tuple[np.ndarray, np.ndarray]:
+        """Times and values at the collocation points."""
+        rows = self.points.solution.collocation
+        return self.points.t[rows], np.asarray(values(self.points), dtype=float)[rows]
+
+
+def between_points(plan: Solution) -> Solution:
+    """The motion at even fractions of every interval, its ends among them; see `accuracy.interpolation`.
+
+    An interval with a number that is not finite keeps what its samples are, joined by straight lines.
+    """
+    count = int(np.clip(round(DRAWN / plan.n_intervals), LEAST, MOST))
+    dense = resampled(plan, np.linspace(0.0, 1.0, count), _interval)
+    dense.__dict__["model"] = plan.model
+    return dense
+
+
+def _interval(plan: Solution, number: int, fractions: np.ndarray) -> Sampled:
+    rows = plan.intervals[number]
+    inside = slice(rows.start, rows.stop)
+    names = tuple(Sampled.__dataclass_fields__)
+    if all(np.isfinite(getattr(plan, name)[inside]).all() for name in names):
+        try:
+            return sample_interval(plan, number, fractions)
+        except (ArithmeticError, ValueError):  # a runaway iterate, beyond what its matrices can hold
+            pass
+    start, end = plan.interval_t[number]
+    times = start + fractions * (end - start)
+    found = {name: _straight(times, plan.t[inside], getattr(plan, name)[inside]) for name in names}
+    found["q"] = np.array([pin.normalize(plan.model, row) for row in found["q"]])
+    return Sampled(**found)
+
+
+def _straight(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values (n, ...) at ``times`` (n,) on straight lines through ``values`` (k, ...) at ``t`` (k,)."""
+    flat = values.reshape(len(t), -1)
+    columns = [np.interp(times, t, column) for column in flat.T]
+    return np.array(columns).T.reshape(len(times), *values.shape[1:])
+
+
+def tracks_of(solutions: Sequence[Solution], labels: Sequence[str] | None = None) -> tuple[Track, ...]:
+    """Tracks of solutions of one robot; raises `InputError` for none, other robots, or a count of labels."""
+    if not solutions:
+        raise InputError("there is no solution to plot", "allowed: one or more")
+    if labels and len(labels) != len(solutions):
+        raise InputError(
+            f"{len(labels)} labels for {len(solutions)} solutions", "allowed: one label for each, or none"
+        )
+    first = solutions[0]
+    for other in solutions[1:]:
+        same = list(other.model.names) == list(first.model.names) and other.q.shape[1] == first.q.shape[1]
+        if (
+            not same
+            or other.contact_frames != first.contact_frames
+            or other.tau.shape[1] != first.tau.shape[1]
+        ):
+            raise InputError(
+                f"'{first.meta['robot']}' and '{other.meta['robot']}' have other joints or contacts",
+                "allowed: solutions of one robot",
+            )
+    names = [str(label) for label in labels] if labels else _labels(solutions)
+    return tuple(
+        Track(label=label, solution=solution) for label, solution in zip(names, solutions, strict=True)
+    )
+
+
+def _labels(solutions: Sequence[Solution]) -> list[str]:
+    """What tells solutions apart: simulation or plan, grid and scheme, else numbers."""
+    if len(solutions) == 1:
+        return [str(solutions[0].meta["problem"])]
+    kinds = ["simulation" if one.meta.get("simulated") else "plan" for one in solutions]
+    grids = [f"{one.n_intervals} x {one.meta['transcription']}" for one in solutions]
+    problems = [str(one.meta["problem"]) for one in solutions]
+    for names in (kinds, grids, problems, [f"{a}, {b}" for a, b in zip(problems, grids, strict=True)]):
+        if len(set(names)) == len(names):
+            return names
+    return [f"{number + 1}: {grid}" for number, grid in enumerate(grids)]

@@ -1,0 +1,142 @@
+"""A report of one or several solutions, as pictures, a document to print, or one HTML file."""
+
+from __future__ import annotations
+
+import io
+import os
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.solution.input import solutions_of
+from trajopt.solution.solution import Solution
+from trajopt.versions import installed_version
+from trajopt.view.plotting.figure import figure_of
+from trajopt.view.plotting.heading import title_of
+from trajopt.view.plotting.page import Page, Tracks
+from trajopt.view.plotting.sheet import png_sheet, svg_of, svg_sheet
+from trajopt.view.plotting.summary import PAGES, pages_of
+from trajopt.view.plotting.track import tracks_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ENDINGS = (".png", ".svg", ".pdf", ".html")
+# A picture is the summary, a document has all pages.
+DEFAULT_PAGES = {".png": ("summary",), ".svg": ("summary",), ".pdf": tuple(PAGES), ".html": tuple(PAGES)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plotted:
+    """What was written: the file, its size in bytes, and the names of its pages in their order."""
+
+    path: Path
+    size: int
+    pages: tuple[str, ...]
+
+
+def report(
+    solutions: Solution | str | Path | Sequence[Solution | str | Path],
+    target: str | Path,
+    *,
+    labels: Sequence[str] | None = None,
+    pages: Sequence[str] | None = None,
+) -> Plotted:
+    """Plot one solution, or several of one robot overlaid, to ``target``.
+
+    solutions: or files of solutions; the first is drawn with full lines, shaded phases and points.
+    target: ends with .png, .svg (one sheet; default the summary page), .pdf (A4 pages) or .html (one file
+        that needs no network; both with all pages).
+    labels: a name for each solution. pages: names of `summary.PAGES`; pages about what the robot does not
+        have are left out.
+
+    Raises `InputError` for another ending, a place that cannot be written, an unknown page, solutions of
+    several robots, `SolutionFileError` for a file.
+    """
+    place = Path(target).expanduser()
+    ending = place.suffix.lower()
+    if ending not in ENDINGS:
+        raise InputError(
+            f"cannot plot to {place}: its ending is '{ending}'", f"allowed: {', '.join(ENDINGS)}"
+        )
+    _require_place(place)
+    read = solutions_of(solutions)
+    for one in read:
+        if one.n_samples < 2:
+            raise InputError(f"the solution has {one.n_samples} samples", "allowed: two or more")
+    with np.errstate(all="ignore"):  # an iterate that is no motion may overflow
+        tracks = tracks_of(read, labels)
+        chosen = pages_of(tracks, pages or DEFAULT_PAGES[ending])
+        content = _content(chosen, tracks, ending)
+    _write(place, content)
+    return Plotted(path=place, size=len(content), pages=tuple(page.name for page in chosen))
+
+
+def _content(pages: Sequence[Page], tracks: Tracks, ending: str) -> bytes:
+    if ending == ".pdf":
+        return _pdf(pages, tracks)
+    if ending == ".html":
+        from trajopt.view.plotting.facts import sections
+        from trajopt.view.plotting.html import html_page
+
+        tables = sections(tracks)  # first: what they measure the pages show
+        svgs = [(page, svg_of(figure_of(page, tracks, fixed=False))) for page in pages]
+        return html_page(tracks, svgs, tables).encode()
+    return _sheet(pages, tracks, ending)
+
+
+def figures(pages: Sequence[Page], tracks: Tracks, *, fixed: bool) -> list[Figure]:
+    """The pages as figures, with a footer that counts them."""
+    found = []
+    for number, page in enumerate(pages):
+        count = f", page {number + 1} of {len(pages)}" if fixed else ""
+        found.append(
+            figure_of(page, tracks, fixed=fixed, footer=f"trajopt {installed_version('trajopt')}{count}")
+        )
+    return found
+
+
+def _pdf(pages: Sequence[Page], tracks: Tracks) -> bytes:
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    buffer = io.BytesIO()
+    facts = {"Title": title_of(tracks), "Creator": "trajopt", "CreationDate": None}  # one report, one text
+    with PdfPages(buffer, metadata=facts) as document:
+        for figure in figures(pages, tracks, fixed=True):
+            document.savefig(figure)
+    return buffer.getvalue()
+
+
+def _sheet(pages: Sequence[Page], tracks: Tracks, ending: str) -> bytes:
+    """All pages below one another as one picture."""
+    drawn = figures(pages, tracks, fixed=False)
+    if ending == ".png":
+        return png_sheet(drawn)
+    return svg_sheet([svg_of(figure) for figure in drawn], drawn).encode()
+
+
+def _require_place(place: Path) -> None:
+    """Raise `InputError` where no file can be written, before anything is computed."""
+    from trajopt.solution.output import check_output
+
+    check_output(place)
+
+
+def _write(place: Path, content: bytes) -> None:
+    """Write at once or not at all."""
+    handle, name = tempfile.mkstemp(dir=place.parent, prefix=f".{place.name}.", suffix=".part")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(name, 0o666 & ~umask)
+        os.replace(name, place)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise

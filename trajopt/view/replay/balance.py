@@ -1,0 +1,176 @@
+"""Centre of mass, zero-moment point and support of a motion, by numeric Pinocchio.
+
+The surroundings act on the robot (and on what it carries) with the wrench that its momentum asks for,
+
+    F = dh/dt - m g        M_p = dk/dt + (c - p) x F
+
+with linear and angular momentum h, k (about the centre of mass c). The zero-moment point z lies in the plane
+of the contacts, of normal n: n x M_z = 0, so z = p + n x M_p / (n . F) for any p of that plane (Sardain and
+Bessonnet, "Forces acting on a biped robot. Center of pressure - zero moment point", IEEE Trans. SMC A 34,
+2004). Where all contacts that press are on one plane it is the centre of pressure of their forces. Where
+they are not, no such plane exists: a virtual one is taken, level and through the mean of the contacts. Walls
+and handles are no support of a robot that stands on something else; their forces move the point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy.spatial import ConvexHull, QhullError
+
+from trajopt.certify.contact_figures import is_sole
+from trajopt.certify.payloads import carrying_model
+from trajopt.dynamics.model_quantities import mass_of
+from trajopt.robot.sole import centre_of_pressure
+from trajopt.solution.descriptions import terrain_of
+from trajopt.solution.solution import Solution
+from trajopt.solution.touched import Touched
+from trajopt.terrain.surface import SAME_PLANE, UP, Surface
+from trajopt.view.replay.motion import LEAST_PRESSURE, Motion
+
+# A surface whose normal is nearer to level than to vertical is a wall: it steadies and does not carry.
+LEVEL = np.sqrt(0.5)
+_CORNERS = np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Support:
+    """What carries the robot during frames ``rows`` (n,): a plane, and the hull (k, 3) of its contacts, m.
+
+    The hull is that of the contacts' points and soles' corners along the plane's normal, in order around
+    it; its points are the contacts' own, on several planes too. Two points are a segment.
+    """
+
+    rows: np.ndarray
+    plane: Surface
+    hull: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Balance:
+    """At n frames: com (n, 3), below it on the ground (n, 3), zero-moment point (n, 3), m; NaN where none."""
+
+    com: np.ndarray
+    below: np.ndarray
+    zmp: np.ndarray
+    supports: list[Support]
+
+
+def balance_of(solution: Solution, motion: Motion, touched: Touched) -> Balance:
+    """Return the balance of a motion; ``touched`` is of its frames. Raises `SolutionFileError`."""
+    com = centres_of_mass(solution, motion)
+    supports = supports_of(solution, motion, touched)
+    force, moment = (motion.between(part) for part in outer_wrenches(solution))
+    zmp = np.full_like(com, np.nan)
+    for support in supports:
+        rows, plane = support.rows, support.plane
+        about = moment[rows] - np.cross(plane.point, force[rows])
+        pressed = force[rows] @ plane.normal > LEAST_PRESSURE * motion.weight
+        place = plane.point + centre_of_pressure(force[rows], about, plane.normal)
+        zmp[rows] = np.where(pressed[:, None], place, np.nan)
+    return Balance(com=com, below=on_ground(solution, com), zmp=zmp, supports=supports)
+
+
+def centres_of_mass(solution: Solution, motion: Motion) -> np.ndarray:
+    """Centre of mass (n, 3) of the robot with what it carries, world, m."""
+    com = np.empty((motion.n_frames, 3))
+    for phase in np.unique(motion.phase):
+        model = carrying_model(solution, int(phase))
+        data = model.createData()
+        for row in np.flatnonzero(motion.phase == phase):
+            com[row] = pin.centerOfMass(model, data, motion.q[row], False)
+    return com
+
+
+def outer_wrenches(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Force (K, 3) N and moment about the world's origin (K, 3) N m of the surroundings at the samples."""
+    force, moment, com = np.empty((3, solution.n_samples, 3))
+    for phase in np.unique(solution.phase):
+        model = carrying_model(solution, int(phase))
+        data, weight = model.createData(), mass_of(model) * model.gravity.linear
+        for row in np.flatnonzero(solution.phase == phase):
+            state = (solution.q[row], solution.v[row], solution.a[row])
+            rate = pin.computeCentroidalMomentumTimeVariation(model, data, *state)
+            force[row], moment[row], com[row] = rate.linear - weight, rate.angular, data.com[0]
+    return force, moment + np.cross(com, force)
+
+
+def supports_of(solution: Solution, motion: Motion, touched: Touched) -> list[Support]:
+    """One support for each phase with contacts that press; phases that follow with the same are joined.
+
+    Of contacts on the ground and on walls those on the ground.
+    """
+    pressing = motion.active & ~touched.bilateral
+    level = touched.normal @ upward(solution.model) > LEVEL
+    found: list[Support] = []
+    for phase in np.unique(motion.phase):
+        rows = motion.phase == phase
+        middle = int(np.flatnonzero(rows)[rows.sum() // 2])
+        contacts = np.flatnonzero(pressing[middle] & level[middle])
+        if not len(contacts):  # nothing but steep ground
+            contacts = np.flatnonzero(pressing[middle])
+        if not len(contacts):
+            continue
+        plane = _plane(solution, motion, touched, middle, contacts)
+        points = np.concatenate([_touching(solution, motion, middle, int(contact)) for contact in contacts])
+        hull = _hull(points, plane)
+        previous = found[-1] if found else None
+        if previous is not None and previous.hull.shape == hull.shape and np.allclose(previous.hull, hull):
+            found[-1] = Support(rows=previous.rows | rows, plane=previous.plane, hull=hull)
+        else:
+            found.append(Support(rows=rows, plane=plane, hull=hull))
+    return found
+
+
+def _plane(solution: Solution, motion: Motion, touched: Touched, row: int, contacts: np.ndarray) -> Surface:
+    """The one plane of ``contacts`` at a frame, or the virtual one."""
+    normals, points = touched.normal[row, contacts], touched.point[row, contacts]
+    turned = np.abs(normals - normals[0]).max() if len(contacts) else 0.0
+    apart = np.abs((points - points[0]) @ normals[0]).max()
+    if touched.known[row, contacts].all() and turned < SAME_PLANE and apart < SAME_PLANE:
+        return Surface(point=points[0], normal=normals[0])
+    return Surface(point=motion.feet[row, contacts].mean(axis=0), normal=upward(solution.model))
+
+
+def upward(model: pin.Model) -> np.ndarray:
+    """Unit vector (3,) against gravity; the world's z where there is none."""
+    gravity = model.gravity.linear
+    length = float(np.linalg.norm(gravity))
+    return -gravity / length if length > 0 else np.array(UP)
+
+
+def _touching(solution: Solution, motion: Motion, row: int, contact: int) -> np.ndarray:
+    """Points (k, 3) of a contact in the world, m: its frame's origin, or the corners of its sole."""
+    place, sizes = motion.contacts[row, contact], solution.meta.get("contact_sizes") or []
+    size = sizes[contact] if contact < len(sizes) else None
+    if not is_sole(solution)[contact] or size is None:
+        return np.asarray(place[None, :3, 3])
+    return np.asarray(_CORNERS * [*size, 0.0] @ place[:3, :3].T + place[:3, 3])
+
+
+def _hull(points: np.ndarray, plane: Surface) -> np.ndarray:
+    """Points (k, 3) on the convex hull along the plane's normal, in order; the ends of points on a line."""
+    level = (points - plane.point) @ plane.tangents.T
+    try:
+        return np.asarray(points[ConvexHull(level).vertices])
+    except (QhullError, ValueError):  # too few, or all on one line
+        way = level - level[0]
+        along = way @ way[np.argmax(np.linalg.norm(way, axis=1))]
+        ends = [int(np.argmin(along)), int(np.argmax(along))]
+        return points[ends] if along.any() else points[:1]
+
+
+def on_ground(solution: Solution, places: np.ndarray) -> np.ndarray:
+    """Where vertical lines through ``places`` (n, 3) meet the terrain (n, 3), m; NaN over holes, at walls."""
+    terrain = terrain_of(solution.meta.get("terrain"))
+    if terrain is None or isinstance(terrain, Surface):
+        plane, up = terrain or Surface(point=np.zeros(3), normal=np.array(UP)), upward(solution.model)
+        slope = float(plane.normal @ up)
+        if slope <= SAME_PLANE:
+            return np.full_like(places, np.nan)
+        return np.asarray(places - plane.distance(places)[:, None] / slope * up)
+    below = places.copy()
+    below[:, 2] = terrain.height(places[:, 0], places[:, 1])
+    return np.where(np.isfinite(below), below, np.nan)

@@ -1,0 +1,97 @@
+"""What the page of a replay says about its solutions, as facts: title, and lines of the caption."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from trajopt.solution.solution import Solution
+from trajopt.view.replay.arrows import FORCE_COLOUR, IMPULSE_COLOUR
+from trajopt.view.replay.motion import FLASH, Motion
+from trajopt.view.replay.scene import Scene
+
+Line = dict[str, str]
+
+
+def page_facts(scene: Scene, solutions: Sequence[Solution], motions: Sequence[Motion]) -> dict[str, Any]:
+    """Return the scene's facts with what the page says, JSON-able.
+
+    Added are ``title``, ``picture`` (s of the solution between two pictures of the animation) and ``lines``:
+    [{text, kind, colour}] with kind "", "run", "quiet", "warned" or "failed", and a colour or none.
+    """
+    facts = scene.facts
+    return {
+        **facts,
+        "title": " | ".join(dict.fromkeys(title(solution) for solution in solutions)),
+        "picture": facts["speed"] / motions[0].frame_rate,
+        "lines": [*_about(scene, solutions), *_scales(scene, motions), *_notes(scene)],
+    }
+
+
+def title(solution: Solution) -> str:
+    """Return problem and robot of a solution."""
+    names = [solution.meta.get("problem"), solution.meta.get("robot")]
+    return " – ".join(dict.fromkeys(str(name) for name in names if name)) or "trajectory"
+
+
+def _about(scene: Scene, solutions: Sequence[Solution]) -> list[Line]:
+    if len(solutions) == 1:
+        return [_line(figures(solutions[0]), "quiet"), *_unsolved(solutions[0])]
+    names = [title(solution) for solution in solutions]
+    own = [label.replace(" – ", " ") for label in names]  # as runs are called that are given no label
+    lines = []
+    for run, solution, name, usual in zip(scene.facts["runs"], solutions, names, own, strict=True):
+        told = len(set(names)) == 1 or run["label"] == usual
+        said = run["label"] if told else f"{run['label']}: {name}"
+        lines += [_line(said, "run", run["colour"]), _line(figures(solution), "quiet"), *_unsolved(solution)]
+    return lines
+
+
+def figures(solution: Solution) -> str:
+    """Return length, grid, objective and, where it was measured, the open-loop error of a solution."""
+    meta = solution.meta
+    said = [f"{solution.t[-1] - solution.t[0]:.2f} s"]
+    if meta.get("simulated"):
+        said.append("simulated")
+    elif meta.get("transcription"):
+        said.append(f"{meta['transcription']}, {solution.n_intervals} intervals")
+    if _is_finite(meta.get("objective")):
+        said.append(f"objective {meta['objective']:.4g}")
+    measured = meta.get("aimed") or meta.get("refinement") or {}
+    if _is_finite(measured.get("error_m")):
+        said.append(f"open-loop error {1e3 * measured['error_m']:.2g} mm")
+    return "; ".join(said)
+
+
+def _is_finite(value: object) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)
+
+
+def _unsolved(solution: Solution) -> list[Line]:
+    if solution.meta.get("success", True):
+        return []
+    return [_line(f"not solved: {str(solution.meta.get('status')).replace('_', ' ')}", "failed")]
+
+
+def _scales(scene: Scene, motions: Sequence[Motion]) -> list[Line]:
+    """Scales of arrows; several robots have a weight each, and arrows are in parts of it."""
+    lines = []
+    weights = dict.fromkeys(f"{motion.weight:.1f} N" for motion in motions)
+    if any(motion.force.shape[1] for motion in motions):
+        text = f"forces: {scene.weight_arrow:.2f} m is the weight, {' or '.join(weights)}"
+        lines.append(_line(text, "quiet", f"#{FORCE_COLOUR:06x}"))
+    struck = [motion for motion in motions if motion.impact.any()]
+    if struck:
+        scales = dict.fromkeys(f"{motion.weight * FLASH:.2f} N s" for motion in struck)
+        text = f"impulses: {scene.weight_arrow:.2f} m is {' or '.join(scales)}"
+        lines.append(_line(text, "quiet", f"#{IMPULSE_COLOUR:06x}"))
+    return lines
+
+
+def _notes(scene: Scene) -> list[Line]:
+    return [_line(scene.note, "warned")] if scene.note else []
+
+
+def _line(text: str, kind: str = "", colour: str = "") -> Line:
+    return {"text": text, "kind": kind, "colour": colour}

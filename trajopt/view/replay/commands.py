@@ -1,0 +1,96 @@
+"""Messages to a Meshcat viewer: recorded commands and animated properties."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import umsgpack
+
+from trajopt.view.replay.thinning import (
+    ANGLE_ERROR,
+    COLOUR_ERROR,
+    POSITION_ERROR,
+    ROUNDING,
+    kept_frames,
+    rounded,
+)
+
+# msgpack extension of a Float32Array, as Meshcat's viewer decodes it.
+FLOAT32 = 0x17
+
+
+@dataclass(frozen=True)
+class Command:
+    """One message to a Meshcat viewer."""
+
+    message: dict[str, Any]
+
+    def lower(self) -> dict[str, Any]:
+        """Return the message, as Meshcat's window asks for it."""
+        return self.message
+
+
+class Recorder:
+    """A Meshcat window that keeps what it is told instead of sending it to a server."""
+
+    def __init__(self) -> None:
+        self.commands: list[Command] = []
+
+    def send(self, command: Any) -> None:
+        """Keep the command."""
+        self.note(command.lower())
+
+    def note(self, message: dict[str, Any]) -> None:
+        """Keep a message."""
+        self.commands.append(Command(message))
+
+
+class Tracks:
+    """Animated properties by place in the scene tree, given at the same frames and thinned.
+
+    length: m, the robot's extent, to which the allowed error of positions and scales is related.
+    """
+
+    def __init__(self, n_frames: int, frame_rate: float, length: float) -> None:
+        self._n_frames = n_frames
+        self._frame_rate = frame_rate
+        self._error = {
+            "vector3": POSITION_ERROR * length,
+            "quaternion": ANGLE_ERROR,
+            "color": COLOUR_ERROR,
+            "boolean": 0.0,
+        }
+        self._clips: dict[str, list[dict[str, Any]]] = {}
+
+    def add(self, node: Any, name: str, kind: str, values: np.ndarray) -> None:
+        """Animate property ``name``, of three.js type ``kind``, of ``node``: a row of ``values`` a frame.
+
+        Vectors, quaternions and colours are interpolated between the frames that `kept_frames` keeps, within
+        its errors; a boolean holds until the next.
+        """
+        rows, error = np.asarray(values).reshape(self._n_frames, -1), self._error[kind]
+        kept = kept_frames(rows, kind, error * (1 - ROUNDING))
+        if kind == "boolean":
+            packed: Any = rows[kept].ravel().astype(bool).tolist()
+        else:
+            packed = umsgpack.Ext(FLOAT32, rounded(rows[kept], error).astype(np.float32).tobytes())
+        times = umsgpack.Ext(FLOAT32, kept.astype(np.float32).tobytes())
+        track = {"name": f".{name}", "type": kind, "times": times, "values": packed}
+        self._clips.setdefault(node.path.lower(), []).append(track)
+
+    def command(self) -> Command:
+        """Return the message that loads and plays the animation, again and again."""
+        animations = [
+            {"path": path, "clip": {"fps": self._frame_rate, "name": "default", "tracks": tracks}}
+            for path, tracks in self._clips.items()
+        ]
+        options = {"play": True, "repetitions": float("inf")}
+        return Command({"type": "set_animation", "path": "", "animations": animations, "options": options})
+
+
+def without_shadow(node: Any) -> None:
+    """Let the object of ``node`` cast no shadow; Meshcat's own set_property loses the capital of the name."""
+    message = {"type": "set_property", "property": "castShadow", "value": False}
+    node.window.send(Command({**message, "path": node["<object>"].path.lower()}))

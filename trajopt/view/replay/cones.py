@@ -1,0 +1,89 @@
+"""Friction cones of a replay: where the force acts, as wide as friction allows, coloured by its use."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import meshcat.geometry as shapes
+import numpy as np
+
+from trajopt.solution.solution import Solution
+from trajopt.solution.touched import Touched
+from trajopt.view.replay.collada import ColouredMesh
+from trajopt.view.replay.commands import Tracks
+from trajopt.view.replay.motion import LEAST_PRESSURE, Motion
+from trajopt.view.replay.parts import Triangles, colour_array, quiet
+from trajopt.view.replay.thinning import held
+from trajopt.view.replay.turns import turns_to
+
+# Length of a cone's side over the robot's extent; half angle, axis and apex are to scale.
+SIDE = 0.16
+OPACITY = 0.3
+# Colour by how much of friction is used: |f_t| / (mu f_n) is 0 along the axis and 1 on the cone.
+USED = (0.0, 0.6, 0.85, 1.0)
+COLOURS = (0x3C93C2, 0x3C93C2, 0xF0A202, 0xB0170B)
+ROUND, RIBS = 24, 8
+
+
+def draw_cones(
+    node: Any, tracks: Tracks, solution: Solution, motion: Motion, touched: Touched, size: float
+) -> None:
+    """Animate the cone of every contact that friction holds; ``touched`` is of the motion's frames.
+
+    Hidden while the contact is not active; a contact on a bilateral surface has none, as its force is free.
+    """
+    shown = motion.active & ~touched.bilateral
+    used = friction_used(motion, touched)
+    for contact, frame in enumerate(solution.contact_frames):
+        visible = shown[:, contact]
+        if not visible.any():
+            continue
+        place = node[frame.replace("/", "_")]
+        _draw(place)
+        friction = touched.friction[:, contact]
+        height = SIDE * size / np.sqrt(1 + friction**2)
+        scale = np.column_stack([friction * height, friction * height, height])
+        tracks.add(place, "visible", "boolean", visible)
+        tracks.add(place, "position", "vector3", held(motion.pressed[:, contact], visible))
+        tracks.add(place, "quaternion", "quaternion", held(turns_to(touched.normal[:, contact]), visible))
+        tracks.add(place, "scale", "vector3", held(scale, visible))
+        colours = held(colours_of(used[:, contact]), visible)
+        for part in ("side", "rim"):
+            tracks.add(place[part]["<object>"], "material.color", "color", colours)
+
+
+def friction_used(motion: Motion, touched: Touched) -> np.ndarray:
+    """Part (n, nc) of friction that each force uses, |f_t| / (mu f_n), at most 1; 0 of hardly any force."""
+    force = motion.force / motion.weight
+    normal = touched.along_normal(force)
+    along = np.linalg.norm(force - normal[..., None] * touched.normal, axis=-1)
+    allowed = touched.friction * np.maximum(normal, 0.0)
+    used = np.divide(along, allowed, out=np.ones_like(along), where=allowed > along)
+    return np.where(np.linalg.norm(force, axis=-1) > LEAST_PRESSURE, used, 0.0)
+
+
+def colours_of(used: np.ndarray) -> np.ndarray:
+    """Colours (n, 3) from 0 to 1 of the used part (n,) of friction."""
+    stops = np.array([colour_array(colour) for colour in COLOURS])
+    return np.column_stack([np.interp(used, USED, stops[:, channel]) for channel in range(3)])
+
+
+def _draw(node: Any) -> None:
+    """A cone of height and radius one about z with its tip at the origin, its rim and some ribs."""
+    turn = np.linspace(0, 2 * np.pi, ROUND, endpoint=False)
+    rim = np.column_stack([np.cos(turn), np.sin(turn), np.ones(ROUND)])
+    points = np.vstack([np.zeros(3), rim])
+    index = np.array([(0, 1 + i, 1 + (i + 1) % ROUND) for i in range(ROUND)], dtype=np.uint32)
+    mesh = ColouredMesh(
+        vertices=points.astype(np.float32),
+        normals=np.tile(np.array([0, 0, 1], dtype=np.float32), (len(points), 1)),
+        colours=np.ones((len(points), 3), dtype=np.float32),
+        triangles=index,
+    )
+    colour = COLOURS[0]
+    glass = shapes.MeshBasicMaterial(color=colour, opacity=OPACITY, transparent=True, depthWrite=False)
+    quiet(node["side"], Triangles(mesh), glass)
+    ends = np.concatenate([np.repeat(np.vstack([rim, rim[:1]]), 2, axis=0)[1:-1]])
+    ribs = np.concatenate([[np.zeros(3), rim[i]] for i in range(0, ROUND, ROUND // RIBS)])
+    lines = shapes.PointsGeometry(position=np.vstack([ends, ribs]).T.astype(np.float32))
+    quiet(node["rim"], lines, shapes.LineBasicMaterial(color=colour), shapes.LineSegments)

@@ -1,0 +1,111 @@
+"""Copies of what is drawn: ghosts of a robot at other times, and robots in the colour of their solution."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from trajopt.view.replay.commands import Command, Recorder
+from trajopt.view.replay.motion import Motion
+from trajopt.view.replay.runs import Run
+
+PREFIX = "/meshcat/"
+TINT_OPACITY = 0.55
+GHOST_COLOUR, GHOST_OPACITY = 0x5F7FA6, 0.2
+# At most this many ghosts, each with some point of the robot this part of its extent away from every other.
+MOST_GHOSTS, APART = 6, 0.35
+# Of a long gait so many changes of phase are looked at.
+MOST_COMPARED = 40
+
+
+def drawn_at(recorder: Recorder, place: str) -> list[dict[str, Any]]:
+    """Messages so far about what lies below a ``place`` of the scene tree."""
+    start = f"{PREFIX}{place}/"
+    return [c.message for c in recorder.commands if c.message.get("path", "").startswith(start)]
+
+
+def tint(recorder: Recorder, place: str, colour: int, opacity: float = TINT_OPACITY) -> None:
+    """Give everything that was drawn below ``place`` one colour, translucent."""
+    start = f"{PREFIX}{place}/"
+    recorder.commands[:] = [
+        Command(_in_colour(command.message, colour, opacity))
+        if command.message.get("path", "").startswith(start) and command.message["type"] == "set_object"
+        else command
+        for command in recorder.commands
+    ]
+
+
+def _in_colour(message: dict[str, Any], colour: int, opacity: float, behind: bool = False) -> dict[str, Any]:
+    """The message of an object with its geometry, shared, and another material.
+
+    ``behind``: where it coincides with another object, that one is seen.
+    """
+    content = message["object"]
+    material = {
+        "uuid": str(uuid.uuid4()),
+        "type": "MeshLambertMaterial",
+        "color": colour,
+        "opacity": opacity,
+        "transparent": True,
+        "polygonOffset": behind,
+        "polygonOffsetFactor": 2.0,
+        "polygonOffsetUnits": 2.0,
+    }
+    drawn = {key: value for key, value in content["object"].items() if key not in ("material", "data")}
+    drawn |= {"uuid": str(uuid.uuid4()), "material": material["uuid"]}
+    geometries = content.get("geometries", [])
+    if content["object"]["type"] == "_meshfile_object":  # a file with its own materials: its geometry alone
+        kept = {key: content["object"][key] for key in ("format", "data")}
+        geometries = [{"uuid": str(uuid.uuid4()), "type": "_meshfile_geometry", **kept}]
+        drawn = {
+            "uuid": str(uuid.uuid4()),
+            "type": "Mesh",
+            "geometry": geometries[0]["uuid"],
+            "material": material["uuid"],
+            "matrix": content["object"].get("matrix", np.eye(4).ravel().tolist()),
+        }
+    rest = {key: value for key, value in content.items() if key not in ("materials", "textures", "images")}
+    return {**message, "object": {**rest, "geometries": geometries, "materials": [material], "object": drawn}}
+
+
+def draw_ghosts(recorder: Recorder, run: Run, joints: Sequence[tuple[int, str]], frames: list[int]) -> None:
+    """Draw translucent copies of a run's robot as it is at ``frames``; ``joints`` with their places in it."""
+    drawn, colour = drawn_at(recorder, run.path("robot")), run.colour if run.tinted else GHOST_COLOUR
+    for number, frame in enumerate(frames):
+        ghost = f"{PREFIX}{run.path('ghosts')}/pose{number}"
+        for joint, place in joints:
+            matrix = run.motion.joints[frame, joint].T.ravel().tolist()
+            path = f"{ghost}/{place.removeprefix('robot/')}"
+            recorder.note({"type": "set_transform", "path": path, "matrix": matrix})
+        for message in drawn:
+            path = ghost + message["path"].removeprefix(f"{PREFIX}{run.path('robot')}")
+            moved = {**message, "path": path}
+            if message["type"] == "set_object":
+                recorder.note(_in_colour(moved, colour, GHOST_OPACITY, behind=True))
+                shadow = {"type": "set_property", "path": f"{path}/<object>"}
+                recorder.note({**shadow, "property": "castShadow", "value": False})
+                recorder.note({**shadow, "property": "receiveShadow", "value": False})
+            else:
+                recorder.note(moved)
+
+
+def ghost_frames(motion: Motion, size: float) -> list[int]:
+    """Frames of the start, the changes of phase and the end whose poses differ, spread if they are many."""
+    changes = (np.flatnonzero(np.diff(motion.phase)) + 1).tolist()
+    wanted = _spread([0, *changes, motion.n_frames - 1], MOST_COMPARED)
+    kept: list[int] = []
+    for frame in wanted:
+        place = motion.joints[frame, 1:, :3, 3]
+        ways = [np.linalg.norm(motion.joints[other, 1:, :3, 3] - place, axis=1) for other in kept]
+        if all(way.max(initial=0.0) > APART * size for way in ways):
+            kept.append(frame)
+    return _spread(kept, MOST_GHOSTS)
+
+
+def _spread(frames: list[int], most: int) -> list[int]:
+    """At most that many of the frames, evenly chosen, with the first and the last."""
+    chosen = np.linspace(0, len(frames) - 1, min(len(frames), most)).round().astype(int)
+    return [frames[index] for index in np.unique(chosen)]

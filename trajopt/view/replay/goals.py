@@ -1,0 +1,116 @@
+"""Goals of a replay: footholds as rings, targets of frames as crosses or triads, of postures as triads."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import meshcat.geometry as shapes
+import numpy as np
+import pinocchio as pin
+
+from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.schedule.targets import Target, targets_of
+from trajopt.solution.descriptions import surfaces_of, terrain_of
+from trajopt.solution.solution import Solution
+from trajopt.terrain.surface import UP, Surface, frame_of_normal
+from trajopt.view.replay.parts import bullseye, quiet, shining
+from trajopt.view.replay.robot import tip_frames
+
+CROSS_COLOUR = 0xB8860B
+AXIS_COLOURS = (0xC0392B, 0x2E8B57, 0x1F5FBF)
+# Over the robot's extent: half a cross, an axis of a triad, its radius, a foothold's ring, its lift.
+CROSS, AXIS, RADIUS, RING, LIFT = 0.05, 0.1, 0.004, 0.03, 0.0035
+
+
+def draw_goals(node: Any, solution: Solution, drop: float, size: float) -> np.ndarray:
+    """Draw what the problem asked for (``meta["goals"]``) below ``node``; returns the places (k, 3), m.
+
+    drop: how far below the contacts the drawn ground lies, m. Raises `SolutionFileError`.
+    """
+    places = [np.zeros((0, 3))]
+    drawn: list[np.ndarray] = []
+    for target in targets_of(solution.meta.get("goals")):
+        for placement, kind in _marks(solution, target):
+            if any(np.allclose(placement, other, atol=1e-9) for other in drawn):
+                continue
+            place = node[f"{kind}{len(drawn)}"]
+            _draw(place, kind, placement, drop, size)
+            drawn.append(placement)
+            places.append(placement[None, :3, 3])
+    return np.concatenate(places)
+
+
+def _marks(solution: Solution, target: Target) -> list[tuple[np.ndarray, str]]:
+    """Placements (4, 4) and kinds of mark for one target; none for frames that the model does not have."""
+    model = solution.model
+    if target.q is not None:
+        return [(place, "pose") for place in _posture(model, target.q)]
+    if target.frame is None or not model.existFrame(target.frame) or target.position is None:
+        return []  # a rotation alone has no place
+    if target.rotation is not None:
+        return [(pin.SE3(target.rotation, target.position).homogeneous, "pose")]
+    if _lands(solution, target):
+        turn = frame_of_normal(_normal(solution, target))
+        return [(pin.SE3(turn, target.position).homogeneous, "foothold")]
+    return [(pin.SE3(np.eye(3), target.position).homogeneous, "place")]
+
+
+def _lands(solution: Solution, target: Target) -> bool:
+    """Whether the target is where a contact begins, not one on the way of a frame that may touch."""
+    index = _phase_index(solution, target)
+    if index is None or target.frame not in solution.contact_frames:
+        return False
+    rows = solution.phase == index
+    return bool(solution.active[rows, solution.contact_frames.index(target.frame)].any())
+
+
+def _phase_index(solution: Solution, target: Target) -> int | None:
+    names = solution.meta.get("phase_names") or []
+    return names.index(target.phase) if target.phase in names else None
+
+
+def _posture(model: pin.Model, q: np.ndarray) -> list[np.ndarray]:
+    """Where a configuration has the base, or of a fixed base the tips."""
+    if q.shape != (model.nq,):
+        return []
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    base = BASE_JOINT[base_of(model)]
+    if base:
+        return [data.oMi[base].homogeneous]
+    return [data.oMf[frame].homogeneous for frame in tip_frames(model)]
+
+
+def _normal(solution: Solution, target: Target) -> np.ndarray:
+    """Normal of what a contact lands on: its own surface in that phase, else the terrain."""
+    index, position = _phase_index(solution, target), target.position
+    own = surfaces_of(solution.meta.get("surfaces"))
+    if index is not None and index < len(own):
+        surface = own[index].get(str(target.frame))
+        if surface is not None:
+            return surface.normal
+    terrain = terrain_of(solution.meta.get("terrain"))
+    if terrain is None or position is None:
+        return np.array(UP)
+    if isinstance(terrain, Surface):
+        return terrain.normal
+    return np.asarray(terrain.normal(position[:1], position[1:2])[0])
+
+
+def _draw(node: Any, kind: str, placement: np.ndarray, drop: float, size: float) -> None:
+    if kind == "foothold":
+        lifted = placement.copy()
+        lifted[:3, 3] += (LIFT * size - drop) * placement[:3, 2]
+        quiet(node, bullseye(RING * size, CROSS_COLOUR), shapes.MeshBasicMaterial(vertexColors=True))
+        node.set_transform(lifted)
+        return
+    node.set_transform(placement)
+    length = (AXIS if kind == "pose" else 2 * CROSS) * size
+    for axis in range(3):
+        arm = node["xyz"[axis]]
+        colour = AXIS_COLOURS[axis] if kind == "pose" else CROSS_COLOUR
+        shining(arm, shapes.Cylinder(length, RADIUS * size), color=colour)
+        turn = pin.Quaternion.FromTwoVectors(np.eye(3)[1], np.eye(3)[axis]).toRotationMatrix()
+        middle = length / 2 * np.eye(3)[axis] if kind == "pose" else np.zeros(3)
+        arm.set_transform(pin.SE3(turn, middle).homogeneous)
+    shining(node["centre"], shapes.Sphere(2 * RADIUS * size), color=CROSS_COLOUR)

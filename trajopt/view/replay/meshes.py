@@ -1,0 +1,177 @@
+"""Meshes in few bytes, for a page: what compresses well, and is as exact as a picture can show.
+
+Vertices are welded and counted in the order in which triangles use them. An index is then how far back the
+vertex was seen ("high water mark", as in WebGL-Loader, Chun 2012): mostly small numbers, 0 for a new vertex.
+Positions are whole numbers over the mesh's extent, each as the difference from the one before; normals are
+folded onto an octahedron (Cigolle et al. 2014, "A survey of efficient representations for independent unit
+vectors"). High and low bytes lie apart. The page's web/meshes.js undoes all this.
+
+A position is wrong by at most half of 1 / `LEVELS` of the mesh's extent along each axis, a normal by about a
+degree. Files without normals of vertices (STL) get theirs in the page: smooth but for creases.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from trajopt.view.replay import stl
+
+# Steps of a position over the extent along an axis: 1 m in steps of 0.06 mm.
+LEVELS = 2**14 - 1
+# Steps of each of the two coordinates of a normal.
+NORMAL_LEVELS = 254
+# Smaller meshes are left as they are: there is nothing to gain.
+LEAST_CORNERS = 300
+# Rows of whole numbers are compared as one number, up to this one.
+LARGEST_KEY = 2**62
+# Bytes of the differences of each column.
+PLANES = {"position": 2, "normal": 2, "colour": 4}
+# A file whose normals make this many vertices of one draws every face flat: the page makes better ones.
+FACETED = 1.5
+STL_FORMATS = ("_meshfile", "_meshfile_geometry")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Triangles:
+    """Vertices: position (n, 3) m, of some normal (n, 3) and colour (n, 3) bytes; index (3m,) of corners."""
+
+    position: np.ndarray
+    index: np.ndarray
+    normal: np.ndarray | None = None
+    colour: np.ndarray | None = None
+
+
+def compacted(geometry: dict[str, Any]) -> dict[str, Any] | None:
+    """Return the content of a three.js geometry in few bytes; None for what is small or no triangle mesh."""
+    triangles = _triangles(geometry)
+    if triangles is None or len(triangles.index) < LEAST_CORNERS:
+        return None
+    return _packed(triangles)
+
+
+def _triangles(geometry: dict[str, Any]) -> Triangles | None:
+    data: Any = geometry.get("data")
+    if geometry.get("type") in STL_FORMATS and geometry.get("format") == "stl":
+        return _stl_triangles(bytes(getattr(data, "data", data)))
+    if not isinstance(data, dict) or "index" not in data:
+        return None
+    attributes = {name: _array(entry) for name, entry in data["attributes"].items()}
+    if not set(attributes) <= {"position", "normal", "color"} or attributes["position"].shape[1:] != (3,):
+        return None
+    colour = attributes.get("color")
+    if colour is not None and colour.dtype != np.uint8:
+        return None
+    return Triangles(
+        position=attributes["position"],
+        index=_array(data["index"]).astype(np.int64),
+        normal=attributes.get("normal"),
+        colour=colour,
+    )
+
+
+def _array(entry: dict[str, Any]) -> np.ndarray:
+    """An attribute (n, itemSize) or an index (n,) of a geometry, from Meshcat's packed array."""
+    kinds = {"Float32Array": np.float32, "Uint32Array": np.uint32, "Uint8Array": np.uint8}
+    values = np.frombuffer(entry["array"].data, dtype=kinds[entry["type"]])
+    return values.reshape(-1, entry["itemSize"]) if kinds[entry["type"]] is not np.uint32 else values
+
+
+def _stl_triangles(data: bytes) -> Triangles | None:
+    corners = stl.corners(data)
+    if corners is None or len(corners) == 0 or len(corners) != 3 * stl.told_triangles(data):
+        return None  # text, or damaged: the viewer may make something of it
+    return Triangles(position=corners, index=np.arange(len(corners)))
+
+
+def _packed(mesh: Triangles) -> dict[str, Any] | None:
+    if not np.isfinite(mesh.position).all():
+        return None
+    low = mesh.position.min(axis=0).astype(float)
+    step = (mesh.position.max(axis=0) - low) / LEVELS
+    columns = {"position": np.rint((mesh.position - low) / np.where(step > 0, step, 1.0)).astype(np.int64)}
+    packed: dict[str, Any] = {"low": low.tolist(), "step": step.tolist()}
+    if mesh.colour is not None:
+        palette, columns["colour"] = _palette(mesh.colour)
+        packed["palette"] = palette.tobytes()
+    welded = _welded(columns, mesh.index)
+    if mesh.normal is not None:
+        with_normals = _welded({**columns, "normal": folded(mesh.normal)}, mesh.index)
+        if len(with_normals[1]["position"]) <= FACETED * len(welded[1]["position"]):
+            welded = with_normals
+    index, vertices = welded
+    if len(index) == 0:
+        return None
+    packed |= {
+        "vertices": len(vertices["position"]),
+        "corners": len(index),
+        "index": _planes(_backward(index), 4),
+    }
+    return packed | {name: _planes(_differences(rows), PLANES[name]) for name, rows in vertices.items()}
+
+
+def _palette(colour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distinct colours (k, 3) and the number of each one's (n, 1)."""
+    keys = colour.astype(np.int64) @ np.array([2**16, 2**8, 1])
+    distinct, number = np.unique(keys, return_inverse=True)
+    return np.column_stack([distinct >> 16, distinct >> 8, distinct]).astype(np.uint8), number[:, None]
+
+
+def _welded(columns: dict[str, np.ndarray], index: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """The vertex of every corner, and the columns of distinct vertices in the order of their first use.
+
+    columns: whole numbers (n, k), not negative. Triangles that have shrunk to a line are left out.
+    """
+    first, number = _distinct(np.column_stack(list(columns.values())))
+    triangles = number[index].reshape(-1, 3)
+    a, b, c = triangles.T
+    corners = triangles[(a != b) & (b != c) & (a != c)].ravel()
+    place = np.full(len(first), len(corners))
+    place[corners[::-1]] = np.arange(len(corners))[::-1]  # the last one written is the first use
+    order = np.argsort(place, kind="stable")[: np.count_nonzero(place < len(corners))]
+    rank = np.zeros(len(first), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    return rank[corners], {name: rows[first[order]] for name, rows in columns.items()}
+
+
+def _distinct(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where each distinct row (n, k) of whole numbers is first, and the number of every row (n,)."""
+    key, span = np.zeros(len(rows), dtype=np.int64), 1
+    for column in rows.T:
+        width = int(column.max(initial=0)) + 1
+        if span * width > LARGEST_KEY:
+            key = np.unique(key, return_inverse=True)[1]
+            span = len(rows)
+        key, span = key * width + column, span * width
+    _, first, number = np.unique(key, return_index=True, return_inverse=True)
+    return first, number
+
+
+def _backward(index: np.ndarray) -> np.ndarray:
+    """How far before the next new vertex each one is: 0 for that vertex itself."""
+    seen = np.maximum.accumulate(np.concatenate([[-1], index[:-1]])) + 1 if len(index) else index
+    return seen - index
+
+
+def _differences(rows: np.ndarray) -> np.ndarray:
+    """Differences down each column of (n, k), column by column: even if not negative, odd if negative."""
+    change = np.diff(rows, axis=0, prepend=0).T.ravel()
+    return np.where(change < 0, -2 * change - 1, 2 * change)
+
+
+def _planes(values: np.ndarray, count: int) -> bytes:
+    """Lowest bytes of all ``values``, then their next ones: ``count`` planes."""
+    return np.ascontiguousarray(values.astype("<u4").view(np.uint8).reshape(-1, 4)[:, :count].T).tobytes()
+
+
+def folded(normal: np.ndarray) -> np.ndarray:
+    """Return unit vectors (n, 3) as points (n, 2) of an unfolded octahedron, from 0 to `NORMAL_LEVELS`."""
+    length = np.abs(normal).sum(axis=1, keepdims=True)
+    x, y, z = (normal / np.where(length > 0, length, 1.0)).T
+    below = z < 0
+    side_x, side_y = np.where(x >= 0, 1.0, -1.0), np.where(y >= 0, 1.0, -1.0)
+    u = np.where(below, (1 - np.abs(y)) * side_x, x)
+    v = np.where(below, (1 - np.abs(x)) * side_y, y)
+    return np.rint((np.column_stack([u, v]) + 1) / 2 * NORMAL_LEVELS).astype(np.int64)

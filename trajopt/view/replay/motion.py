@@ -1,0 +1,183 @@
+"""The motion that a replay shows: a solution at an even frame rate, as placements in the world."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.certify.contact_figures import is_sole
+from trajopt.dynamics.model_quantities import gravity_of, mass_of
+from trajopt.errors import InputError
+from trajopt.robot.sole import centre_of_pressure
+from trajopt.solution.solution import Solution
+from trajopt.solution.touched import held_samples
+
+# Pictures a second of playback: what screens show.
+FRAME_RATE = 60.0
+# Every frame is computed and written before the first one is seen.
+MOST_FRAMES = 100_000
+# An impulse is shown this long (s of the solution), as the constant force that gives it in that time.
+FLASH = 0.1
+# A sole pressed with less than this part of the weight has no meaningful centre of pressure.
+LEAST_PRESSURE = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """A solution at n frames; njoints counts the universe, nc contacts.
+
+    t: (n,) s of the solution. frame_rate: frames a second of playback. speed: solution over playback time.
+    q: (n, nq). joints: (n, njoints, 4, 4), contacts: (n, nc, 4, 4) world placements, of contact frames.
+    pressed: (n, nc, 3) m, where the force acts. wrench: (n, nc, 6) N and N m, as in the solution.
+    active: (n, nc). last: (n,) the sample that begins the span of each frame, part: (n,) how far into it.
+    impact: (n, nc, 3) N, impulse over `FLASH` while it is shown, else zero. struck: (n, nc, 3) m, where
+    it acts. phase: (n,). weight: N.
+    """
+
+    t: np.ndarray
+    frame_rate: float
+    speed: float
+    q: np.ndarray
+    joints: np.ndarray
+    contacts: np.ndarray
+    pressed: np.ndarray
+    wrench: np.ndarray
+    active: np.ndarray
+    last: np.ndarray
+    part: np.ndarray
+    impact: np.ndarray
+    struck: np.ndarray
+    phase: np.ndarray
+    weight: float
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames."""
+        return len(self.t)
+
+    @property
+    def feet(self) -> np.ndarray:
+        """World positions (n, nc, 3) of the contact frames, m."""
+        return np.asarray(self.contacts[:, :, :3, 3])
+
+    @property
+    def force(self) -> np.ndarray:
+        """Contact forces (n, nc, 3) in world axes, N."""
+        return np.asarray(self.wrench[:, :, :3])
+
+    def between(self, values: np.ndarray) -> np.ndarray:
+        """Values (n, ...) at the frames of values (K, ...) at the samples, linear in between."""
+        part = self.part.reshape(-1, *[1] * (values.ndim - 1))
+        return np.asarray((1 - part) * values[self.last] + part * values[self.last + 1])
+
+
+def motion_of(solution: Solution, speed: float = 1.0) -> Motion:
+    """The motion of one solution: see `motions_of`."""
+    return motions_of([solution], speed)[0]
+
+
+def motions_of(solutions: Sequence[Solution], speed: float = 1.0) -> list[Motion]:
+    """Resample solutions on the manifold at about `FRAME_RATE`, all from the first start to the last end.
+
+    Before its start and after its end a solution stays as it is there. Forces are interpolated linearly
+    within an interval. Raises `InputError` without a duration, `SolutionFileError` for terrain or surfaces
+    that cannot be read.
+    """
+    if not solutions:
+        raise InputError("there is nothing to replay", "one or more solutions")
+    for solution in solutions:
+        if not solution.t[-1] > solution.t[0]:
+            raise InputError("the solution lasts 0 s", "a replay needs a duration")
+    start = float(min(solution.t[0] for solution in solutions))
+    duration = float(max(solution.t[-1] for solution in solutions)) - start
+    if duration / speed * FRAME_RATE > MOST_FRAMES:
+        longest = MOST_FRAMES / FRAME_RATE
+        raise InputError(f"a replay of {duration / speed:g} s", f"allowed: {longest:g} s; a higher speed")
+    steps = max(1, round(duration / speed * FRAME_RATE))
+    t = start + duration * np.linspace(0.0, 1.0, steps + 1)
+    return [_resampled(solution, t, steps * speed / duration, speed) for solution in solutions]
+
+
+def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: float) -> Motion:
+    q = solution.interpolate(t)
+    joints, contacts = _placements(solution, q)
+    last, part = _spans(solution, t)
+    wrench = (1 - part)[:, None, None] * solution.f[last] + part[:, None, None] * solution.f[last + 1]
+    weight = _weight(solution.model)
+    feet, soles = contacts[:, :, :3, 3], _pressing_soles(solution, last)
+    impact = _impacts(solution, t)
+    return Motion(
+        t=t,
+        frame_rate=frame_rate,
+        speed=speed,
+        q=q,
+        joints=joints,
+        contacts=contacts,
+        pressed=feet + _pressure_offsets(contacts, wrench, soles, weight),
+        wrench=wrench,
+        active=solution.active[last],
+        last=last,
+        part=part,
+        impact=impact[:, :, :3],
+        struck=feet + _pressure_offsets(contacts, impact, soles, weight),
+        phase=solution.phase[last],
+        weight=weight,
+    )
+
+
+def _placements(solution: Solution, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """World placements of the joints (n, njoints, 4, 4) and contact frames (n, nc, 4, 4)."""
+    model, data = solution.model, solution.model.createData()
+    frames = [model.getFrameId(name) for name in solution.contact_frames]
+    joints = np.empty((len(q), model.njoints, 4, 4))
+    contacts = np.empty((len(q), len(frames), 4, 4))
+    for row, configuration in enumerate(q):
+        pin.framesForwardKinematics(model, data, configuration)
+        for joint in range(model.njoints):
+            joints[row, joint] = data.oMi[joint].homogeneous
+        for column, frame in enumerate(frames):
+            contacts[row, column] = data.oMf[frame].homogeneous
+    return joints, contacts
+
+
+def _spans(solution: Solution, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The sample (n,) that begins each time's span, and how far into it (n,) the time is, 0 to 1."""
+    last = np.clip(np.searchsorted(solution.t, t, side="right") - 1, 0, len(solution.t) - 2)
+    span = solution.t[last + 1] - solution.t[last]
+    part = np.where(span > 0, (t - solution.t[last]) / np.where(span > 0, span, 1.0), 1.0)
+    return last, np.clip(part, 0.0, 1.0)
+
+
+def _impacts(solution: Solution, t: np.ndarray) -> np.ndarray:
+    """Impulses over `FLASH` (n, nc, 6) at the frames that show them: at least one frame each."""
+    impact = np.zeros((len(t), len(solution.contact_frames), 6))
+    if solution.impulse is None or solution.impact_index is None:
+        return impact
+    for impulse, sample in zip(solution.impulse, solution.impact_index, strict=True):
+        first = min(int(np.searchsorted(t, solution.t[sample])), len(t) - 1)
+        end = max(int(np.searchsorted(t, solution.t[sample] + FLASH)), first + 1)
+        struck = impulse.any(axis=1)
+        impact[first:end, struck] = impulse[struck] / FLASH
+    return impact
+
+
+def _pressing_soles(solution: Solution, sample: np.ndarray) -> np.ndarray:
+    """Where (n, nc) a contact has a centre of pressure: soles that nothing but pressure holds."""
+    return ~held_samples(solution)[sample] & is_sole(solution)
+
+
+def _pressure_offsets(
+    contacts: np.ndarray, wrench: np.ndarray, soles: np.ndarray, weight: float
+) -> np.ndarray:
+    """From each contact frame to its centre of pressure (n, nc, 3); zero for all but ``soles`` (n, nc)."""
+    normal, force, moment = contacts[:, :, :3, 2], wrench[:, :, :3], wrench[:, :, 3:]
+    pressed = soles & (np.sum(normal * force, axis=-1) > LEAST_PRESSURE * weight)
+    return np.where(pressed[:, :, None], centre_of_pressure(force, moment, normal), 0.0)
+
+
+def _weight(model: pin.Model) -> float:
+    mass = mass_of(model)
+    return mass * gravity_of(model) if mass > 0 else 1.0

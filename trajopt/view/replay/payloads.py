@@ -1,0 +1,72 @@
+"""Carried bodies of a replay: where they are taken, with the hand that holds them, where they are left."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import meshcat.geometry as shapes
+import numpy as np
+import pinocchio as pin
+
+from trajopt.certify.payloads import body_of
+from trajopt.solution.solution import Solution
+from trajopt.view.replay.commands import Tracks
+from trajopt.view.replay.motion import Motion
+from trajopt.view.replay.robot import box_of_inertia
+from trajopt.view.replay.turns import quaternions_of
+
+PAYLOAD_COLOUR = 0xC98A2B
+# A point mass is drawn as a ball of this density, kg/m^3: between wood and water.
+DENSITY = 800.0
+
+
+def draw_payloads(node: Any, tracks: Tracks, solution: Solution, motion: Motion) -> np.ndarray:
+    """Animate what is carried below ``node``; returns places (k, 3) that it takes up, m, world."""
+    places = [np.zeros((0, 3))]
+    for number, (entry, phases) in enumerate(_bodies(solution)):
+        contact = solution.contact_frames.index(entry["frame"])
+        carried = np.isin(motion.phase, phases)
+        if not carried.any():
+            continue
+        body, part = body_of(entry), node[f"body{number}"]
+        extent = _draw(part["shape"], body)
+        placed = motion.contacts[_resting(carried), contact]
+        tracks.add(part, "position", "vector3", placed[:, :3, 3])
+        tracks.add(part, "quaternion", "quaternion", quaternions_of(placed[:, :3, :3]))
+        centres = placed[:, :3, :3] @ body.lever + placed[:, :3, 3]
+        places += [centres - extent, centres + extent]
+    return np.concatenate(places)
+
+
+def _bodies(solution: Solution) -> list[tuple[dict[str, Any], list[int]]]:
+    """Each carried body with the phases in which it is; a body is described once for every phase."""
+    found: list[tuple[dict[str, Any], list[int]]] = []
+    for entry in solution.meta.get("payloads") or []:
+        body = {key: value for key, value in entry.items() if key != "phases"}
+        same = [phases for other, phases in found if other == body]
+        if same:
+            same[0].extend(entry["phases"])
+        else:
+            found.append((body, list(entry["phases"])))
+    return found
+
+
+def _resting(carried: np.ndarray) -> np.ndarray:
+    """The frame (n,) whose placement a body has: its own while carried, else where it was left or waits."""
+    index = np.maximum.accumulate(np.where(carried, np.arange(len(carried)), -1))
+    return np.where(index < 0, np.argmax(carried), index)
+
+
+def _draw(node: Any, body: pin.Inertia) -> float:
+    """A box of the body's mass and inertia, or a ball for a point; returns half its extent, m."""
+    material = shapes.MeshLambertMaterial(color=PAYLOAD_COLOUR)
+    box = box_of_inertia(body)
+    if box is not None:
+        sides, placement = box
+        node.set_object(shapes.Box(sides.tolist()), material)
+        node.set_transform(placement.homogeneous)
+        return float(np.linalg.norm(sides)) / 2
+    radius = float((3 * max(body.mass, 1e-6) / (4 * np.pi * DENSITY)) ** (1 / 3))
+    node.set_object(shapes.Sphere(radius), material)
+    node.set_transform(pin.SE3(np.eye(3), body.lever).homogeneous)
+    return radius

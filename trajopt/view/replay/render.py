@@ -1,0 +1,167 @@
+"""A replay as a video, an animated GIF or a picture, taken from its own page off screen."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.solution.input import Given, require_motion, solutions_of
+from trajopt.solution.solution import Solution
+from trajopt.view.replay import video
+from trajopt.view.replay.browser import AT_START, OpenedPage, installed, opened
+from trajopt.view.replay.shots import GAP, Shots, telling_moment
+from trajopt.view.replay.show import replay
+
+Progress = Callable[[int, int], None]
+
+# Height of a strip's text over that of its pictures, and its distance from the edge over its height.
+TEXT, TEXT_MARGIN = 0.055, 0.5
+INK = (27, 37, 48)
+# The page has 60 frames a second of playback: of this slow a motion 600 for each of its seconds, enough.
+SLOWEST = 0.1
+# Poses at changes of phase: a strip shows poses itself.
+GHOSTS = "ghosts"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rendering:
+    """What was written: the file, its pictures, s that it plays (0 if it does not), pixels, bytes."""
+
+    path: Path
+    pictures: int
+    duration: float
+    width: int
+    height: int
+    size: int
+
+
+def render(
+    solutions: Given | Sequence[Given],
+    target: str | Path,
+    *,
+    layout: str = "overlaid",
+    labels: Sequence[str] | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Rendering:
+    """Write ``solutions`` to ``target``: a .mp4 (H.264), a .gif that repeats, or a .png.
+
+    layout, labels: of several solutions, as in `replay`. progress: called with the number of pictures done
+    and of all. options: those of `Shots` (size, fps, speed, start, end, time, strip, camera, caption, hidden,
+    shown). Picture k of a video shows the time start + k speed / fps, the last one the end.
+    The file is written whole or not at all. Raises `InputError`, one line, for values that are not allowed, a
+    folder that does not exist, a missing Chromium or extra, and `TrajoptError` if Chromium or ffmpeg fails.
+    """
+    several = [require_motion(solution) for solution in solutions_of(solutions)]
+    target = Path(target).expanduser()
+    known = [field.name for field in fields(Shots) if field.name != "ending"]
+    unknown = ", ".join(sorted(set(options) - set(known)))
+    if unknown:
+        raise InputError(f"a rendering has no option {unknown}", f"allowed: {', '.join(known)}")
+    shots = Shots(ending=target.suffix.lower(), **options)
+    installed()
+    if shots.is_video:
+        video.find_ffmpeg()
+    times = shots.times(*_span(several), telling_moment(several[0]))
+    with _replacing(target) as unfinished, tempfile.TemporaryDirectory(prefix="trajopt-") as folder:
+        page = Path(folder, "page.html")
+        speed = min(max(shots.speed, SLOWEST), 1.0)  # of slow motion the page has more frames
+        replay(several, html=page, open_browser=False, speed=speed, layout=layout, labels=labels)
+        with opened(page, shots.pixels, _fragment(shots)) as view:
+            _arrange(view, shots)
+            _write(unfinished, shots, times, _pictures(view, times, progress))
+        size = unfinished.stat().st_size
+    width, height = shots.canvas
+    return Rendering(
+        path=target,
+        pictures=len(times),
+        duration=float(len(times) / shots.rate) if shots.is_video else 0.0,
+        width=width,
+        height=height,
+        size=size,
+    )
+
+
+def _span(solutions: Sequence[Solution]) -> tuple[float, float]:
+    """First and last time of all, s."""
+    if not solutions:
+        raise InputError("there is nothing to render", "one or more solutions")
+    return min(float(s.t[0]) for s in solutions), max(float(s.t[-1]) for s in solutions)
+
+
+def _fragment(shots: Shots) -> str:
+    """How the page opens: without its controls; a strip has text of its own."""
+    return AT_START + ("&panel=off" if shots.caption and not shots.strip else "&bare")
+
+
+def _arrange(view: OpenedPage, shots: Shots) -> None:
+    if shots.camera is not None:
+        view.camera(shots.camera)
+    crowded = [GHOSTS] if shots.strip and GHOSTS in view.layers else []
+    for names, visible in ((crowded, False), (shots.hidden, False), (shots.shown, True)):
+        for name in names:
+            view.layer(name, visible)
+
+
+def _pictures(view: OpenedPage, times: np.ndarray, progress: Progress | None) -> Iterator[bytes]:
+    """The page's pictures at ``times`` (s of the solution), one after the other, as PNG."""
+    for done, t in enumerate(times, 1):
+        view.seek(t)
+        yield view.png()
+        if progress is not None:
+            progress(done, len(times))
+
+
+def _write(target: Path, shots: Shots, times: np.ndarray, pictures: Iterator[bytes]) -> None:
+    if shots.ending == ".mp4":
+        video.write_mp4(target, pictures, shots.rate)
+    elif shots.ending == ".gif":
+        video.write_gif(target, pictures, shots.rate)
+    else:
+        _write_strip(target, shots, times, pictures)
+
+
+def _write_strip(target: Path, shots: Shots, times: np.ndarray, pictures: Iterator[bytes]) -> None:
+    """Write ``pictures`` side by side, with a gap; each with its time if there is text and more than one."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    height, step = shots.pixels[1], shots.pixels[0] + GAP
+    whole = Image.new("RGB", shots.canvas, "white")
+    draw, letter = ImageDraw.Draw(whole), round(TEXT * height)
+    font = ImageFont.load_default(size=letter)
+    for number, (t, picture) in enumerate(zip(times, pictures, strict=True)):
+        whole.paste(Image.open(io.BytesIO(picture)).convert("RGB"), (number * step, 0))
+        if shots.caption and shots.strip:
+            corner = (number * step + TEXT_MARGIN * letter, TEXT_MARGIN * letter)
+            draw.text(corner, f"{t:.2f} s", fill=INK, font=font)
+    whole.save(target, format="PNG", optimize=True)
+
+
+@contextlib.contextmanager
+def _replacing(target: Path) -> Iterator[Path]:
+    """Give a place beside ``target`` to write to, and move what is there to ``target`` if all goes well."""
+    refused = f"cannot write {target}"
+    allowed = "allowed: a file in an existing folder that can be written"
+    if target.is_dir():
+        raise InputError(f"{refused}: it is a folder", allowed)
+    if target.exists() and not target.is_file():
+        raise InputError(f"{refused}: it is no regular file", allowed)
+    if not target.parent.is_dir():
+        raise InputError(f"{refused}: the folder {target.parent} does not exist", allowed)
+    try:
+        beside = tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.")
+    except OSError as error:
+        raise InputError(f"{refused}: {error.strerror or error}", allowed) from None
+    with beside as folder:
+        unfinished = Path(folder, target.name)
+        yield unfinished
+        os.replace(unfinished, target)

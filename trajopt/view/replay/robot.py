@@ -1,0 +1,253 @@
+"""The robot of a replay: its visual meshes hung on the joints, or a skeleton where there are none."""
+
+from __future__ import annotations
+
+import itertools
+import warnings
+from dataclasses import dataclass, field
+from typing import Any
+
+import coal
+import meshcat.geometry as shapes
+import numpy as np
+import pinocchio as pin
+from pinocchio.visualize.meshcat_visualizer import MeshcatVisualizer, loadMesh
+
+from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.errors import InputError
+from trajopt.robot.building import reach
+from trajopt.robot.data import VisualSource
+from trajopt.solution.solution import Solution
+from trajopt.view.replay import collada
+from trajopt.view.replay.parts import Triangles
+from trajopt.view.replay.visuals import Visuals, mesh_points, visuals_of
+
+BONE_COLOUR, JOINT_COLOUR, FOOT_COLOUR = 0x8A93A0, 0x2F6DB5, 0x303438
+# Radii of a skeleton over its reach.
+BONE_RADIUS, JOINT_RADIUS = 0.012, 0.02
+TRUNK_OPACITY = 0.7
+# The thinnest side of a box over its longest: flat links stay visible.
+THINNEST = 0.02
+# Points that tell how far a mesh reaches: some have a million vertices, tenths of a millimetre apart.
+MOST_POINTS = 10_000
+# Directions in which a round shape is probed for its extent: 2 % of its radius.
+ROUND_PROBES = 200
+
+
+@dataclass
+class DrawnRobot:
+    """Points of the drawn robot, (k, 3) m in the frame of each joint, and a note if meshes are missing."""
+
+    points: dict[int, list[np.ndarray]] = field(default_factory=dict)
+    note: str = ""
+
+    def add(self, joint: int, points: np.ndarray) -> None:
+        """Note that ``points`` (k, 3) in the frame of ``joint`` are part of the picture."""
+        self.points.setdefault(joint, []).append(np.asarray(points, dtype=float))
+
+
+def joint_path(model: pin.Model, joint: int) -> str:
+    """Return the place in the scene tree that moves with ``joint``."""
+    return "robot/" + str(model.names[joint]).replace("/", "_")
+
+
+def draw_robot(vis: Any, solution: Solution) -> DrawnRobot:
+    """Draw the robot of ``solution`` into the Meshcat node ``vis``: meshes if they are found, else bones."""
+    name = solution.meta.get("robot") or solution.model.name or "robot"
+    visual = solution.meta.get("visual")
+    try:
+        if not visual:
+            raise InputError("the solution names no URDF file")
+        visuals = visuals_of(VisualSource.from_meta(visual), solution.model)
+        if visuals.geometry.ngeoms == 0:
+            raise InputError(f"{visual['urdf']} has no visual geometry")
+    except InputError as error:
+        drawn = draw_skeleton(vis, solution)
+        drawn.note = f"'{name}' is drawn as a skeleton: {error}"
+        return drawn
+    return _draw_meshes(vis, solution.model, visuals)
+
+
+class _JointTree(MeshcatVisualizer):
+    """Pinocchio's loader of geometry and materials, with every geometry hung on its joint."""
+
+    def getViewerNodeName(self, geometry_object: Any, geometry_type: Any) -> str:
+        return f"{joint_path(self.model, geometry_object.parentJoint)}/{_plain(geometry_object.name)}"
+
+    def loadViewerGeometryObject(self, geometry_object: Any, *args: Any, **options: Any) -> None:
+        if geometry_object.name in self.meshes:  # a box stands for it, see `visuals`
+            geometry_object.geometry = coal.BVHModelOBBRSS()
+        super().loadViewerGeometryObject(geometry_object, *args, **options)
+
+    def loadMeshFromFile(self, geometry_object: Any) -> Any:
+        if not geometry_object.meshPath.lower().endswith(".dae"):
+            return super().loadMeshFromFile(geometry_object)
+        try:
+            mesh = collada.read(geometry_object.meshPath, np.asarray(geometry_object.meshColor)[:3])
+        except collada.ColladaError:
+            return loadMesh(coal.MeshLoader().load(geometry_object.meshPath))  # of one colour
+        return shapes.Mesh(Triangles(mesh), shapes.MeshPhongMaterial(vertexColors=True))
+
+
+def _draw_meshes(vis: Any, model: pin.Model, visuals: Visuals) -> DrawnRobot:
+    loader, drawn, unreadable = _JointTree(model, None, visuals.geometry), DrawnRobot(), []
+    loader.meshes = visuals.meshes
+    loader.initViewer(viewer=vis)
+    for entry in visuals.geometry.geometryObjects:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            vertices = _points(entry, entry.name in visuals.meshes)
+            if vertices is not None:
+                loader.loadViewerGeometryObject(entry, pin.GeometryType.VISUAL)
+        if vertices is None or any(issubclass(warning.category, UserWarning) for warning in caught):
+            unreadable.append(entry.name)
+            continue
+        node = vis[loader.getViewerNodeName(entry, pin.GeometryType.VISUAL)]
+        scale = np.diag([*entry.meshScale, 1.0])
+        node.set_transform(entry.placement.homogeneous @ scale)
+        spread = _spread(vertices)
+        drawn.add(entry.parentJoint, spread @ entry.placement.rotation.T + entry.placement.translation)
+    drawn.note = _left_out(visuals.missing, unreadable)
+    return drawn
+
+
+def _left_out(missing: dict[str, str], unreadable: list[str]) -> str:
+    """One line on what is not drawn of a robot; empty if that is nothing."""
+    parts = []
+    if missing:
+        parts.append(f"without mesh files that are not found: {', '.join(sorted(set(missing.values())))}")
+    if unreadable:
+        parts.append(f"without geometry that Meshcat cannot show: {', '.join(unreadable)}")
+    return f"the robot is drawn {'; '.join(parts)}" if parts else ""
+
+
+def _points(entry: Any, is_mesh: bool) -> np.ndarray | None:
+    """Points (k, 3) that span a geometry, in its own frame, scaled, m; None of an unreadable file."""
+    if is_mesh:
+        try:
+            return mesh_points(entry.meshPath, entry.meshScale, np.asarray(entry.meshColor)[:3])
+        except InputError:
+            return None
+    geometry = entry.geometry
+    if isinstance(geometry, coal.Sphere):
+        return geometry.radius * _round_probes()
+    geometry.computeLocalAABB()
+    corners = np.array([geometry.aabb_local.min_, geometry.aabb_local.max_])
+    return np.array(list(itertools.product(*corners.T)))
+
+
+def _spread(points: np.ndarray) -> np.ndarray:
+    """At most about `MOST_POINTS` of (k, 3) points, those furthest along the axes among them."""
+    if len(points) <= MOST_POINTS:
+        return points
+    furthest = np.concatenate([points.argmin(axis=0), points.argmax(axis=0)])
+    return np.concatenate([points[:: len(points) // MOST_POINTS], points[furthest]])
+
+
+def _round_probes() -> np.ndarray:
+    """Even directions (k, 3): a Fibonacci lattice on the sphere."""
+    k = np.arange(ROUND_PROBES) + 0.5
+    height, angle = 1 - 2 * k / ROUND_PROBES, np.pi * (1 + 5**0.5) * k
+    radius = np.sqrt(1 - height**2)
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
+
+
+def draw_skeleton(vis: Any, solution: Solution) -> DrawnRobot:
+    """Draw joints as spheres, links as rods from joint to joint, and rods to contacts and tips."""
+    model, drawn = solution.model, DrawnRobot()
+    rods = _rods(solution)
+    length_scale = reach(model) or 1.0
+    bone, ball = BONE_RADIUS * length_scale, JOINT_RADIUS * length_scale
+    for joint in range(max(_base_joint(model), 1), model.njoints):  # virtual joints are nothing to see
+        node = vis[joint_path(model, joint)]
+        node["joint"].set_object(shapes.Sphere(ball), shapes.MeshPhongMaterial(color=JOINT_COLOUR))
+        drawn.add(joint, np.zeros((1, 3)))
+    for number, (joint, end, is_tip) in enumerate(rods):
+        node, length = vis[joint_path(model, joint)], float(np.linalg.norm(end))
+        drawn.add(joint, end[None])
+        if is_tip:
+            node[f"tip{number}"].set_object(shapes.Sphere(ball), shapes.MeshPhongMaterial(color=FOOT_COLOUR))
+            node[f"tip{number}"].set_transform(pin.SE3(np.eye(3), end).homogeneous)
+            drawn.add(joint, end + ball * _round_probes())
+        if length > ball:
+            rod = shapes.Cylinder(length, bone)
+            node[f"rod{number}"].set_object(rod, shapes.MeshPhongMaterial(color=BONE_COLOUR))
+            node[f"rod{number}"].set_transform(_rod_placement(end))
+    _draw_trunk(vis, model, drawn)
+    return drawn
+
+
+def _draw_trunk(vis: Any, model: pin.Model, drawn: DrawnRobot) -> None:
+    """Draw the link of a moving base, which no rod shows, as the solid box of its mass and inertia."""
+    base = _base_joint(model)
+    if base == 0:
+        return
+    box = box_of_inertia(model.inertias[base])
+    if box is None:
+        return
+    sides, place = box
+    node = vis[joint_path(model, base)]["trunk"]
+    material = shapes.MeshPhongMaterial(color=BONE_COLOUR, opacity=TRUNK_OPACITY)
+    node.set_object(shapes.Box(sides.tolist()), material)
+    node.set_transform(place.homogeneous)
+    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * sides
+    drawn.add(base, corners @ place.rotation.T + place.translation)
+
+
+def box_of_inertia(inertia: pin.Inertia) -> tuple[np.ndarray, pin.SE3] | None:
+    """Sides (3,) m and placement of the solid box of that mass and inertia; None for a point or no mass.
+
+    I_1 = m (b^2 + c^2) / 12 and so on in turn, for the sides a, b, c along the principal axes.
+    """
+    if not inertia.mass > 0:
+        return None
+    moments, axes = np.linalg.eigh(inertia.inertia)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    sides = np.sqrt(np.maximum(6 * (moments.sum() - 2 * moments) / inertia.mass, 0.0))
+    if not sides.max() > 0:
+        return None
+    return np.maximum(sides, THINNEST * sides.max()), pin.SE3(axes, inertia.lever)
+
+
+def _base_joint(model: pin.Model) -> int:
+    return BASE_JOINT[base_of(model)]
+
+
+def _rods(solution: Solution) -> list[tuple[int, np.ndarray, bool]]:
+    """(joint, end in its frame, is a tip) of every rod: to child joints, contact frames and tips."""
+    model = solution.model
+    rods = []
+    for child in range(_base_joint(model) + 1, model.njoints):
+        parent = int(model.parents[child])
+        if parent > 0 or model.joints[child].nv == 1:  # a floating base hangs on nothing
+            rods.append((parent, model.jointPlacements[child].translation.copy(), False))
+    tips = {model.getFrameId(name) for name in solution.contact_frames} | set(tip_frames(model))
+    for frame in sorted(tips):
+        rods.append(
+            (int(model.frames[frame].parentJoint), model.frames[frame].placement.translation.copy(), True)
+        )
+    return rods
+
+
+def tip_frames(model: pin.Model) -> list[int]:
+    """Return, for each joint without child, its frame that lies furthest from it."""
+    leaves = set(range(1, model.njoints)) - {int(parent) for parent in model.parents}
+    tips = []
+    for joint in sorted(leaves):
+        frames = [number for number, frame in enumerate(model.frames) if frame.parentJoint == joint]
+        if frames:
+            tips.append(
+                max(frames, key=lambda number: np.linalg.norm(model.frames[number].placement.translation))
+            )
+    return tips
+
+
+def _rod_placement(end: np.ndarray) -> np.ndarray:
+    """Placement of a Meshcat cylinder (along y, centred) from the origin to ``end``."""
+    rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 1.0, 0.0]), end).toRotationMatrix()
+    placement: np.ndarray = pin.SE3(rotation, end / 2).homogeneous
+    return placement
+
+
+def _plain(name: str) -> str:
+    return name.replace("/", "_")

@@ -1,0 +1,156 @@
+"""The scene of a replay as Meshcat commands: robots, ground, force arrows, trails, camera, animation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import meshcat
+import numpy as np
+import pinocchio as pin
+
+from trajopt.solution.solution import Solution
+from trajopt.solution.touched import touched
+from trajopt.view.replay.arrows import draw_arrows, weight_arrow_of
+from trajopt.view.replay.balance import balance_of
+from trajopt.view.replay.balance_marks import draw_balance
+from trajopt.view.replay.camera import initial_camera
+from trajopt.view.replay.commands import Command, Recorder, Tracks
+from trajopt.view.replay.cones import draw_cones
+from trajopt.view.replay.copies import draw_ghosts, ghost_frames, tint
+from trajopt.view.replay.goals import draw_goals
+from trajopt.view.replay.grounds import Ground, draw_grounds, grounds_of
+from trajopt.view.replay.layers import hidden_layers, layers_of
+from trajopt.view.replay.motion import Motion
+from trajopt.view.replay.obstacles import draw_obstacles
+from trajopt.view.replay.payloads import draw_payloads
+from trajopt.view.replay.robot import joint_path
+from trajopt.view.replay.runs import Run, drawn_runs, travels
+from trajopt.view.replay.surfaces import draw_surfaces
+from trajopt.view.replay.trails import draw_trails
+from trajopt.view.replay.turns import quaternions_of
+
+PREFIX = "/meshcat/"
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Commands in order; ``note`` if a robot is not drawn in full; ``weight_arrow`` in m.
+
+    facts: what a page tells of the scene, JSON-able: ``start`` (s of the solution), ``speed``, ``duration``
+    (s of playback), ``phases`` [{name, start, end}] of the first solution, s, ``layers`` [{name, label,
+    colour, paths, visible}], ``runs`` [{label, colour, root, base}] with places in the scene tree, ``size``
+    (m, the largest robot's extent), ``box`` [[low], [high]] (m, world) around all motions and what they
+    touch, ``travels``: whether a base goes so far that a camera should follow it.
+    """
+
+    commands: list[Command]
+    note: str
+    weight_arrow: float
+    facts: dict[str, Any] = field(default_factory=dict)
+
+
+def build_scene(
+    solutions: Sequence[Solution],
+    motions: Sequence[Motion],
+    layout: str = "overlaid",
+    labels: Sequence[str] | None = None,
+) -> Scene:
+    """Return everything that a Meshcat viewer has to be told to show ``motions``, of the same frames.
+
+    Of several solutions the later ones are tinted and laid over the first (``layout`` "overlaid") or moved
+    aside ("side-by-side"); ``labels`` name them. Raises `InputError` for a layout or labels that do not fit.
+    """
+    recorder = Recorder()
+    vis = meshcat.Visualizer(window=recorder)
+    runs = drawn_runs(vis, solutions, motions, layout, labels)
+    for run in runs:
+        if run.tinted:
+            tint(recorder, run.path("robot"), run.colour)
+    size = max(run.size for run in runs)
+    tracks = Tracks(motions[0].n_frames, motions[0].frame_rate, size)
+    grounds, weight_arrow = grounds_of(runs, size), weight_arrow_of(motions, size)
+    parts = [
+        _draw_run(recorder, tracks, run, ground, size, weight_arrow)
+        for run, ground in zip(runs, grounds, strict=True)
+    ]
+    cloud = np.concatenate(parts)
+    box = np.array([cloud.min(axis=0), cloud.max(axis=0)])
+    ground = draw_grounds(vis, runs, grounds, box, size)
+    follows = travels(runs[0], ground.tangents)
+    layers = layers_of(runs, _drawn(recorder), hidden_layers(runs, ground.tangents))
+    for layer in layers:
+        for path in () if layer["visible"] else layer["paths"]:
+            vis[path].set_property("visible", False)
+    initial_camera(vis, box, ground)
+    recorder.commands.append(tracks.command())
+    notes = list(dict.fromkeys(run.robot.note for run in runs if run.robot.note))
+    return Scene(recorder.commands, "; ".join(notes), weight_arrow, _facts(runs, layers, box, size, follows))
+
+
+def _draw_run(
+    recorder: Recorder, tracks: Tracks, run: Run, ground: Ground, size: float, weight_arrow: float
+) -> np.ndarray:
+    """Draw what belongs to one solution; returns points (k, 3) of the scene's world that it takes up, m."""
+    solution, motion, node = run.solution, run.motion, run.node
+    colour = run.colour if run.tinted else None
+    if run.shift.any():
+        node.set_transform(pin.SE3(np.eye(3), run.shift).homogeneous)
+    joints = [(joint, joint_path(solution.model, joint)) for joint in range(1, solution.model.njoints)]
+    draw_ghosts(recorder, run, joints, ghost_frames(motion, run.size))
+    for joint, place in joints:
+        tracks.add(node[place], "position", "vector3", motion.joints[:, joint, :3, 3])
+        tracks.add(node[place], "quaternion", "quaternion", quaternions_of(motion.joints[:, joint, :3, :3]))
+    touching = touched(solution, motion.feet, motion.phase)
+    places = [
+        run.cloud,
+        draw_surfaces(node["surfaces"], ground.elsewhere, solution, motion, run.robot, size),
+        draw_obstacles(node["obstacles"], solution),
+        draw_goals(node["goals"], solution, ground.drop, size),
+        draw_payloads(node["payloads"], tracks, solution, motion),
+    ]
+    draw_arrows(node, tracks, solution, motion, size, weight_arrow, colour)
+    draw_cones(node["cones"], tracks, solution, motion, touching, size)
+    draw_balance(node, tracks, solution, balance_of(solution, motion, touching), ground.drop, size, colour)
+    draw_trails(node["trails"], solution, motion, colour)
+    return np.asarray(np.concatenate(places) + run.shift)
+
+
+def _drawn(recorder: Recorder) -> list[str]:
+    """Scene tree paths of all objects."""
+    messages = [command.message for command in recorder.commands]
+    return [m["path"].removeprefix(PREFIX) for m in messages if m["type"] == "set_object"]
+
+
+def _facts(
+    runs: list[Run], layers: list[dict[str, Any]], box: np.ndarray, size: float, follows: bool
+) -> dict[str, Any]:
+    motion = runs[0].motion
+    return {
+        "start": float(motion.t[0]),
+        "speed": motion.speed,
+        "duration": (motion.n_frames - 1) / motion.frame_rate,
+        "phases": _phases(runs[0].solution),
+        "layers": layers,
+        "runs": [
+            {"label": run.label, "colour": f"#{run.colour:06x}", "root": run.root, "base": run.base_path}
+            for run in runs
+        ],
+        "size": size,
+        "box": box.tolist(),
+        "travels": follows,
+    }
+
+
+def _phases(solution: Solution) -> list[dict[str, Any]]:
+    """Name, start and end (s) of every phase; numbered where the solution has no names."""
+    names = solution.meta.get("phase_names") or []
+    found = []
+    for rows in solution.phases:
+        index = int(solution.phase[rows.start])
+        name = str(names[index]) if index < len(names) else f"phase {index + 1}"
+        found.append(
+            {"name": name, "start": float(solution.t[rows.start]), "end": float(solution.t[rows.stop - 1])}
+        )
+    return found

@@ -1,0 +1,185 @@
+"""What a rendering takes pictures of: the kind of file, sizes and times, valid once they are put together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.solution.solution import Solution
+
+VIDEOS, PICTURES = (".mp4", ".gif"), (".png",)
+# Pixels (width, height): of a GIF fewer, because it is compressed badly; of each picture of a strip.
+SIZES = {".mp4": (1280, 720), ".gif": (640, 360), ".png": (1280, 720)}
+STRIP_SIZE = (480, 480)
+# Pixels between the pictures of a strip.
+GAP = 6
+# Sides in pixels: what shows anything, and what is drawn in seconds without a graphics card.
+LEAST_SIDE, MOST_SIDE = 64, 4096
+# Pixels that a strip may be wide.
+MOST_WIDTH = 32768
+# Pictures a second; the times of a GIF are hundredths of a second, and viewers slow down below two of them.
+RATES = {".mp4": 30.0, ".gif": 25.0}
+MOST_RATE = {".mp4": 240.0, ".gif": 50.0}
+MOST_PICTURES, MOST_STRIP = 100_000, 32
+# Denominators of pictures a second: 30000/1001 is met exactly.
+FINEST_RATE = 1001
+# Parts of a picture's time by which the end of a motion may miss a picture.
+SAME_TIME = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shots:
+    """Pictures of a replay for one file.
+
+    ending: ".mp4", ".gif" or ".png". size: pixels (width, height), of each picture of a strip; default by
+    ending. fps: pictures a second of a video. speed: seconds of the motion a second of video. start, end: s
+    of the solution; the whole motion if not given. time: s, of a .png. strip: a .png of so many pictures side
+    by side, from start to end. camera: one of the page's. caption: text. hidden, shown: names of layers.
+
+    Raises `InputError`, one line, for values out of range and for those that do not fit together.
+    """
+
+    ending: str
+    size: tuple[int, int] | None = None
+    fps: float | None = None
+    speed: float = 1.0
+    start: float | None = None
+    end: float | None = None
+    time: float | None = None
+    strip: int | None = None
+    camera: str | None = None
+    caption: bool = True
+    hidden: Sequence[str] = ()
+    shown: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        if self.ending not in SIZES:
+            name = f"'{self.ending}'" if self.ending else "missing"
+            raise InputError(f"the ending of the output is {name}", "allowed: " + ", ".join(SIZES))
+        self._check_kinds()
+        self._check_use()
+        self._check_size()
+        self._check_rates()
+        for name in ("start", "end", "time"):
+            value = getattr(self, name)
+            if value is not None and not math.isfinite(value):
+                raise InputError(f"{name} is {value}", "a number of seconds of the solution")
+        if self.strip is not None and not 2 <= self.strip <= MOST_STRIP:
+            raise InputError(f"a strip of {self.strip} pictures", f"allowed: 2 to {MOST_STRIP}")
+
+    @property
+    def pixels(self) -> tuple[int, int]:
+        """Width and height of one picture."""
+        return self.size or (STRIP_SIZE if self.strip else SIZES[self.ending])
+
+    @property
+    def canvas(self) -> tuple[int, int]:
+        """Width and height of the whole picture."""
+        width, height = self.pixels
+        return (width + GAP) * (self.strip or 1) - GAP, height
+
+    @property
+    def rate(self) -> Fraction:
+        """Pictures a second of a video."""
+        return Fraction(self.fps or RATES[self.ending]).limit_denominator(FINEST_RATE)
+
+    @property
+    def is_video(self) -> bool:
+        """It is more than one picture, one after the other."""
+        return self.ending in VIDEOS
+
+    def times(self, first: float, last: float, telling: float) -> np.ndarray:
+        """Return the times (n,) of the pictures, s of a solution that lasts from ``first`` to ``last``.
+
+        telling: where a single picture is taken if no time is given. Raises `InputError` for times outside.
+        """
+        allowed = f"allowed: {first:g} to {last:g} s"
+        margin = 1e-9 * max(abs(first), abs(last), last - first)
+        for name, value in (("--time", self.time), ("--from", self.start), ("--to", self.end)):
+            if value is not None and not first - margin <= value <= last + margin:
+                raise InputError(f"{name} {value:g} s is outside the motion", allowed)
+        start = first if self.start is None else self.start
+        end = last if self.end is None else self.end
+        if not self.is_video and self.strip is None:
+            return np.array([telling if self.time is None else self.time])
+        if not start < end:
+            raise InputError(f"--from {start:g} s is not before --to {end:g} s", allowed)
+        return np.linspace(start, end, self.strip) if self.strip else self._even_times(start, end)
+
+    def _even_times(self, start: float, end: float) -> np.ndarray:
+        """Picture k at start + k speed / rate; the last one is the end, a part of a step later perhaps."""
+        step = self.speed / float(self.rate)
+        count = math.floor((end - start) / step + SAME_TIME)
+        if count >= MOST_PICTURES:
+            raise InputError(f"a video of {count + 1} pictures", f"allowed: {MOST_PICTURES}; lower --fps")
+        times = start + step * np.arange(count + 1)
+        if end - times[-1] > SAME_TIME * step:
+            return np.append(times, end)
+        times[-1] = end
+        return times
+
+    def _check_kinds(self) -> None:
+        """Numbers where numbers are meant: a script may give anything."""
+        if self.size is not None:
+            pair = isinstance(self.size, Sequence) and len(self.size) == 2
+            if not pair or not all(isinstance(side, int) for side in self.size):
+                raise InputError(f"size is {self.size!r}", "allowed: (width, height) in whole pixels")
+        if self.strip is not None and not isinstance(self.strip, int):
+            raise InputError(f"a strip of {self.strip!r} pictures", f"allowed: 2 to {MOST_STRIP}")
+        for name in ("fps", "speed", "start", "end", "time"):
+            value = getattr(self, name)
+            if not isinstance(value, int | float) and (value is not None or name == "speed"):
+                raise InputError(f"{name} is {value!r}", "allowed: a number")
+
+    def _check_use(self) -> None:
+        """Every value that is given has a meaning for this kind of file."""
+        one_picture = not self.is_video and self.strip is None
+        unused = {
+            "--fps": self.fps is not None and not self.is_video,
+            "--speed": self.speed != 1 and not self.is_video,
+            "--time": self.time is not None and not one_picture,
+            "--strip": self.strip is not None and self.is_video,
+            "--from": self.start is not None and one_picture,
+            "--to": self.end is not None and one_picture,
+        }
+        for name, given in unused.items():
+            if given:
+                what = "a .png of one picture" if one_picture else f"a {self.ending}"
+                allowed = "--fps, --speed, --from and --to are for videos, --time and --strip for a .png"
+                raise InputError(f"{name} has no use for {what}", allowed)
+
+    def _check_size(self) -> None:
+        width, height = self.pixels
+        allowed = f"allowed: WIDTHxHEIGHT, each {LEAST_SIDE} to {MOST_SIDE} pixels, as in 1280x720"
+        if not (LEAST_SIDE <= width <= MOST_SIDE and LEAST_SIDE <= height <= MOST_SIDE):
+            raise InputError(f"--size is {width}x{height}", allowed)
+        if self.ending == ".mp4" and (width % 2 or height % 2):
+            even = f"{width + width % 2}x{height + height % 2}"
+            raise InputError(f"--size is {width}x{height}", f"a .mp4 needs even numbers, as in {even}")
+        if self.canvas[0] > MOST_WIDTH:
+            raise InputError(
+                f"{self.strip} pictures of {width} pixels side by side", f"allowed: {MOST_WIDTH} pixels"
+            )
+
+    def _check_rates(self) -> None:
+        if not (math.isfinite(self.speed) and self.speed > 0):
+            raise InputError(f"speed is {self.speed:g}", "a positive number; 1 is real time")
+        if self.fps is not None:
+            most = MOST_RATE[self.ending]
+            if not 1 <= self.fps <= most:
+                raise InputError(f"--fps is {self.fps:g}", f"allowed for a {self.ending}: 1 to {most:g}")
+
+
+def telling_moment(solution: Solution) -> float:
+    """Return the middle of the first flight that follows a contact, s; of the motion if there is none."""
+    touches = [bool(solution.active[rows.start : rows.stop].any()) for rows in solution.phases]
+    for number in range(1, len(touches)):
+        if touches[number - 1] and not touches[number]:
+            rows = solution.phases[number]
+            return float(solution.t[rows.start] + solution.t[rows.stop - 1]) / 2
+    return float(solution.t[0] + solution.t[-1]) / 2

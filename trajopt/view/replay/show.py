@@ -1,0 +1,140 @@
+"""Replay of solutions: a live Meshcat server, or one HTML page that needs no server and no network."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from trajopt.errors import InputError
+from trajopt.solution.input import Given, require_motion, solutions_of
+from trajopt.view.replay.caption import page_facts
+from trajopt.view.replay.live import LiveWindow, where
+from trajopt.view.replay.motion import motions_of
+from trajopt.view.replay.page import page
+from trajopt.view.replay.scene import build_scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replay:
+    """What was shown and where.
+
+    frames: pictures of the animation; duration: seconds it plays (solution time over speed).
+    note: one line if a robot could not be drawn with its meshes, else empty.
+    facts: what the page says: phases, layers, runs, lines of its caption; see `Scene` and `page_facts`.
+    html, size: the page and its bytes, or url, window: where the Meshcat server shows it, and the window
+    through which a script can add to it, as in ``meshcat.Visualizer(window=shown.window)``.
+    """
+
+    frames: int
+    duration: float
+    note: str = ""
+    html: Path | None = None
+    size: int = 0
+    url: str = ""
+    facts: dict[str, Any] = field(default_factory=dict, repr=False)
+    window: LiveWindow | None = field(default=None, repr=False)
+
+    def close(self) -> None:
+        """Stop the Meshcat server, if there is one."""
+        if self.window is not None:
+            self.window.close()
+
+
+def replay(
+    solutions: Given | Sequence[Given],
+    html: str | Path | None = None,
+    open_browser: bool = True,
+    speed: float = 1.0,
+    layout: str = "overlaid",
+    labels: Sequence[str] | None = None,
+) -> Replay:
+    """Show solutions in Meshcat, or write them to the self-contained page ``html``; does not block.
+
+    solutions: one or several, or the paths of their files.
+    open_browser: without ``html``, open the server's page, where there is a screen. speed: at which it plays
+    first; 1 is real time, 0.2 five times slower. layout: of several solutions, "overlaid" or "side-by-side";
+    labels: their names. Without meshes a robot is drawn as a skeleton, which one line on stderr says.
+    Keep a live replay up with `serve`. The page is written whole or not at all. Raises `InputError` for a
+    speed that is not positive, a solution of no duration, an unknown layout, labels of another number, or a
+    file that cannot be written; `TrajoptError` if the server does not start.
+    """
+    if not isinstance(speed, int | float) or not (math.isfinite(speed) and speed > 0):
+        raise InputError(f"speed is {speed}", "a positive number; 1 is real time")
+    target = None if html is None else _target(Path(html).expanduser())
+    several = [require_motion(solution) for solution in solutions_of(solutions)]
+    motions = motions_of(several, speed)
+    scene = build_scene(several, motions, layout, labels)
+    facts = page_facts(scene, several, motions)
+    if scene.note:
+        print(scene.note, file=sys.stderr)
+    shown: dict[str, Any] = {"frames": motions[0].n_frames, "note": scene.note, "facts": facts}
+    shown["duration"] = (motions[0].n_frames - 1) / motions[0].frame_rate
+    if target is not None:
+        return Replay(**shown, html=target, size=_write(target, page(scene, facts)))
+    window = LiveWindow()
+    window.show(scene.commands, facts)
+    print(where(window.web_url))
+    if open_browser:
+        window.open()
+    return Replay(**shown, url=window.web_url, window=window)
+
+
+def serve(shown: Replay) -> None:
+    """Block until Ctrl-C (or the end of the server), then stop the server of a live replay."""
+    if shown.window is None:
+        return
+    try:
+        shown.window.server_proc.wait()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        shown.close()
+
+
+def _target(target: Path) -> Path:
+    """The file to write, refused before anything is computed for it."""
+    try:
+        if target.is_dir():
+            raise _refused(target, "it is a folder")
+        if target.exists() and not target.is_file():
+            raise _refused(target, "it is no regular file")
+        if not target.parent.is_dir():
+            raise _refused(target, f"the folder {target.parent} does not exist")
+    except OSError as error:  # as of a name that is too long
+        raise _refused(target, error.strerror or str(error)) from None
+    return target
+
+
+def _refused(target: Path, reason: str) -> InputError:
+    return InputError(f"cannot write {target}: {reason}", "a file in an existing folder")
+
+
+def _write(target: Path, text: str) -> int:
+    """Write beside the target, then put it in its place: the page is there whole, or the old one is."""
+    data = text.encode()
+    try:
+        handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
+    except OSError as error:
+        raise _refused(target, error.strerror or str(error)) from None
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        os.chmod(name, 0o666 & ~_umask())
+        os.replace(name, target)
+    except OSError as error:
+        raise _refused(target, error.strerror or str(error)) from None
+    finally:
+        Path(name).unlink(missing_ok=True)
+    return len(data)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,189 @@
+"""Walls, boards, steps and handles of a replay: what contacts touch that is not the terrain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import meshcat.geometry as shapes
+import numpy as np
+import pinocchio as pin
+
+from trajopt.solution.descriptions import surfaces_of, terrain_of
+from trajopt.solution.solution import Solution
+from trajopt.terrain.piecewise import PiecewiseTerrain
+from trajopt.terrain.surface import UP, Surface, frame_of_normal
+from trajopt.view.replay.commands import without_shadow
+from trajopt.view.replay.motion import Motion
+from trajopt.view.replay.robot import DrawnRobot
+
+WALL_COLOUR, HANDLE_COLOUR = 0xB98A4E, 0x1E8C7E
+WALL_OPACITY, HANDLE_OPACITY = 0.45, 0.8
+# Over the robot's extent: a patch reaches this far beyond the contacts on it; radius of a handle; thickness.
+PATCH_MARGIN, HANDLE_RADIUS, THICKNESS = 0.15, 0.06, 0.01
+# A foot's or hand's visual reaches beyond its contact frame by at most this part of the robot's extent.
+DEEPEST_FOOT = 0.15
+# Frames at which the lowest points of the links in contact are measured.
+MEASURED_STANCES = 20
+# Normals flatter than 45 degrees get edges along the world's x and y, the others a horizontal edge.
+STEEPEST_FLOOR = np.sqrt(0.5)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Touch:
+    """A contact, by its column, on a surface at some frames ``rows`` (n,), true where it touches."""
+
+    surface: Surface
+    contact: int
+    rows: np.ndarray
+
+
+def plane_of(solution: Solution) -> Surface:
+    """Return the ground's plane: of ground that is none a level one, which stands for it to the camera.
+
+    Level at height 0 where the solution has no terrain.
+    """
+    terrain = terrain_of(solution.meta.get("terrain"))
+    if isinstance(terrain, PiecewiseTerrain):
+        return terrain.surface
+    return terrain if isinstance(terrain, Surface) else Surface(point=np.zeros(3), normal=np.array(UP))
+
+
+def curved_drop(
+    standing: list[Touch], solution: Solution, motion: Motion, robot: DrawnRobot, size: float
+) -> float:
+    """How far below their contact frames drawn feet reach on ground that is no plane, m."""
+    drops = [0.0]
+    for touch in standing:
+        for rows in _stances(touch.rows):
+            place = motion.feet[rows, touch.contact]
+            plane = Surface(point=place[0], normal=np.array(UP))
+            one = np.zeros_like(touch.rows)
+            one[rows[0]] = True
+            seen = seen_plane(
+                [Touch(surface=plane, contact=touch.contact, rows=one)], solution, motion, robot, size
+            )
+            drops.append(plane.height - seen.height)
+    return float(np.median(drops[1:])) if len(drops) > 1 else 0.0
+
+
+def _stances(rows: np.ndarray) -> list[np.ndarray]:
+    """Indices of the stretches of consecutive frames."""
+    found = np.flatnonzero(rows)
+    return np.split(found, np.flatnonzero(np.diff(found) > 1) + 1) if len(found) else []
+
+
+def touches_of(solution: Solution, motion: Motion) -> tuple[list[Touch], list[Touch]]:
+    """Return the touches of the terrain, and those of other surfaces by phase and contact.
+
+    A contact whose own surface is the terrain's plane touches the terrain, unless it is held there.
+    """
+    terrain, own = plane_of(solution), surfaces_of(solution.meta.get("surfaces"))
+    described = terrain_of(solution.meta.get("terrain"))
+    faces = described.faces if isinstance(described, PiecewiseTerrain) else ()
+    planes = [terrain, *(face.surface for face in faces)]
+    on_terrain, elsewhere = motion.active.copy(), []
+    for phase, surfaces in enumerate(own):
+        for frame, surface in surfaces.items():
+            contact = solution.contact_frames.index(frame)
+            rows = motion.active[:, contact] & (motion.phase == phase)
+            if rows.any() and (surface.bilateral or not any(surface.same_plane(plane) for plane in planes)):
+                elsewhere.append(Touch(surface=surface, contact=contact, rows=rows))
+                on_terrain[rows, contact] = False
+    standing = [
+        Touch(surface=terrain, contact=contact, rows=rows)
+        for contact, rows in enumerate(on_terrain.T)
+        if rows.any()
+    ]
+    return standing, elsewhere
+
+
+def seen_plane(
+    touches: list[Touch], solution: Solution, motion: Motion, robot: DrawnRobot, size: float
+) -> Surface:
+    """Return the plane that the drawn feet of ``touches`` (one or more, on one plane) stand on.
+
+    Contact frames may lie inside the foot (the centre of a rounded tip): the plane is drawn deeper
+    along its normal by the typical distance from the frame to the lowest point of its link in contact.
+    """
+    surface, drops = touches[0].surface, []
+    normal = surface.normal
+    stances = [(row, touch.contact) for touch in touches for row in np.flatnonzero(touch.rows)]
+    heights = [float(normal @ motion.feet[stance]) for stance in stances]
+    for number in np.unique(np.linspace(0, len(stances) - 1, MEASURED_STANCES).astype(int)):
+        row, contact = stances[number]
+        frame = solution.model.getFrameId(solution.contact_frames[contact])
+        joint = solution.model.frames[frame].parentJoint
+        turn, place = motion.joints[row, joint, :3, :3], motion.joints[row, joint, :3, 3]
+        points = np.concatenate(robot.points.get(joint, [np.zeros((1, 3))]))
+        drops.append(heights[number] - float((points @ (turn.T @ normal)).min() + normal @ place))
+    drop = float(np.median(drops))
+    height = min(heights) - (drop if 0 < drop < DEEPEST_FOOT * size else 0.0)
+    return Surface(point=surface.point + (height - surface.height) * normal, normal=normal)
+
+
+def draw_surfaces(
+    vis: Any, touches: list[Touch], solution: Solution, motion: Motion, robot: DrawnRobot, size: float
+) -> np.ndarray:
+    """Draw each plane as a patch around where it is touched, a handle where a contact is held.
+
+    Returns the corners of the patches and the handles' places (k, 3) in m: what the camera has to show.
+    """
+    places = [np.zeros((0, 3))]
+    for number, group in enumerate(_by_plane([touch for touch in touches if not touch.surface.bilateral])):
+        plane = seen_plane(group, solution, motion, robot, size)
+        points = np.concatenate([motion.feet[touch.rows, touch.contact] for touch in group])
+        places.append(_patch(vis[f"patch{number}"], plane, points, size))
+    handles: list[np.ndarray] = []
+    for touch in touches:
+        if touch.surface.bilateral:
+            place = motion.feet[touch.rows, touch.contact].mean(axis=0)
+            if all(np.linalg.norm(place - other) > HANDLE_RADIUS * size for other in handles):
+                _handle(vis[f"handle{len(handles)}"], touch.surface, place, size)
+                handles.append(place)
+    return np.concatenate([*places, np.reshape(handles, (-1, 3))])
+
+
+def _by_plane(touches: list[Touch]) -> list[list[Touch]]:
+    groups: list[list[Touch]] = []
+    for touch in touches:
+        same = [group for group in groups if group[0].surface.same_plane(touch.surface)]
+        if same:
+            same[0].append(touch)
+        else:
+            groups.append([touch])
+    return groups
+
+
+def _patch(node: Any, plane: Surface, points: np.ndarray, size: float) -> np.ndarray:
+    """A translucent board whose front lies in the plane, around ``points`` (k, 3); returns its corners."""
+    turn = _patch_frame(plane.normal)
+    local = (points - plane.point) @ turn[:, :2]
+    low, high = local.min(axis=0) - PATCH_MARGIN * size, local.max(axis=0) + PATCH_MARGIN * size
+    thickness = THICKNESS * size
+    centre = plane.point + turn @ np.array([*(low + high) / 2, -thickness / 2])
+    material = shapes.MeshLambertMaterial(color=WALL_COLOUR, opacity=WALL_OPACITY)
+    node.set_object(shapes.Box([*(high - low).tolist(), thickness]), material)
+    without_shadow(node)
+    node.set_transform(pin.SE3(turn, centre).homogeneous)
+    corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
+    return np.asarray(plane.point + corners @ turn[:, :2].T)
+
+
+def _patch_frame(normal: np.ndarray) -> np.ndarray:
+    """Columns edge, edge, normal (3, 3), right-handed; a wall's first edge is horizontal."""
+    if abs(normal[2]) > STEEPEST_FLOOR:
+        return frame_of_normal(normal)
+    edge = np.cross(UP, normal)
+    edge /= np.linalg.norm(edge)
+    return np.column_stack([edge, np.cross(normal, edge), normal])
+
+
+def _handle(node: Any, surface: Surface, place: np.ndarray, size: float) -> None:
+    """A disc whose front lies where the contact is held."""
+    thickness = THICKNESS * size
+    turn = frame_of_normal(surface.normal) @ pin.utils.rotate("x", np.pi / 2)  # a cylinder lies along y
+    material = shapes.MeshLambertMaterial(color=HANDLE_COLOUR, opacity=HANDLE_OPACITY)
+    node.set_object(shapes.Cylinder(thickness, HANDLE_RADIUS * size), material)
+    without_shadow(node)
+    node.set_transform(pin.SE3(turn, place - thickness / 2 * surface.normal).homogeneous)

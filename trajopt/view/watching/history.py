@@ -1,0 +1,88 @@
+"""What is known of the solves that run: the figures of every iteration, and which solve it is."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+from trajopt.solving.iterate import Iterate
+
+FIGURES = (
+    "objective",
+    "primal",
+    "dual",
+    "barrier",
+    "step",
+    "regularization",
+    "line_search",
+    "restoration",
+)
+# Trials of a line search from which it is worth a word: the step is a sixteenth of the first, or less.
+MANY_TRIALS = 5
+# A step below this part of the whole makes next to no way.
+SHORT_STEP = 1e-3
+
+
+@dataclass(kw_only=True, eq=False)
+class History:
+    """Figures of the present solve, one entry an iteration; ``number`` counts solves from 1, 0 before."""
+
+    number: int = 0
+    title: str = ""
+    status: str = ""
+    begun: float = 0.0
+    ended: float = 0.0
+    rows: list[dict[str, float]] = field(default_factory=list)
+
+    def add(self, iterate: Iterate) -> None:
+        """Take in what a watch is told; a guess begins a new solve."""
+        now = time.perf_counter()
+        if iterate.stage == "guess":
+            unknowns = iterate.transcription.layout.n_unknowns
+            parts = (iterate.label, iterate.grid, f"{unknowns} unknowns", iterate.solver)
+            self.number, self.title = self.number + 1, ", ".join(part for part in parts if part)
+            self.begun, self.rows, self.status = now, [], ""
+        elif iterate.stage == "iteration":
+            row = {name: float(iterate.figures.get(name, 0.0)) for name in FIGURES}
+            self.rows.append(
+                {"iteration": float(iterate.figures["iteration"]), "time": now - self.begun, **row}
+            )
+        else:
+            self.status = iterate.status
+        self.ended = now
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the present solve began, to its end where it has ended."""
+        return (self.ended if self.status else time.perf_counter()) - self.begun
+
+    @property
+    def step_time(self) -> float | None:
+        """Mean seconds an iteration; None before the second."""
+        if len(self.rows) < 2:
+            return None
+        first, last = self.rows[0], self.rows[-1]
+        return (last["time"] - first["time"]) / (len(self.rows) - 1)
+
+    def state(self) -> str:
+        """What the solver is doing, in a word or two."""
+        if self.status:
+            return self.status
+        if not self.rows:
+            return "starting"
+        return "restoring feasibility" if self.rows[-1]["restoration"] else "solving"
+
+    def troubles(self) -> list[str]:
+        """What makes the last step a hard one, in words."""
+        if not self.rows:
+            return []
+        row, found = self.rows[-1], []
+        if row["restoration"]:
+            found.append("restoration: the objective waits until the rows hold better")
+        if row["regularization"] > 0:
+            found.append(f"Hessian regularised by {row['regularization']:.0e}")
+        if row["line_search"] >= MANY_TRIALS:
+            found.append(f"line search cut the step {row['line_search'] - 1:.0f} times")
+        elif len(self.rows) > 1 and 0 < row["step"] < SHORT_STEP:
+            found.append("a very short step")
+        return found

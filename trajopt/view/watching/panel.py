@@ -1,0 +1,104 @@
+"""The convergence of a solve in a terminal: a few lines that change in place."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from types import TracebackType
+
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.live import Live
+from rich.text import Text
+
+from trajopt.solving.iterate import Iterate
+from trajopt.view.watching.history import History
+from trajopt.view.watching.sparkline import ASCII, BLOCKS, sparkline
+
+# Pictures a second: what an eye follows. A thread of rich's draws them: the solver waits for none.
+RATE = 10.0
+FRAMES, ASCII_FRAMES = "⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏", "|/-\\"
+# Columns of a figure's name and of its number.
+NAME, NUMBER = 14, 12
+ROWS = {"objective": "objective", "primal": "infeasibility", "dual": "optimality"}
+# The last column stays empty: some terminals wrap at it.
+EDGE = 1
+
+
+class Panel:
+    """A watch that shows a title, the solve, objective and infeasibilities over iterations, and trouble.
+
+    A context manager; silent where stderr is no terminal that can move its cursor.
+    """
+
+    def __init__(self, title: str, stopping: Callable[[], bool] = bool) -> None:
+        self._console = Console(stderr=True, highlight=False, markup=False)
+        live = sys.stderr.isatty() and not self._console.is_dumb_terminal
+        self._history, self._title, self._stopping, self._frame = History(), title, stopping, 0
+        self._live = (
+            Live(self, console=self._console, transient=True, refresh_per_second=RATE) if live else None
+        )
+
+    def __enter__(self) -> Panel:
+        if self._live:
+            self._live.start(refresh=True)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live:
+            self._live.stop()
+
+    def __call__(self, iterate: Iterate) -> None:
+        """Take in an iterate; what is seen follows within a tenth of a second."""
+        if self._live:
+            self._history.add(iterate)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        self._frame += 1
+        width = max(1, options.max_width - EDGE)
+        plain = options.ascii_only
+        frames = ASCII_FRAMES if plain else FRAMES
+        spinner = frames[self._frame % len(frames)]
+        for line in lines(self._history, self._title, width - 2, plain=plain, stopping=self._stopping()):
+            yield Text(f"{spinner} {line}", no_wrap=True, overflow="crop")
+            spinner = " "
+
+
+def lines(
+    history: History, title: str, width: int, *, plain: bool = False, stopping: bool = False
+) -> list[str]:
+    """What a panel says, each line at most ``width`` columns wide; ``plain`` uses ASCII alone."""
+    if history.number == 0:
+        return [_fitting(f"{title}: building and compiling", width)]
+    state = "stopping" if stopping and not history.status else history.state()
+    count = f", iteration {history.rows[-1]['iteration']:.0f}" if history.rows else ""
+    pace = "" if history.step_time is None else f", {_seconds(history.step_time)} a step"
+    head = f"{title}: {state}{count}, {_seconds(history.elapsed)}{pace}"
+    found = [head, history.title]
+    if history.rows:
+        room = width - NAME - NUMBER - 1
+        found += [_row(history, name, room, ASCII if plain else BLOCKS) for name in ROWS]
+        row = history.rows[-1]
+        barrier = f", barrier {row['barrier']:.0e}" if row["barrier"] > 0 else ""
+        found.append(f"step {row['step']:.2g}{barrier}" + "".join(f"; {text}" for text in history.troubles()))
+    return [_fitting(line, width) for line in found]
+
+
+def _row(history: History, name: str, room: int, blocks: str) -> str:
+    values = [row[name] for row in history.rows]
+    text = f"{values[-1]:.6g}" if name == "objective" else f"{values[-1]:.1e}"
+    linear = name == "objective"
+    return f"{ROWS[name]:<{NAME}}{text:<{NUMBER}} {sparkline(values, room, linear=linear, blocks=blocks)}"
+
+
+def _seconds(value: float) -> str:
+    return f"{1e3 * value:.0f} ms" if value < 1 else f"{value:.1f} s" if value < 100 else f"{value:.0f} s"
+
+
+def _fitting(text: str, width: int) -> str:
+    """The text, cut to ``width`` columns: one that wraps would leave lines behind."""
+    while cell_len(text) > width:
+        text = text[:-1]
+    return text

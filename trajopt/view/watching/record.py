@@ -1,0 +1,82 @@
+"""All iterations as text: a table for later plots, or lines for a reader."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from types import TracebackType
+from typing import TextIO
+
+from trajopt.errors import InputError
+from trajopt.solving.iterate import Iterate
+from trajopt.view.watching.history import FIGURES, History
+
+COLUMNS = ("solve", "label", "scheme", "intervals", "solver", "iteration", "time_s", *FIGURES)
+# A heading again after so many lines.
+PAGE = 25
+HEADING = f"{'iter':>5} {'objective':>14} {'primal':>9} {'dual':>9} {'barrier':>9} {'step':>9} {'time s':>8}"
+
+
+class Table:
+    """A watch that writes every iteration as a row of a CSV file, at once, so that it can be followed."""
+
+    def __init__(self, path: str | Path) -> None:
+        """Open the file; raises `InputError` where it cannot be written."""
+        target = Path(path).expanduser()
+        try:
+            self._file = target.open("w", encoding="utf-8", newline="", buffering=1)
+        except OSError as error:
+            raise InputError(
+                f"cannot write {target}: {error.strerror or error}", "allowed: a file in an existing folder"
+            ) from None
+        self._rows, self._history = csv.writer(self._file, lineterminator="\n"), History()
+        self._rows.writerow(COLUMNS)
+
+    def __enter__(self) -> Table:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def __call__(self, iterate: Iterate) -> None:
+        """Write an iteration."""
+        self._history.add(iterate)
+        if iterate.stage != "iteration":
+            return
+        layout, row = iterate.transcription.layout, self._history.rows[-1]
+        own = (self._history.number, iterate.label, layout.mesh.transcription, layout.n_intervals)
+        figures = [f"{row[name]:.9g}" for name in FIGURES]
+        self._rows.writerow([*own, iterate.solver, int(row["iteration"]), f"{row['time']:.6f}", *figures])
+
+
+class Lines:
+    """A watch that writes a line an iteration to a stream."""
+
+    def __init__(self, stream: TextIO, title: str) -> None:
+        self._stream, self._title, self._history = stream, title, History()
+
+    def __call__(self, iterate: Iterate) -> None:
+        """Write an iteration, or where a solve begins and ends."""
+        history = self._history
+        history.add(iterate)
+        if iterate.stage == "guess":
+            self._write(f"{self._title}: {history.title}")
+        elif iterate.stage == "end":
+            self._write(f"{self._title}: {history.status}, {history.elapsed:.2f} s")
+        else:
+            if len(history.rows) % PAGE == 1:
+                self._write(HEADING)
+            self._write(_line(history))
+
+    def _write(self, text: str) -> None:
+        self._stream.write(text.rstrip() + "\n")
+        self._stream.flush()
+
+
+def _line(history: History) -> str:
+    row = history.rows[-1]
+    numbers = f"{row['iteration']:5.0f} {row['objective']:14.7g} {row['primal']:9.2e} {row['dual']:9.2e}"
+    more = f"{row['barrier']:9.2e} {row['step']:9.2e} {row['time']:8.2f}"
+    return f"{numbers} {more}  {'; '.join(history.troubles())}"

@@ -1,0 +1,168 @@
+"""A watch that shows iterates in Meshcat, from a thread of its own: the solver never waits for it."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+import warnings
+from types import TracebackType
+
+import zmq
+
+from trajopt.solution.solution import Solution
+from trajopt.solving.iterate import Iterate
+from trajopt.view.replay.caption import page_facts
+from trajopt.view.replay.commands import Command
+from trajopt.view.replay.live import LiveWindow
+from trajopt.view.replay.motion import motion_of
+from trajopt.view.replay.scene import build_scene
+from trajopt.view.watching.drawing import TOP, IterateScene, Picture
+
+# Iterates a second that are drawn at most.
+RATE = 5.0
+# Part of a processor that drawing takes at most, the scene of a new problem aside.
+SHARE = 0.1
+# Seconds that the solver's thread waits at most for Python while the viewer's thread runs; Python's own is
+# 5 ms, which would be a tenth of an iteration of a jump.
+SWITCH = 5e-4
+# Seconds that a solve waits at most for the picture of its guess.
+FIRST = 10.0
+# Milliseconds after which a server that does not answer is given up.
+ANSWER = 5000
+
+
+class Viewer:
+    """A watch for `trajopt.solve`: ``solve(problem, watch=Viewer())`` shows its iterates at ``url``.
+
+    The robot plays the motion of the present iterate, translucent poses stand at its changes of phase, lines
+    are the paths of feet and centre of mass. A viewer that fails is a warning, and the solve goes on. Close
+    it, or use it as a context manager, to end its server. Raises `TrajoptError` where the server does not
+    start.
+    """
+
+    def __init__(self, *, open_browser: bool = False) -> None:
+        self._window = LiveWindow()
+        for option in (zmq.RCVTIMEO, zmq.SNDTIMEO):
+            self._window.zmq_socket.setsockopt(option, ANSWER)
+        self._switch = sys.getswitchinterval()
+        sys.setswitchinterval(min(SWITCH, self._switch))
+        self._scene, self._wake = IterateScene(), threading.Condition()
+        self._next: Iterate | Solution | None = None
+        self._busy = self._closed = self._failed = False
+        self._free = 0.0
+        self.drawn = 0
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+        if open_browser:
+            self._window.open()
+
+    @property
+    def url(self) -> str:
+        """Where a browser finds the viewer."""
+        return self._window.web_url
+
+    def __call__(self, iterate: Iterate) -> None:
+        """Take in an iterate if it is time to; guesses and ends always.
+
+        Returns at once while the solver runs; a guess and its problem's scene are drawn before it starts.
+        """
+        if not self.alive:
+            return
+        if iterate.stage == "iteration" and (self._busy or time.perf_counter() < self._free):
+            return
+        if iterate.unknowns is not None:  # read now: they are known only while the solver calls
+            self._put(iterate)
+        if iterate.stage == "guess":
+            self.flush(FIRST)
+
+    def show(self, solution: Solution) -> None:
+        """Show the replay of a solution in place of the iterates."""
+        if self.alive:
+            self._put(solution)
+
+    def flush(self, timeout: float = 60.0) -> bool:
+        """Wait until all that was taken in is drawn; whether that took less than ``timeout`` s."""
+        with self._wake:
+            return self._wake.wait_for(
+                lambda: self._failed or (self._next is None and not self._busy), timeout
+            )
+
+    @property
+    def alive(self) -> bool:
+        """Whether it shows what it is given: it has not failed and is not closed."""
+        return not (self._failed or self._closed)
+
+    def wait(self) -> None:
+        """Block until the server ends; Ctrl-C is a KeyboardInterrupt."""
+        self._window.server_proc.wait()
+
+    def close(self) -> None:
+        """End the thread and the server; nothing where that was done."""
+        if self._closed:
+            return
+        sys.setswitchinterval(self._switch)
+        with self._wake:
+            self._closed = True
+            self._wake.notify_all()
+        self._thread.join(2 * ANSWER / 1000)
+        self._window.close()
+
+    def __enter__(self) -> Viewer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _put(self, what: Iterate | Solution) -> None:
+        with self._wake:
+            self._next = what
+            self._wake.notify_all()
+
+    def _run(self) -> None:
+        while True:
+            with self._wake:
+                self._wake.wait_for(lambda: self._next is not None or self._closed)
+                if self._closed:
+                    return
+                what, self._next, self._busy = self._next, None, True
+            try:
+                self._draw(what)
+            except Exception as error:
+                self._failed = True
+                if not self._closed:
+                    text = " ".join(f"{type(error).__name__}: {error}".split())
+                    warnings.warn(f"the viewer has stopped, solving goes on: {text}", stacklevel=2)
+            finally:  # a warning may be an error, too, and who waits has to be told
+                with self._wake:
+                    self._busy = False
+                    self._wake.notify_all()
+            if self._failed:
+                return
+
+    def _draw(self, what: Iterate | Solution | None) -> None:
+        begin, used = time.perf_counter(), time.thread_time()
+        if isinstance(what, Solution):
+            motion = motion_of(what)
+            scene = build_scene([what], [motion])
+            clear = Command({"type": "delete", "path": TOP})
+            self._window.show([clear, *scene.commands], page_facts(scene, [what], [motion]))
+        elif what is not None:
+            picture = self._scene.picture(what)
+            if picture is not None:
+                self._tell(picture)
+            # a guess brings its scene, which is drawn once
+            spent = 0.0 if what.stage == "guess" else time.thread_time() - used
+            self._free = max(begin + 1 / RATE, time.perf_counter() + spent * (1 / SHARE - 1))
+        self.drawn += 1
+
+    def _tell(self, picture: Picture) -> None:
+        if picture.new:
+            self._window.show(picture.commands, picture.facts)
+            return
+        for command in picture.commands:
+            self._window.send(command)
+        self._window.tell("facts", picture.facts)
+        self._window.tell("drawn", True)
