@@ -6,10 +6,10 @@ import importlib
 import pkgutil
 from functools import lru_cache
 
-import robots
 from trajopt.problem.family import Family, choose
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
+from trajopt_library import robots
 
 
 @lru_cache(maxsize=1)

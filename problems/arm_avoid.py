@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-import robots
-from problems import common
 from trajopt.errors import InputError
 from trajopt.problem.family import Family, Parameter
 from trajopt.problem.problem import Problem
@@ -33,6 +31,9 @@ from trajopt.terms import (
 )
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.swing_profile import smooth_step
+from trajopt_library import robots
+
+from . import common
 
 # Over the robot's reach: the tool's distance from the base's axis and its height at start and goal.
 RADIUS, HEIGHT = 0.4, 0.25

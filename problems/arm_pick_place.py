@@ -9,7 +9,6 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 
-from problems import arms, common
 from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
 from trajopt.errors import InputError
 from trajopt.problem.family import Choice, Family, Parameter
@@ -21,6 +20,8 @@ from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import AccelerationCost, FramePose, FrameVelocity, Term, TerminalRest, TimeCost, TorqueCost
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.swing_profile import smooth_step
+
+from . import arms, common
 
 TOOL = "tool"
 PHASES = ("approach", "descend", "lift", "carry", "lower", "retreat")

@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from problems import arms, common
 from trajopt.errors import InputError
 from trajopt.problem.family import Family, Parameter
 from trajopt.problem.problem import Problem
@@ -15,6 +14,8 @@ from trajopt.robot.kinematics import inverse_kinematics
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import AccelerationCost, FramePose, TerminalRest, TorqueCost
 from trajopt.terrain.flat import FlatGround
+
+from . import arms, common
 
 # The goal where none is given: the tool of the reference turned about the base and raised.
 TURN = math.radians(60)

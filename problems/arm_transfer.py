@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from problems import arms, common
 from trajopt.errors import InputError
 from trajopt.problem.family import Choice, Family, Parameter
 from trajopt.problem.problem import Problem
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import AccelerationCost, Term, TerminalRest, TerminalState, TimeCost, TorqueCost
 from trajopt.terrain.flat import FlatGround
+
+from . import arms, common
 
 GOALS = ("time", "effort")
 # Weights of what makes every direction of the motion priced: small against torques (mean squares of about

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from problems import arms, common
-from problems.strokes import Facing, RestOnStroke, Stroke, StrokeMotion
 from trajopt.errors import InputError
 from trajopt.problem.family import Choice, Family, Parameter
 from trajopt.problem.problem import Problem
@@ -21,6 +19,9 @@ from trajopt.terms import AccelerationCost, NormalForce, TorqueCost
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import Surface
 from trajopt.terrain.swing_profile import smooth_step
+
+from . import arms, common
+from .strokes import Facing, RestOnStroke, Stroke, StrokeMotion
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline

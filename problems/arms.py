@@ -10,12 +10,12 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 
-import robots
 from trajopt.errors import InputError
 from trajopt.robot.kinematics import Posture, frame_pose, inverse_kinematics
 from trajopt.robot.robot import Robot
 from trajopt.terms import DriveLimits, EffortLimits, PositionLimits, Term, VelocityLimits
 from trajopt.terrain.swing_profile import smooth_step
+from trajopt_library import robots
 
 # Arms on which families are tested; any other works by its name or file.
 ARMS = ("ur5", "panda", "kinova", "irb1600", "z1", "xarm7")

@@ -10,7 +10,6 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from problems import bipeds, common, leaping
 from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
 from trajopt.problem.family import Choice, Family, Parameter
 from trajopt.problem.problem import Problem
@@ -21,6 +20,8 @@ from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import SwingClearance, TerminalRest, TerminalState
 from trajopt.terrain.flat import FlatGround
+
+from . import bipeds, common, leaping
 
 # Push over mass times sqrt(g l): the pendulum's capture point then moves by this part of the robot's length.
 PUSH = 0.05

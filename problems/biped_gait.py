@@ -6,8 +6,6 @@ from functools import partial
 
 import numpy as np
 
-from problems import bipeds, common
-from problems.gait_common import Style
 from trajopt.problem.family import Choice, Family, Parameter
 from trajopt.problem.periodicity import Periodicity
 from trajopt.problem.problem import Problem
@@ -18,6 +16,9 @@ from trajopt.schedule.named_gaits import BIPED, gait_of
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms import Term, swing_arcs
 from trajopt.terrain.flat import FlatGround
+
+from . import bipeds, common
+from .gait_common import Style
 
 # Froude numbers of a slow walk and of a jog; stride lengths follow from them as of other animals.
 STYLES = {

@@ -11,10 +11,11 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from problems import bipeds, leaping, quadruped_jump
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.problem.family import Family
 from trajopt.problem.problem import Problem
+
+from . import bipeds, leaping, quadruped_jump
 
 # Default jumps forward are no longer than feet come in flight, from rest to rest, at this part of gravity's
 # acceleration: legs are a third of a humanoid's mass.

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from problems import bipeds, common, leaping
 from trajopt.problem.family import Family, Parameter
 from trajopt.problem.problem import Problem
 from trajopt.reduced.legged_guess import legged_guess
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import FrameHeight, TerminalRest, TerminalState
 from trajopt.terrain.flat import FlatGround
+
+from . import bipeds, common, leaping
 
 # Depth as a part of the robot's length; duration in units of sqrt(l / g): two seconds for a human's leg.
 DEPTH, DURATION = 0.2, 6.0

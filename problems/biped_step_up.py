@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from problems import bipeds, common, leaping
 from trajopt.errors import InputError
 from trajopt.problem.family import Family, Parameter
 from trajopt.problem.problem import Problem
@@ -17,6 +16,8 @@ from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import TerminalRest, TerminalState, swing_clearance
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.swing_path import swing_path
+
+from . import bipeds, common, leaping
 
 # Height of the box and way forward, parts of the robot's length; a way of so many soles at least.
 HEIGHT, FORWARD, SOLES = 0.15, 0.4, 1.6

@@ -11,7 +11,6 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from problems import bipeds, common
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
 from trajopt.problem.family import Family, Parameter
@@ -24,6 +23,8 @@ from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion
 from trajopt.terms import SwingClearance, Term, TerminalRest
 from trajopt.terrain.flat import FlatGround
+
+from . import bipeds, common
 
 # Part of the soles that the pendulum's ZMP keeps away from: the robot is no pendulum.
 MARGIN = 0.5

@@ -6,13 +6,14 @@ from functools import lru_cache
 
 import numpy as np
 
-import robots
-from problems import common
 from trajopt.reduced.base_path import BaseWaypoint
 from trajopt.robot.legs import biped_legs
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion
 from trajopt.terms import PositionLimits, Term, TrackingCost, VelocityLimits
+from trajopt_library import robots
+
+from . import common
 
 ROBOTS = ("talos", "g1", "bolt")
 # Price of accelerations, for smooth motions.

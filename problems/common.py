@@ -67,7 +67,7 @@ def touchdown() -> Choice:
 
 
 def goal(*choices: str) -> Choice:
-    """What the motion minimises or maximises: names of `trajopt.objectives`, the first the default."""
+    """What the motion minimises or maximises: names of `trajopt.terms.objectives`, the first the default."""
     return Choice(name="goal", default=choices[0], choices=choices, meaning="what is best")
 
 

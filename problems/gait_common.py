@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from problems import common
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.problem.family import Choice, Parameter
 from trajopt.reduced.gait_guess import Pace, commanded_motion
@@ -16,6 +15,8 @@ from trajopt.schedule.schedule import Schedule
 from trajopt.terms import FrictionPyramid, PositionLimits, Term, TrackingCost, VelocityLimits, goal_terms
 from trajopt.terms.objectives import REST
 from trajopt.terrain.flat import FlatGround
+
+from . import common
 
 ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
 # Least height of a foot in mid swing as a part of the robot's length; swings of the guess are higher.

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems import common, hoppers
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.problem.family import Choice, Family, Parameter
 from trajopt.problem.periodicity import Periodicity
@@ -17,6 +16,8 @@ from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import FrictionPyramid, PositionLimits, SwingClearance, VelocityLimits, goal_terms
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.swing_profile import smooth_step
+
+from . import common, hoppers
 
 # Speed by default as a Froude number u^2 / (g l), and a stride's length in leg lengths as of animals:
 # 1.9 froude^0.40 (Alexander, Jayes, "A dynamic similarity hypothesis for the gaits of quadrupedal mammals",

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from problems import common, hoppers
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
 from trajopt.problem.family import Choice, Family
@@ -33,6 +32,8 @@ from trajopt.terms import (
     goal_terms,
 )
 from trajopt.terrain.flat import FlatGround
+
+from . import common, hoppers
 
 # The base rises by this part of the robot's length while the leg stretches, in the guess.
 RISE = 0.17

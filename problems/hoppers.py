@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-import robots
 from trajopt.errors import InputError
 from trajopt.robot.kinematics import contact_positions, inverse_kinematics
 from trajopt.robot.robot import Robot
+from trajopt_library import robots
 
 ROBOTS = ("hopper", "hopper_space")
 # Coordinates of the base along the world's x and z, by kind of base.

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from problems import common
-from robots import irb1600
 from trajopt.errors import InputError
 from trajopt.problem.family import Choice, Family, Parameter
 from trajopt.problem.problem import Problem
@@ -28,6 +26,9 @@ from trajopt.terms import (
     VelocityLimits,
 )
 from trajopt.terrain.flat import FlatGround
+from trajopt_library.robots import irb1600
+
+from . import common
 
 GOALS = ("effort", "time")
 # Weights of what makes every direction of the motion priced: small against the motors' torques (mean

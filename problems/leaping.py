@@ -14,8 +14,6 @@ from functools import lru_cache
 import numpy as np
 import pinocchio as pin
 
-import robots
-from problems import common
 from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
 from trajopt.errors import InputError
 from trajopt.problem.family import Parameter
@@ -27,6 +25,9 @@ from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.terms import EffortLimits, FramesAbove, PositionLimits, Term, VelocityLimits, swing_clearance
 from trajopt.terms.frames import leg_joints
 from trajopt.terrain.terrain import Terrain
+from trajopt_library import robots
+
+from . import common
 
 # Of the extension that legs have left, the guess uses this part at take-off and at touchdown.
 EXTENSION_PART = 0.6

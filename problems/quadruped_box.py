@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 
-from problems import common, leaping
 from trajopt.errors import InputError
 from trajopt.problem.family import Family
 from trajopt.problem.problem import Problem
@@ -16,6 +15,8 @@ from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 from trajopt.terms import TerminalRest, TerminalState
 from trajopt.terrain.piecewise import PiecewiseTerrain
+
+from . import common, leaping
 
 # Robots whose joints are fast enough to carry all feet over an edge in one flight: anymal_c's 7.5 rad/s
 # allow a flight of 0.13 s (docs/problems/jumps.md).

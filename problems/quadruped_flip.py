@@ -14,7 +14,6 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
-from problems import common, leaping
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.problem.family import Family
 from trajopt.problem.problem import Problem
@@ -26,6 +25,8 @@ from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import FrameDirection, Term, TerminalRest, TerminalState
 from trajopt.terrain.flat import FlatGround
+
+from . import common, leaping
 
 ROBOTS = ("solo12", "go2", "a1", "hyq")
 # A backflip takes hyq to its torque limits throughout (docs/problems/jumps.md).

@@ -11,9 +11,6 @@ from functools import partial
 
 import numpy as np
 
-import robots
-from problems import common, gait_common
-from problems.gait_common import HIGHER, RARE, ROBOTS, STYLES, gait_terms
 from trajopt.errors import InputError
 from trajopt.problem.family import Choice, Family
 from trajopt.problem.periodicity import Periodicity
@@ -26,6 +23,10 @@ from trajopt.schedule.named_gaits import QUADRUPED
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms import swing_arcs
 from trajopt.terrain.flat import FlatGround
+from trajopt_library import robots
+
+from . import common, gait_common
+from .gait_common import HIGHER, RARE, ROBOTS, STYLES, gait_terms
 
 # Free durations are between these parts of the nominal ones; their sum, the period, is not free.
 FREE = (0.6, 1.5)

@@ -10,7 +10,6 @@ from typing import Literal
 
 import numpy as np
 
-from problems import common, leaping
 from trajopt.problem.family import Family
 from trajopt.problem.problem import Problem
 from trajopt.reduced.legged_guess import legged_guess
@@ -19,6 +18,8 @@ from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms import FrameHeight, TerminalRest, TerminalState, effort_costs, goal_terms
 from trajopt.terrain.flat import FlatGround
+
+from . import common, leaping
 
 ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
 # Default durations in units of sqrt(l / g): solo12 pushes for 0.4 s and comes to rest in 0.5 s.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from problems import common, leaping
 from trajopt.errors import InputError
 from trajopt.problem.family import Choice, Family
 from trajopt.problem.problem import Problem
@@ -15,6 +14,8 @@ from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import TerminalRest, TerminalState, TimeCost
 from trajopt.terrain.flat import FlatGround
+
+from . import common, leaping
 
 ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
 # Default duration in units of sqrt(l / g); free, it stays within these multiples of it.

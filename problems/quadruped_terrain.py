@@ -7,9 +7,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from problems import common
-from problems.gait_common import ROBOTS
-from problems.terrain_walks import Walker, parameters, problem_over, walker
 from trajopt.errors import InputError
 from trajopt.problem.family import Choice, Family, Parameter
 from trajopt.problem.problem import Problem
@@ -19,6 +16,10 @@ from trajopt.terrain.piecewise import REACH, PiecewiseTerrain
 from trajopt.terrain.shapes import Wave
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.terrain import Terrain
+
+from . import common
+from .gait_common import ROBOTS
+from .terrain_walks import Walker, parameters, problem_over, walker
 
 # Rise and depth of a stair as parts of the robot's length; their ratio is that of stairs in houses.
 RISE, RUN, STAIRS = 0.2, 0.6, 3

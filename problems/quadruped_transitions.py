@@ -13,9 +13,6 @@ from functools import partial
 
 import numpy as np
 
-import robots
-from problems import common, gait_common
-from problems.gait_common import HIGHER, ROBOTS, STYLES, gait_terms
 from trajopt.errors import InputError
 from trajopt.problem.family import Choice, Family, Parameter
 from trajopt.problem.problem import Problem
@@ -27,6 +24,10 @@ from trajopt.schedule.named_gaits import QUADRUPED
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import TerminalRest, TerminalState, TerminalVelocity, swing_arcs
 from trajopt.terrain.flat import FlatGround
+from trajopt_library import robots
+
+from . import common, gait_common
+from .gait_common import HIGHER, ROBOTS, STYLES, gait_terms
 
 # Of every period of the gait, standing included.
 INTERVALS_PER_PERIOD = 20

@@ -7,9 +7,6 @@ import math
 import numpy as np
 import pinocchio as pin
 
-import robots
-from problems import common
-from robots.solo12 import BASE
 from trajopt.dynamics.base_joint import ORDERS
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.dynamics.virtual_base import DEFAULT_ORDER
@@ -30,6 +27,10 @@ from trajopt.terms import (
     VelocityLimits,
 )
 from trajopt.terrain.flat import FlatGround
+from trajopt_library import robots
+from trajopt_library.robots.solo12 import BASE
+
+from . import common
 
 # In the guess the base rises by this much, m, and turns by this part of the whole, while the feet stand.
 RISE = 0.04

@@ -7,9 +7,6 @@ import math
 import numpy as np
 import pinocchio as pin
 
-import robots
-from problems import common
-from robots import solo12
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.errors import InputError
 from trajopt.problem.family import Family, Parameter
@@ -30,6 +27,10 @@ from trajopt.terms import (
     VelocityLimits,
 )
 from trajopt.terrain.flat import FlatGround
+from trajopt_library import robots
+from trajopt_library.robots import solo12
+
+from . import common
 
 # A flight shorter than this leaves no time to move the feet to their new places, s.
 SHORTEST_FLIGHT = 0.3

@@ -7,9 +7,6 @@ import math
 import numpy as np
 import pinocchio as pin
 
-import robots
-from problems import common
-from robots.solo12 import BASE
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.problem.family import Family
 from trajopt.problem.problem import Problem
@@ -27,6 +24,10 @@ from trajopt.terms import (
     VelocityLimits,
 )
 from trajopt.terrain.flat import FlatGround
+from trajopt_library import robots
+from trajopt_library.robots.solo12 import BASE
+
+from . import common
 
 # A flight shorter than this leaves no time to move the feet, s.
 SHORTEST_FLIGHT = 0.2

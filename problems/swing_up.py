@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-import robots
-from problems import common
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
 from trajopt.problem.family import Family
@@ -26,6 +24,9 @@ from trajopt.terms import (
 )
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.swing_profile import smooth_step
+from trajopt_library import robots
+
+from . import common
 
 # Duration by default in periods of the hanging links: time for some swings, or the guess of the least time.
 PERIODS = {"effort": 2.5, "time": 1.5}

@@ -5,9 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-import robots
-from problems import common
-from robots.talos import HAND, SIDES, SOLES
 from trajopt.problem.family import Family, Parameter
 from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import frame_pose, inverse_kinematics
@@ -26,6 +23,10 @@ from trajopt.terms import (
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import Surface
 from trajopt.terrain.swing_profile import smooth_step
+from trajopt_library import robots
+from trajopt_library.robots.talos import HAND, SIDES, SOLES
+
+from . import common
 
 # Where the hand goes across, m: in front of the left shoulder.
 ACROSS = 0.3

@@ -7,9 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-import robots
-from problems import common
-from problems.gait_common import CLEARANCE, STYLES, TRACKING
 from trajopt.errors import InputError
 from trajopt.problem.family import Choice, Parameter
 from trajopt.problem.problem import Problem
@@ -36,6 +33,10 @@ from trajopt.terms import (
 )
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.terrain import Terrain
+from trajopt_library import robots
+
+from . import common
+from .gait_common import CLEARANCE, STYLES, TRACKING
 
 # Gaits without flights: there are always feet on the ground.
 GAITS = ("trot", "walk")

@@ -8,9 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-import robots
-from problems import common
-from robots.ur5 import TOOL
 from trajopt.problem.family import Family, Parameter
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
@@ -27,6 +24,10 @@ from trajopt.terms import (
 )
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import Surface
+from trajopt_library import robots
+from trajopt_library.robots.ur5 import TOOL
+
+from . import common
 
 GRIP = "grip"
 # Half sizes of the gripped handle, m; a grasp transmits any wrench, so nothing but the drawing uses them.

@@ -7,9 +7,6 @@ import math
 import numpy as np
 import pinocchio as pin
 
-import robots
-from problems import common
-from robots.ur5 import TOOL
 from trajopt.problem.family import Choice, Family, Parameter
 from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import frame_pose, inverse_kinematics
@@ -27,6 +24,10 @@ from trajopt.terms import (
 )
 from trajopt.terms.context_symbols import ACTUATIONS, Actuation
 from trajopt.terrain.flat import FlatGround
+from trajopt_library import robots
+from trajopt_library.robots.ur5 import TOOL
+
+from . import common
 
 
 def _effort(robot: Robot, share: float, end: np.ndarray) -> dict[Actuation, tuple[Term, ...]]:

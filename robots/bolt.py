@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from robots import solo12
 from trajopt.robot.contact import Contact
 from trajopt.robot.data import robot_file
 from trajopt.robot.robot import Robot
+
+from . import solo12
 
 KIND = "biped"
 SIDES = {"left": "FL", "right": "FR"}

@@ -86,7 +86,7 @@ def build(*, payload: float = 0.0, motor_inertia: float = 0.75, material: str = 
     motor_inertia: reflected rotor inertia n^2 I_r over the link's inertia, which is here that of all that
         moves behind the joint about its axis, in the reference posture and without payload (what the
         motor was sized for); the lecture says 0.5 to 1.
-    material: of the links, a name of `trajopt.actuators.beams.DENSITY`.
+    material: of the links, a name of `trajopt.robot.actuators.beams.DENSITY`.
 
     Raises `InputError` for a payload or a share below zero, or an unknown material.
     """

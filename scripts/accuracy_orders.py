@@ -10,10 +10,10 @@ from collections.abc import Sequence
 import click
 import numpy as np
 
-import problems
 import trajopt
 from trajopt.certify.accuracy.measures import measure
 from trajopt.transcription.schemes import scheme
+from trajopt_library import problems
 
 SCHEMES = (
     *(f"legendre:{degree}" for degree in (1, 2, 3)),

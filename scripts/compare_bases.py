@@ -9,7 +9,6 @@ import click
 import numpy as np
 import pinocchio as pin
 
-import problems
 from trajopt.dynamics.base_joint import ORDERS, virtual_order
 from trajopt.dynamics.virtual_base import to_free_flyer
 from trajopt.problem.problem import Problem
@@ -17,6 +16,7 @@ from trajopt.reduced.base_conversion import with_virtual_base
 from trajopt.solution.solution import Solution
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solving.solving import solve
+from trajopt_library import problems
 
 QUATERNION = "quaternion"
 HEADER = (

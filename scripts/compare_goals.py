@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-import problems
 from trajopt.certify.check import check
 from trajopt.certify.energy import cost_of_transport
 from trajopt.problem.problem import Problem
@@ -18,6 +17,7 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.solving import solve
 from trajopt.terms import Cost, PowerCost, TimeCost
 from trajopt.terms.objectives import REST_OF_LINEAR
+from trajopt_library import problems
 
 # Starts beside a problem's own guess, with the suite's noise in natural units.
 SEEDS, NOISE = (0, 1, 2), 0.1

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 import click
 import numpy as np
 
-import problems
 import trajopt
 from trajopt.problem.problem import Problem
 from trajopt.reduced.body_guess import guess_from_srb
@@ -29,6 +28,7 @@ from trajopt.solvers.result import Stop
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import prepare
 from trajopt.transcription.guess import perturbed
+from trajopt_library import problems
 
 JUMPS = (
     {"distance": 0.3},

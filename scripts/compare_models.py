@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import click
 
-import problems
 from trajopt.certify.check import check
 from trajopt.problem.problem import Problem
 from trajopt.reduced.base_conversion import with_virtual_base
@@ -19,6 +18,7 @@ from trajopt.solution.solution import Solution
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solving.solving import solve
 from trajopt.terms import TimeCost
+from trajopt_library import problems
 
 HEADER = (
     "| compared | model | variables | rows | iterations | solver s | objective | check |",

@@ -22,13 +22,13 @@ import osqp
 import piqp
 from scipy import sparse
 
-import problems
 from trajopt.solvers.qp import Quadratic, StageQp
 from trajopt.solvers.sqp import Sqp
 from trajopt.solvers.sqp_point import Evaluator, Point
 from trajopt.solvers.sqp_settings import SqpSettings
 from trajopt.solving.solving import prepare
 from trajopt.transcription.nlp import Nlp
+from trajopt_library import problems
 
 REPEATS = 3
 ACCURACY = 1e-6

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import click
 
-import problems
 from trajopt import solve
 from trajopt.certify.accuracy.measures import measure
 from trajopt.cli.input import values_of
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.solving.refine import Refinement, phase_errors, refine, tolerance_for
+from trajopt_library import problems
 
 # A uniform mesh of more intervals than this times the problem's own is not tried.
 MOST = 16

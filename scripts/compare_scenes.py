@@ -12,10 +12,7 @@ import click
 import numpy as np
 import pinocchio as pin
 
-import problems
-import robots
 import trajopt
-from robots import solo12, talos
 from trajopt import Contact, Phase, Problem, Robot, Schedule
 from trajopt.reduced.scenes.goals import scene
 from trajopt.reduced.scenes.smallest import Scene, smallest
@@ -23,6 +20,8 @@ from trajopt.robot.building import reference_posture
 from trajopt.robot.data import robot_file
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.transcription.compilation import LEVELS
+from trajopt_library import problems, robots
+from trajopt_library.robots import solo12, talos
 
 DISTANCE = 0.2  # m, of the jump from upright legs
 STANCE, FLIGHT, LANDING = 0.4, 0.3, 0.5  # s

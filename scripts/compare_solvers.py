@@ -19,7 +19,6 @@ from dataclasses import dataclass
 import click
 import numpy as np
 
-import problems
 from trajopt.errors import InputError
 from trajopt.solvers.drivers import check_hessian, run
 from trajopt.solvers.result import Result, Stop, Warm
@@ -27,6 +26,7 @@ from trajopt.solvers.status import Status
 from trajopt.solving.solving import prepare, solve
 from trajopt.transcription.guess import perturbed
 from trajopt.transcription.nlp import Nlp
+from trajopt_library import problems
 
 PAIRS = (
     ("ipopt", "exact"),

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import click
 import numpy as np
 
-import problems
 import trajopt
 from trajopt.problem.problem import Problem
 from trajopt.reduced.two_stage import recover_torques, without_torques
@@ -28,6 +27,7 @@ from trajopt.solving.extraction import extract
 from trajopt.solving.solving import Prepared, prepare
 from trajopt.transcription.stage_functions import derivatives
 from trajopt.transcription.transcription import Transcription
+from trajopt_library import problems
 
 CASES = (
     ("solo12-jump", {}),

@@ -17,11 +17,11 @@ from dataclasses import dataclass, field, replace
 
 import click
 
-import problems
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solving.solving import prepare, solve_prepared
+from trajopt_library import problems
 
 Values = Mapping[str, object]
 Grid = tuple[str | None, int | None]

@@ -16,9 +16,9 @@ from collections.abc import Callable
 import click
 import numpy as np
 
-import problems
 from trajopt.solving.solving import prepare
 from trajopt.transcription.compilation import CACHE_VARIABLE, LEVELS
+from trajopt_library import problems
 
 REPETITIONS = 60
 # A step that makes each evaluation point new to the engine, and changes nothing else.

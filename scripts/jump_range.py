@@ -10,9 +10,9 @@ import math
 
 import click
 
-import problems
 import trajopt
 from trajopt.solvers.drivers import SOLVERS
+from trajopt_library import problems
 
 DISTANCES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
 HEIGHTS = (0.0, 0.1, 0.2)

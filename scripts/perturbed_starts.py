@@ -11,12 +11,12 @@ from collections import Counter
 import click
 import numpy as np
 
-import problems
 from trajopt.solvers.drivers import SOLVERS, run
 from trajopt.solvers.result import Stop
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import prepare
 from trajopt.transcription.guess import perturbed
+from trajopt_library import problems
 
 # Objectives closer than this belong to one optimum.
 SAME_OPTIMUM = 1e-3

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import click
 import numpy as np
 
-import problems
 from trajopt.problem.problem import Problem
 from trajopt.solvers.drivers import SOLVERS, run
 from trajopt.solvers.result import Stop
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import Prepared, prepare
 from trajopt.transcription.guess import perturbed
+from trajopt_library import problems
 
 
 @dataclass(frozen=True, kw_only=True)

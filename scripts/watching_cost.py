@@ -17,12 +17,12 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
-import problems
 from trajopt.solving.iterate import Iterate, Watch
 from trajopt.solving.solving import DEFAULT_SOLVER, Prepared, prepare, solve_prepared
 from trajopt.view.watching.history import History
 from trajopt.view.watching.record import Table
 from trajopt.view.watching.viewer import Viewer
+from trajopt_library import problems
 
 MODES = ("alone", "panel", "log", "viewer")
 

@@ -14,11 +14,11 @@ from page_meshes import restored
 from scipy.spatial.transform import Rotation, Slerp
 from synthetic import Motion, sampled, standing
 
-import robots
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import Surface
 from trajopt.view.replay.show import replay as show
+from trajopt_library import robots
 
 INTERVALS = 3
 STANCE, FLIGHT = 0.2, 0.1  # s

@@ -14,8 +14,6 @@ from problems_for_tests import SCHEME_ORDERS, hopper, lean, one_joint_arm, reach
 from synthetic import Motion, arm_motion, pushing_off, sampled, standing, tumbling_flight
 from test_transitions import landing, still
 
-import problems
-import robots
 import trajopt
 from trajopt.certify.accuracy.measures import interval_errors, measure
 from trajopt.certify.accuracy.natural_units import NaturalUnits
@@ -27,6 +25,7 @@ from trajopt.robot.payload import loaded_model
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
 from trajopt.transcription.mesh import Mesh, PhaseMesh
+from trajopt_library import problems, robots
 
 # Motions are of order one and integrated to 1e-10 relative; differences lose some digits.
 EXACT = 1e-8

@@ -14,7 +14,6 @@ from problems_for_tests import SCHEME_ORDERS, hop, reach
 from synthetic import arm_motion, sampled, standing, tumbling_flight
 from test_transitions import landing, still
 
-import robots
 import trajopt
 from trajopt.certify.accuracy.comparison import compare
 from trajopt.certify.accuracy.interpolation import sample_interval
@@ -25,6 +24,7 @@ from trajopt.errors import InputError
 from trajopt.solution.local_states import local_state, state_from_local
 from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
+from trajopt_library import robots
 
 ROUNDING = 1e-12
 # Derivatives of rotations' coordinates come from central differences, here or there.

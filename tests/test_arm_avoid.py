@@ -9,8 +9,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from problems import arm_avoid
-from problems.common import smooth_step
 from trajopt import solve
 from trajopt.certify.check import check
 from trajopt.errors import InputError
@@ -19,6 +17,8 @@ from trajopt.robot.kinematics import frame_pose
 from trajopt.solving.avoidance import missed_pairs
 from trajopt.terms import Clearance
 from trajopt.terms.clearance import collision_scene
+from trajopt_library.problems import arm_avoid
+from trajopt_library.problems.common import smooth_step
 
 POSE = 1e-6  # m and 1; what the solver's tolerance leaves
 OTHERS = ("xarm7", "z1")  # arms that the family does not name

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-import problems
 import trajopt
 from trajopt.errors import InputError
 from trajopt.reduced.footsteps import feet_of
+from trajopt_library import problems
 
 # Iterations within which every example is to solve from its own guess.
 MOST_ITERATIONS = 60

@@ -8,10 +8,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-import problems
-import robots
 import trajopt
-from problems import biped_balance, bipeds, leaping
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
@@ -23,6 +20,8 @@ from trajopt.terms import Context, NodePlace, SwingClearance, SwingOver, swing_a
 from trajopt.terms.landing import corners
 from trajopt.terrain.flat import FlatGround
 from trajopt.transcription.mesh import equal_fractions
+from trajopt_library import problems, robots
+from trajopt_library.problems import biped_balance, bipeds, leaping
 
 # Linear algebra in double precision on numbers of order one to a hundred.
 ROUNDING = 1e-9

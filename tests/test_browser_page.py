@@ -22,7 +22,6 @@ from browser_for_tests import (
 )
 from synthetic import arm_motion, sampled
 
-import robots
 import trajopt
 from trajopt.errors import InputError, TrajoptError
 from trajopt.problem.catalogue import families
@@ -30,6 +29,7 @@ from trajopt.solution.solution import Solution
 from trajopt.view.replay.browser import EXECUTABLE_VARIABLE, chromium, find_chromium, opened
 from trajopt.view.replay.robot import joint_path
 from trajopt.view.replay.show import replay
+from trajopt_library import robots
 
 SIZE = (480, 360)
 INTERVALS = 20

@@ -19,12 +19,12 @@ from browser_for_tests import (
     until,
 )
 
-import robots
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
 from trajopt.view.replay import collada
 from trajopt.view.replay.robot import joint_path
 from trajopt.view.replay.show import replay
+from trajopt_library import robots
 
 SIZE = (320, 240)
 LARGE = ("b1", "go1")  # more than a million vertices

@@ -7,12 +7,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-import robots
 from trajopt.errors import InputError
 from trajopt.robot.collision.fitting import enclosing_capsule, least_circle
 from trajopt.robot.collision.link_capsules import inflated, robot_capsules, spanning_points
 from trajopt.robot.collision.shapes import LinkCapsule
 from trajopt.robot.robot import Robot
+from trajopt_library import robots
 
 ROUNDING = 1e-9  # m; sums of numbers around one
 

@@ -34,7 +34,7 @@ def install(folder: Path, name: str, source: str) -> None:
 
 
 FOREIGN_FAMILY = """
-from trajopt.family import Family
+from trajopt.problem.family import Family
 def families():
     return {"%s": Family(name="%s", robot="arm", phases=("go",), summary="", parameters=(), build=dict)}
 """

@@ -12,12 +12,12 @@ import pinocchio as pin
 import pytest
 from synthetic import arm_motion, planar_flight, pushing_off, sampled, standing, tumbling_flight
 
-import robots
 from trajopt.certify.check import check
 from trajopt.certify.report import Tolerances
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
+from trajopt_library import robots
 
 INTERVALS = 20
 EXACT = 1e-9  # motions are integrated to 1e-13; differences of accelerations lose some digits

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from test_transitions import landing, still
 
-import problems
 import trajopt
 from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
+from trajopt_library import problems
 
 # What a solver leaves that stops at 1e-6 in units of weight and length.
 MET = 1e-6

@@ -10,7 +10,6 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-import problems
 from trajopt.certify.check import check
 from trajopt.certify.energy import cost_of_transport
 from trajopt.errors import InputError
@@ -18,6 +17,7 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import contact_positions
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import solve
+from trajopt_library import problems
 
 # Ten times the solver's default tolerance, on rows of about a radian, a metre and their rates.
 SOLVED = 1e-5

@@ -120,7 +120,7 @@ def on_screen(text: str) -> tuple[list[str], int]:
 
 SECOND_PRESS = """
 import os, signal, time
-from trajopt.progress import Interruption
+from trajopt.cli.progress import Interruption
 with Interruption() as interruption:
     interruption.started = True
     for _ in range(2):
@@ -142,7 +142,7 @@ def test_second_ctrl_c_ends_a_solver_that_does_not_answer() -> None:
 IGNORED = """
 import signal
 signal.signal(signal.SIGINT, signal.SIG_IGN)
-from trajopt.progress import Interruption
+from trajopt.cli.progress import Interruption
 with Interruption():
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN

@@ -10,7 +10,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-import robots
 from trajopt.errors import InputError
 from trajopt.robot.collision.distances import Axis, Box, box_distance, segment_distance
 from trajopt.robot.collision.link_capsules import robot_capsules
@@ -24,6 +23,7 @@ from trajopt.robot.collision.shapes import (
     coal_obstacle,
     obstacle_from_description,
 )
+from trajopt_library import robots
 
 COAL = 1e-6  # m; what Coal's iterations for a box stop at
 SMOOTHING = 1e-3

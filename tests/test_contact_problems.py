@@ -10,7 +10,6 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import linprog
 
-import problems
 from trajopt.certify.check import check
 from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of, mass_of
 from trajopt.problem.problem import Problem
@@ -18,6 +17,7 @@ from trajopt.robot.sole import centre_of_pressure
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import solve
 from trajopt.terrain.surface import Surface
+from trajopt_library import problems
 
 MOST_ITERATIONS = 60
 TOLERANCE = 1e-8

@@ -13,7 +13,6 @@ from command_lines import assert_refused
 from numpy.testing import assert_allclose
 from problems_for_tests import REACH_TIME, reach
 
-import problems
 import trajopt
 from trajopt import Solution, continuation, solve_ladder
 from trajopt.cli.main import main
@@ -21,6 +20,7 @@ from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solving.continuation import Continuation
 from trajopt.terms import TerminalRest, TerminalState, TorqueCost, VelocityCost
+from trajopt_library import problems
 
 VALUES = (0.2, 0.5, 0.8)
 # One optimum, to what the solver's tolerance leaves.

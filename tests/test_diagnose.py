@@ -11,7 +11,6 @@ from problems_for_tests import REACH, REACH_TIME, hop, lean, one_joint_arm, reac
 from scipy.optimize import linprog
 from test_redundancy import corners, solo_hop
 
-import problems
 import trajopt
 from trajopt import Problem, Robot, Solution
 from trajopt.errors import InputError
@@ -34,6 +33,7 @@ from trajopt.terms import (
     TorqueCost,
 )
 from trajopt.transcription import term_functions
+from trajopt_library import problems
 
 # Values of rows against the samples of the solution, relative to their unit.
 SAME = 1e-9

@@ -8,13 +8,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-import robots
-from robots import solo12
 from tests.problems_for_tests import hopper, one_joint_arm
 from trajopt.errors import InputError, UnsupportedJointError
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.on_robot import drive_torque_values
 from trajopt.robot.robot import Robot
+from trajopt_library import robots
+from trajopt_library.robots import solo12
 
 # A handful of products of doubles.
 ROUNDING = 1e-12

@@ -10,7 +10,6 @@ import pinocchio as pin
 import pytest
 from scipy import sparse
 
-import problems
 import trajopt
 from tests.problems_for_tests import REACH, REACH_TIME, hopper, one_joint_arm, point_of, random_point, reach
 from trajopt.dynamics.manifold import Coordinates
@@ -19,6 +18,7 @@ from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms import Context, DriveLimits, EffortLimits, MotorTorqueCost, TimeCost, TorqueCost
+from trajopt_library import problems
 
 # Symbolic and numeric evaluation of one formula.
 SAME = 1e-9

@@ -28,8 +28,8 @@ FAILURES = {
 # its matrix is NaN, and for ever after.
 DEGENERATE = """
 import json, sys
-import problems
-from trajopt.guess import perturbed
+from trajopt_library import problems
+from trajopt.transcription.guess import perturbed
 from trajopt.solvers import run
 from trajopt.solvers.result import Stop
 from trajopt.solving import prepare

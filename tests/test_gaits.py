@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-import robots
 from tests.robots_for_tests import random_state
 from trajopt.errors import InputError
 from trajopt.robot.legs import biped_legs, feet_in_base, quadruped_legs
@@ -18,6 +17,7 @@ from trajopt.schedule.named_gaits import BIPED, HOPPER, QUADRUPED, gait_of
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import swing_arcs
 from trajopt.terrain.flat import FlatGround
+from trajopt_library import robots
 
 PERIOD = 0.8
 # Durations are sums and products of a few decimal fractions.

@@ -13,11 +13,11 @@ from browser_for_tests import require_chromium
 from PIL import Image
 from problems_for_tests import hop
 
-import problems
 import trajopt
 from scripts import gallery
 from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
+from trajopt_library import problems
 
 GALLERY = Path(__file__).parent.parent / "docs" / "gallery"
 # Bytes of all committed pictures: a clone stays small.

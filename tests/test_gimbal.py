@@ -9,8 +9,6 @@ import pinocchio as pin
 import pytest
 from problems_for_tests import hop, hopper
 
-import problems
-import robots
 import trajopt
 from trajopt.dynamics.base_joint import ORDERS
 from trajopt.dynamics.virtual_base import (
@@ -28,6 +26,7 @@ from trajopt.reduced.base_conversion import with_virtual_base
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solvers.status import Status
+from trajopt_library import problems, robots
 
 ROUNDING = 1e-12
 # Objectives of the same flip on two bases, solved to 1e-6 and to the order of the scheme.

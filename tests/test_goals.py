@@ -7,10 +7,10 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-import problems
-from robots.ur5 import TOOL
 from trajopt.solving.solving import solve
 from trajopt.terms import FramePose, FrameVelocity, TerminalRest
+from trajopt_library import problems
+from trajopt_library.robots.ur5 import TOOL
 
 # Ten times the solver's default tolerance on rows of about a metre and a metre per second.
 SOLVED = 1e-5

@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from problems_for_tests import SCHEME_ORDERS, hop, hopper, reach
 from robots_for_tests import hand_built, random_state
 
-import problems
 from trajopt.certify.samples import evaluate
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
@@ -20,6 +19,7 @@ from trajopt.solving.extraction import extract
 from trajopt.terrain.flat import FlatGround
 from trajopt.transcription.guess import initial_guess, perturbed
 from trajopt.transcription.transcription import Transcription, transcribe
+from trajopt_library import problems
 
 ROUNDING = 1e-14
 # Wrenches carry the motion exactly; the points of the collocation map lie off it by its curvature in

@@ -14,7 +14,6 @@ from numpy.testing import assert_allclose
 from problems_for_tests import hop, hopper, one_joint_arm, planar_hopper, point_of, random_point, reach
 from scipy import sparse
 
-import robots
 from trajopt.cli.main import main
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
@@ -35,6 +34,7 @@ from trajopt.terms import (
 from trajopt.transcription.compilation import CACHE_VARIABLE, compile_points
 from trajopt.transcription.guess import perturbed
 from trajopt.transcription.stage_functions import PointFunction, derivatives
+from trajopt_library import robots
 
 # Central differences with this step: truncation and rounding both about its square root's square, 1e-10
 # of slopes up to a few hundred.

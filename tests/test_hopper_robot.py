@@ -6,8 +6,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-import robots
-from robots import hopper
+from trajopt_library import robots
+from trajopt_library.robots import hopper
 
 ROUNDING = 1e-12
 

@@ -7,12 +7,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-import robots
-from robots import irb1600
 from trajopt.errors import InputError
 from trajopt.robot.data import robot_file
 from trajopt.robot.kinematics import contact_positions, frame_pose, inverse_kinematics_branches
 from trajopt.robot.robot import Robot
+from trajopt_library import robots
+from trajopt_library.robots import irb1600
 
 # Postures are refined until the pose error is below this, m and rad.
 REFINED = 1e-10

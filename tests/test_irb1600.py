@@ -6,12 +6,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-import problems
-import robots
 import trajopt
-from problems.irb1600_transfer import nearest_posture
-from robots import irb1600
 from trajopt.errors import InputError
+from trajopt_library import problems, robots
+from trajopt_library.problems.irb1600_transfer import nearest_posture
+from trajopt_library.robots import irb1600
 
 ROUNDING = 1e-12
 # Payload that the data sheet allows, kg.

@@ -10,7 +10,6 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-import robots
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.errors import InputError
 from trajopt.reduced.base_path import BaseWaypoint, WaypointPath, flights
@@ -18,6 +17,7 @@ from trajopt.reduced.legged_guess import LeggedPosture, legged_guess
 from trajopt.robot.kinematics import contact_poses, contact_positions
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terrain.flat import FlatGround
+from trajopt_library import robots
 
 # Feet by inverse kinematics, m.
 REACHED = 1e-8

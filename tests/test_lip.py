@@ -11,8 +11,6 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
-import robots
-from problems.biped_walk import talos_legs
 from trajopt.errors import InputError
 from trajopt.reduced.com_planning import analytic_motion, distance_outside
 from trajopt.reduced.com_program import CenterOfMassProgram
@@ -22,6 +20,8 @@ from trajopt.reduced.lip import Pendulum, PendulumMotion, dcm_at_steps
 from trajopt.robot.contact import Contact
 from trajopt.robot.data import robot_file
 from trajopt.robot.robot import Robot
+from trajopt_library import robots
+from trajopt_library.problems.biped_walk import talos_legs
 
 PENDULUM = Pendulum(height=0.9)
 COM, VELOCITY, ZMP = np.array([0.05, -0.02]), np.array([0.3, 0.1]), np.array([0.02, 0.03])

@@ -10,7 +10,6 @@ import pinocchio as pin
 import pytest
 from problems_for_tests import FOOT, hopper
 
-import robots
 from trajopt.certify.check import check
 from trajopt.errors import InputError, UnsupportedJointError
 from trajopt.problem.problem import Problem
@@ -24,6 +23,7 @@ from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solving.solving import solve
 from trajopt.terms import AccelerationCost, PostureCost, TorqueCost, VelocityCost
 from trajopt.terrain.flat import FlatGround
+from trajopt_library import robots
 
 # Rounding of algorithms over a dozen bodies with forces of tens of newtons.
 ROUNDING = 1e-10

@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose
 from problems_for_tests import FOOT, hop, hopper
 from test_transcription import Matrices, assert_derivatives, random_unknowns
 
-import problems
 import trajopt
 from trajopt.errors import InputError
 from trajopt.robot.data import robot_file
@@ -32,6 +31,7 @@ from trajopt.terms import (
 from trajopt.terrain.flat import FlatGround
 from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
+from trajopt_library import problems
 
 INTERVALS = 40
 # The transcriptions have different errors: measured 2.6e-4 of the optimum at 40 intervals, 2.3e-5 at 80,

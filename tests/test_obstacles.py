@@ -11,8 +11,6 @@ import pinocchio as pin
 import pytest
 from replay_pages import objects_of, placements_of, shown, with_meta
 
-import robots
-from problems.common import JointPath
 from trajopt import solve
 from trajopt.certify.check import check
 from trajopt.dynamics.manifold import Coordinates
@@ -29,6 +27,8 @@ from trajopt.terms import AccelerationCost, Clearance, Context, TerminalRest, Te
 from trajopt.terms.clearance import SMOOTHING, collision_scene
 from trajopt.terrain.flat import FlatGround
 from trajopt.transcription.stage_functions import point_function
+from trajopt_library import robots
+from trajopt_library.problems.common import JointPath
 
 MARGIN = 0.02
 POLYNOMIAL = 1e-9  # a cubic through its own values and rates: rounding

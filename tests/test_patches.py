@@ -13,8 +13,6 @@ from problems_for_tests import FOOT, hop, hopper
 from scipy.optimize import minimize
 from synthetic import sampled, standing
 
-import problems
-import robots
 from trajopt.certify.check import check
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError, SolutionFileError
@@ -54,6 +52,7 @@ from trajopt.terrain.surface import Surface
 from trajopt.terrain.swing_path import swing_path
 from trajopt.terrain.swing_profile import smooth_step
 from trajopt.transcription.mesh import equal_fractions
+from trajopt_library import problems, robots
 
 ROUNDING = 1e-12  # numbers of order one after a few products
 OPTIMISED = 1e-6  # a reference optimiser stops there

@@ -10,13 +10,13 @@ import pinocchio as pin
 import pytest
 
 import trajopt
-from problems import ur5_reach
 from trajopt.certify.report import RESIDUAL
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
 from trajopt.robot.payload import Payload, loaded, payload_wrench
 from trajopt.terrain.flat import FlatGround
+from trajopt_library.problems import ur5_reach
 
 MASS, CENTRE = 3.0, np.array([0.0, 0.02, 0.1])
 INERTIA = np.diag([0.01, 0.02, 0.015])

@@ -11,7 +11,6 @@ import pinocchio as pin
 import pytest
 
 import trajopt
-from robots import hopper, solo12
 from trajopt.certify.closing import image
 from trajopt.certify.report import RESIDUAL
 from trajopt.dynamics.manifold import Coordinates
@@ -32,6 +31,7 @@ from trajopt.terms import (
     WrenchCost,
 )
 from trajopt.terrain.flat import FlatGround
+from trajopt_library.robots import hopper, solo12
 
 SPEED, PERIOD = 0.4, 0.4  # m/s, s
 # Two solves to 1e-6 of the same optimum, the whole cycle and twice its half, agree far closer than this.

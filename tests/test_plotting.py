@@ -18,7 +18,6 @@ from numpy.testing import assert_allclose
 from problems_for_tests import hop, hopper, one_joint_arm, planar_hopper
 from synthetic import arm_motion, sampled, tumbling_flight
 
-import robots
 from trajopt import solve
 from trajopt.certify.check import check
 from trajopt.errors import InputError
@@ -33,6 +32,7 @@ from trajopt.view.plotting.summary import PAGES, pages_of
 from trajopt.view.plotting.topics_contacts import stances
 from trajopt.view.plotting.track import Track, tracks_of
 from trajopt.view.plotting.writing import report
+from trajopt_library import robots
 
 # Two computations of the same numbers differ by rounding.
 ROUNDING = 1e-9

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-import problems
-import robots
-from problems import common
 from trajopt.errors import InputError
 from trajopt.robot.kinematics import contact_positions
+from trajopt_library import problems, robots
+from trajopt_library.problems import common
 
 # Central differences over this step, s, of polynomials of order one.
 STEP, DIFFERENCE = 1e-5, 1e-8

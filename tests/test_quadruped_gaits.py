@@ -9,10 +9,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-import problems
-import robots
 import trajopt
-from problems.gait_common import STYLES
 from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
 from trajopt.errors import InputError
 from trajopt.reduced.gait_guess import Pace, base_pose, plan_of_cycle
@@ -23,6 +20,8 @@ from trajopt.schedule.gait_transitions import transition
 from trajopt.schedule.named_gaits import QUADRUPED
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms import TerminalVelocity
+from trajopt_library import problems, robots
+from trajopt_library.problems.gait_common import STYLES
 
 # Iterations within which every example is to solve from its own guess.
 MOST_ITERATIONS = 60

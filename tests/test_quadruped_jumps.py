@@ -11,9 +11,6 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-import problems
-import robots
-from problems import leaping, quadruped_box, quadruped_flip, quadruped_jump, quadruped_stand_up
 from trajopt.certify.check import check
 from trajopt.errors import InputError
 from trajopt.robot.kinematics import contact_positions, frame_pose
@@ -21,6 +18,14 @@ from trajopt.robot.legs import quadruped_legs
 from trajopt.solving.solving import solve
 from trajopt.terms import FrameDirection, FramesAbove
 from trajopt.terms.frames import leg_joints
+from trajopt_library import problems, robots
+from trajopt_library.problems import (
+    leaping,
+    quadruped_box,
+    quadruped_flip,
+    quadruped_jump,
+    quadruped_stand_up,
+)
 
 FAMILIES = (
     *(family.name for family in quadruped_jump.FAMILIES),

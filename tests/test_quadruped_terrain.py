@@ -10,10 +10,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-import problems
-import robots
 import trajopt
-from problems.gait_common import STYLES
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
@@ -28,6 +25,8 @@ from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.swing_profile import swing_profile
+from trajopt_library import problems, robots
+from trajopt_library.problems.gait_common import STYLES
 
 FAMILIES = [f"quadruped-{name}" for name in ("slope", "stairs", "steps", "stepping-stones", "waves")]
 # Closed forms, m and rad.

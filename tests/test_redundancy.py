@@ -11,8 +11,6 @@ import pytest
 from problems_for_tests import hop
 from scipy import sparse
 
-import problems
-import robots
 import trajopt
 from trajopt import Contact, FlatGround, Phase, Problem, Robot, Schedule
 from trajopt.robot.data import robot_file
@@ -30,6 +28,7 @@ from trajopt.terms import (
     WrenchCost,
 )
 from trajopt.transcription.redundancy import independent_rows
+from trajopt_library import problems, robots
 
 # The price of the wrenches themselves differs between one sole and four corners: a millionth of the torques'.
 SAME_OPTIMUM = 1e-5
@@ -98,7 +97,7 @@ def smallest_singular_value(problem: Problem) -> float:
     """Of the equality rows near the guess."""
     nlp = prepare(problem, intervals=6, compile="none").nlp
     t = nlp.transcription
-    x = trajopt.guess.perturbed(t, trajopt.guess.initial_guess(t), 0, 1e-2)
+    x = trajopt.transcription.guess.perturbed(t, trajopt.transcription.guess.initial_guess(t), 0, 1e-2)
     shape = (t.n_rows, len(x))
     jacobian = sparse.csr_matrix((nlp.engine.jacobian(x), (nlp.row, nlp.column)), shape=shape).toarray()
     equal, free = t.lower_g == t.upper_g, t.lower_x < t.upper_x

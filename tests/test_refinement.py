@@ -5,7 +5,6 @@ import pytest
 from numpy.testing import assert_allclose
 from problems_for_tests import hop, reach
 
-import problems
 from trajopt.certify.accuracy.measures import measure
 from trajopt.errors import InputError
 from trajopt.solution.grid import mesh_of
@@ -14,6 +13,7 @@ from trajopt.solving.remeshing import MOST_PARTS, PhaseErrors, error_constant, r
 from trajopt.solving.solving import solve
 from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt.transcription.schemes import scheme
+from trajopt_library import problems
 
 # Unknowns per node and per point of the made-up phases.
 SIZES = (10, 8)

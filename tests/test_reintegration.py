@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from synthetic import arm_motion, pushing_off, sampled, standing, tumbling_flight
 
-import robots
 from trajopt.certify.check import check
 from trajopt.certify.reintegration import open_loop
 from trajopt.certify.report import Tolerances
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
+from trajopt_library import robots
 
 INTERVALS = 20
 EXACT = 1e-9  # motions are integrated to 1e-13; the numbers here are of order one

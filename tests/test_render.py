@@ -21,7 +21,6 @@ from command_lines import assert_refused
 from PIL import Image
 from synthetic import arm_motion, sampled
 
-import robots
 from trajopt.cli.main import main
 from trajopt.errors import InputError, TrajoptError
 from trajopt.solution.solution import Solution
@@ -30,6 +29,7 @@ from trajopt.view.replay.browser import opened
 from trajopt.view.replay.render import render
 from trajopt.view.replay.shots import GAP, MOST_PICTURES, Shots, telling_moment
 from trajopt.view.replay.show import replay
+from trajopt_library import robots
 
 SMALL = (96, 64)
 RATE = Fraction(25)
@@ -218,9 +218,9 @@ def test_bad_input_is_one_line_and_writes_nothing(hop_file, tmp_path, monkeypatc
     assert_refused(command("-o", there), "FILE")
     assert_refused(command(hop_file), "--output")
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    assert_refused(command(hop_file, "-o", there), "pip install 'trajopt[render]'")
+    assert_refused(command(hop_file, "-o", there), "pip install 'trajopt-contacts[render]'")
     monkeypatch.setitem(sys.modules, "playwright.async_api", None)
-    assert_refused(command(hop_file, "-o", tmp_path / "a.png"), "pip install 'trajopt[render]'")
+    assert_refused(command(hop_file, "-o", tmp_path / "a.png"), "pip install 'trajopt-contacts[render]'")
     monkeypatch.undo()
     monkeypatch.setenv("TRAJOPT_CHROMIUM", "/nowhere/chromium")
     assert_refused(command(hop_file, "-o", there), "/nowhere/chromium", "apt install chromium")

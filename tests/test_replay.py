@@ -17,7 +17,6 @@ from page_meshes import array_of, distance_between, stl_points
 from replay_pages import objects_of, scene_of, tracks_of, with_meta
 from synthetic import Motion, arm_motion, meta_of, sampled, standing
 
-import robots
 from trajopt.errors import InputError
 from trajopt.robot.data import robot_file
 from trajopt.robot.robot import Robot
@@ -28,6 +27,7 @@ from trajopt.view.replay.robot import joint_path
 from trajopt.view.replay.scene import build_scene
 from trajopt.view.replay.show import replay, serve
 from trajopt.view.replay.thinning import ANGLE_ERROR, POSITION_ERROR
+from trajopt_library import robots
 
 SOLO_URDF = "example-robot-data/robots/solo_description/robots/solo12.urdf"
 INTERVALS = 6

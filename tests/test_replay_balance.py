@@ -19,7 +19,6 @@ from replay_pages import (
 )
 from synthetic import arm_motion, pushing_off, sampled, standing
 
-import robots
 from trajopt.certify.samples import evaluate
 from trajopt.robot.payload import Payload, loaded, loaded_model
 from trajopt.solution.solution import Solution
@@ -29,6 +28,7 @@ from trajopt.view.replay.balance import Balance, balance_of, on_ground, outer_wr
 from trajopt.view.replay.balance_marks import SUPPORT_LIFT
 from trajopt.view.replay.motion import motion_of
 from trajopt.view.replay.scene import build_scene
+from trajopt_library import robots
 
 INTERVALS = 4
 THINNED = 5e-4  # m: twice the stated error of a robot half a metre long, and rounding

@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose
 from replay_pages import STANCE, hopping, objects_of, placements_of, scene_of, shown, tracks_of, with_meta
 from synthetic import arm_motion, sampled
 
-import robots
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.schedule.targets import Target
 from trajopt.solution.solution import Solution
@@ -23,6 +22,7 @@ from trajopt.view.replay.robot import joint_path
 from trajopt.view.replay.runs import GAP
 from trajopt.view.replay.scene import Scene, build_scene
 from trajopt.view.replay.show import replay
+from trajopt_library import robots
 
 INTERVALS = 3
 THINNED = 5e-4  # m: twice the stated error of a robot half a metre long, and rounding

@@ -13,10 +13,10 @@ from numpy.testing import assert_allclose
 from replay_pages import hopping, objects_of, placements_of, shown, with_meta
 from synthetic import Motion, arm_motion, sampled
 
-import robots
-from robots.hopper import SLENDERNESS, TORSO_CENTRE, TORSO_LENGTH
 from trajopt.robot.data import robot_file
 from trajopt.view.replay.visuals import mesh_points, visuals_of
+from trajopt_library import robots
+from trajopt_library.robots.hopper import SLENDERNESS, TORSO_CENTRE, TORSO_LENGTH
 
 INTERVALS, DURATION = 3, 0.2  # s
 SINGLE_PRECISION = 2e-6  # of lengths around one

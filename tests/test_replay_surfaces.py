@@ -19,13 +19,13 @@ from replay_pages import (
 )
 from synthetic import sampled
 
-import robots
 from trajopt.errors import SolutionFileError
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import Surface
 from trajopt.view.replay.ground import GRID_LIFT
 from trajopt.view.replay.show import replay
 from trajopt.view.replay.surfaces import PATCH_MARGIN, THICKNESS
+from trajopt_library import robots
 
 INTERVALS, FOOT = 3, "FL_FOOT"
 SINGLE_PRECISION = 2e-6  # of lengths around one

@@ -9,11 +9,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-import robots
 from trajopt.errors import InputError
 from trajopt.robot.contact import Contact
 from trajopt.robot.data import VisualSource, robot_file
 from trajopt.robot.robot import Robot
+from trajopt_library import robots
 
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
 ROUNDING = 1e-12  # metres, after a few multiplications of numbers near one

@@ -12,7 +12,6 @@ import pinocchio as pin
 import pytest
 from click.testing import CliRunner
 
-import robots
 import trajopt
 from trajopt import Robot
 from trajopt.cli.main import main
@@ -21,6 +20,7 @@ from trajopt.robot.inspection.report import report
 from trajopt.robot.inspection.standing import inside, standing, standing_feet
 from trajopt.robot.inspection.starter import guessed, starter
 from trajopt.solving.rest import rest
+from trajopt_library import robots
 
 URDF = Path(__file__).parent.parent / "docs" / "tutorial" / "puppy" / "urdf" / "puppy.urdf"
 LEGS = ("lf", "rf", "lh", "rh")

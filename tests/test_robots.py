@@ -9,9 +9,9 @@ import pinocchio as pin
 import pytest
 from scipy.spatial import ConvexHull
 
-import robots
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
+from trajopt_library import robots
 
 ROUNDING = 1e-12  # metres, after a few multiplications of numbers near one
 # A robot may push off from where it stands only if its legs can lengthen by this part of their length.
@@ -50,7 +50,7 @@ LEGGED = tuple(name for kind in ("quadruped", "biped", "hopper") for name in rob
 MASSLESS = ("hip_roll",)  # of the hopper in space: the cross of its hip, with the inertia of a motor
 BUILT_HERE = ("hopper", "hopper_space", "irb1600")  # links without a description file
 
-ONE_LEG = "from robots.hopper_space import build\n"
+ONE_LEG = "from trajopt_library.robots.hopper_space import build\n"
 
 
 def poses(robot: Robot, frames: list[str]) -> list[pin.SE3]:
@@ -219,7 +219,7 @@ def test_a_robot_may_come_from_a_file(tmp_path):
     assert robots.load(str(path)).nu == 3
     assert robots.kind(str(path)) == "hopper"  # it stands on one foot
     arm = tmp_path / "arm.py"
-    arm.write_text("from robots.z1 import build\n")
+    arm.write_text("from trajopt_library.robots.z1 import build\n")
     assert (robots.kind(str(arm)), robots.tool_frame(str(arm))) == ("arm", "gripperMover")
 
 

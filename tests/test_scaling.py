@@ -7,12 +7,12 @@ import statistics
 import numpy as np
 import pytest
 
-import problems
 from trajopt.solvers.drivers import mesh_weight, run
 from trajopt.solvers.result import Stop
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import Prepared, prepare
 from trajopt.transcription.guess import perturbed
+from trajopt_library import problems
 
 COARSE, FINE = 25, 200
 MOST = 1.3  # iterations on the fine mesh over those on the coarse one, or the other way round

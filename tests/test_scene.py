@@ -10,8 +10,6 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-import problems
-import robots
 import trajopt
 from scripts.compare_scenes import SQUAT_INTERVALS, sideways, talos_squat, upright_jump
 from tests.problems_for_tests import hopper, one_joint_arm, reach
@@ -47,6 +45,7 @@ from trajopt.terms import (
     WrenchCost,
 )
 from trajopt.terrain.surface import Surface
+from trajopt_library import problems, robots
 
 # Solvers stop at 1e-8 in natural units; two ways to write one problem differ by that over costs of 1e-3.
 SOLVED = 1e-8

@@ -9,8 +9,6 @@ import pinocchio as pin
 import pytest
 from synthetic import Motion, arm_motion, sampled, standing, tumbling_flight
 
-import problems
-import robots
 from trajopt import Contact, Robot, Solution, solve
 from trajopt.certify.closing import image
 from trajopt.certify.samples import evaluate
@@ -19,6 +17,7 @@ from trajopt.certify.simulation.reference import reference_of
 from trajopt.certify.simulation.settings import Settings
 from trajopt.certify.simulation.simulate import simulate
 from trajopt.errors import InputError
+from trajopt_library import problems, robots
 
 # The figure that jumps and gaits have to meet, m: of the base at the end.
 AT_THE_END = 0.05

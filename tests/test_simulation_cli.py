@@ -11,9 +11,9 @@ import pytest
 from click.testing import CliRunner, Result
 from synthetic import sampled, standing
 
-import robots
 from trajopt import Solution
 from trajopt.cli.main import main
+from trajopt_library import robots
 
 
 @pytest.fixture(scope="module")

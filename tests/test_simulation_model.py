@@ -8,9 +8,9 @@ import pinocchio as pin
 import pytest
 from robots_for_tests import JOINT_KINDS, hand_built, random_state
 
-import robots
 from trajopt.certify.simulation.bodies import body_name, build_bodies, compile_bodies, write_inertias
 from trajopt.errors import InputError
+from trajopt_library import robots
 
 # Two recursions over a few dozen bodies in double precision.
 SAME = 1e-10

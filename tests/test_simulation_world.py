@@ -10,7 +10,6 @@ import pinocchio as pin
 import pytest
 from synthetic import arm_motion, sampled, standing
 
-import robots
 from trajopt import Solution
 from trajopt.certify.samples import evaluate
 from trajopt.certify.simulation.settings import Settings
@@ -22,6 +21,7 @@ from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.shapes import Bump
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import UP, Surface
+from trajopt_library import robots
 
 # A standing robot moves by what its contacts give way, m.
 STANDS = 1e-3

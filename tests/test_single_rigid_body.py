@@ -11,10 +11,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-import problems
-import robots
 import trajopt
-from problems.biped_walk import talos_legs
 from tests.problems_for_tests import FOOT, hop, hopper, planar_hopper
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
@@ -35,6 +32,8 @@ from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.solution.solution import Solution
 from trajopt.terms import Context
+from trajopt_library import problems, robots
+from trajopt_library.problems.biped_walk import talos_legs
 
 # Sums in another order.
 ROUNDING = 1e-10

@@ -11,9 +11,9 @@ import pinocchio as pin
 import pytest
 from synthetic import arm_motion, sampled, standing, tumbling_flight
 
-import robots
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.solution.solution import OTHERS, SAMPLED, Solution
+from trajopt_library import robots
 
 INTERVALS = 4
 

@@ -10,7 +10,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from problems_for_tests import hop, lean, reach
 
-import problems
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solvers.drivers import IPOPT_OPTIONS, SOLVERS, run
@@ -19,6 +18,7 @@ from trajopt.solvers.status import Status
 from trajopt.solving.solving import Prepared, prepare, solve
 from trajopt.terms import TorqueCost
 from trajopt.transcription.transcription import Transcription
+from trajopt_library import problems
 
 # Two evaluations of one graph, by the virtual machine and by compiled C, entries up to 1e3.
 SAME = {"rtol": 1e-12, "atol": 1e-10}

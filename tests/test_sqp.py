@@ -14,7 +14,6 @@ from problems_for_tests import SCHEME_ORDERS, hop, lean, reach
 from scipy import sparse
 from scipy.optimize import linprog
 
-import problems
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solvers.convexification import Convexified
@@ -27,6 +26,7 @@ from trajopt.solving.solving import Prepared, prepare, solve, solve_prepared
 from trajopt.terms import AccelerationCost, EffortLimits, TorqueCost, VelocityCost
 from trajopt.transcription.guess import perturbed
 from trajopt.transcription.nlp import Nlp
+from trajopt_library import problems
 
 Unknowns = Callable[[], np.ndarray]
 

@@ -11,7 +11,6 @@ import pytest
 from numpy.testing import assert_allclose
 from problems_for_tests import FOOT, hopper, one_joint_arm, planar_hopper, point_of, random_point
 
-import robots
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
@@ -30,6 +29,7 @@ from trajopt.terms import (
     WrenchCost,
 )
 from trajopt.transcription.stage_functions import Derivatives, PointFunction, derivatives
+from trajopt_library import robots
 
 # Two graphs of one function in double precision, entries up to a few hundred.
 SAME = {"rtol": 1e-9, "atol": 1e-9}

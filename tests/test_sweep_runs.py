@@ -296,7 +296,7 @@ class Running:
                 given, command = (folder / "environ").read_bytes(), (folder / "cmdline").read_bytes()
             except OSError:
                 continue
-            if str(self.package).encode() in given and b"trajopt.sweep.worker" in command:
+            if str(self.package).encode() in given and b"trajopt.study.sweep.worker" in command:
                 found.append(int(folder.name))
         return found
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import problems
 import trajopt
 from trajopt.terrain.swing_profile import swing_profile
+from trajopt_library import problems
 
 # Relative change of the objective between 50 and 100 intervals; with a profile that rises at once it is 6e-2.
 CONVERGED = 1e-3

@@ -15,7 +15,6 @@ from replay_pages import shown
 from scipy.spatial import Delaunay
 from synthetic import Motion, sampled, standing
 
-import robots
 from trajopt.certify.check import check
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError, SolutionFileError
@@ -45,6 +44,7 @@ from trajopt.terrain.surface import Surface, frame_of_normal
 from trajopt.terrain.swing_path import swing_path
 from trajopt.terrain.terrain import terrain_from_description
 from trajopt.transcription.mesh import equal_fractions
+from trajopt_library import robots
 
 ROUNDING = 1e-12  # numbers of order one after a few products
 DIFFERENCES = 1e-7  # central differences with steps of 1e-5 of functions of order one

@@ -12,7 +12,6 @@ from goals_for_tests import integral, objective, sampled, wandering, with_terms
 from numpy.testing import assert_allclose
 from problems_for_tests import REACH, REACH_TIME, hop, hopper, one_joint_arm, reach
 
-import robots
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
@@ -24,6 +23,7 @@ from trajopt.terms import TorqueCost, TrackingCost
 from trajopt.terms.tracking import key_frames
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.swing_profile import smooth_step
+from trajopt_library import robots
 
 # Sums of the same numbers in another order.
 ROUNDING = 1e-11

@@ -13,7 +13,6 @@ from numpy.testing import assert_allclose
 from problems_for_tests import SCHEME_ORDERS, hop, hopper, lean, reach
 from scipy import sparse
 
-import problems
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.schedule.schedule import Phase, Schedule
@@ -21,6 +20,7 @@ from trajopt.solving.solving import prepare, solve
 from trajopt.terms import AccelerationCost, EffortLimits, TorqueCost
 from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.transcription import Transcription, transcribe
+from trajopt_library import problems
 
 # Central differences along a direction, step 1e-5, on values of order up to 1e3 in scaled units.
 STEP = 1e-5

@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose
 from problems_for_tests import FOOT, REACH, hop, hopper, lean, one_joint_arm, reach
 from test_transcription import Matrices, assert_derivatives, random_unknowns
 
-import problems
 import trajopt
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
@@ -36,6 +35,7 @@ from trajopt.terms import (
 )
 from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.timeline import StageKind
+from trajopt_library import problems
 
 # What a solver leaves in rows that are met to 1e-7 of their units.
 SOLVED = 1e-5

@@ -12,7 +12,6 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import linprog
 
-import problems
 import trajopt
 from tests.problems_for_tests import FOOT, hop, hopper, reach
 from trajopt.certify.samples import evaluate
@@ -47,6 +46,7 @@ from trajopt.terms import (
 from trajopt.transcription.guess import initial_guess
 from trajopt.transcription.stage_functions import derivatives
 from trajopt.transcription.transcription import transcribe
+from trajopt_library import problems
 
 # Numeric Pinocchio against itself in another order of sums.
 ROUNDING = 1e-9

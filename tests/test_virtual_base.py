@@ -10,8 +10,6 @@ import pinocchio as pin
 import pytest
 from problems_for_tests import FOOT, hopper, lean
 
-import problems
-import robots
 import trajopt
 from trajopt.dynamics.base_joint import ORDERS, base_of, virtual_order
 from trajopt.dynamics.model_quantities import generalized_force
@@ -38,6 +36,7 @@ from trajopt.terms import AccelerationCost, PostureCost, TerminalRest, TerminalS
 from trajopt.transcription.transcription import transcribe
 from trajopt.view.replay.commands import Recorder
 from trajopt.view.replay.robot import draw_skeleton
+from trajopt_library import problems, robots
 
 # Rounding of algorithms over a dozen bodies, and of a solve with J_w, whose condition stays below ten here.
 ROUNDING = 1e-10

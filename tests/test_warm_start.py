@@ -12,7 +12,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from problems_for_tests import REACH, REACH_TIME, SCHEME_ORDERS, hop, planar_hopper, reach
 
-import problems
 import trajopt
 from trajopt.problem.problem import Problem
 from trajopt.schedule.schedule import Phase, Schedule
@@ -27,6 +26,7 @@ from trajopt.solving.warm_start import warm_start
 from trajopt.terms import AccelerationCost, TorqueCost, VelocityCost
 from trajopt.transcription.transcription import Transcription
 from trajopt.transcription.violations import row_violations
+from trajopt_library import problems
 
 # Polynomials through up to four points, evaluated by powers of the fraction, lose three digits.
 ROUNDING = 1e-12

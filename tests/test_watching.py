@@ -27,7 +27,6 @@ from problems_for_tests import hop, hopper, lean, reach
 from replay_pages import objects_of, placements_of, tracks_of
 from tornado.websocket import websocket_connect
 
-import problems
 from trajopt import Problem, solve
 from trajopt.robot.building import reach as reach_of
 from trajopt.solvers.drivers import SOLVERS
@@ -36,6 +35,7 @@ from trajopt.view.replay.thinning import ANGLE_ERROR, POSITION_ERROR
 from trajopt.view.watching.drawing import HEAVY, PATHS, POSES, IterateScene, Picture
 from trajopt.view.watching.motion import LEAST_POSES, MOST_POSES, Motion
 from trajopt.view.watching.viewer import Viewer
+from trajopt_library import problems
 
 # Two ways to one configuration: rounding.
 ROUNDING = 1e-12
@@ -344,7 +344,7 @@ def test_heavy_meshes_have_poses_of_bones(monkeypatch: pytest.MonkeyPatch):
     assert HEAVY > 1e6
     iterate = hop_iterates()[0]
     full = objects_of(scene(picture_of(iterate)))
-    monkeypatch.setattr("trajopt.watching.drawing.HEAVY", 0)
+    monkeypatch.setattr("trajopt.view.watching.drawing.HEAVY", 0)
     light = objects_of(scene(picture_of(iterate)))
     assert {name for name in light if name.startswith(POSES)}
     assert {name for name in full if not name.startswith(POSES)} == {

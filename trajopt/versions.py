@@ -7,11 +7,14 @@ from importlib.metadata import PackageNotFoundError, version
 
 from trajopt.errors import VersionMismatchError
 
+# The distribution that holds this package.
+DISTRIBUTION = "trajopt-contacts"
 
-def installed_version(distribution: str) -> str:
-    """Version of an installed distribution, or ``"none"``."""
+
+def installed_version(name: str) -> str:
+    """Version of an installed distribution, or ``"none"``; of this package by its own name, ``trajopt``."""
     try:
-        return version(distribution)
+        return version(DISTRIBUTION if name == "trajopt" else name)
     except PackageNotFoundError:
         return "none"
 

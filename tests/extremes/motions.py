@@ -6,7 +6,6 @@ from functools import partial
 
 import numpy as np
 
-from problems import common, leaping
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
@@ -22,6 +21,7 @@ from trajopt.terms import (
     effort_costs,
 )
 from trajopt.terrain.flat import FlatGround
+from trajopt_library.problems import common, leaping
 
 # A robot that floats is this many lengths higher than it stands, so that no leg meets the ground.
 FLOATING = 4.0

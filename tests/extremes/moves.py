@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pinocchio as pin
 
-from problems import common
 from trajopt.problem.problem import Problem
 from trajopt.robot.building import standing
 from trajopt.robot.kinematics import contact_poses, contact_positions, frame_pose, inverse_kinematics
@@ -25,6 +24,7 @@ from trajopt.terms import (
     effort_costs,
 )
 from trajopt.terrain.flat import FlatGround
+from trajopt_library.problems import common
 
 # Duration of a phase on legs, s: long against what a step of a small quadruped takes at least.
 PHASE = 0.2

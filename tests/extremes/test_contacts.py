@@ -9,7 +9,6 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-import robots
 from extremes.moves import legged, stance, steps, with_joints
 from extremes.outcomes import Failed, Refused, Solved, assert_outcome, in_process
 from tests.problems_for_tests import hopper
@@ -33,6 +32,7 @@ from trajopt.terms import (
     WrenchCost,
 )
 from trajopt.terrain.flat import FlatGround
+from trajopt_library import robots
 
 # Open-loop error of phases of 0.05 to 0.2 s on three intervals each, over the robot's length or rad; measured
 # up to 2.3e-3.

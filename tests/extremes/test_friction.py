@@ -9,11 +9,10 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-import problems
-import robots
 from extremes.motions import stand
 from extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.solvers.status import Status
+from trajopt_library import problems, robots
 
 FRICTIONS = [0.0, 0.01, 5.0, 100.0]
 # A push of the base this part of its natural speed, sqrt(g l): a tenth of a fast walk.

@@ -9,12 +9,12 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-import robots
 from extremes.changed_robots import with_gravity
 from extremes.motions import stand, turn_over
 from extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from extremes.test_masses import made, robot_file
 from trajopt.solvers.status import Status
+from trajopt_library import robots
 
 # Momenta over mass times length (squared) over duration, and carried weight: what collocation leaves.
 MOMENTUM, CARRIED = 5e-3, 1e-3

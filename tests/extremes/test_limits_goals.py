@@ -11,8 +11,6 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-import problems
-import robots
 from extremes.moves import legged, reach, stance, with_joints
 from extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.errors import InputError
@@ -39,6 +37,7 @@ from trajopt.terms import (
 )
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import Surface
+from trajopt_library import problems, robots
 
 # Open-loop error (rad) of an arm's second of motion on ten intervals of degree two; measured up to 2e-2.
 ARM = 5e-2

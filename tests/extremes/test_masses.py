@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-import problems
-import robots
 from extremes.changed_robots import longer
 from extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.certify.check import check
 from trajopt.certify.report import Tolerances
 from trajopt.solution.solution import Solution
 from trajopt.solvers.status import Status
+from trajopt_library import problems, robots
 
 # Motions of similar robots agree up to rounding, which iterations of a solver multiply.
 SIMILAR = 1e-6
@@ -35,7 +34,7 @@ def robot_file(folder: Path, kind: str, robot: str) -> str:
     path = folder / "robot.py"
     tool = "TOOL = 'tool0'\n" if kind == "arm" else ""
     path.write_text(
-        "import numpy as np\nimport pinocchio as pin\nfrom robots import load as own\n"
+        "import numpy as np\nimport pinocchio as pin\nfrom trajopt_library.robots import load as own\n"
         f"from extremes.changed_robots import *\nKIND = {kind!r}\n{tool}"
         f"def build():\n    return {robot}\n"
     )

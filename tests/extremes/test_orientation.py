@@ -11,8 +11,6 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-import problems
-import robots
 from extremes.moves import reach
 from extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
@@ -32,6 +30,7 @@ from trajopt.terms import (
     VelocityLimits,
 )
 from trajopt.terrain.flat import FlatGround
+from trajopt_library import problems, robots
 
 # A turn about one axis is linear in exponential coordinates: exact up to what a solver leaves of rows.
 EXACT = 1e-7

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import robots
 from extremes.moves import lowered, pose_goal, reach, stance, with_joints
 from extremes.outcomes import Failed, Solved, assert_outcome, in_process
 from trajopt.dynamics.model_quantities import contact_jacobian
@@ -15,6 +14,7 @@ from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 from trajopt.solvers.status import Status
 from trajopt.study.diagnosis.diagnose import diagnose
+from trajopt_library import robots
 
 FINE = "legendre:3"
 # Open-loop error (rad) of an arm's second of motion on ten intervals of degree three, measured up to 1e-4.

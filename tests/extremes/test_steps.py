@@ -11,12 +11,11 @@ import pytest
 from numpy.testing import assert_allclose
 from problems_for_tests import REACH, reach
 
-import problems
-import robots
 from extremes.motions import stand
 from extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solvers.status import Status
+from trajopt_library import problems, robots
 
 # Open loop, rad and parts of the length: about three times what was measured (docs/extremes.md).
 ARM = {

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-import problems
 from extremes.outcomes import Refused, Solved, assert_outcome
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.terms import Cost, NodeCost
+from trajopt_library import problems
 
 # Rounding, which iterations of a solver multiply.
 SAME = 1e-9

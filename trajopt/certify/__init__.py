@@ -1,1 +1,5 @@
 """Independent judgement of a solution, with numeric Pinocchio alone."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -22,8 +22,8 @@ def held_part(vectors: np.ndarray, surfaces: Touched) -> np.ndarray:
 def sliding_error(plan: Solution, samples: Samples, surfaces: Touched) -> float | None:
     """Largest difference between forces of sliding contacts and Coulomb's law, over the weight, at points.
 
-    The law is that of `trajopt.sliding`: mu f_n against the velocity within the surface, over the root of
-    its square and the square of the slip speed.
+    The law is that of `trajopt.terms.sliding`: mu f_n against the velocity within the surface, over the root
+    of its square and the square of the slip speed.
     """
     rows = plan.active & surfaces.slides & plan.collocation[:, None]
     if not rows.any():

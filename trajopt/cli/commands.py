@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from rich.console import Console
 
+from trajopt import __version__
 from trajopt.cli import report as cli_report
 from trajopt.cli.aim import aim_options, solve_aimed, wants_aim
 from trajopt.cli.check import check
@@ -114,7 +115,7 @@ def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
 
 
 @click.group(cls=CommandLine, no_args_is_help=False, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(package_name="trajopt")
+@click.version_option(__version__)
 def main() -> None:
     """Trajectory optimisation for robots with contacts."""
 

@@ -65,7 +65,7 @@ def _loaded(name: str, base: str | None, write: Path | None) -> Robot:
     for option, value in (("--base", base), ("--write", write)):
         if value is not None:
             raise InputError(f"{option} is for a .urdf file, and {name} is none", "a path that ends in .urdf")
-    from trajopt.problem.catalogue import robot as load
+    from trajopt.robot.catalogue import robot as load
 
     return load(name)
 

@@ -8,15 +8,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
-from trajopt.errors import InputError, TrajoptError
+from trajopt.errors import TrajoptError
+from trajopt.robot.catalogue import GROUP
 
 if TYPE_CHECKING:
     from trajopt.problem.family import Family
-    from trajopt.robot.robot import Robot
-
-GROUP = "trajopt.problems"
+    from trajopt.problem.problem import Problem
 
 
 def families() -> dict[str, Family]:
@@ -39,46 +38,6 @@ def families() -> dict[str, Family]:
     return dict(sorted(found.items()))
 
 
-def robot(name: str) -> Robot:
-    """The robot of that name, or of a ``.py`` file that builds one.
-
-    A package's module may offer ``robot(name) -> Robot``, which raises InputError for a name that it does not
-    know: so does this where none of them knows it. A package that cannot be loaded is passed over.
-    """
-    found = _asked("robot", name)
-    if found is None:
-        raise InputError(f"robot '{name}' is unknown", "an installed package that offers robots")
-    return cast("Robot", found)
-
-
-def robot_kind(name: str) -> str | None:
-    """Kind of a robot by name, or of a ``.py`` file that builds one; None where no package knows robots.
-
-    A package's module may offer ``robot_kind(name) -> str``, which raises InputError for a name that it does
-    not know: so does this where none of them knows it. A package that cannot be loaded is passed over.
-    """
-    found = _asked("robot_kind", name)
-    return None if found is None else str(found)
-
-
-def _asked(question: str, name: str) -> object:
-    """The first answer of a package that has a function of that name; None where none has one."""
-    unknown: InputError | None = None
-    for entry in entry_points(group=GROUP):
-        try:
-            offered = getattr(entry.load(), question, None)
-        except Exception:  # `families` warns of it
-            continue
-        try:
-            if offered is not None:
-                return cast(object, offered(name))
-        except InputError as error:
-            unknown = unknown or error
-    if unknown is not None:
-        raise unknown
-    return None
-
-
 def _families_of(entry: EntryPoint) -> Mapping[str, Family]:
     try:
         offered: Mapping[str, Family] = entry.load().families()
@@ -87,3 +46,10 @@ def _families_of(entry: EntryPoint) -> Mapping[str, Family]:
         warnings.warn(f"problems of '{entry.value}' cannot be loaded: {reason}", stacklevel=3)
         return {}
     return offered
+
+
+def load(name: str, **parameters: object) -> Problem:
+    """Build the problem of that name, as ``load("solo12-jump", distance=0.3)``. Raises `InputError`."""
+    from trajopt.problem.family import choose
+
+    return choose(families(), name).load(parameters)

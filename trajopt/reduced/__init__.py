@@ -1,1 +1,5 @@
-"""Smaller models: two stages, one rigid body, the pendulum, and the guesses and scenes made of them."""
+"""Smaller models: two stages, one rigid body, the pendulum; the guesses and the scenes made of them."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

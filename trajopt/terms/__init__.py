@@ -1,41 +1,21 @@
-"""Costs, constraints at collocation points, and what all terms share, in one place to import from."""
+"""Costs and constraints, one idea a file.
 
-from __future__ import annotations
+Dynamics: `BaseDynamics`, `ContactAcceleration`, `ContactVelocity`, `ImpactDynamics`.
+Limits: `PositionLimits`, `VelocityLimits`, `EffortLimits`, `DriveLimits`.
+Contact forces: `FrictionCone`, `FrictionPyramid`, `NormalForce`, `SoleCone`, `SoleLimits`, `SlidingFriction`.
+Running costs: `AccelerationCost`, `VelocityCost`, `PostureCost`, `TorqueCost`, `MotorTorqueCost`,
+    `WrenchCost`, `PowerCost`, `TrackingCost`, `TimeCost`, `ImpulseCost` at impacts.
+Constraints at nodes: `ContactLanding`; `FramePose`, `FrameHeight`, `FrameVelocity`, `FrameDirection`,
+    `FramesAbove`; `TerminalState`, `TerminalRest`, `TerminalVelocity`, `TerminalPosture`.
+Swings: `SwingClearance` over flat or smooth ground, `SwingArc` of gaits, `SwingOver` edges; `swing_arcs` and
+    `swing_clearance` make them for whole schedules.
+Costs at nodes: `FrameHeightCost`, `DistanceCost`.
+Obstacles: `Clearance`.
+Goals as terms: `goal_terms`, `effort_costs`.
+Interfaces for terms of your own: `Term`, `Cost`, `PointConstraint`, `NodeConstraint`, `NodeCost`, with
+    `Context`, `NodePlace` and `Rows`.
+"""
 
-from trajopt.terms.costs import AccelerationCost, PostureCost, TimeCost, TorqueCost, VelocityCost, WrenchCost
-from trajopt.terms.dynamics import ContactVelocity, ImpactDynamics, ImpulseCost
-from trajopt.terms.friction import FrictionCone, FrictionPyramid, NormalForce, SoleCone, SoleLimits
-from trajopt.terms.interfaces import Cost, PointConstraint, Rows, Term
-from trajopt.terms.limits import (
-    BaseDynamics,
-    ContactAcceleration,
-    EffortLimits,
-    PositionLimits,
-    VelocityLimits,
-)
+import lazy_loader
 
-__all__ = [
-    "AccelerationCost",
-    "BaseDynamics",
-    "ContactAcceleration",
-    "ContactVelocity",
-    "Cost",
-    "EffortLimits",
-    "FrictionCone",
-    "FrictionPyramid",
-    "ImpactDynamics",
-    "ImpulseCost",
-    "NormalForce",
-    "PointConstraint",
-    "PositionLimits",
-    "PostureCost",
-    "Rows",
-    "SoleCone",
-    "SoleLimits",
-    "Term",
-    "TimeCost",
-    "TorqueCost",
-    "VelocityCost",
-    "VelocityLimits",
-    "WrenchCost",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -30,7 +30,7 @@ class ContactConstraint(PointConstraint):
 
     ``friction`` overrides the coefficient of the surfaces that the contacts touch; ``contacts`` restricts
     the term to these names (default: all). Contacts on bilateral surfaces have no rows: a grasp holds; nor
-    have those that slide, whose force follows a law (`trajopt.sliding`).
+    have those that slide, whose force follows a law (`trajopt.terms.sliding`).
     At an impact it holds for the impulses. Raises InputError.
     """
 

@@ -139,7 +139,7 @@ class SwingClearance(NodeConstraint):
     """Contacts that do not touch, of soles all four corners, stay above the terrain at nodes inside a phase.
 
     The least distance from flat ground, or height over smooth ground, is ``height`` times `swing_profile`
-    of the fraction of the phase, m. Piecewise ground has edges: see `trajopt.terrain.swing_terms`.
+    of the fraction of the phase, m. Piecewise ground has edges: see `trajopt.terms.swing_over`.
     """
 
     height: float
@@ -151,7 +151,7 @@ class SwingClearance(NodeConstraint):
         if not isinstance(self.terrain, FlatGround | SmoothTerrain):
             raise InputError(
                 "SwingClearance over piecewise ground, where feet would cut edges between nodes",
-                "allowed: flat or smooth ground; swing_clearance() of trajopt.terrain.swing_terms for both",
+                "allowed: flat or smooth ground; swing_clearance() of trajopt.terms.swing_over for both",
             )
 
     def acts_at(self, place: NodePlace) -> bool:

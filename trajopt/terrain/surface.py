@@ -42,7 +42,7 @@ class Surface:
     vector; ``friction`` is Coulomb's coefficient. A ``bilateral`` surface holds the contact (a grasp, a
     handrail, a bolt): it transmits any wrench that the contact's kind has, so that neither friction nor
     unilateral rows apply; its normal only says how a contact lands on it. With a ``slip_speed`` (m/s) a point
-    contact slides along it, against its friction: see `trajopt.sliding`. Raises `InputError`.
+    contact slides along it, against its friction: see `trajopt.terms.sliding`. Raises `InputError`.
     """
 
     point: np.ndarray

@@ -1,1 +1,5 @@
-"""How accurate a solution is, measured by independent means, and references to compare it with."""
+"""How accurate a solution is, measured by independent means."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -19,7 +19,7 @@ from trajopt.certify.simulation.coordinates import CoordinateMap, JointAddress
 from trajopt.dynamics.manifold import Coordinates, Joint
 from trajopt.errors import InputError
 
-PACKAGE_MISSING = "pip install 'trajopt[mujoco]'"
+PACKAGE_MISSING = "pip install 'trajopt-contacts[mujoco]'"
 # A column of a joint's motion that turns by less than this is a translation.
 TRANSLATION = 1e-9
 # Of bodies while they are compiled: off its frame and not diagonal, so that no special case is compiled in.

@@ -7,10 +7,6 @@ print(made.report)                          what is modelled, what is not, and w
 solution = made.lift(trajopt.solve(made.problem))       of the whole robot: to check, replay, save
 """
 
-from __future__ import annotations
+import lazy_loader
 
-from trajopt.reduced.scenes.goals import scene
-from trajopt.reduced.scenes.report import Decision, SceneReport, Size
-from trajopt.reduced.scenes.smallest import Scene, size_of, smallest
-
-__all__ = ["Decision", "Scene", "SceneReport", "Size", "scene", "size_of", "smallest"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

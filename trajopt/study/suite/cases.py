@@ -10,8 +10,8 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from trajopt.errors import InputError
-from trajopt.problem.catalogue import robot_kind
 from trajopt.problem.family import Family
+from trajopt.robot.catalogue import robot_kind
 
 # A robot that no family names may be given as a file that builds it.
 ROBOT_FILE = ".py"

@@ -1,4 +1,4 @@
-"""The process of one pair: ``python -m trajopt.suite.worker``.
+"""The process of one pair: ``python -m trajopt.study.suite.worker``.
 
 Reads one job as a line of JSON on stdin and writes events as lines of JSON on stdout; what libraries print
 goes to stderr. It ends when stdin is closed: no worker outlives the suite that started it.

@@ -65,7 +65,7 @@ class Worker:
                 self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
                 path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
                 self._process = subprocess.Popen(
-                    [sys.executable, "-P", "-m", "trajopt.sweep.worker", str(self._core)],
+                    [sys.executable, "-P", "-m", "trajopt.study.sweep.worker", str(self._core)],
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=self._errors,

@@ -1,4 +1,4 @@
-"""A timed process: ``python -m trajopt.sweep.worker CORE``.
+"""A timed process: ``python -m trajopt.study.sweep.worker CORE``.
 
 It is pinned to one core, loads the library once, and then reads one task a line (JSON) on stdin. Each task
 is done by a child made by fork, so that none inherits memory, caches or a crash from another, and answered by

@@ -39,7 +39,7 @@ ALONE = {"live": "", "code": ""}
 
 
 def page(scene: Scene, facts: dict[str, Any]) -> str:
-    """Return the text of the page, with `trajopt.replay.caption.page_facts`.
+    """Return the text of the page, with `trajopt.view.replay.caption.page_facts`.
 
     Raises `TrajoptError` if Meshcat's viewer is not installed whole.
     """

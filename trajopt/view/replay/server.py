@@ -1,7 +1,7 @@
 """Meshcat's server, with the page of a live replay at its own address, http://127.0.0.1:PORT/.
 
-`trajopt.replay.live` runs this file as a process. It imports nothing of trajopt, so that it is up at once,
-and it ends when its standard input does: with the process that started it, however that one ends.
+`trajopt.view.replay.live` runs this file as a process. It imports nothing of trajopt, so that it is up at
+once, and it ends when its standard input does: with the process that started it, however that one ends.
 Meshcat's own page stays where it was, at /static/.
 """
 

@@ -1,0 +1,21 @@
+from . import robot as robot
+from .certify.check import check as check
+from .certify.simulation.simulate import simulate as simulate
+from .errors import InputError as InputError
+from .errors import TrajoptError as TrajoptError
+from .problem.catalogue import load as load
+from .problem.problem import Problem as Problem
+from .robot.contact import Contact as Contact
+from .robot.robot import Robot as Robot
+from .schedule.schedule import Phase as Phase
+from .schedule.schedule import Schedule as Schedule
+from .solution.motion import motion_of as motion_of
+from .solution.solution import Solution as Solution
+from .solving.continuation import continuation as continuation
+from .solving.ladder import solve_ladder as solve_ladder
+from .solving.solving import solve as solve
+from .study.diagnosis.diagnose import diagnose as diagnose
+from .terrain.flat import FlatGround as FlatGround
+from .view.replay.show import replay as replay
+
+__version__: str

@@ -1,0 +1,16 @@
+from .actuators.beams import Beam as Beam
+from .actuators.drive import Drive as Drive
+from .contact import Contact as Contact
+from .data import robot_file as robot_file
+from .kinematics import Posture as Posture
+from .kinematics import contact_poses as contact_poses
+from .kinematics import contact_positions as contact_positions
+from .kinematics import frame_pose as frame_pose
+from .kinematics import inverse_kinematics as inverse_kinematics
+from .kinematics import inverse_kinematics_branches as inverse_kinematics_branches
+from .legs import Legs as Legs
+from .legs import biped_legs as biped_legs
+from .legs import quadruped_legs as quadruped_legs
+from .payload import Payload as Payload
+from .robot import Robot as Robot
+from .stance.minimal_coordinates import stance_mode as stance_mode

@@ -1,0 +1,59 @@
+"""Robots of all installed packages, by name, found through the entry-point group ``trajopt.problems``.
+
+An entry names a module; one with ``robot(name) -> Robot`` and ``robot_kind(name) -> str`` offers robots.
+"""
+
+from __future__ import annotations
+
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, cast
+
+from trajopt.errors import InputError
+
+if TYPE_CHECKING:
+    from trajopt.robot.robot import Robot
+
+GROUP = "trajopt.problems"
+
+
+GROUP = "trajopt.problems"
+
+
+def robot(name: str) -> Robot:
+    """The robot of that name, or of a ``.py`` file that builds one.
+
+    A package's module may offer ``robot(name) -> Robot``, which raises InputError for a name that it does not
+    know: so does this where none of them knows it. A package that cannot be loaded is passed over.
+    """
+    found = _asked("robot", name)
+    if found is None:
+        raise InputError(f"robot '{name}' is unknown", "an installed package that offers robots")
+    return cast("Robot", found)
+
+
+def robot_kind(name: str) -> str | None:
+    """Kind of a robot by name, or of a ``.py`` file that builds one; None where no package knows robots.
+
+    A package's module may offer ``robot_kind(name) -> str``, which raises InputError for a name that it does
+    not know: so does this where none of them knows it. A package that cannot be loaded is passed over.
+    """
+    found = _asked("robot_kind", name)
+    return None if found is None else str(found)
+
+
+def _asked(question: str, name: str) -> object:
+    """The first answer of a package that has a function of that name; None where none has one."""
+    unknown: InputError | None = None
+    for entry in entry_points(group=GROUP):
+        try:
+            offered = getattr(entry.load(), question, None)
+        except Exception:  # `families` warns of it
+            continue
+        try:
+            if offered is not None:
+                return cast(object, offered(name))
+        except InputError as error:
+            unknown = unknown or error
+    if unknown is not None:
+        raise unknown
+    return None

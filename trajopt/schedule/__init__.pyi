@@ -1,0 +1,10 @@
+from .gait_transitions import transition as transition
+from .gaits import Gait as Gait
+from .named_gaits import BIPED as BIPED
+from .named_gaits import QUADRUPED as QUADRUPED
+from .named_gaits import gait_of as gait_of
+from .placing import placed_on as placed_on
+from .schedule import Motion as Motion
+from .schedule import Phase as Phase
+from .schedule import Schedule as Schedule
+from .targets import Target as Target

@@ -1,0 +1,15 @@
+from .flat import FlatGround as FlatGround
+from .patch import Patch as Patch
+from .piecewise import PiecewiseTerrain as PiecewiseTerrain
+from .shapes import Bump as Bump
+from .shapes import Incline as Incline
+from .shapes import Ramp as Ramp
+from .shapes import Shape as Shape
+from .shapes import Wave as Wave
+from .smooth import CurvedSurface as CurvedSurface
+from .smooth import SmoothTerrain as SmoothTerrain
+from .surface import Surface as Surface
+from .swing_path import swing_path as swing_path
+from .terrain import Ground as Ground
+from .terrain import Terrain as Terrain
+from .terrain import terrain_from_description as terrain_from_description

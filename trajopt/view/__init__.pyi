@@ -1,0 +1,2 @@
+from .notebook import plots as plots
+from .notebook import show as show
