@@ -15,7 +15,7 @@ from problems_for_tests import lean, reach
 
 import trajopt
 from trajopt.certify.accuracy.measures import measure
-from trajopt.cli.main import main
+from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot

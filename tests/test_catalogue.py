@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 from command_lines import assert_refused
 
-from trajopt.cli.main import main
+from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.problem import catalogue
 from trajopt.problem.family import Parameter

@@ -11,7 +11,7 @@ from problems_for_tests import hop, reach
 
 from trajopt.certify.accuracy.measures import measure
 from trajopt.cli.aim import Seconds
-from trajopt.cli.main import main
+from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.robot.units import Units
 from trajopt.solving.refine import phase_errors, size_of

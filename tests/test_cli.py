@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 from command_lines import assert_refused
 
 from trajopt import Solution
-from trajopt.cli.main import main
+from trajopt.cli.commands import main
 from trajopt.cli.report import to_json
 from trajopt.problem import catalogue
 

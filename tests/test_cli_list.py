@@ -7,7 +7,7 @@ import json
 import pytest
 from click.testing import CliRunner
 
-from trajopt.cli.main import list_problems, main
+from trajopt.cli.commands import list_problems, main
 from trajopt.errors import InputError
 
 

@@ -15,7 +15,7 @@ from problems_for_tests import REACH_TIME, reach
 
 import trajopt
 from trajopt import Solution, continuation, solve_ladder
-from trajopt.cli.main import main
+from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solving.continuation import Continuation

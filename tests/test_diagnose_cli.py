@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from trajopt.cli.main import main
+from trajopt.cli.commands import main
 
 GRID = ("--intervals", "6", "--compile", "none")
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from trajopt.cli.main import main
+from trajopt.cli.commands import main
 from trajopt.problem.catalogue import families
 
 ROOT = Path(__file__).parent.parent

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 from problems_for_tests import hop, hopper, one_joint_arm, planar_hopper, point_of, random_point, reach
 from scipy import sparse
 
-from trajopt.cli.main import main
+from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.robot.actuators.drive import Drive

@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 from replay_pages import hopping, scene_of, with_meta
 
-from trajopt.cli.main import main
+from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.show import replay

@@ -11,7 +11,7 @@ from command_lines import assert_refused
 from problems_for_tests import one_joint_arm
 from synthetic import arm_motion, sampled
 
-from trajopt.cli.main import main
+from trajopt.cli.commands import main
 
 
 @pytest.fixture

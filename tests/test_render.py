@@ -21,7 +21,7 @@ from command_lines import assert_refused
 from PIL import Image
 from synthetic import arm_motion, sampled
 
-from trajopt.cli.main import main
+from trajopt.cli.commands import main
 from trajopt.errors import InputError, TrajoptError
 from trajopt.solution.solution import Solution
 from trajopt.view.replay import video

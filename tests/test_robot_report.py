@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 import trajopt
 from trajopt import Robot
-from trajopt.cli.main import main
+from trajopt.cli.commands import main
 from trajopt.robot.inspection.faults import lowest_drawn
 from trajopt.robot.inspection.report import report
 from trajopt.robot.inspection.standing import inside, standing, standing_feet

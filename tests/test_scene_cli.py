@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from trajopt import Solution
-from trajopt.cli.main import main
+from trajopt.cli.commands import main
 
 # Of 12 intervals 4, 3 and 5 in stance, flight and landing; a whole node has 37 entries, a half 18, a point 18
 # or 9 accelerations and on four or two feet 12 or 6 forces.

@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 from synthetic import sampled, standing
 
 from trajopt import Solution
-from trajopt.cli.main import main
+from trajopt.cli.commands import main
 from trajopt_library import robots
 
 

@@ -15,7 +15,7 @@ import pytest
 import suite_problems
 from click.testing import CliRunner, Result
 
-from trajopt.cli.main import main
+from trajopt.cli.commands import main
 from trajopt.study.suite import data
 
 WAIT = 120.0

@@ -20,7 +20,7 @@ from problems_for_tests import hop
 
 from trajopt import solve
 from trajopt.certify.accuracy.measures import measure
-from trajopt.cli.main import main
+from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.reduced.two_stage import without_torques

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING
 
-from trajopt.errors import TrajoptError
+from trajopt.errors import TrajoptError, VersionMismatchError
 from trajopt.robot.catalogue import GROUP
 
 if TYPE_CHECKING:
@@ -41,6 +41,8 @@ def families() -> dict[str, Family]:
 def _families_of(entry: EntryPoint) -> Mapping[str, Family]:
     try:
         offered: Mapping[str, Family] = entry.load().families()
+    except VersionMismatchError:
+        raise
     except Exception as error:  # whatever a foreign package raises must not take the others down
         reason = f"{type(error).__name__}: {error}"
         warnings.warn(f"problems of '{entry.value}' cannot be loaded: {reason}", stacklevel=3)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, cast
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, VersionMismatchError
 
 if TYPE_CHECKING:
     from trajopt.robot.robot import Robot
@@ -47,6 +47,8 @@ def _asked(question: str, name: str) -> object:
     for entry in entry_points(group=GROUP):
         try:
             offered = getattr(entry.load(), question, None)
+        except VersionMismatchError:
+            raise
         except Exception:  # `families` warns of it
             continue
         try:
