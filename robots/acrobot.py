@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from robots.double_pendulum import hanging, weight_moments
 from trajopt.robot import Robot
+
+from .double_pendulum import hanging, weight_moments
 
 KIND = "pendulum"
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from robots._quadrupeds import anymal
 from trajopt.robot import Robot
+
+from ._quadrupeds import anymal
 
 KIND = "quadruped"
 

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from robots import solo12
 from trajopt.contact import Contact
 from trajopt.robot import Robot
 from trajopt.robot_data import robot_file
+
+from . import solo12
 
 KIND = "biped"
 SIDES = {"left": "FL", "right": "FR"}

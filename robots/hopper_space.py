@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pinocchio as pin
 
-from robots.hopper import FOOT, add_joint, add_leg, add_torso, standing
 from trajopt.robot import Robot
+
+from .hopper import FOOT, add_joint, add_leg, add_torso, standing
 
 KIND = "hopper"
 ROLL_RANGE = (-0.8, 0.8)  # rad, leg to the left is negative

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from robots._quadrupeds import unitree
 from trajopt.robot import Robot
+
+from ._quadrupeds import unitree
 
 KIND = "quadruped"
 
