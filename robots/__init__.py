@@ -11,14 +11,12 @@ from pathlib import Path
 from types import ModuleType
 
 from trajopt.errors import InputError, TrajoptError
-from trajopt.robot.kinematics import contact_positions
-from trajopt.robot.robot import Robot
+from trajopt.robot import Robot
+from trajopt.robot.legs import feet_in_base
 
 KINDS = ("arm", "quadruped", "biped", "hopper", "pendulum")
 # Robots with a free base by the number of feet that they stand on.
 KIND_OF_FEET = {1: "hopper", 2: "biped", 4: "quadruped"}
-# A contact no higher than this part of the robot's length over the lowest one is a foot.
-FOOT_HEIGHT = 0.05
 
 
 def names(kind: str | None = None) -> tuple[str, ...]:
@@ -88,9 +86,7 @@ def tool_frame(name: str) -> str:
 
 def feet(robot: Robot) -> tuple[str, ...]:
     """Return the names of the contacts that a robot stands on in its reference: those at the bottom."""
-    heights = {name: position[2] for name, position in contact_positions(robot, robot.reference).items()}
-    lowest = min(heights.values(), default=0.0)
-    return tuple(name for name, height in heights.items() if height - lowest < FOOT_HEIGHT * robot.length)
+    return tuple(feet_in_base(robot)) if robot.contacts else ()
 
 
 def legs_only(robot: Robot) -> Robot:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from trajopt.robot.robot import Robot
+from trajopt.robot import Robot
 
 from .double_pendulum import hanging, weight_moments
 

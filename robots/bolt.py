@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from trajopt.robot import Robot
 from trajopt.robot.contact import Contact
 from trajopt.robot.data import robot_file
-from trajopt.robot.robot import Robot
 
 from . import solo12
 

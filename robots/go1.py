@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from trajopt.robot.robot import Robot
+from trajopt.robot import Robot
 
 from ._quadrupeds import unitree
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pinocchio as pin
 
-from trajopt.robot.robot import Robot
+from trajopt.robot import Robot
 
 from .hopper import FOOT, add_joint, add_leg, add_torso, standing
 

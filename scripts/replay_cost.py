@@ -77,7 +77,7 @@ def _parts(text: str, frames: int) -> dict[str, float]:
 
 def repeated(solution: Solution, seconds: float) -> Solution:
     """The motion one time after the other until it lasts ``seconds``; the base goes on along the level."""
-    from trajopt.solution.solution import SAMPLED
+    from trajopt.solution.arrays import SAMPLED
 
     length = float(solution.t[-1] - solution.t[0])
     if seconds <= length:

@@ -12,7 +12,8 @@ import pytest
 from synthetic import arm_motion, sampled, standing, tumbling_flight
 
 from trajopt.errors import InputError, SolutionFileError
-from trajopt.solution.solution import OTHERS, SAMPLED, Solution
+from trajopt.solution.arrays import OTHERS, SAMPLED
+from trajopt.solution.solution import Solution
 from trajopt_library import robots
 
 INTERVALS = 4

@@ -31,7 +31,8 @@ from trajopt.certify.report import Report, Tolerances
 from trajopt.cli.report import solve_dict, summary, to_json
 from trajopt.errors import InputError, SolutionFileError, TrajoptError
 from trajopt.problem.problem import Problem
-from trajopt.solution.solution import OTHERS, SAMPLED, Solution
+from trajopt.solution.arrays import OTHERS, SAMPLED
+from trajopt.solution.solution import Solution
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import solve
 

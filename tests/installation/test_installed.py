@@ -1,4 +1,4 @@
-"""The package beside a user's own files of the same names, in this environment and as a wheel in a new one."""
+"""The package beside a user's own files of the same names: here, and as a wheel in a new environment."""
 
 from __future__ import annotations
 

@@ -17,8 +17,9 @@ from trajopt.certify.contact_figures import force_figures, place_figures
 from trajopt.certify.dynamics_figures import DynamicsRows, dynamics_rows
 from trajopt.certify.limit_figures import drive_figures, limit_figures
 from trajopt.certify.samples import Samples, evaluate
+from trajopt.solution.arrays import SAMPLED
 from trajopt.solution.descriptions import scene_of_meta
-from trajopt.solution.solution import SAMPLED, Solution
+from trajopt.solution.solution import Solution
 from trajopt.solution.touched import Touched, touched
 
 # Eleven per interval: between the points of a scheme of degree four lie at least two of them.
