@@ -1,8 +1,8 @@
 """A gallery of the suite's solutions: a strip of pictures of each, as a page for code hosts and one to play.
 
 trajopt suite --compile none --output-dir out
-python -m scripts.gallery --solutions out -o docs/gallery
-python -m scripts.gallery --solutions out -o gallery --pages      # and index.html, whose tiles play
+uv run python -m scripts.gallery --solutions out -o docs/gallery
+uv run python -m scripts.gallery --solutions out -o gallery --pages      # and index.html, whose tiles play
 """
 
 from __future__ import annotations
@@ -155,13 +155,13 @@ def readme(entries: Sequence[Entry]) -> str:
         "# Gallery",
         "",
         f"{len(entries)} of the library's motions, each on one of its robots, solved with default parameters"
-        " from their own guess. Time runs from left to right; red arrows are contact forces.",
+        " from the default guess. Time runs from left to right; red arrows are contact forces.",
         "",
         "    trajopt suite --compile none --output-dir out",
-        "    python -m scripts.gallery --solutions out -o docs/gallery",
+        "    uv run python -m scripts.gallery --solutions out -o docs/gallery",
         "",
-        "makes such a page, of one robot for each problem among the solutions; with `--pages` also an"
-        " `index.html` whose pictures open pages that play.",
+        "makes this page, with one robot for each problem; with `--pages` also an `index.html` whose pictures"
+        " open replays.",
     ]
     for number, (title, document, _) in enumerate(GROUPS):
         members = [entry for entry in entries if entry.group == number]

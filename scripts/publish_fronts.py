@@ -4,8 +4,8 @@ uv run python -m scripts.publish_fronts              # all, about 25 minutes on 
 uv run python -m scripts.publish_fronts solo12-jump  # one of them
 uv run python -m scripts.publish_fronts --resume     # go on after an interruption
 
-Tables go to trajopt/study/sweep/fronts and docs/front, plots to docs/front, and the sections between the
-markers of docs/front.md are written anew: the fronts, and how much pinned workers disturb each other.
+Tables go to trajopt/sweep/fronts and docs/front, plots to docs/front, and the sections between the markers of
+docs/front.md are written anew: the fronts, and how much pinned workers disturb each other.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pathlib import Path
 
 import click
 
-from scripts import pinned_workers
+from scripts.measure import machine
 from trajopt.study.sweep.front import FOLDER, load_front
 from trajopt.study.sweep.tables import SETTINGS
 
@@ -92,7 +92,7 @@ def main(names: tuple[str, ...], resume: bool, only_document: bool) -> None:
     parts = "\n".join(section(front) for front in PUBLISHED if front.table.exists())
     text = written(text, "fronts", parts)
     if not names and not only_document:
-        found = pinned_workers.measure("solo12-jump", REPEATS).lines()
+        found = machine.disturbance("solo12-jump", REPEATS)
         text = written(text, "pinned", "\n".join(f"    {line}" for line in found) + "\n")
     DOCUMENT.write_text(text, encoding="utf-8")
 
@@ -165,24 +165,16 @@ def _offer(front: Published) -> str:
     best, default = known.best(), known.default
     fast = max((default.time / point.time for point in best), default=math.nan)
     fine = max((default.error / max(point.error, 1e-300) for point in best), default=math.nan)
-    faster = [point for point in best if default.time >= FASTER * point.time]
-    finer = [point for point in best if default.error >= MORE_ACCURATE * point.error]
-    parts = [
-        f"The fastest setting is {fast:.0f} times faster than the default, the finest {fine:.0e} times more"
-    ]
-    parts[0] += " accurate."
-    if faster:
-        point = faster[-1]
-        parts.append(
-            f"At least {FASTER} times faster: `{point.setting.label(default.setting)}`, {point.error:.1e} m."
-        )
-    if finer:
-        point = finer[0]
-        parts.append(
-            f"At least {MORE_ACCURATE} times more accurate: `{point.setting.label(default.setting)}`, "
-            f"{point.relative_time:.2f} times the default's time."
-        )
-    return " ".join(parts)
+    text = f"The fastest setting is {fast:.0f} times faster than the default, "
+    text += f"the finest {fine:.0e} times more accurate."
+    for point in [point for point in best if default.time >= FASTER * point.time][-1:]:
+        label = point.setting.label(default.setting)
+        text += f" At least {FASTER} times faster: `{label}`, {point.error:.1e} m."
+    for point in [point for point in best if default.error >= MORE_ACCURATE * point.error][:1]:
+        label = point.setting.label(default.setting)
+        text += f" At least {MORE_ACCURATE} times more accurate: `{label}`, "
+        text += f"{point.relative_time:.2f} times the default's time."
+    return text
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
 import re
 import shlex
@@ -9,12 +10,14 @@ from pathlib import Path
 
 import pytest
 
+from scripts.measure.__main__ import main as measure
 from trajopt.cli.commands import main
 from trajopt.problem.catalogue import families
 
 ROOT = Path(__file__).parent.parent
 DOCUMENTS = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 LINE = re.compile(r"^ *(?:\$ )?(?:uv run )?trajopt ((?:[a-z]+)(?: .*)?)$", re.MULTILINE)
+SCRIPT = re.compile(r"python -m scripts\.(\w+)([^`\n]*)")
 OF_A_PROBLEM = ("solve", "continue", "sweep", "reference")
 WRONG = ("solo12-jmp",)  # on purpose, to show the message
 
@@ -38,6 +41,19 @@ def test_commands_and_their_options_exist(document: Path) -> None:
         options = {name for option in command.params for name in (*option.opts, *option.secondary_opts)}
         given = {word.split("=")[0] for word in words[1:] if re.match(r"--?[a-zA-Z]", word)}
         assert given <= options | {"--help", "-h"}, " ".join(words)
+
+
+def test_scripts_and_their_options_exist() -> None:
+    found = [entry for document in DOCUMENTS for entry in SCRIPT.findall(document.read_text("utf-8"))]
+    assert "measure" in {name for name, _ in found}
+    for name, rest in found:
+        assert importlib.util.find_spec(f"scripts.{name}"), name
+        words = shlex.split(rest, comments=True)
+        if name != "measure" or words == ["--help"]:
+            continue
+        assert words[0] in measure.commands, rest
+        options = {option for parameter in measure.commands[words[0]].params for option in parameter.opts}
+        assert {word for word in words if word.startswith("--")} <= options, rest
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))

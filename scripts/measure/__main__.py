@@ -1,0 +1,37 @@
+"""Every measurement as a subcommand.
+
+uv run python -m scripts.measure --help
+OMP_NUM_THREADS=1 uv run python -m scripts.measure models --only hopper
+"""
+
+from __future__ import annotations
+
+import click
+
+from scripts.measure import guesses, machine, models, pages, programs, scenes, two_stage, viewing, warm_starts
+
+COMMANDS = (
+    models.models,
+    models.bases,
+    models.goals,
+    models.jump_range,
+    two_stage.two_stage,
+    guesses.guesses,
+    scenes.scenes,
+    warm_starts.warm_starts,
+    programs.programs,
+    machine.compilation,
+    machine.pinned,
+    pages.pages,
+    viewing.pictures,
+    viewing.watching,
+)
+
+
+@click.group(commands={command.name: command for command in COMMANDS})
+def main() -> None:
+    """Measure what the documents cite; tables are Markdown."""
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,71 @@
+"""What the measurements share: timed solves, Markdown tables."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import click
+import numpy as np
+
+from trajopt.solvers.drivers import SOLVERS, run
+from trajopt.solvers.result import Result, Stop
+from trajopt.solvers.status import Status
+from trajopt.solving.solving import Prepared
+
+# Standard deviation of the noise on a guess, scaled units: that of `trajopt suite`.
+NOISE = 0.1
+# Natural units: at this violation the open-loop error is that of the grid.
+FEASIBLE = 1e-3
+
+solver_option = click.option("--solver", type=click.Choice(list(SOLVERS)), default="ipopt", show_default=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timed:
+    """A solver's result, its CPU time in s, and at which iteration and time rows first held to FEASIBLE."""
+
+    result: Result
+    seconds: float
+    feasible: tuple[int, float] | None
+
+    @property
+    def solved(self) -> bool:
+        """The solver's verdict."""
+        return self.result.status is Status.SOLVED
+
+
+def timed(
+    prepared: Prepared, start: np.ndarray | None = None, solver: str = "ipopt", stop: Stop | None = None
+) -> Timed:
+    """Solve from scaled unknowns (n_unknowns,), by default from the guess."""
+    seen: list[tuple[int, float]] = []
+    begun = time.process_time()
+
+    def watch(figures: dict[str, float], _: object) -> bool:
+        if not seen and figures["primal"] <= FEASIBLE:
+            seen.append((int(figures["iteration"]), time.process_time() - begun))
+        return True
+
+    first = prepared.guess if start is None else start
+    result = run(prepared.nlp, first, solver, stop or Stop(), {}, watch, prepared.warm)
+    seconds = time.process_time() - begun
+    return Timed(result=result, seconds=seconds, feasible=seen[0] if seen else None)
+
+
+def median(values: Sequence[float]) -> float:
+    """The median, NaN of nothing."""
+    return statistics.median(values) if values else float("nan")
+
+
+def head(*titles: str) -> None:
+    """Begin a table."""
+    row(*titles)
+    row(*["---"] * len(titles))
+
+
+def row(*cells: object) -> None:
+    """Print a line of a table at once."""
+    click.echo(f"| {' | '.join(map(str, cells))} |")

@@ -1,0 +1,72 @@
+"""Two-stage locomotion against the full problem: size, iterations, time, cost and torques beyond limits."""
+
+from __future__ import annotations
+
+import time
+
+import click
+
+from scripts.measure.shared import head, row, solver_option
+from trajopt import Problem, check, solve
+from trajopt.reduced.two_stage import recover_torques, without_torques
+from trajopt.reduced.wrench_distribution import redistributed
+from trajopt.solving.solving import Prepared, prepare
+from trajopt.solving.warm_start import warm_start
+from trajopt.transcription.stage_functions import derivatives
+from trajopt_library import problems
+
+CASES = (
+    ("solo12-jump", {}),
+    ("solo12-jump", {"effort": 2.2}),
+    ("biped-walk", {}),
+    ("biped-walk", {"effort_share": 0.6}),
+)
+TITLES = (
+    "", "variables", "rows", "SX instructions", "iterations", "time s", "ms an iteration", "functions",
+    "cost", "torque furthest beyond its limit", "status",
+)  # fmt: skip
+
+
+@click.command()
+@solver_option
+def two_stage(solver: str) -> None:
+    """The full problem, stage one, and stage one with its wrenches redistributed.
+
+    Costs are the full problem's objective at each solution. SX instructions are those of values, first and
+    second derivatives of the largest point function; functions is their part of an iteration, ms.
+    """
+    for name, parameters in CASES:
+        click.echo(f"\n{name} {' '.join(f'{key}={value}' for key, value in parameters.items())}\n")
+        compare(problems.load(name, **parameters), solver)
+
+
+def compare(problem: Problem, solver: str) -> None:
+    """Print the table of one problem."""
+    full, first = prepare(problem), prepare(without_torques(problem))
+    whole, motion = solve(problem, solver=solver), solve(without_torques(problem), solver=solver)
+    begun = time.perf_counter()
+    shared = redistributed(problem, motion)
+    sharing = time.perf_counter() - begun
+    head(*TITLES)
+    for name, prepared, found, more in (
+        ("full", full, whole, 0.0),
+        ("stage one", first, motion, 0.0),
+        ("redistributed", first, shared, sharing),
+    ):
+        meta, worst = found.meta, recover_torques(problem, found)[1].worst
+        each = [1e3 * meta[key] / meta["iterations"] for key in ("wall_time_s", "function_time_s")]
+        unknowns = warm_start(full.transcription, found).x
+        cost = full.nlp.engine.f(unknowns) * full.transcription.objective_unit
+        row(
+            name, meta["variables"], meta["constraints"], instructions(prepared), meta["iterations"],
+            f"{meta['wall_time_s'] + more:.2f}", f"{each[0]:.1f}", f"{each[1]:.2f}", f"{cost:.4f}",
+            f"{worst.excess:+.1%} {worst.joint} at {worst.time:.2f} s ({worst.phase})", meta["status"],
+        )  # fmt: skip
+    click.echo(f"\ncheck of the redistributed wrenches: {', '.join(check(shared).failures()) or 'passes'}")
+
+
+def instructions(prepared: Prepared) -> str:
+    """SX instructions of values, first and second derivatives of the largest point function."""
+    largest = max((group.point for group in prepared.transcription.groups), key=lambda point: point.n_z)
+    made = derivatives(largest)
+    return " / ".join(f"{f.n_instructions():,}" for f in (made.value, made.first, made.second))
