@@ -15,7 +15,7 @@ from rich.console import Console
 from trajopt.cli_input import COUNT, THREADS, check_output
 from trajopt.cli_report import to_json
 from trajopt.errors import InputError
-from trajopt.progress import CANCELLED, show_cursor
+from trajopt.interruption import CANCELLED, interruptible
 
 if TYPE_CHECKING:
     from trajopt.suite.cases import Case
@@ -165,27 +165,29 @@ def _run(
     missing, known = left(cases, records.open(resume=resume))
     outcomes, complete = list(known), True
     jobs = max(1, min(jobs, len(missing)))
-    try:
-        with (
-            display(len(cases), len(known), jobs, settings.perturbed) as shown,
-            closing(
-                run_all(
-                    missing,
-                    settings,
-                    jobs=jobs,
-                    display=Recorded(shown, records),
-                    folder=records.folder,
-                    known=records.unfinished(),
-                )
-            ) as running,
-        ):
-            for outcome in running:
-                records.add(outcome)
-                outcomes.append(outcome)
-        records.close()
-    except KeyboardInterrupt:
-        complete = False
-        show_cursor()
+    with interruptible() as interruption, interruption.recording():
+        try:
+            with (
+                display(len(cases), len(known), jobs, settings.perturbed) as shown,
+                closing(
+                    run_all(
+                        missing,
+                        settings,
+                        jobs=jobs,
+                        display=Recorded(shown, records),
+                        folder=records.folder,
+                        known=records.unfinished(),
+                        check=interruption.check,
+                    )
+                ) as running,
+            ):
+                for outcome in running:
+                    records.add(outcome)
+                    outcomes.append(outcome)
+            records.close()
+        except KeyboardInterrupt:
+            complete = False
+        interruption.answer()  # also one that came when all was done
     return sorted(outcomes, key=lambda outcome: outcome.name), complete
 
 
