@@ -1,7 +1,8 @@
 """The launcher speaks in one line when the package cannot be imported."""
 
-import subprocess
 import sys
+
+from processes_for_tests import python, run
 
 MISMATCH = """
 import sys, trajopt.versions, types
@@ -16,7 +17,7 @@ sys.exit(main())
 
 
 def test_wheels_that_do_not_match_end_in_one_line():
-    done = subprocess.run([sys.executable, "-c", MISMATCH], capture_output=True, text=True)
+    done = python(MISMATCH)
     assert done.returncode == 2
     assert done.stdout == ""
     (line,) = done.stderr.strip().splitlines()
@@ -25,8 +26,6 @@ def test_wheels_that_do_not_match_end_in_one_line():
 
 
 def test_launcher_runs_the_command_line():
-    done = subprocess.run(
-        [sys.executable, "-m", "scripts.launch", "solve", "no-such-problem"], capture_output=True, text=True
-    )
+    done = run(sys.executable, "-m", "scripts.launch", "solve", "no-such-problem")
     assert done.returncode == 2
     assert "no-such-problem" in done.stderr
