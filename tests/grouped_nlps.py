@@ -8,6 +8,7 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
+from processes_for_tests import LIMIT
 from scipy import sparse
 
 INFINITY = np.inf
@@ -80,7 +81,8 @@ def compiled(function: ca.Function, folder: Path) -> tuple[str, str]:
     generator.generate(f"{folder}/")
     source = folder / f"{function.name()}.c"
     library = source.with_suffix(".so")
-    subprocess.run(["gcc", "-O1", "-fPIC", "-shared", str(source), "-o", str(library), "-lm"], check=True)
+    command = ["gcc", "-O1", "-fPIC", "-shared", str(source), "-o", str(library), "-lm"]
+    subprocess.run(command, check=True, timeout=LIMIT)
     return str(library), function.name()
 
 

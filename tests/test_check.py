@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from processes_for_tests import python
 from synthetic import arm_motion, planar_flight, pushing_off, sampled, standing, tumbling_flight
 
 from trajopt.certify.check import check
@@ -305,4 +304,4 @@ def test_check_does_not_use_casadi():
         "import sys, trajopt; had = 'casadi' in sys.modules; import trajopt.check as c;"
         "sys.exit(not had and 'casadi' in sys.modules)"
     )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    assert python(code).returncode == 0

@@ -6,13 +6,13 @@ import json
 import math
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from command_lines import assert_refused
+from processes_for_tests import TRAJOPT, run
 
 from trajopt import Solution
 from trajopt.cli.commands import main
@@ -29,7 +29,6 @@ KEYS = {
     "accuracy", "file", "solver", "transcription", "intervals", "tolerance", "seed", "perturb", "compile",
     "parameters", "warm_start",
 }  # fmt: skip
-WAIT = 120.0
 
 
 def trajopt(*arguments: object) -> Result:
@@ -37,8 +36,7 @@ def trajopt(*arguments: object) -> Result:
 
 
 def trajopt_process(*arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "trajopt", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=folder, timeout=WAIT, check=False)
+    return run(*TRAJOPT, *arguments, cwd=folder)
 
 
 def strict(text: str) -> dict:  # type: ignore[type-arg]

@@ -3,73 +3,33 @@
 from __future__ import annotations
 
 import json
-import os
-import pty
 import re
-import select
 import signal
-import subprocess
 import sys
-import time
+import uuid
 from pathlib import Path
 
-from trajopt import Solution
+import pytest
+from problems_for_tests import hop
+from processes_for_tests import COLUMNS, TRAJOPT, AtTerminal, needs_proc, processes, python, until
+
+from trajopt import Solution, solve
 
 # So many intervals that building and solving last seconds.
 LONG = ("solve", "solo12-jump", "--set", "distance=0.3", "--intervals", "200")
-WAIT = 120.0
-COLUMNS = 80
 
 
-class Process:
-    """``trajopt`` with stdout on a pipe and stderr on a terminal of ``COLUMNS`` columns."""
-
-    def __init__(self, *arguments: object) -> None:
-        self.terminal, end = pty.openpty()
-        environment = {**os.environ, "TERM": "xterm", "COLUMNS": str(COLUMNS)}
-        command = [sys.executable, "-m", "trajopt", *map(str, arguments)]
-        # Ctrl-C works as in a terminal, also where the tests themselves run under nohup.
-        self.popen = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=end, env=environment, start_new_session=True,
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        )  # fmt: skip
-        os.close(end)
-        self.seen = ""
-
-    def read_until(self, words: str) -> None:
-        deadline = time.monotonic() + WAIT
-        while words not in self.seen:
-            assert time.monotonic() < deadline, self.seen[-500:]
-            assert self._read(), f"ended without {words!r}: {self.seen[-500:]}"
-
-    def _read(self) -> bool:
-        ready, _, _ = select.select([self.terminal], [], [], 0.2)
-        if not ready:
-            return True
-        try:
-            data = os.read(self.terminal, 65536)
-        except OSError:  # Linux: the other end is closed
-            return False
-        self.seen += data.decode(errors="replace")
-        return bool(data)
-
-    def press(self) -> None:
-        self.popen.send_signal(signal.SIGINT)
-
-    def finish(self) -> tuple[int, str]:
-        while self._read():
-            pass
-        os.close(self.terminal)
-        output, _ = self.popen.communicate(timeout=WAIT)
-        return self.popen.returncode, output.decode()
+def trajopt(*arguments: object) -> AtTerminal:
+    """``trajopt`` with stdout on a pipe and stderr on a terminal."""
+    return AtTerminal(*TRAJOPT, *arguments, piped=True)
 
 
 def test_ctrl_c_while_solving_keeps_the_iterate(tmp_path: Path) -> None:
     target = tmp_path / "x.npz"
-    process = Process(*LONG, "--output", target, "--json")
-    process.read_until("iteration 2")
-    process.press()
-    status, output = process.finish()
+    with trajopt(*LONG, "--output", target, "--json") as process:
+        process.read_until("iteration 2")
+        process.press()
+        status, output, _ = process.finish()
     found = json.loads(output)
     assert status == 1
     assert (found["success"], found["status"]) == (False, "interrupted")
@@ -79,24 +39,25 @@ def test_ctrl_c_while_solving_keeps_the_iterate(tmp_path: Path) -> None:
 
 
 def test_ctrl_c_while_building_leaves_nothing(tmp_path: Path) -> None:
-    process = Process(*LONG, "--output", tmp_path / "x.npz", "--json")
-    process.read_until("building")
-    process.press()
-    status, output = process.finish()
+    with trajopt(*LONG, "--output", tmp_path / "x.npz", "--json") as process:
+        process.read_until("building")
+        process.press()
+        status, output, seen = process.finish()
     assert (status, output) == (130, "")
-    assert "trajopt: cancelled" in process.seen
-    assert "Traceback" not in process.seen
+    assert "trajopt: cancelled" in seen
+    assert "Traceback" not in seen
     assert not list(tmp_path.iterdir())
 
 
 def test_the_panel_fits_the_terminal_and_is_gone_at_the_end(tmp_path: Path) -> None:
-    process = Process(*LONG[:-1], "12", "--max-iterations", 3, "--output", tmp_path / "x.npz", "--json")
-    status, output = process.finish()
+    short = (*LONG[:-1], "12", "--max-iterations", 3, "--output", tmp_path / "x.npz", "--json")
+    with trajopt(*short) as process:
+        status, output, seen = process.finish()
     assert status == 1
     assert json.loads(output)["status"] == "iteration_limit"
-    assert "iteration 3" in process.seen
-    assert "infeasibility" in process.seen
-    left, widest = on_screen(process.seen)
+    assert "iteration 3" in seen
+    assert "infeasibility" in seen
+    left, widest = on_screen(seen)
     assert left == []
     assert widest < COLUMNS
 
@@ -118,49 +79,58 @@ def on_screen(text: str) -> tuple[list[str], int]:
     return [line for line in screen if line.strip()], widest
 
 
-SECOND_PRESS = """
-import os, signal, time
-from trajopt.cli.progress import Interruption
-with Interruption() as interruption:
-    interruption.started = True
-    for _ in range(2):
-        os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(0.5)
-    print("still here", interruption.requested, flush=True)
-    time.sleep(10)
-"""
+@pytest.fixture(scope="module")
+def solution_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return solve(hop(), compile="none", intervals=8).save(tmp_path_factory.mktemp("solution") / "hop.npz")
 
 
-def test_second_ctrl_c_ends_a_solver_that_does_not_answer() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", SECOND_PRESS], capture_output=True, text=True, timeout=WAIT, check=False
-    )
-    assert (done.returncode, done.stdout) == (130, "")
-    assert done.stderr == "trajopt: cancelled, nothing was written\n"
-
-
-IGNORED = """
-import signal
-signal.signal(signal.SIGINT, signal.SIG_IGN)
-from trajopt.cli.progress import Interruption
-with Interruption():
-    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-"""
-
-
-def test_ctrl_c_that_is_ignored_stays_ignored() -> None:
-    subprocess.run([sys.executable, "-c", IGNORED], timeout=WAIT, check=True)
-
-
-def test_ctrl_c_ends_a_live_replay_with_zero(tmp_path: Path) -> None:
-    target = tmp_path / "x.npz"
-    process = Process(*LONG[:-1], "12", "--max-iterations", 1, "--output", target)
-    assert process.finish()[0] == 1
-    shown = Process("replay", target, "--no-open")
-    shown.read_until("Ctrl-C stops the server")
-    shown.press()
-    status, output = shown.finish()
+def test_ctrl_c_ends_a_live_replay_with_zero(solution_file: Path) -> None:
+    with trajopt("replay", solution_file, "--no-open") as shown:
+        shown.read_until("Ctrl-C stops the server")
+        shown.press()
+        status, output, seen = shown.finish()
     assert status == 0
     assert "http://" in output
-    assert "Traceback" not in shown.seen
+    assert "Traceback" not in seen
+
+
+IGNORING = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+os.execv(sys.executable, [sys.executable, "-m", "trajopt", *sys.argv[1:]])
+"""
+
+
+@needs_proc
+def test_where_ctrl_c_is_ignored_sigterm_ends_command_and_server(solution_file: Path) -> None:
+    marker = uuid.uuid4().hex
+    command = (sys.executable, "-c", IGNORING, "replay", solution_file, "--no-open")
+    with AtTerminal(*command, piped=True, environment={"MARKER": marker}) as shown:
+        shown.read_until("Ctrl-C stops the server")
+        shown.press()
+        assert len(processes(marker)) == 2
+        shown.press(signal.SIGTERM)
+        status, _, _ = shown.finish()
+    assert status == -signal.SIGTERM
+    assert until(lambda: not processes(marker))
+
+
+LAUNCH = """
+import builtins, os, signal, sys
+imported = builtins.__import__
+def lost(name, *arguments):
+    if name == "trajopt.cli":
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+        except KeyboardInterrupt:
+            pass
+    return imported(name, *arguments)
+builtins.__import__ = lost
+from scripts.launch import main
+sys.exit(main())
+"""
+
+
+def test_ctrl_c_that_an_import_loses_ends_the_command() -> None:
+    done = python(LAUNCH, "list")
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "trajopt: cancelled\n")

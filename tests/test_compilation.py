@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from problems_for_tests import hop, hopper, reach
+from processes_for_tests import LIMIT
 
 from trajopt.errors import InputError, TrajoptError
 from trajopt.problem.problem import Problem
@@ -31,7 +32,6 @@ from trajopt.transcription.transcription import transcribe
 SAME = {"rtol": 1e-12, "atol": 1e-12}
 # Code may not grow with the degree of the scheme; it is the same to the byte today.
 CODE_GROWTH = 1.5
-COMPILE_TIMEOUT = 120  # s
 
 
 @pytest.fixture
@@ -225,7 +225,7 @@ def test_two_processes_may_fill_an_empty_cache_at_once(cache):
         for _ in range(2)
     ]
     for process in processes:
-        out, error = process.communicate(timeout=COMPILE_TIMEOUT)
+        out, error = process.communicate(timeout=LIMIT)
         assert out.split() == ["solved", "quick"], error
     assert [entry for entry in cache.iterdir() if entry.name.startswith(".")] == []
     assert compile_points(points_of(reach()), "quick")[1].built == 0

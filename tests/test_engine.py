@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from grouped_nlps import GroupedProblem, arguments, cart_pole, dense, dense_jacobian, logarithm_well
 from numpy.testing import assert_allclose, assert_array_equal
+from processes_for_tests import LIMIT
 
 from trajopt import _engine
 
@@ -120,7 +121,8 @@ def test_an_evaluation_that_fails_gives_no_number(tmp_path):
     assert code.count(entry) == 1
     source.write_text(code.replace(entry, entry + " return 1;"))
     failing = str(tmp_path / "failing.so")
-    subprocess.run(["gcc", "-fPIC", "-shared", "-w", str(source), "-o", failing, "-lm"], check=True)
+    command = ["gcc", "-fPIC", "-shared", "-w", str(source), "-o", failing, "-lm"]
+    subprocess.run(command, check=True, timeout=LIMIT)
     given["groups"][0]["value"] = (failing, name)
     assert np.isnan(_engine.Nlp(**given).f(well.x0))
 

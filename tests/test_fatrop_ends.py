@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 
 import casadi as ca
 import numpy as np
 import pytest
 from grouped_nlps import GroupedProblem, arguments, cart_pole, logarithm_well
 from numpy.testing import assert_allclose
+from processes_for_tests import python
 
 from trajopt import _engine
 
-# s that a process with all its starts may take before it is killed: far above the limits of its solves.
-HARD_LIMIT = 300
 LIMIT = 0.5  # s, of each solve
 SEEDS = 6
 SAME = 1e-6
@@ -49,14 +46,8 @@ print(json.dumps(found))
     ("name", "intervals"), [("hopper-hop", 12), pytest.param("solo12-jump", 6, marks=pytest.mark.slow)]
 )
 def test_degenerate_starts_end_with_a_status_of_failure(name: str, intervals: int) -> None:
-    command = [sys.executable, "-c", DEGENERATE, name, str(intervals), str(LIMIT), str(SEEDS)]
-    done = subprocess.run(
-        command,
-        capture_output=True,
-        text=True,
-        timeout=HARD_LIMIT,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-    )
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    done = python(DEGENERATE, name, intervals, LIMIT, SEEDS, env=environment)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
     assert len(found) == 2 * SEEDS

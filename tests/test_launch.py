@@ -1,10 +1,8 @@
 """The command speaks in one line where the wheels are not those that the extension was compiled against."""
 
-import subprocess
 import sys
 
-# Seconds after which a command that should end at once is ended.
-LIMIT = 120
+from processes_for_tests import python, run
 
 MISMATCH = """
 import sys, trajopt.versions
@@ -18,9 +16,7 @@ sys.exit(main())
 
 
 def test_wheels_that_do_not_match_end_in_one_line():
-    done = subprocess.run(
-        [sys.executable, "-c", MISMATCH, "solve", "ur5-reach"], capture_output=True, text=True, timeout=LIMIT
-    )
+    done = python(MISMATCH, "solve", "ur5-reach")
     assert done.returncode == 2
     assert done.stdout == ""
     (line,) = done.stderr.strip().splitlines()
@@ -29,11 +25,6 @@ def test_wheels_that_do_not_match_end_in_one_line():
 
 
 def test_package_runs_the_command_line():
-    done = subprocess.run(
-        [sys.executable, "-m", "trajopt", "solve", "no-such-problem"],
-        capture_output=True,
-        text=True,
-        timeout=LIMIT,
-    )
+    done = run(sys.executable, "-m", "trajopt", "solve", "no-such-problem")
     assert done.returncode == 2
     assert "no-such-problem" in done.stderr

@@ -12,6 +12,7 @@ from browser_for_tests import require_chromium
 from nbclient import NotebookClient
 from playwright.sync_api import sync_playwright
 from problems_for_tests import reach
+from processes_for_tests import LIMIT
 
 import trajopt
 from trajopt.errors import InputError
@@ -23,8 +24,6 @@ ROOT = Path(__file__).parent.parent
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 # Bytes of a notebook in the repository: without outputs, which are made by running it.
 LARGEST = 200_000
-# Of one cell, s; a crowded machine is slow.
-SECONDS = 300
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +55,7 @@ def test_links_of_a_notebook_lead_somewhere(path: Path) -> None:
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs(path: Path, tmp_path: Path) -> None:
     notebook = nbformat.read(path, as_version=4)
-    client = NotebookClient(notebook, timeout=SECONDS, resources={"metadata": {"path": str(tmp_path)}})
+    client = NotebookClient(notebook, timeout=LIMIT, resources={"metadata": {"path": str(tmp_path)}})
     done = client.execute()
     outputs = [output for cell in done.cells for output in cell.get("outputs", ())]
     assert not [output for output in outputs if output.output_type == "error"]

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import os
-import signal
 import socket
-import subprocess
 import sys
-import time
 import urllib.error
 import urllib.request
 import webbrowser
@@ -16,6 +13,7 @@ import meshcat
 import meshcat.geometry as shapes
 import pytest
 from browser_for_tests import running_chromium
+from processes_for_tests import LIMIT, Running, until
 from replay_pages import hopping, with_meta
 
 from trajopt.solution.solution import Solution
@@ -23,7 +21,6 @@ from trajopt.view.replay import live
 from trajopt.view.replay.browser import FLAGS, find_chromium
 from trajopt.view.replay.show import replay
 
-WAIT = 10.0  # s within which a process ends on a busy machine
 SPHERE = "trajopt.viewer.scene_tree.find(['meshcat', 'added']).object.children.length"
 KILLED = """
 import sys, time
@@ -48,7 +45,7 @@ def shown(hop):
 
 
 def fetched(address: str) -> tuple[int, str]:
-    with urllib.request.urlopen(address, timeout=WAIT) as answer:
+    with urllib.request.urlopen(address, timeout=LIMIT) as answer:
         return answer.status, answer.read().decode()
 
 
@@ -87,15 +84,11 @@ def test_closing_twice_is_no_error(hop):
 
 def test_server_ends_when_its_owner_is_killed(hop, tmp_path):
     file = hop.save(tmp_path / "hop.npz")
-    owner = subprocess.Popen([sys.executable, "-c", KILLED, str(file)], stdout=subprocess.PIPE, text=True)
-    lines = [owner.stdout.readline() for _ in range(2)]
-    assert lines[0].startswith("replay at http://127.0.0.1:")
-    owner.send_signal(signal.SIGKILL)
-    owner.communicate()
-    deadline = time.monotonic() + WAIT
-    while runs(int(lines[1])) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not runs(int(lines[1]))
+    with Running(sys.executable, "-c", KILLED, file) as owner:
+        lines = [owner.popen.stdout.readline() for _ in range(2)]
+        assert lines[0].startswith("replay at http://127.0.0.1:")
+        owner.kill()
+    assert until(lambda: not runs(int(lines[1])))
 
 
 def runs(pid: int) -> bool:
@@ -144,12 +137,12 @@ def test_page_shows_the_scene_and_what_a_script_adds_and_says_when_the_server_en
             assert (state["time"], state["phase"], state["camera"]) == (0.25, "phase 2", "top")
             assert view.evaluate(SPHERE) == 0
             meshcat.Visualizer(window=window.window)["added"].set_object(shapes.Sphere(0.1))
-            view.wait_for_function(f"{SPHERE} === 1", timeout=1e3 * WAIT)
+            view.wait_for_function(f"{SPHERE} === 1", timeout=1e3 * LIMIT)
             window.window.show([], {**window.facts, "title": "another"})
-            view.wait_for_function("document.title === 'another'", timeout=1e3 * WAIT)
+            view.wait_for_function("document.title === 'another'", timeout=1e3 * LIMIT)
             assert errors == []
             window.close()
-            view.wait_for_selector("#message:has-text('the server has stopped')", timeout=1e3 * WAIT)
+            view.wait_for_selector("#message:has-text('the server has stopped')", timeout=1e3 * LIMIT)
             browser.close()
     finally:
         window.close()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import subprocess
 import sys
 import warnings
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from problems_for_tests import hop
+from processes_for_tests import python
 from rich.cells import cell_len
 
 from trajopt import solve
@@ -40,14 +40,14 @@ RETURNING = STUCK.replace("time.sleep(30.0)", "pass") + "\ntime.sleep(1.0)\nprin
 
 
 def test_a_solver_beyond_its_time_limit_ends_the_program_in_one_line():
-    done = subprocess.run([sys.executable, "-c", STUCK], capture_output=True, text=True)
+    done = python(STUCK)
     assert done.returncode == 1
     (line,) = done.stderr.strip().splitlines()
     assert "time limit of 0.1 s" in line
 
 
 def test_a_solver_that_returns_is_left_alone():
-    done = subprocess.run([sys.executable, "-c", RETURNING], capture_output=True, text=True)
+    done = python(RETURNING)
     assert done.returncode == 0
     assert done.stdout.strip() == "done"
 

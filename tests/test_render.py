@@ -5,10 +5,7 @@ from __future__ import annotations
 import io
 import os
 import re
-import signal
-import subprocess
 import sys
-import time
 import uuid
 from fractions import Fraction
 from pathlib import Path
@@ -19,6 +16,7 @@ from browser_for_tests import in_motion, running_chromium
 from click.testing import CliRunner, Result
 from command_lines import assert_refused
 from PIL import Image
+from processes_for_tests import TRAJOPT, Running, needs_proc, processes, run, until
 from synthetic import arm_motion, sampled
 
 from trajopt.cli.commands import main
@@ -37,7 +35,6 @@ RATE = Fraction(25)
 COLOUR_LOSS = 3.0
 # Levels of 255 by which a palette of 255 colours and its dither may be off on average.
 PALETTE_LOSS = 6.0
-WAIT = 120.0  # s
 
 
 @pytest.fixture(scope="module")
@@ -73,13 +70,14 @@ def moving_square(count: int) -> list[np.ndarray]:
 
 
 def said_by_ffmpeg(path: Path) -> str:
-    return subprocess.run([video.find_ffmpeg(), "-i", str(path)], capture_output=True, text=True).stderr
+    return run(video.find_ffmpeg(), "-i", path).stderr
 
 
 def frames_of(path: Path, size: tuple[int, int]) -> np.ndarray:
-    command = [video.find_ffmpeg(), "-loglevel", "error", "-i", str(path), "-f", "rawvideo"]
-    data = subprocess.run([*command, "-pix_fmt", "rgb24", "-"], capture_output=True, check=True).stdout
-    return np.frombuffer(data, np.uint8).reshape(-1, size[1], size[0], 3)
+    command = (video.find_ffmpeg(), "-loglevel", "error", "-i", path, "-f", "rawvideo")
+    done = run(*command, "-pix_fmt", "rgb24", "-", text=False)
+    assert done.returncode == 0, done.stderr
+    return np.frombuffer(done.stdout, np.uint8).reshape(-1, size[1], size[0], 3)
 
 
 def gif_frames(path: Path) -> tuple[np.ndarray, list[int], int]:
@@ -288,40 +286,21 @@ def test_gif_and_picture_and_strip_of_a_solution(chromium_is_here, hop, tmp_path
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.gif", "a.png", "s.png"]
 
 
-def processes_with(marker: str) -> list[str]:
-    """Names of processes whose environment holds ``marker``."""
-    found = []
-    for environment in Path("/proc").glob("[0-9]*/environ"):
-        try:
-            if marker.encode() in environment.read_bytes():
-                found.append(environment.with_name("comm").read_text().strip())
-        except OSError:
-            continue
-    return found
-
-
-@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="no /proc to look at")
+@needs_proc
 def test_ctrl_c_ends_everything_and_leaves_the_old_file(chromium_is_here, hop_file, tmp_path):
     marker, out = uuid.uuid4().hex, tmp_path / "a.mp4"
     out.write_text("old")
-    process = subprocess.Popen(
-        [sys.executable, "-m", "trajopt", "render", str(hop_file), "-o", str(out), "--speed", "0.001"],
-        env={**os.environ, "MARKER": marker},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    end = time.monotonic() + WAIT
-    while not any(path.stat().st_size for path in tmp_path.glob(".a.mp4.*/a.mp4")):
-        assert time.monotonic() < end
-        assert process.poll() is None, process.stderr.read()
-        time.sleep(0.1)
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all that run in front
-    _, said = process.communicate(timeout=WAIT)
-    assert process.returncode == 130
+    command = (*TRAJOPT, "render", hop_file, "-o", out, "--speed", "0.001")
+    with Running(*command, env={**os.environ, "MARKER": marker}) as process:
+        assert until(
+            lambda: (
+                any(path.stat().st_size for path in tmp_path.glob(".a.mp4.*/a.mp4"))
+                or process.popen.poll() is not None
+            )
+        )
+        process.press()
+        status, _, said = process.finish()
+    assert status == 130
     assert said.splitlines()[1:] == ["trajopt: cancelled"]  # after the note on the skeleton
-    while processes_with(marker):
-        assert time.monotonic() < end
-        time.sleep(0.05)
+    assert until(lambda: not processes(marker))
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a.mp4", "old")]

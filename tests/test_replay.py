@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import signal
-import threading
 import urllib.request
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from page_meshes import array_of, distance_between, stl_points
+from processes_for_tests import LIMIT, ctrl_c_here
 from replay_pages import objects_of, scene_of, tracks_of, with_meta
 from synthetic import Motion, arm_motion, meta_of, sampled, standing
 
@@ -249,14 +249,12 @@ def test_live_server_shows_the_scene_until_interrupted(jump, capsys):
     shown = replay(jump, open_browser=False)
     try:
         assert capsys.readouterr().out == f"replay at {shown.url}\n"
-        with urllib.request.urlopen(shown.url, timeout=10) as answer:
+        with urllib.request.urlopen(shown.url, timeout=LIMIT) as answer:
             assert b"MeshCat" in answer.read()
         told = shown.window.get_scene()
         assert told.count("handle_command_bytearray(new") >= 17
-        main = threading.main_thread().ident
-        interrupt = threading.Timer(0.2, signal.pthread_kill, [main, signal.SIGINT])
-        interrupt.start()
-        serve(shown)
+        with ctrl_c_here():
+            serve(shown, lambda: signal.raise_signal(signal.SIGINT))
         assert shown.window.server_proc.poll() is not None
     finally:
         shown.close()

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import json
 import os
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 import suite_problems
 from click.testing import CliRunner, Result
+from processes_for_tests import TRAJOPT, Running, needs_proc, processes, until
 
-from trajopt.cli.commands import main
+from trajopt.cli import main
 from trajopt.study.suite import data
 
-WAIT = 120.0
 FAST = ("--compile", "none")
 
 
@@ -107,58 +104,38 @@ def test_results_are_printed_written_resumed_and_compared(tmp_path: Path):
     assert "outside its bands: t-reach@arm: solved with legendre:2, 10 intervals" in other.stdout
 
 
-class Running:
-    """``trajopt suite`` in a process of its own on a good pair and one that hangs."""
-
-    def __init__(self, package: Path) -> None:
-        self.package = package
-        path = os.pathsep.join([str(package), str(Path(__file__).parent)])
-        command = [sys.executable, "-m", "trajopt", "suite", "--problems", "t-reach,t-hanging", "--json"]
-        self.popen = subprocess.Popen(
-            [*command, *FAST, "--jobs", "2"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            env={**os.environ, "PYTHONPATH": path},
-            # Ctrl-C works as in a terminal, also where the tests themselves run under nohup.
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        )  # fmt: skip
-        assert self.popen.stderr is not None
-        assert self.popen.stderr.readline().startswith("1/2 t-reach@arm: solved")
-        assert self.workers()
-
-    def workers(self) -> list[int]:
-        """Processes of the suite, known by the path that they are given."""
-        found = []
-        for folder in Path("/proc").glob("[0-9]*"):
-            try:
-                given, command = (folder / "environ").read_bytes(), (folder / "cmdline").read_bytes()
-            except OSError:
-                continue
-            if str(self.package).encode() in given and b"trajopt.study.suite.worker" in command:
-                found.append(int(folder.name))
-        return found
+@contextmanager
+def hanging(package: Path) -> Iterator[Running]:
+    """``trajopt suite`` on a good pair, which has ended, and one that hangs."""
+    command = ("suite", "--problems", "t-reach,t-hanging", "--json", *FAST, "--jobs", "2")
+    path = os.pathsep.join([str(package), str(Path(__file__).parent)])
+    with Running(*TRAJOPT, *command, env={**os.environ, "PYTHONPATH": path}) as running:
+        assert running.line().startswith("1/2 t-reach@arm: solved")
+        assert workers(package)
+        yield running
 
 
-needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="no /proc to look at")
+def workers(package: Path) -> dict[int, str]:
+    """Processes of the suite, known by the path that they are given."""
+    return processes(str(package), "trajopt.suite.worker")
 
 
 @needs_proc
 def test_ctrl_c_prints_what_is_done_and_leaves_no_process(package: Path):
-    running = Running(package)
-    running.popen.send_signal(signal.SIGINT)
-    output, errors = running.popen.communicate(timeout=WAIT)
+    with hanging(package) as running:
+        running.press()
+        status, output, errors = running.finish()
     found = json.loads(output)
-    assert running.popen.returncode == 130
+    assert status == 130
     assert errors == "trajopt: cancelled, 1 of 2 pairs are done\n"
     assert found["complete"] is False
     assert [pair["problem"] for pair in found["pairs"]] == ["t-reach"]
-    assert running.workers() == []
+    assert not workers(package)
 
 
 @needs_proc
 def test_no_process_outlives_a_suite_that_is_killed(package: Path):
-    running = Running(package)
-    running.popen.kill()
-    running.popen.communicate(timeout=WAIT)
-    deadline = time.monotonic() + WAIT
-    while running.workers() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert running.workers() == []
+    with hanging(package) as running:
+        running.kill()
+        running.finish()
+    assert until(lambda: not workers(package))

@@ -5,11 +5,9 @@ from __future__ import annotations
 import csv
 import json
 import os
-import signal
-import subprocess
 import sys
-import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +15,13 @@ import pytest
 import sweep_problems
 from click.testing import CliRunner, Result
 from problems_for_tests import hop
+from processes_for_tests import LIMIT, TRAJOPT, Running, needs_proc, processes, until
 
 from trajopt import solve
 from trajopt.certify.accuracy.measures import measure
-from trajopt.cli.commands import main
+from trajopt.cli import main
 from trajopt.errors import InputError
-from trajopt.problem.problem import Problem
+from trajopt.problem import Problem
 from trajopt.reduced.two_stage import without_torques
 from trajopt.solution.solution import Solution
 from trajopt.study.sweep.cores import cores_for, physical_cores
@@ -34,7 +33,6 @@ from trajopt.study.sweep.result import LOST, REFUSED, Job
 from trajopt.study.sweep.run import Limits, objective_of, run, with_torques
 from trajopt.study.sweep.setting import Setting
 
-WAIT = 120.0
 # The same arithmetic, called in another way.
 SAME = 1e-12
 # From all starts the reach is the same to the solver's tolerance, of errors of 1e-4 m.
@@ -168,10 +166,10 @@ def test_a_lost_run_loses_no_other(tmp_path: Path):
 
 def test_a_worker_that_dies_is_replaced():
     with Pool(cores_for(1)) as pool:
-        run = {"task": "run", "problem": "s-parricidal", "values": {}, "limit": WAIT}
+        run = {"task": "run", "problem": "s-parricidal", "values": {}, "limit": LIMIT}
         assert pool.ask(run) == {"kind": LOST, "detail": "crash of the worker"}
         assert pool.ask({"task": "calibration"}) == {"kind": LOST, "detail": "crash: KeyError: 'limit'"}
-        assert len(pool.ask({"task": "calibration", "count": 3, "limit": WAIT})["seconds"]) == 3
+        assert len(pool.ask({"task": "calibration", "count": 3, "limit": LIMIT})["seconds"]) == 3
 
 
 def test_timed_processes_get_cores_of_their_own():
@@ -264,55 +262,40 @@ def test_an_unsolved_default_has_exit_status_one(tmp_path: Path):
     assert not (tmp_path / "front.png").exists()
 
 
-needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="no /proc to look at")
+def many(folder: Path) -> tuple[str, ...]:
+    """A sweep of many settings into a folder."""
+    grids = ("--intervals", "4,5,6,7,8,9")
+    return ("s-reach", *map(str, QUICK), "--reference", "0", "--output-dir", str(folder), *grids)
 
 
-class Running:
-    """A sweep of many settings in a process of its own, some of whose runs have ended."""
+@contextmanager
+def begun(package: Path, folder: Path) -> Iterator[Running]:
+    """Such a sweep, some of whose runs have ended."""
+    path = os.pathsep.join([str(package), str(Path(__file__).parent), *sys.path])
+    command = (*TRAJOPT, "sweep", *many(folder))
+    with Running(*command, env={**os.environ, "PYTHONPATH": path}) as running:
+        while "solved" not in (line := running.line()):
+            assert line, "the sweep has ended"
+        yield running
 
-    def __init__(self, package: Path, folder: Path) -> None:
-        path = [str(package), str(Path(__file__).parent), *sys.path]
-        self.package = package
-        self.arguments = (
-            "s-reach", "--compile", "none", "--repeats", "1", "--reference", "0", "--output-dir", str(folder),
-            "--intervals", "4,5,6,7,8,9",
-        )  # fmt: skip
-        self.popen = subprocess.Popen(
-            [sys.executable, "-m", "trajopt", "sweep", *self.arguments],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(path)},
-            # Ctrl-C works as in a terminal, also where the tests themselves run under nohup.
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        )  # fmt: skip
-        assert self.popen.stderr is not None
-        while "solved" not in self.popen.stderr.readline():
-            assert self.popen.poll() is None
 
-    def workers(self) -> list[int]:
-        """Processes of the sweep, known by the path that they are given."""
-        found = []
-        for folder in Path("/proc").glob("[0-9]*"):
-            try:
-                given, command = (folder / "environ").read_bytes(), (folder / "cmdline").read_bytes()
-            except OSError:
-                continue
-            if str(self.package).encode() in given and b"trajopt.study.sweep.worker" in command:
-                found.append(int(folder.name))
-        return found
+def workers(package: Path) -> dict[int, str]:
+    """Processes of the sweep, known by the path that they are given."""
+    return processes(str(package), "trajopt.sweep.worker")
 
 
 @needs_proc
 def test_ctrl_c_keeps_what_is_there_and_leaves_no_process(package: Path, tmp_path: Path):
-    running = Running(package, tmp_path)
-    assert running.workers()
-    running.popen.send_signal(signal.SIGINT)
-    _, errors = running.popen.communicate(timeout=WAIT)
-    assert running.popen.returncode == 130
+    with begun(package, tmp_path) as running:
+        assert workers(package)
+        running.press()
+        status, _, errors = running.finish()
+    assert status == 130
     assert errors.endswith(f"trajopt: cancelled; --resume --output-dir {tmp_path} goes on\n")
-    assert running.workers() == []
+    assert not workers(package)
     done = rows(tmp_path / "runs.csv")
     assert 0 < len(done) < 14
-    result = sweep(*running.arguments, "--resume")
+    result = sweep(*many(tmp_path), "--resume")
     assert result.exit_code == 0
     runs = rows(tmp_path / "runs.csv")
     assert runs[: len(done)] == done
@@ -321,10 +304,7 @@ def test_ctrl_c_keeps_what_is_there_and_leaves_no_process(package: Path, tmp_pat
 
 @needs_proc
 def test_no_process_outlives_a_sweep_that_is_killed(package: Path, tmp_path: Path):
-    running = Running(package, tmp_path)
-    running.popen.kill()
-    running.popen.communicate(timeout=WAIT)
-    deadline = time.monotonic() + WAIT
-    while running.workers() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert running.workers() == []
+    with begun(package, tmp_path) as running:
+        running.kill()
+        running.finish()
+    assert until(lambda: not workers(package))

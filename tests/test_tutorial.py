@@ -12,6 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from processes_for_tests import LIMIT
 
 ROOT = Path(__file__).parent.parent
 TUTORIAL = ROOT / "docs" / "tutorial" / "bring-your-own-robot.md"
@@ -21,8 +22,6 @@ NUMBER = re.compile(r"-?\d+\.?\d*(?:e[+-]?\d+)?")
 FREE_UNITS = ("s", "ms", "iterations", "MB")
 # Of what is optimised three digits are shared by all machines; below this it is rounding.
 RELATIVE, ROUNDING = 0.02, 1e-5
-# Of one block; a crowded machine is slow.
-SECONDS = 300
 
 
 @dataclass(frozen=True)
@@ -79,15 +78,9 @@ def run(script: str, folder: Path) -> str:
     """What a shell block prints; as in the tutorial, the environment is active and the clone is known."""
     tools = str(Path(sys.executable).parent)
     environment = os.environ | {"TRAJOPT": str(ROOT), "PATH": f"{tools}{os.pathsep}{os.environ['PATH']}"}
-    done = subprocess.run(
-        ["bash", "-euo", "pipefail", "-c", script],
-        cwd=folder,
-        env=environment,
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        timeout=SECONDS,
-    )
+    command = ["bash", "-euo", "pipefail", "-c", script]
+    both = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    done = subprocess.run(command, cwd=folder, env=environment, text=True, timeout=LIMIT, **both)
     assert done.returncode == 0, f"{script}\n{done.stdout}"
     return done.stdout
 

@@ -3,14 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import os
-import pty
-import select
-import signal
-import subprocess
-import sys
-import time
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -24,6 +16,7 @@ import pytest
 import umsgpack
 from numpy.testing import assert_allclose, assert_array_equal
 from problems_for_tests import hop, hopper, lean, reach
+from processes_for_tests import LIMIT, TRAJOPT, AtTerminal, run
 from replay_pages import objects_of, placements_of, tracks_of
 from tornado.websocket import websocket_connect
 
@@ -41,7 +34,6 @@ from trajopt_library import problems
 ROUNDING = 1e-12
 # Meshcat's numbers have single precision, and key frames are thinned within these parts of the reach.
 PICTURE = 2 * max(POSITION_ERROR, ANGLE_ERROR)
-WAIT = 60.0
 
 
 def kept(problem: Problem, **settings: Any) -> list[Iterate]:
@@ -88,7 +80,7 @@ def test_watching_changes_neither_iterations_nor_result(solver: str):
     alone = solve(lean(), **settings)
     with Viewer() as viewer:
         watched = solve(lean(), watch=viewer, **settings)
-        assert viewer.flush(WAIT)
+        assert viewer.flush(LIMIT)
         assert viewer.drawn >= 2
     assert watched.meta["iterations"] == alone.meta["iterations"]
     for name in ("t", "q", "v", "tau", "f"):
@@ -298,7 +290,7 @@ def test_a_real_server_has_the_iterate_and_gives_it_to_a_browser_that_comes_late
         end = hop_iterates()[-1]
         for iterate in (hop_iterates()[0], end):
             viewer(iterate)
-            assert viewer.flush(WAIT)
+            assert viewer.flush(LIMIT)
         messages = asyncio.run(heard(viewer.url.replace("http", "ws")))
     solution = end.solution()
     model, data = solution.model, solution.model.createData()
@@ -313,9 +305,9 @@ def test_a_real_server_has_the_iterate_and_gives_it_to_a_browser_that_comes_late
 
 async def heard(url: str) -> list[dict[str, Any]]:
     """What a server tells a new browser, up to the end of the scene."""
-    connection, found = await websocket_connect(url, max_message_size=2**30), []
+    connection, found = await websocket_connect(url, connect_timeout=LIMIT, max_message_size=2**30), []
     while not found or found[-1].get("path") != "drawn":
-        data = await asyncio.wait_for(connection.read_message(), WAIT)
+        data = await asyncio.wait_for(connection.read_message(), LIMIT)
         assert isinstance(data, bytes)
         found.append(umsgpack.unpackb(data))
     connection.close()
@@ -333,7 +325,7 @@ def test_a_viewer_whose_server_dies_is_one_warning_and_the_solve_goes_on():
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         found = solve(hop(), compile="none", watch=watch)
-        viewer.flush(WAIT)
+        viewer.flush(LIMIT)
         viewer.close()
     assert found.success
     (text,) = [str(warning.message) for warning in caught if "viewer" in str(warning.message)]
@@ -364,42 +356,17 @@ SMALL = ("hopper-hop", "--compile", "none", "--intervals", "12")
     ids=["ladder", "continue"],
 )
 def test_a_script_that_watches_ends(arguments: tuple[str, ...], tmp_path: Path):
-    done = subprocess.run(
-        [sys.executable, "-m", "trajopt", *arguments, "--watch"],
-        capture_output=True, text=True, timeout=WAIT, cwd=tmp_path, check=False, stdin=subprocess.DEVNULL,
-    )  # fmt: skip
+    done = run(*TRAJOPT, *arguments, "--watch", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "http://" in done.stderr
     assert "warning" not in done.stderr
 
 
 def test_at_a_terminal_the_solution_is_shown_until_ctrl_c(tmp_path: Path):
-    terminal, end = pty.openpty()
-    command = [
-        sys.executable,
-        "-m",
-        "trajopt",
-        "solve",
-        *SMALL,
-        "--watch",
-        "--output",
-        str(tmp_path / "x.npz"),
-    ]
-    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "BROWSER")}
-    process = subprocess.Popen(
-        command, stdin=end, stdout=end, stderr=end, env={**environment, "TERM": "xterm"},
-        start_new_session=True, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )  # fmt: skip
-    os.close(end)
-    seen, deadline = "", time.monotonic() + WAIT
-    while "Ctrl-C stops the server" not in seen:
-        assert time.monotonic() < deadline, seen
-        if select.select([terminal], [], [], 0.2)[0]:
-            seen += os.read(terminal, 65536).decode(errors="replace")
+    command = ("solve", *SMALL, "--watch", "--output", tmp_path / "x.npz")
+    with AtTerminal(*TRAJOPT, *command) as process:
+        process.read_until("Ctrl-C stops the server")
+        process.press()
+        status, _, seen = process.finish()
     assert "solved" in seen
-    process.send_signal(signal.SIGINT)
-    with contextlib.suppress(OSError):  # Linux: the other end is closed
-        while os.read(terminal, 65536):
-            assert time.monotonic() < deadline
-    assert process.wait(WAIT) == 0
-    os.close(terminal)
+    assert status == 0

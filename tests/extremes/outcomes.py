@@ -113,7 +113,7 @@ def in_process(work: Callable[[], Any], limit: float = HARD_LIMIT) -> Any:
             raise CellError(f"hangs: killed after {limit:g} s")
         good, value = receiver.recv()
     except EOFError:
-        process.join()
+        process.join(limit)
         raise CellError(f"its process crashed: exit code {process.exitcode}") from None
     finally:
         process.kill()

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+from types import FrameType
 
-BAD_INSTALLATION = 2
 INTERRUPTED = 130
 
 
 def main() -> int:
-    """Run the command line; a mismatch of wheels or Ctrl-C while importing ends without a traceback."""
-    from trajopt.errors import VersionMismatchError
+    """Run the command line; Ctrl-C while importing ends without a traceback."""
+    presses: list[int] = []
 
+    def press(number: int, frame: FrameType | None) -> None:
+        presses.append(number)
+        raise KeyboardInterrupt
+
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, press)
     try:
         from trajopt.cli.commands import main as run
+
+        if not presses:  # a library that is imported may lose the exception
+            return run()
     except KeyboardInterrupt:
-        print("trajopt: cancelled", file=sys.stderr)
-        return INTERRUPTED
-    except VersionMismatchError as error:
-        print(f"trajopt: {error}", file=sys.stderr)
-        return BAD_INSTALLATION
-    return run()
+        pass
+    except Exception:
+        if not presses:
+            raise
+    print("trajopt: cancelled", file=sys.stderr)
+    return INTERRUPTED

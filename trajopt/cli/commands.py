@@ -29,7 +29,6 @@ from trajopt.cli.continuation import continue_
 from trajopt.cli.diagnose import diagnose, diagnose_option, diagnosis_of
 from trajopt.cli.input import COUNT, GRID, THREADS, options_of, values_of
 from trajopt.cli.plot import plot
-from trajopt.cli.progress import CANCELLED
 from trajopt.cli.reference import reference
 from trajopt.cli.render import render
 from trajopt.cli.replay import replay
@@ -41,6 +40,7 @@ from trajopt.cli.warm import solve_warm, warm_options
 from trajopt.cli.watch import kept, opened, watch_options
 from trajopt.errors import TrajoptError
 from trajopt.solution.output import check_apart, check_output
+from trajopt.solving.interruption import CANCELLED, interruptible
 
 if TYPE_CHECKING:
     from trajopt.certify.report import Report
@@ -62,11 +62,19 @@ class CommandLine(click.Group):
     ) -> None:
         """Run and leave with the exit status."""
         extra["standalone_mode"] = False
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), interruptible() as interruption:
             warnings.simplefilter("ignore")  # of libraries, about their own future
             warnings.simplefilter("always", UserWarning)
             warnings.showwarning = _show_warning
-            sys.exit(self._status(args, prog_name or "trajopt", extra))
+            try:
+                status = self._status(args, prog_name or "trajopt", extra)
+            except (KeyboardInterrupt, click.Abort):
+                status = _cancelled()
+            except Exception:
+                if not interruption.pressed:  # else it is what has become of a press
+                    raise
+                status = _cancelled()
+        sys.exit(status)
 
     def _status(self, args: Sequence[str] | None, prog_name: str, extra: dict[str, Any]) -> int:
         try:
@@ -92,12 +100,19 @@ class CommandLine(click.Group):
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; Ctrl-C ends it with one line instead of click's empty one."""
+        """Run the command; Ctrl-C ends it without click's empty line."""
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            click.echo("trajopt: cancelled", err=True)
-            return CANCELLED
+            return _cancelled()
+
+
+def _cancelled() -> int:
+    with interruptible() as interruption:
+        interruption.record()
+        interruption.answer()
+    click.echo("trajopt: cancelled", err=True)
+    return CANCELLED
 
 
 def _refuse(message: str) -> int:

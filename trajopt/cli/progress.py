@@ -3,78 +3,24 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
 
+from trajopt.solving.interruption import Interruption, end_at_once, interruptible
 from trajopt.solving.iterate import GRACE
 
 if TYPE_CHECKING:
     from trajopt.solving.iterate import Watch
 
-# What a shell reports for a program ended by Ctrl-C: 128 + SIGINT.
-CANCELLED = 130
 # Exit status of a run that did not solve its problem.
 UNSOLVED = 1
 # The ``log`` that is a line an iteration on stderr.
 LINES = "-"
-
-
-class Interruption:
-    """Ctrl-C while a solver runs: the first asks it to stop at its iterate, the second ends the program.
-
-    Before ``started`` is set a Ctrl-C is the usual KeyboardInterrupt; ``cancelled`` remembers it, because
-    CasADi's bindings lose exceptions that arise while they try conversions. The second one is answered
-    from a thread, because a solver that makes no more iterations never lets Python's handler run. Where
-    Ctrl-C is ignored (nohup), or outside the main thread, nothing is changed.
-    """
-
-    def __init__(self) -> None:
-        self.started = False
-        self.cancelled = False
-        self.requested = False
-        self._presses = 0
-        self._active = False
-
-    def __enter__(self) -> Interruption:
-        self._active = (
-            threading.current_thread() is threading.main_thread()
-            and signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
-        )
-        if self._active:
-            self._read, self._write = os.pipe()
-            os.set_blocking(self._write, False)
-            self._watcher = threading.Thread(target=self._watch, args=(self._read,), daemon=True)
-            self._watcher.start()
-            self._previous_fd = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
-            self._previous = signal.signal(signal.SIGINT, self._handle)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._active:
-            signal.signal(signal.SIGINT, self._previous)
-            signal.set_wakeup_fd(self._previous_fd)
-            os.close(self._write)  # ends the watcher
-            self._watcher.join()
-            os.close(self._read)
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
-        if not self.started:
-            self.cancelled = True
-            raise KeyboardInterrupt
-        self.requested = True
-
-    def _watch(self, descriptor: int) -> None:
-        while data := os.read(descriptor, 1):
-            self._presses += data[0] == signal.SIGINT
-            if self._presses > 1:
-                _end("trajopt: cancelled, nothing was written\n", CANCELLED)
+# What the second Ctrl-C loses while a problem is solved.
+LOST = ", nothing was written"
 
 
 class Deadline:
@@ -102,7 +48,7 @@ class Deadline:
             self._timer.cancel()
 
     def _end(self) -> None:
-        _end(
+        end_at_once(
             f"trajopt: the solver did not return within its time limit of {self._max_time:g} s; "
             "nothing was written; try another --solver or start\n",
             UNSOLVED,
@@ -110,18 +56,35 @@ class Deadline:
 
 
 class Control:
-    """The progress callback of `trajopt.solve` that stops on Ctrl-C, and starts the deadline's clock."""
+    """The progress callback of `trajopt.solve` that stops on Ctrl-C, and starts the deadline's clock.
+
+    From the first iteration on a press raises nothing: it stops the solver at its iterate.
+    """
 
     def __init__(self, interruption: Interruption, deadline: Deadline) -> None:
         self._interruption, self._deadline = interruption, deadline
+        self._started = False
 
     def __call__(self, figures: dict[str, float]) -> bool:
         """Return False when the solver shall stop."""
-        if self._interruption.cancelled:
-            return False
-        self._interruption.started = True
+        if not self._interruption.pressed:
+            self._interruption.record()
+            self._started = True
         self._deadline.start()
-        return not self._interruption.requested
+        return not self._interruption.pressed
+
+    @property
+    def stopping(self) -> bool:
+        """Whether the solver is asked to stop."""
+        return self._started and self._interruption.pressed
+
+    def settle(self) -> None:
+        """The solves have ended: raise KeyboardInterrupt if Ctrl-C came before the first one started."""
+        if not self._started:
+            self._interruption.check()
+        elif self._interruption.pressed:
+            self._interruption.stops = True
+            self._interruption.answer()
 
 
 @contextmanager
@@ -140,25 +103,26 @@ def watched(
 
     deadline = Deadline(max_time)
     with ExitStack() as stack:
+        interruption = stack.enter_context(interruptible())
+        stack.enter_context(interruption.recording())
+        interruption.note = LOST
+        stack.callback(setattr, interruption, "note", "")
+        control = Control(interruption, deadline)
         table = stack.enter_context(Table(log)) if log not in (None, LINES) else None
-        interruption = stack.enter_context(Interruption())
         shown = (
             Lines(sys.stderr, title)
             if log == LINES
-            else stack.enter_context(Panel(title, lambda: interruption.requested))
+            else stack.enter_context(Panel(title, lambda: control.stopping))
         )
         try:
-            yield {
-                "progress": Control(interruption, deadline),
-                "watch": combined(shown, table, viewer),
-            }
+            with interruption.raising():
+                yield {"progress": control, "watch": combined(shown, table, viewer)}
         except Exception:
-            if not interruption.cancelled:
-                raise
+            interruption.check()  # the error may be what has become of a press
+            raise
         finally:
             deadline.cancel()
-        if interruption.cancelled:
-            raise KeyboardInterrupt
+        control.settle()
 
 
 @contextmanager
@@ -173,17 +137,3 @@ def stdout_to_stderr() -> Iterator[None]:
         sys.stdout.flush()
         os.dup2(kept, 1)
         os.close(kept)
-
-
-def show_cursor() -> None:
-    """Undo what a live line does to the terminal's cursor."""
-    if sys.stderr.isatty():
-        sys.stderr.write("\x1b[?25h\n")
-
-
-def _end(text: str, status: int) -> None:
-    """End the program at once, from any thread: a solver that does not return lets nothing else do."""
-    show_cursor()
-    sys.stderr.write(text)
-    sys.stderr.flush()
-    os._exit(status)

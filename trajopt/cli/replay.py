@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from trajopt.solution.output import check_apart, check_output
+from trajopt.solving.interruption import interruptible
 
 
 @click.command()
@@ -45,10 +46,7 @@ def replay(
         click.echo(f"{shown.html}: {shown.duration:.2f} s, {shown.size / 1e6:.1f} MB")
         return
     sys.stdout.flush()  # where it is shown, before waiting
-    try:
+    with interruptible() as interruption, interruption.recording():
         click.echo("Ctrl-C stops the server", err=True)
-        serve(shown)
-    except KeyboardInterrupt:
-        pass
-    finally:
-        shown.close()
+        serve(shown, lambda: interruption.pressed)
+        interruption.answer()

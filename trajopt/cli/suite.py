@@ -13,10 +13,10 @@ import click
 from rich.console import Console
 
 from trajopt.cli.input import COUNT, THREADS
-from trajopt.cli.progress import CANCELLED, show_cursor
 from trajopt.cli.report import to_json
 from trajopt.errors import InputError
 from trajopt.solution.output import check_output
+from trajopt.solving.interruption import CANCELLED, interruptible
 
 if TYPE_CHECKING:
     from trajopt.study.suite.cases import Case
@@ -166,27 +166,29 @@ def _run(
     missing, known = left(cases, records.open(resume=resume))
     outcomes, complete = list(known), True
     jobs = max(1, min(jobs, len(missing)))
-    try:
-        with (
-            display(len(cases), len(known), jobs, settings.perturbed) as shown,
-            closing(
-                run_all(
-                    missing,
-                    settings,
-                    jobs=jobs,
-                    display=Recorded(shown, records),
-                    folder=records.folder,
-                    known=records.unfinished(),
-                )
-            ) as running,
-        ):
-            for outcome in running:
-                records.add(outcome)
-                outcomes.append(outcome)
-        records.close()
-    except KeyboardInterrupt:
-        complete = False
-        show_cursor()
+    with interruptible() as interruption, interruption.recording():
+        try:
+            with (
+                display(len(cases), len(known), jobs, settings.perturbed) as shown,
+                closing(
+                    run_all(
+                        missing,
+                        settings,
+                        jobs=jobs,
+                        display=Recorded(shown, records),
+                        folder=records.folder,
+                        known=records.unfinished(),
+                        check=interruption.check,
+                    )
+                ) as running,
+            ):
+                for outcome in running:
+                    records.add(outcome)
+                    outcomes.append(outcome)
+            records.close()
+        except KeyboardInterrupt:
+            complete = False
+        interruption.answer()  # also one that came when all was done
     return sorted(outcomes, key=lambda outcome: outcome.name), complete
 
 

@@ -13,8 +13,8 @@ import click
 from rich.console import Console
 
 from trajopt.cli.input import COUNT, THREADS, values_of
-from trajopt.cli.progress import CANCELLED, show_cursor
 from trajopt.cli.report import to_json
+from trajopt.solving.interruption import CANCELLED, interruptible
 
 if TYPE_CHECKING:
     from trajopt.study.sweep.plan import Plan
@@ -215,18 +215,20 @@ def _run(output: Output, cores: Sequence[int]) -> bool:
     from trajopt.study.sweep.process import Pool
 
     count = len(output.plan.settings)
-    try:
-        with Lines(f"sweep of {output.problem}") as shown, Pool(cores) as pool:
-            shown.note(
-                f"{count} settings, {len(output.asked.starts)} starts each: "
-                f"{count * len(output.asked.starts)} runs, {len(cores)} at a time, "
-                f"on core {', '.join(map(str, cores))}"
-            )
-            Sweep(output.asked, output.plan, output.records, pool, shown).run()
-    except KeyboardInterrupt:
-        show_cursor()
-        return False
-    return True
+    complete = True
+    with interruptible() as interruption, interruption.recording():
+        try:
+            with Lines(f"sweep of {output.problem}") as shown, Pool(cores, interruption.check) as pool:
+                shown.note(
+                    f"{count} settings, {len(output.asked.starts)} starts each: "
+                    f"{count * len(output.asked.starts)} runs, {len(cores)} at a time, "
+                    f"on core {', '.join(map(str, cores))}"
+                )
+                Sweep(output.asked, output.plan, output.records, pool, shown).run()
+        except KeyboardInterrupt:
+            complete = False
+        interruption.answer()  # also one that came when all was done
+    return complete
 
 
 def _print_plan(plan: Plan, asked: Asked, as_json: bool) -> None:

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+
+from trajopt.solving.interruption import LOOK, interruptible
 
 if TYPE_CHECKING:
     from trajopt.solution.solution import Solution
     from trajopt.view.watching.viewer import Viewer
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+
+# Seconds that the picture of the solution may take.
+DRAWN = 60.0
 
 
 def watch_options(command: Command) -> Command:
@@ -30,31 +36,45 @@ def watch_options(command: Command) -> Command:
 
 
 def opened(watch: bool) -> Viewer | None:
-    """A viewer if one is asked for, its place said on stderr; a browser is opened from a terminal alone."""
+    """A viewer if one is asked for, its place said on stderr; a browser is opened from a terminal alone.
+
+    It is closed with the command, however that ends.
+    """
     if not watch:
         return None
     from trajopt.view.replay.live import where
     from trajopt.view.watching.viewer import Viewer
 
     viewer = Viewer(open_browser=_at_terminal())
+    click.get_current_context().call_on_close(viewer.close)
     click.echo(where(viewer.url), err=True)
     return viewer
 
 
-def kept(viewer: Viewer | None, solution: Solution | None) -> None:
-    """Show the solution; at a terminal until Ctrl-C, else end the viewer: a script must not hang."""
+def kept(viewer: Viewer | None, solution: Solution) -> None:
+    """Show the solution; at a terminal until Ctrl-C, else end the viewer: a script must not hang.
+
+    A Ctrl-C that came too late to stop the solver ends it, too.
+    """
     if viewer is None:
         return
-    try:
-        if solution is not None:
-            viewer.show(solution)
-        viewer.flush()
-        if viewer.alive and _at_terminal():
+    from trajopt.solving.ladder import INTERRUPTED
+
+    with interruptible() as interruption, interruption.recording():
+        late = interruption.stops and solution.meta["status"] != INTERRUPTED
+
+        def leaving() -> bool:
+            return late or interruption.pressed
+
+        viewer.show(solution)
+        end = time.monotonic() + DRAWN
+        while not (leaving() or viewer.flush(LOOK) or time.monotonic() > end):
+            pass
+        if viewer.alive and _at_terminal() and not leaving():
             click.echo(f"shown at {viewer.url}, Ctrl-C stops the server", err=True)
-            viewer.wait()
-    except KeyboardInterrupt:
-        pass
-    finally:
+            while not (leaving() or viewer.wait(LOOK)):
+                pass
+        interruption.answer()
         viewer.close()
 
 

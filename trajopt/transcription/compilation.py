@@ -21,6 +21,7 @@ import shutil
 import subprocess
 import tempfile
 import time
+import uuid
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -163,10 +164,10 @@ def compile_points(
         wanted |= keys
     missing = {key: made for key, made in wanted.items() if not _intact(folder / key)}
     start = time.perf_counter()
-    jobs: list[_Job] = []
+    jobs = [_Job(key, point, kind, level, folder) for key, (point, kind) in missing.items()]
     try:
-        for key, (point, kind) in missing.items():
-            jobs.append(_Job(key, point, kind, level, folder))
+        for job in jobs:
+            job.start()
         built = time.perf_counter()
         for job in jobs:
             job.finish()
@@ -194,23 +195,26 @@ def _kinds(point: PointFunction, level: str, hessian: str) -> tuple[str, ...]:
 
 
 class _Job:
-    """One entry in the making: graphs are built and C compilers started at once, joined in finish()."""
+    """One entry in the making: start() builds graphs and starts C compilers, which finish() joins."""
 
     def __init__(self, key: str, point: PointFunction, kind: str, level: str, folder: Path) -> None:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            self.temporary = Path(tempfile.mkdtemp(prefix=f".{key}.", dir=folder))
-        except OSError as error:
-            raise InputError(
-                f"cannot write the cache folder {folder} ({error.strerror})",
-                f"set {CACHE_VARIABLE} to a folder that can be written",
-            ) from None
-        self.final = folder / key
+        self.point, self.kind, self.level = point, kind, level
+        self.temporary, self.final = folder / f".{key}.{uuid.uuid4().hex}", folder / key
         self.entry: dict[str, object] = {"point": point.name, "level": level}
         self.c_bytes = 0
         self.processes: list[subprocess.Popen[bytes]] = []
-        made = derivatives(point)
-        for name in reversed(ENTRIES[kind]):
+
+    def start(self) -> None:
+        """Build the graphs, and start the compilers one after the other."""
+        try:
+            self.temporary.mkdir(mode=0o700, parents=True)
+        except OSError as error:
+            raise InputError(
+                f"cannot write the cache folder {self.temporary.parent} ({error.strerror})",
+                f"set {CACHE_VARIABLE} to a folder that can be written",
+            ) from None
+        made, level = derivatives(self.point), self.level
+        for name in reversed(ENTRIES[self.kind]):
             function = getattr(made, name)
             if level == "none":
                 (self.temporary / f"{name}.casadi").write_text(function.serialize(), encoding="utf-8")

@@ -16,6 +16,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol
 
+from trajopt.solving.interruption import LOOK
 from trajopt.study.suite.cases import Case
 from trajopt.study.suite.outcome import Attempt, Ledger, Outcome
 from trajopt.study.suite.process import Limits, LostError, Worker
@@ -68,10 +69,12 @@ def run_all(
     limits: Limits | None = None,
     folder: Path | None = None,
     known: Mapping[str, Sequence[Mapping[str, Any]]] = MappingProxyType({}),
+    check: Callable[[], object] = bool,
 ) -> Generator[Outcome, None, None]:
     """Yield the outcome of each pair as it ends. Closing the iterator kills all processes.
 
-    known: events of an earlier run by pair; what they tell is not run again.
+    known: events of an earlier run by pair; what they tell is not run again. check: called several times a
+    second; what it raises ends the run.
     """
     pending, told = Pending(cases), queue.Queue[tuple[int, Case, Any]]()
     cancelled = threading.Event()
@@ -98,7 +101,11 @@ def run_all(
     left = len(cases)
     try:
         while left:
-            slot, case, news = told.get()
+            check()
+            try:
+                slot, case, news = told.get(timeout=LOOK)
+            except queue.Empty:
+                continue
             if isinstance(news, dict):
                 display.event(slot, case, news)
                 continue

@@ -11,10 +11,11 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Any
 
+from trajopt.solving.interruption import LOOK
 from trajopt.study.suite.process import ONE_THREAD
 from trajopt.study.sweep.result import LOST
 
@@ -65,7 +66,7 @@ class Worker:
                 self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
                 path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
                 self._process = subprocess.Popen(
-                    [sys.executable, "-P", "-m", "trajopt.study.sweep.worker", str(self._core)],
+                    [sys.executable, "-P", "-m", "trajopt.sweep.worker", str(self._core)],
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=self._errors,
@@ -95,10 +96,12 @@ class Worker:
 class Pool:
     """Workers on their cores; tasks are given to free ones, answers taken as they come.
 
-    Leaving it ends all processes.
+    Leaving it ends all processes. check: called several times a second while an answer is waited for, which
+    ends with what it raises.
     """
 
-    def __init__(self, cores: Sequence[int]) -> None:
+    def __init__(self, cores: Sequence[int], check: Callable[[], object] = bool) -> None:
+        self._check = check
         self._workers = [Worker(core) for core in cores]
         self._answers: queue.Queue[tuple[int, Any, Answer]] = queue.Queue()
         self._free = list(range(len(cores)))[::-1]
@@ -133,9 +136,12 @@ class Pool:
 
     def take(self) -> tuple[Any, Answer]:
         """The next answer and the label of its task; waits for it."""
-        slot, label, answer = self._answers.get()
-        self._free.append(slot)
-        return label, answer
+        while True:
+            self._check()
+            with contextlib.suppress(queue.Empty):
+                slot, label, answer = self._answers.get(timeout=LOOK)
+                self._free.append(slot)
+                return label, answer
 
     def ask(self, task: Task) -> Answer:
         """One task while nothing else runs."""

@@ -56,6 +56,14 @@ class LiveWindow(ViewerWindow):
             webbrowser.open(self.web_url, new=2)
         return self
 
+    def ended(self, timeout: float) -> bool:
+        """Wait for the end of the server, at most ``timeout`` s; whether it has ended."""
+        try:
+            self.server_proc.wait(timeout)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
     def close(self) -> None:
         """Stop the server; nothing if it has stopped."""
         atexit.unregister(self.close)
@@ -99,7 +107,11 @@ def _started() -> tuple[subprocess.Popen[str], str, str]:
             text=True,
             start_new_session=True,  # Ctrl-C is for us; we stop it
         )
-        lines = [_line(process.stdout, name) for name in ("zmq_url", "web_url")]
+        try:
+            lines = [_line(process.stdout, name) for name in ("zmq_url", "web_url")]
+        except BaseException:  # Ctrl-C
+            process.kill()
+            raise
         if not all(lines):
             process.kill()
             process.wait()

@@ -6,13 +6,14 @@ import math
 import os
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from trajopt.errors import InputError
 from trajopt.solution.input import Given, require_motion, solutions_of
+from trajopt.solving.interruption import LOOK
 from trajopt.view.replay.caption import page_facts
 from trajopt.view.replay.live import LiveWindow, where
 from trajopt.view.replay.motion import motions_of
@@ -85,12 +86,13 @@ def replay(
     return Replay(**shown, url=window.web_url, window=window)
 
 
-def serve(shown: Replay) -> None:
-    """Block until Ctrl-C (or the end of the server), then stop the server of a live replay."""
+def serve(shown: Replay, leaving: Callable[[], bool] = bool) -> None:
+    """Block until Ctrl-C, the end of the server or ``leaving()``, then stop the server of a live replay."""
     if shown.window is None:
         return
     try:
-        shown.window.server_proc.wait()
+        while not (leaving() or shown.window.ended(LOOK)):
+            pass
     except KeyboardInterrupt:
         pass
     finally:

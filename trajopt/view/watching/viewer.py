@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
 import warnings
+from queue import SimpleQueue
 from types import TracebackType
 
 import zmq
 
 from trajopt.solution.solution import Solution
+from trajopt.solving.interruption import LOOK
 from trajopt.solving.iterate import Iterate
 from trajopt.view.replay.caption import page_facts
 from trajopt.view.replay.commands import Command
@@ -28,6 +31,8 @@ SHARE = 0.1
 SWITCH = 5e-4
 # Seconds that a solve waits at most for the picture of its guess.
 FIRST = 10.0
+# Seconds between two looks of `Viewer.flush`.
+PAUSE = 0.01
 # Milliseconds after which a server that does not answer is given up.
 ANSWER = 5000
 
@@ -47,9 +52,11 @@ class Viewer:
             self._window.zmq_socket.setsockopt(option, ANSWER)
         self._switch = sys.getswitchinterval()
         sys.setswitchinterval(min(SWITCH, self._switch))
-        self._scene, self._wake = IterateScene(), threading.Condition()
-        self._next: Iterate | Solution | None = None
-        self._busy = self._closed = self._failed = False
+        self._scene = IterateScene()
+        # No lock that an interrupt could leave taken: counts of what was put in and what is done with.
+        self._given: SimpleQueue[Iterate | Solution | None] = SimpleQueue()
+        self._put_in = self._done = 0
+        self._closed = self._failed = False
         self._free = 0.0
         self.drawn = 0
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -69,7 +76,7 @@ class Viewer:
         """
         if not self.alive:
             return
-        if iterate.stage == "iteration" and (self._busy or time.perf_counter() < self._free):
+        if iterate.stage == "iteration" and (not self._idle or time.perf_counter() < self._free):
             return
         if iterate.unknowns is not None:  # read now: they are known only while the solver calls
             self._put(iterate)
@@ -83,28 +90,33 @@ class Viewer:
 
     def flush(self, timeout: float = 60.0) -> bool:
         """Wait until all that was taken in is drawn; whether that took less than ``timeout`` s."""
-        with self._wake:
-            return self._wake.wait_for(
-                lambda: self._failed or (self._next is None and not self._busy), timeout
-            )
+        end = time.monotonic() + timeout
+        while not (self._idle or self._failed):
+            if time.monotonic() > end:
+                return False
+            time.sleep(PAUSE)
+        return True
 
     @property
     def alive(self) -> bool:
         """Whether it shows what it is given: it has not failed and is not closed."""
         return not (self._failed or self._closed)
 
-    def wait(self) -> None:
-        """Block until the server ends; Ctrl-C is a KeyboardInterrupt."""
-        self._window.server_proc.wait()
+    def wait(self, timeout: float = math.inf) -> bool:
+        """Block until the server ends, at most ``timeout`` s; whether it has ended."""
+        end = time.monotonic() + timeout
+        while not self._window.ended(LOOK):
+            if time.monotonic() > end:
+                return False
+        return True
 
     def close(self) -> None:
         """End the thread and the server; nothing where that was done."""
         if self._closed:
             return
         sys.setswitchinterval(self._switch)
-        with self._wake:
-            self._closed = True
-            self._wake.notify_all()
+        self._closed = True
+        self._given.put(None)
         self._thread.join(2 * ANSWER / 1000)
         self._window.close()
 
@@ -116,31 +128,29 @@ class Viewer:
     ) -> None:
         self.close()
 
+    @property
+    def _idle(self) -> bool:
+        return self._done == self._put_in
+
     def _put(self, what: Iterate | Solution) -> None:
-        with self._wake:
-            self._next = what
-            self._wake.notify_all()
+        self._put_in += 1
+        self._given.put(what)
 
     def _run(self) -> None:
-        while True:
-            with self._wake:
-                self._wake.wait_for(lambda: self._next is not None or self._closed)
-                if self._closed:
-                    return
-                what, self._next, self._busy = self._next, None, True
-            try:
-                self._draw(what)
-            except Exception as error:
-                self._failed = True
-                if not self._closed:
-                    text = " ".join(f"{type(error).__name__}: {error}".split())
-                    warnings.warn(f"the viewer has stopped, solving goes on: {text}", stacklevel=2)
-            finally:  # a warning may be an error, too, and who waits has to be told
-                with self._wake:
-                    self._busy = False
-                    self._wake.notify_all()
-            if self._failed:
-                return
+        while not (self._closed or self._failed):
+            what = self._given.get()
+            if self._given.empty() and not self._closed:  # of what came meanwhile the last
+                self._attempt(what)
+            self._done += 1
+
+    def _attempt(self, what: Iterate | Solution | None) -> None:
+        try:
+            self._draw(what)
+        except Exception as error:
+            self._failed = True
+            if not self._closed:
+                text = " ".join(f"{type(error).__name__}: {error}".split())
+                warnings.warn(f"the viewer has stopped, solving goes on: {text}", stacklevel=2)
 
     def _draw(self, what: Iterate | Solution | None) -> None:
         begin, used = time.perf_counter(), time.thread_time()
