@@ -23,8 +23,8 @@ from trajopt.reduced.body_guess import guess_from_srb
 from trajopt.reduced.foot_motion import DEFAULT_CLEARANCE, FootMotion, guess_from_lip
 from trajopt.reduced.footsteps import feet_of
 from trajopt.reduced.single_rigid_body import body_problem, footholds_of
-from trajopt.solvers.drivers import SOLVERS, run
-from trajopt.solvers.result import Stop
+from trajopt.solvers.drivers import SOLVERS, run_solver
+from trajopt.solvers.result import StoppingCriteria
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import prepare
 from trajopt.transcription.guess import perturbed
@@ -96,8 +96,8 @@ def main(solver: str, sigma: float, seeds: int, walks_only: bool) -> None:
             prepared.guess,
             *(perturbed(prepared.transcription, prepared.guess, seed, sigma) for seed in range(seeds)),
         ]
-        stop = Stop(max_iterations=MOST_ITERATIONS)
-        results = [run(prepared.nlp, start, solver, stop, {}, lambda *_: True) for start in starts]
+        stop = StoppingCriteria(max_iterations=MOST_ITERATIONS)
+        results = [run_solver(prepared.nlp, start, solver, stop, {}, lambda *_: True) for start in starts]
         first, others = results[0], [r for r in results[1:] if r.status is Status.SOLVED]
         median = statistics.median(r.iterations for r in others) if others else float("nan")
         click.echo(

@@ -22,9 +22,9 @@ import osqp
 import piqp
 from scipy import sparse
 
-from trajopt.solvers.qp import Quadratic, StageQp
+from trajopt.solvers.qp import QuadraticProgram, StageQp
 from trajopt.solvers.sqp import Sqp
-from trajopt.solvers.sqp_point import Evaluator, Point
+from trajopt.solvers.sqp_point import Evaluator, SqpIterate
 from trajopt.solvers.sqp_settings import SqpSettings
 from trajopt.solving.solving import prepare
 from trajopt.transcription.nlp import Nlp
@@ -53,7 +53,7 @@ class Answer:
 class Program:
     """One program as matrices."""
 
-    def __init__(self, nlp: Nlp, q: Quadratic) -> None:
+    def __init__(self, nlp: Nlp, q: QuadraticProgram) -> None:
         t = nlp.transcription
         n = len(q.gradient)
         lower = sparse.csc_matrix((q.hessian, (nlp.hessian_row, nlp.hessian_column)), shape=(n, n))
@@ -155,7 +155,7 @@ SOLVERS = {
 }
 
 
-def point_after(nlp: Nlp, guess: np.ndarray, steps: int) -> tuple[int, Point]:
+def point_after(nlp: Nlp, guess: np.ndarray, steps: int) -> tuple[int, SqpIterate]:
     """The iterate after so many steps of the SQP, and how many it took."""
     settings = SqpSettings(tolerance=ACCURACY, feasibility=ACCURACY, max_iterations=steps, max_time=600.0)
     zero = np.zeros(nlp.transcription.n_rows), np.zeros_like(guess)

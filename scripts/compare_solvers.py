@@ -20,8 +20,8 @@ import click
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.solvers.drivers import check_hessian, run
-from trajopt.solvers.result import Result, Stop, Warm
+from trajopt.solvers.drivers import check_hessian, run_solver
+from trajopt.solvers.result import Result, StoppingCriteria, WarmMultipliers
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import prepare, solve
 from trajopt.transcription.guess import perturbed
@@ -47,7 +47,7 @@ CHANGES = {
 }
 SPREAD = 0.1
 FEASIBLE = 1e-3
-LIMITS = Stop(max_iterations=300, max_time=60.0)
+LIMITS = StoppingCriteria(max_iterations=300, max_time=60.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +65,7 @@ class Run:
         return self.result.status is Status.SOLVED
 
 
-def timed(nlp: Nlp, x: np.ndarray, solver: str, warm: Warm | None = None) -> Run:
+def timed(nlp: Nlp, x: np.ndarray, solver: str, warm: WarmMultipliers | None = None) -> Run:
     """Solve, watching for the first iterate whose rows hold."""
     seen: list[tuple[float, int]] = []
     begun = time.process_time()
@@ -75,7 +75,7 @@ def timed(nlp: Nlp, x: np.ndarray, solver: str, warm: Warm | None = None) -> Run
             seen.append((time.process_time() - begun, int(info["iteration"])))
         return True
 
-    result = run(nlp, x, solver, LIMITS, {}, watch, warm)
+    result = run_solver(nlp, x, solver, LIMITS, {}, watch, warm)
     at, iteration = seen[0] if seen else (None, None)
     spent = time.process_time() - begun
     return Run(result=result, time=spent, feasible_time=at, feasible_iteration=iteration)

@@ -20,8 +20,8 @@ from trajopt.problem.problem import Problem
 from trajopt.reduced.two_stage import recover_torques, without_torques
 from trajopt.reduced.wrench_distribution import redistributed
 from trajopt.solution.solution import Solution
-from trajopt.solvers.drivers import SOLVERS, run
-from trajopt.solvers.result import Result, Stop
+from trajopt.solvers.drivers import SOLVERS, run_solver
+from trajopt.solvers.result import Result, StoppingCriteria
 from trajopt.solvers.status import Status
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import Prepared, prepare
@@ -48,14 +48,14 @@ class Solved:
     @classmethod
     def of(cls, problem: Problem, solver: str) -> Solved:
         prepared = prepare(problem)
-        result = run(prepared.nlp, prepared.guess, solver, Stop(), {}, lambda *_: True)
+        result = run_solver(prepared.nlp, prepared.guess, solver, StoppingCriteria(), {}, lambda *_: True)
         meta = {
             "solver": solver,
             "status": result.status.word,
             "success": result.status is Status.SOLVED,
             "iterations": result.iterations,
             "objective": result.objective,
-            "tolerance": Stop().tolerance,
+            "tolerance": StoppingCriteria().tolerance,
             "wall_time_s": result.wall_time,
         }
         return cls(prepared, result, extract(prepared.transcription, result.x, meta))

@@ -11,8 +11,8 @@ from collections import Counter
 import click
 import numpy as np
 
-from trajopt.solvers.drivers import SOLVERS, run
-from trajopt.solvers.result import Stop
+from trajopt.solvers.drivers import SOLVERS, run_solver
+from trajopt.solvers.result import StoppingCriteria
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import prepare
 from trajopt.transcription.guess import perturbed
@@ -37,7 +37,7 @@ def main(
     results = []
     for seed in range(seeds):
         start = perturbed(prepared.transcription, prepared.guess, seed, sigma)
-        results.append(run(prepared.nlp, start, solver, Stop(), {}, lambda *_: True))
+        results.append(run_solver(prepared.nlp, start, solver, StoppingCriteria(), {}, lambda *_: True))
     solved = [result for result in results if result.status is Status.SOLVED]
     scheme = prepared.transcription.layout.mesh.transcription
     click.echo(f"{problem} {solver} {scheme} sigma {sigma}: {len(solved)} of {seeds}")

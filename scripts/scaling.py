@@ -13,8 +13,8 @@ import click
 import numpy as np
 
 from trajopt.problem.problem import Problem
-from trajopt.solvers.drivers import SOLVERS, run
-from trajopt.solvers.result import Stop
+from trajopt.solvers.drivers import SOLVERS, run_solver
+from trajopt.solvers.result import StoppingCriteria
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import Prepared, prepare
 from trajopt.transcription.guess import perturbed
@@ -61,7 +61,7 @@ def _solve(prepared: Prepared, solver: str, seed: int, sigma: float) -> tuple[in
     """Iterations, None where it was not solved, and CPU seconds."""
     start = perturbed(prepared.transcription, prepared.guess, seed, sigma) if sigma else prepared.guess
     begun = time.process_time()
-    result = run(prepared.nlp, start, solver, Stop(), {}, lambda *_: True)
+    result = run_solver(prepared.nlp, start, solver, StoppingCriteria(), {}, lambda *_: True)
     return (result.iterations if result.status is Status.SOLVED else None), time.process_time() - begun
 
 

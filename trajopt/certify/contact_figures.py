@@ -7,18 +7,18 @@ from collections.abc import Iterator
 import numpy as np
 
 from trajopt.certify.payloads import payload_wrenches
-from trajopt.certify.samples import Samples
+from trajopt.certify.samples import SampleQuantities
 from trajopt.certify.sliding import held_part, sliding_error
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.robot.sole import pressure_rows, yaw_rows
 from trajopt.solution.descriptions import patches_of
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import Touched
+from trajopt.solution.touched import TouchedSurfaces
 
-Figures = dict[str, float | None]
+_Figures = dict[str, float | None]
 
 
-def force_figures(plan: Solution, samples: Samples, surfaces: Touched) -> Figures:
+def force_figures(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> _Figures:
     """Margins of contact forces over the weight; nothing is asked of a bilateral surface."""
     weight = mass_of(plan.model) * gravity_of(plan.model)
     points = plan.collocation[:, None]
@@ -45,7 +45,9 @@ def _uncarried(plan: Solution) -> np.ndarray:
     return loose
 
 
-def _sole_margin(plan: Solution, samples: Samples, surfaces: Touched, weight: float) -> float | None:
+def _sole_margin(
+    plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces, weight: float
+) -> float | None:
     """Least distance from the limits of pressure and yaw moment in the sole's axes, weight times metre.
 
     Half sizes [half_length, half_width] come from the optional key ``contact_sizes`` of meta (null for a
@@ -72,7 +74,7 @@ def _sole_margin(plan: Solution, samples: Samples, surfaces: Touched, weight: fl
     return min(found) if found else None
 
 
-def place_figures(plan: Solution, samples: Samples, surfaces: Touched) -> Figures:
+def place_figures(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> _Figures:
     """Where contacts are, and whether they stay: over all samples, and from the start of each phase.
 
     ``stance_drift`` is from a touchdown to the lift-off, whatever phases that spans. Contacts that slide stay
@@ -121,7 +123,7 @@ def _stances(plan: Solution) -> Iterator[tuple[int, int, int]]:
             yield index, first, plan.n_samples
 
 
-def _patch_margin(plan: Solution, samples: Samples) -> float | None:
+def _patch_margin(plan: Solution, samples: SampleQuantities) -> float | None:
     """Least distance (m) inside the edges of their patches of active contacts, of a sole its corners'."""
     frames, sizes, found = list(plan.contact_frames), plan.meta.get("contact_sizes") or [], []
     for phase, patches in enumerate(patches_of(plan.meta.get("patches"))):
@@ -141,7 +143,7 @@ def is_sole(plan: Solution) -> np.ndarray:
     return np.array([kind == "surface" for kind in plan.meta["contact_kinds"]], dtype=bool)
 
 
-def _sole_tilt(plan: Solution, samples: Samples, surfaces: Touched) -> float | None:
+def _sole_tilt(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> float | None:
     """Largest angle (rad) between an active sole's z axis and its surface's normal, exact for small ones."""
     flat = plan.active & is_sole(plan) & surfaces.known
     chord = np.linalg.norm(samples.rotation[flat][..., 2] - surfaces.normal[flat], axis=-1)

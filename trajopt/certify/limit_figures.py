@@ -9,10 +9,10 @@ from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.on_robot import drive_torque_values
 from trajopt.solution.solution import Solution
 
-Figures = dict[str, float | None]
+_Figures = dict[str, float | None]
 
 
-def limit_figures(plan: Solution) -> Figures:
+def limit_figures(plan: Solution) -> _Figures:
     """Torques and velocities over their limits minus one, positions beyond theirs over the range."""
     effort = _beyond(plan.tau, plan.meta["effort_limit"])
     # Rates that are inputs have values at points; those of motions have them everywhere.
@@ -40,7 +40,7 @@ def _beyond(values: np.ndarray, limit: list[float | None] | None) -> np.ndarray:
     return np.asarray((np.abs(values[:, columns]) - bound[columns]) / unit)
 
 
-def drive_figures(plan: Solution) -> Figures:
+def drive_figures(plan: Solution) -> _Figures:
     """Motor torque and voltage over their limits, minus one, from ``tau``, ``v`` and the drives of meta."""
     entries = plan.meta.get("drives") or []
     drives = tuple(None if entry is None else Drive.from_meta(entry) for entry in entries)

@@ -137,7 +137,7 @@ FIGURES: dict[str, Figure] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report:
+class CheckReport:
     """Worst figures of a solution, see ``FIGURES`` for their units; None where there is nothing to measure.
 
     base_residual, actuated_residual: RNEA(q, v, a) - sum J^T f (minus tau) at collocation points;

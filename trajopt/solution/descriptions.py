@@ -15,7 +15,7 @@ from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import UP, Surface
 
-Read = Surface | PiecewiseTerrain | SmoothTerrain
+GroundShape = Surface | PiecewiseTerrain | SmoothTerrain
 
 
 def surfaces_of(described: Any) -> list[dict[str, Surface]]:
@@ -54,7 +54,7 @@ def patches_of(described: Any) -> list[dict[str, Patch]]:
         raise SolutionFileError(f"patches of meta: {error.what}", error.allowed) from None
 
 
-def terrain_of(described: Any) -> Read | None:
+def terrain_of(described: Any) -> GroundShape | None:
     """Read ``meta["terrain"]``; None where there is none. Raises `SolutionFileError` for another kind."""
     kind = described.get("kind") if isinstance(described, dict) else described
     if kind not in ("piecewise", "smooth"):

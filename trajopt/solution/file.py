@@ -22,7 +22,7 @@ FORMAT = "trajopt-solution"
 VERSION = 1
 
 
-def write(
+def write_solution_file(
     path: str | Path, meta: Mapping[str, Any], model_text: str, arrays: Mapping[str, np.ndarray]
 ) -> Path:
     """Write a solution to a temporary file beside ``path`` and rename it; see `Solution.save`."""
@@ -84,7 +84,7 @@ def _jsonable(value: Any) -> Any:
     return None if isinstance(value, float) and math.isinf(value) else value
 
 
-def read(path: str | Path) -> tuple[dict[str, Any], str, dict[str, np.ndarray]]:
+def read_solution_file(path: str | Path) -> tuple[dict[str, Any], str, dict[str, np.ndarray]]:
     """Read meta, the model's text and arrays; raises `SolutionFileError`, one line; see `Solution.load`."""
     source = Path(path).expanduser()
     arrays = _arrays(source)

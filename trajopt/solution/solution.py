@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -112,6 +112,26 @@ class Solution:
         """Samples of each phase."""
         return runs(self.phase)
 
+    def intervals_of(self, phase: int) -> range:
+        """Return the numbers of a phase's intervals."""
+        rows = self.phases[phase]
+        return range(int(self.interval[rows.start]), int(self.interval[rows.stop - 1]) + 1)
+
+    def interval_at(self, t: ArrayLike) -> np.ndarray:
+        """Return the numbers of the intervals at ``t`` (s): at a node the later one, outside the ends."""
+        found = np.searchsorted(self.interval_t[:, 0], t, side="right") - 1
+        return np.clip(found, 0, self.n_intervals - 1)
+
+    def with_arrays(self, **arrays: np.ndarray | None) -> Solution:
+        """Return the same solution with other arrays; the model is not read from its text anew."""
+        made = replace(self, **arrays)  # type: ignore[arg-type]
+        made.__dict__["model"] = self.model
+        return made
+
+    def normalized(self) -> Solution:
+        """Return the same solution with rotations of unit norm."""
+        return self.with_arrays(q=np.array([pin.normalize(self.model, row) for row in self.q]))
+
     def interpolate(self, t: ArrayLike) -> np.ndarray:
         """Return the configuration at time ``t`` (s), for display: geodesics between samples.
 
@@ -136,10 +156,10 @@ class Solution:
 
         Raises `InputError` if the place cannot be written or the solution is inconsistent.
         """
-        return file.write(path, self.meta, self.model_text, self.arrays)
+        return file.write_solution_file(path, self.meta, self.model_text, self.arrays)
 
     @classmethod
     def load(cls, path: str | Path) -> Solution:
         """Read a file; raises `SolutionFileError`, one line, if anything about it is wrong."""
-        meta, model_text, arrays = file.read(path)
+        meta, model_text, arrays = file.read_solution_file(path)
         return cls(meta=meta, model_text=model_text, **arrays)

@@ -37,7 +37,7 @@ class _Blocks:
     lower: tuple[np.ndarray, np.ndarray]
 
 
-class Convexified:
+class ConvexifiedHessian:
     """The Hessian with less negative curvature; ``row``, ``column`` of its blocks' lower triangles."""
 
     def __init__(self, nlp: Nlp) -> None:
@@ -81,7 +81,7 @@ class Convexified:
         return np.concatenate(parts)
 
 
-class Convexity:
+class ConvexificationShare:
     """The share of negative curvature to take away from step to step: as little as programs ask for."""
 
     def __init__(self) -> None:

@@ -45,7 +45,7 @@ class Result:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Warm:
+class WarmMultipliers:
     """What a start from another solution knows: multipliers as `Result`'s, None where there are none."""
 
     lam_g: np.ndarray | None = None
@@ -53,7 +53,7 @@ class Warm:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stop:
+class StoppingCriteria:
     """When to stop: optimality and feasibility ``tolerance`` in scaled units, iterations, s."""
 
     tolerance: float = 1e-6

@@ -21,11 +21,11 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from trajopt.solvers.convexification import Convexified, Convexity
-from trajopt.solvers.qp import QpStep, Quadratic, StageQp
+from trajopt.solvers.convexification import ConvexificationShare, ConvexifiedHessian
+from trajopt.solvers.qp import QpStep, QuadraticProgram, StageQp
 from trajopt.solvers.result import Callback
 from trajopt.solvers.sqp_filter import Filter
-from trajopt.solvers.sqp_point import Errors, Evaluator, Point
+from trajopt.solvers.sqp_point import Evaluator, KktErrors, SqpIterate
 from trajopt.solvers.sqp_settings import SqpSettings
 from trajopt.transcription.nlp import Nlp
 
@@ -55,8 +55,8 @@ TINY = 1e-9
 class SqpOutcome:
     """The last iterate and why it is the last; ``programs``: how many were solved, ``program_time`` in s."""
 
-    point: Point
-    errors: Errors
+    point: SqpIterate
+    errors: KktErrors
     status: str
     iterations: int
     programs: int
@@ -82,7 +82,7 @@ class Sqp:
     program_iterations: int = field(default=0, init=False)
     program_time: float = field(default=0.0, init=False)
     correcting: bool = field(default=True, init=False)
-    convexity: Convexity = field(default_factory=Convexity, init=False)
+    convexity: ConvexificationShare = field(default_factory=ConvexificationShare, init=False)
 
     def __post_init__(self) -> None:
         self.evaluator = Evaluator(self.nlp)
@@ -145,7 +145,7 @@ class Sqp:
         if time.perf_counter() > self.deadline:
             raise _Stop("TimeLimit")
 
-    def _next(self) -> Point:
+    def _next(self) -> SqpIterate:
         """The point after one step: along the program's direction, or the elastic program's."""
         q = self.evaluator.program(self.point, self.point.lam_g)
         if not np.isfinite(q.hessian).all():
@@ -161,7 +161,7 @@ class Sqp:
                 break
         return self._elastic_step()
 
-    def _direction(self, q: Quadratic) -> QpStep | None:
+    def _direction(self, q: QuadraticProgram) -> QpStep | None:
         """The program's solution: with the Hessian as it is, or without its negative curvature.
 
         None where rows contradict each other, or no program can be solved.
@@ -174,13 +174,13 @@ class Sqp:
             self._watch_time()
         return None
 
-    def _leads_on(self, q: Quadratic, step: QpStep) -> bool:
+    def _leads_on(self, q: QuadraticProgram, step: QpStep) -> bool:
         """Whether a step is one, and not uphill from where the rows hold."""
         holds = self.point.pair.theta <= self.filter.negligible
         uphill = holds and float(q.gradient @ step.d) >= 0 and np.abs(step.d).max() > TINY
         return step.solved and not uphill
 
-    def _program(self, q: Quadratic) -> QpStep:
+    def _program(self, q: QuadraticProgram) -> QpStep:
         """Solve a program without the present share of its Hessian's negative curvature."""
         if self.convexity.share == 0:
             return self._timed(partial(self.qp.solve, q, self.delta, self._accuracy()))
@@ -189,8 +189,8 @@ class Sqp:
         return self._timed(partial(qp.solve, own, max(self.delta, CONVEX_DELTA), self._accuracy()))
 
     @cached_property
-    def _convex(self) -> tuple[Convexified, StageQp]:
-        known = Convexified(self.nlp)
+    def _convex(self) -> tuple[ConvexifiedHessian, StageQp]:
+        known = ConvexifiedHessian(self.nlp)
         return known, StageQp(self.nlp, (known.row, known.column))
 
     def _more_curvature(self, least: float, most: float) -> bool:
@@ -199,7 +199,7 @@ class Sqp:
         self.delta = max(before, min(most, max(least, 2 * DELTA_GROWTH * before)))
         return self.delta > before
 
-    def _line_search(self, q: Quadratic, step: QpStep) -> Point | None:
+    def _line_search(self, q: QuadraticProgram, step: QpStep) -> SqpIterate | None:
         """The first point along a direction that the filter takes, or None."""
         here, slope = self.point.pair, float(q.gradient @ step.d)
         share, trials = 1.0, 0
@@ -216,7 +216,7 @@ class Sqp:
             self._watch_time()
         return None
 
-    def _corrected(self, q: Quadratic, step: QpStep, slope: float) -> Point | None:
+    def _corrected(self, q: QuadraticProgram, step: QpStep, slope: float) -> SqpIterate | None:
         """The point after a direction with the rows' curvature, if the filter takes it.
 
         Rows have their values at the first direction's end. After one that is not taken none is tried until
@@ -229,7 +229,7 @@ class Sqp:
         self.correcting = False
         return None
 
-    def _taken(self, x: np.ndarray, step: QpStep, slope: float, share: float, trials: int) -> Point:
+    def _taken(self, x: np.ndarray, step: QpStep, slope: float, share: float, trials: int) -> SqpIterate:
         """Go to ``x``; the filter, the multipliers and delta follow."""
         point, here = self.point, self.point.pair
         if not self.filter.about_objective(here, slope, share):
@@ -246,7 +246,7 @@ class Sqp:
             lam_g, lam_x = np.zeros_like(lam_g), np.zeros_like(lam_x)
         return self.evaluator.at(x, lam_g, lam_x)
 
-    def _elastic_step(self) -> Point:
+    def _elastic_step(self) -> SqpIterate:
         """A step that makes the rows better; stops where there is none."""
         here = self.point.pair
         if here.theta <= self.filter.negligible:

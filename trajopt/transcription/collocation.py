@@ -10,7 +10,7 @@ from scipy import sparse
 
 from trajopt.robot.units import Units
 from trajopt.transcription.layout import Layout
-from trajopt.transcription.timeline import NodeForm, StageKind
+from trajopt.transcription.timeline import NodeLayout, StageKind
 
 
 @dataclass(frozen=True)
@@ -23,11 +23,11 @@ class Collocation:
     layout: Layout
     units: dict[int, Units]
 
-    def units_of(self, form: NodeForm) -> Units:
+    def units_of(self, form: NodeLayout) -> Units:
         """Natural units over the coordinates of a node's form."""
         return self.units[id(form.robot)]
 
-    def node_scale(self, form: NodeForm) -> np.ndarray:
+    def node_scale(self, form: NodeLayout) -> np.ndarray:
         """Natural unit of each entry of a node (size,)."""
         units = self.units_of(form)
         additive = units.position[form.coordinates.additive_index]
@@ -75,7 +75,7 @@ class Collocation:
         rows = [eye[form.rotations], self._positions(eye, form), eye[form.rates], jump, impulse]
         return sparse.csr_matrix(np.vstack([*rows, self._clock(eye, form)]) * self.window_scale(k))
 
-    def node_gather(self, form: NodeForm) -> sparse.csr_matrix:
+    def node_gather(self, form: NodeLayout) -> sparse.csr_matrix:
         """z of a node: its own unknowns."""
         return sparse.csr_matrix(np.diag(self.node_scale(form)))
 
@@ -153,12 +153,12 @@ class Collocation:
         return [position, rate]
 
     @staticmethod
-    def _positions(eye: np.ndarray, form: NodeForm) -> np.ndarray:
+    def _positions(eye: np.ndarray, form: NodeLayout) -> np.ndarray:
         """xi (nv, window) at a node: the additive positions, zero for rotations."""
         position = np.zeros((form.coordinates.nv, eye.shape[1]))
         position[form.coordinates.additive_index] = eye[form.additive]
         return position
 
     @staticmethod
-    def _clock(eye: np.ndarray, form: NodeForm) -> np.ndarray:
+    def _clock(eye: np.ndarray, form: NodeLayout) -> np.ndarray:
         return eye[form.clocks[[] if form.clock is None else [form.clock]]]

@@ -22,11 +22,11 @@ from trajopt.schedule.schedule import Schedule
 from trajopt.terms.node_interfaces import NodePlace
 from trajopt.transcription.mesh import Mesh
 from trajopt.transcription.schemes import Scheme
-from trajopt.transcription.timeline import NodeForm, Stage, StageKind, Timeline, timeline
+from trajopt.transcription.timeline import NodeLayout, Stage, StageKind, Timeline, timeline
 
 
 @dataclass(frozen=True)
-class Meeting:
+class AdjacentIntervals:
     """The intervals (stages, or None) around a node, and whether impacts lie between it and them."""
 
     before: int | None
@@ -61,7 +61,7 @@ class Layout:
         return self.timeline.stages
 
     @property
-    def forms(self) -> tuple[NodeForm, ...]:
+    def forms(self) -> tuple[NodeLayout, ...]:
         """Form of every node, one more than there are stages."""
         return self.timeline.forms
 
@@ -127,7 +127,7 @@ class Layout:
             tuple(self.robot.contact(name) for name in phase.contacts) for phase in self.schedule.phases
         )
 
-    def form_of(self, phase: int) -> NodeForm:
+    def form_of(self, phase: int) -> NodeLayout:
         """Form of the nodes within a phase."""
         return self.forms[int(self.intervals_of(phase)[0])]
 
@@ -203,14 +203,14 @@ class Layout:
         last = final and index == mesh.count
         return NodePlace(self.schedule.phases[phase], index, mesh.fractions, last, final)
 
-    def meeting(self, k: int) -> Meeting:
+    def meeting(self, k: int) -> AdjacentIntervals:
         """The intervals between which node k lies, whatever transitions are there."""
         stages, before, after = self.stages, k - 1, k
         while before >= 0 and stages[before].kind is not StageKind.INTERVAL:
             before -= 1
         while after < len(stages) and stages[after].kind is not StageKind.INTERVAL:
             after += 1
-        return Meeting(
+        return AdjacentIntervals(
             before=before if before >= 0 else None,
             after=after if after < len(stages) else None,
             impact_behind=any(stage.kind is StageKind.IMPACT for stage in stages[before + 1 : k]),

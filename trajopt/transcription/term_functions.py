@@ -20,13 +20,13 @@ from trajopt.terms.interfaces import Rows, Term
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.redundancy import independent_rows
 from trajopt.transcription.stage_functions import PointFunction, point_function
-from trajopt.transcription.timeline import NodeForm
+from trajopt.transcription.timeline import NodeLayout
 
-Built = TypeVar("Built")
+_Built = TypeVar("_Built")
 
 
 @dataclass(frozen=True)
-class Kind:
+class StageTerms:
     """A point function with its rows' names, bounds and units, and its parameters' values at a time, s."""
 
     function: PointFunction
@@ -48,7 +48,7 @@ class TermFunctions:
     units: Mapping[int, Units]
     _kept: dict[int, dict[str, tuple[int, ...]]] = field(default_factory=dict, init=False)
 
-    def point(self, phase: int) -> Kind:
+    def point(self, phase: int) -> StageTerms:
         """Function of a phase's collocation points."""
         form = self.layout.form_of(phase)
         own, context = self.units[id(form.robot)], self.context(phase, form, Place.POINT)
@@ -58,7 +58,7 @@ class TermFunctions:
         rows = [(t.name, _of(t, name, t.rows, context, own)) for t in acting]
         return _kind(name, context, context.clock * sum(costs, ca.SX(0)), rows)
 
-    def impact(self, k: int) -> Kind:
+    def impact(self, k: int) -> StageTerms:
         """Function of the impact that is stage k: its dynamics, and terms on contact forces."""
         phase, form = self.layout.stages[k].phase, self.layout.forms[k]
         own = self.units[id(form.robot)].impulsive()
@@ -69,7 +69,7 @@ class TermFunctions:
         rows = [(t.name, _of(t, name, t.rows, context, own)) for t in (ImpactDynamics(), *acting)]
         return _kind(f"impact_{name}", context, sum(costs, ca.SX(0)), rows)
 
-    def nodes(self) -> dict[int, Kind]:
+    def nodes(self) -> dict[int, StageTerms]:
         """For each node with constraints or costs: its function, named rows and parameter values."""
         functions: dict[tuple[object, ...], PointFunction] = {}
         kinds, constraints, prices = {}, self.problem.node_constraints, self.problem.node_costs
@@ -91,7 +91,7 @@ class TermFunctions:
                 kinds[k] = replace(kind, function=shared)
         return kinds
 
-    def end(self, form: NodeForm) -> PointFunction | None:
+    def end(self, form: NodeLayout) -> PointFunction | None:
         """Rotations, and body rates if any, at an interval's end from (rotations, theta, theta')."""
         n = form.coordinates.n_rotations
         if n == 0:
@@ -118,7 +118,7 @@ class TermFunctions:
         parts = [configuration, ratio * rates] if after.order == 2 else [configuration]
         return _plain("change", context.z, [*parts, clocks])
 
-    def _mapped(self, context: Context, before: NodeForm, after: NodeForm) -> ca.SX:
+    def _mapped(self, context: Context, before: NodeLayout, after: NodeLayout) -> ca.SX:
         """State of the coordinates after a change from the symbols before: lift or drop of a mode."""
         whole = after.robot is self.problem.robot
         mode = next(m for m in self.problem.modes.values() if m.robot is (before if whole else after).robot)
@@ -161,7 +161,7 @@ class TermFunctions:
         places = {name: place for name, place in known.items() if place is not None}
         return independent_rows(form.robot, q, before, after, places)
 
-    def _in_form(self, form: NodeForm, q: np.ndarray) -> np.ndarray:
+    def _in_form(self, form: NodeLayout, q: np.ndarray) -> np.ndarray:
         """A configuration (nq,) of the whole robot in the coordinates of a form."""
         mode = next((mode for mode in self.problem.modes.values() if mode.robot is form.robot), None)
         return q if mode is None else mode.dropped(q, *np.zeros((2, self.layout.robot.nv)))[0]
@@ -186,7 +186,7 @@ class TermFunctions:
             before[id(coordinates)] = found[k]
         return found
 
-    def context(self, phase: int, form: NodeForm, place: Place, near: np.ndarray | None = None) -> Context:
+    def context(self, phase: int, form: NodeLayout, place: Place, near: np.ndarray | None = None) -> Context:
         """Fresh symbols of a point, node or impact of a phase."""
         contacts = {Place.POINT: self.layout.contacts, Place.IMPACT: self.layout.touching}
         name = self.problem.schedule.phases[phase].name
@@ -204,7 +204,7 @@ class TermFunctions:
         )
 
 
-def _of(term: Term, phase: str, build: Callable[..., Built], *arguments: object) -> Built:
+def _of(term: Term, phase: str, build: Callable[..., _Built], *arguments: object) -> _Built:
     """What a term gives in a phase; what it refuses bears its name. Raises InputError."""
     try:
         return build(*arguments)
@@ -214,10 +214,10 @@ def _of(term: Term, phase: str, build: Callable[..., Built], *arguments: object)
         raise InputError(f"{term.name} in phase '{phase}': {error.what}", error.allowed) from None
 
 
-def _kind(name: str, context: Context, cost: ca.SX, named: Sequence[tuple[str, Rows | None]]) -> Kind:
+def _kind(name: str, context: Context, cost: ca.SX, named: Sequence[tuple[str, Rows | None]]) -> StageTerms:
     blocks = tuple((label, rows) for label, rows in named if rows is not None and rows.expression.numel())
     function = point_function(name, context, cost, [rows.expression for _, rows in blocks])
-    return Kind(function, blocks, context.parameter_values_at)
+    return StageTerms(function, blocks, context.parameter_values_at)
 
 
 def _plain(name: str, z: ca.SX, parts: Sequence[ca.SX]) -> PointFunction:

@@ -34,7 +34,7 @@ class StageKind(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class NodeForm:
+class NodeLayout:
     """What a node holds: rotations, additive positions, rates, and the clocks of all free phases.
 
     ``clock`` is the index of the clock in which the rates are measured, None for nominal time;
@@ -109,7 +109,7 @@ class Timeline:
     """
 
     stages: tuple[Stage, ...]
-    forms: tuple[NodeForm, ...]
+    forms: tuple[NodeLayout, ...]
     places: tuple[tuple[int, int] | None, ...]
 
 
@@ -124,15 +124,15 @@ class _Builder:
         self.of_phase = [made[id(mode)] if mode else self.whole for mode in self.modes]
         self.clocks = schedule.clocks
         self.n_clocks = sum(clock is not None for clock in self.clocks)
-        self.known: dict[tuple[int, int | None], NodeForm] = {}
+        self.known: dict[tuple[int, int | None], NodeLayout] = {}
         self.stages: list[Stage] = []
-        self.forms: list[NodeForm] = []
+        self.forms: list[NodeLayout] = []
         self.places: list[tuple[int, int] | None] = []
 
-    def form(self, pair: tuple[Robot, Coordinates], clock: int | None) -> NodeForm:
+    def form(self, pair: tuple[Robot, Coordinates], clock: int | None) -> NodeLayout:
         key = (id(pair[1]), clock)
         if key not in self.known:
-            self.known[key] = NodeForm(*pair, clock, self.n_clocks, self.order)
+            self.known[key] = NodeLayout(*pair, clock, self.n_clocks, self.order)
         return self.known[key]
 
     def build(self, mesh: Mesh) -> Timeline:
@@ -148,11 +148,11 @@ class _Builder:
             self.transitions(phase, phase + 1 if phase < last else None)
         return Timeline(tuple(self.stages), tuple(self.forms), tuple(self.places))
 
-    def node(self, form: NodeForm, place: tuple[int, int] | None) -> None:
+    def node(self, form: NodeLayout, place: tuple[int, int] | None) -> None:
         self.forms.append(form)
         self.places.append(place)
 
-    def begin(self, own: NodeForm) -> None:
+    def begin(self, own: NodeLayout) -> None:
         """The first node; of a closed motion in true time, in which both ends can be compared."""
         if self.closed and own.clock is not None:
             self.node(self.form(self.of_phase[0], None), (0, 0))
@@ -181,7 +181,7 @@ class _Builder:
         if target is not self.forms[-1]:
             self.change(after, target)
 
-    def change(self, phase: int, form: NodeForm) -> None:
+    def change(self, phase: int, form: NodeLayout) -> None:
         self.stages.append(Stage(StageKind.CHANGE, phase, 0.0))
         self.node(form, None)
 

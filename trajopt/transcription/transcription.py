@@ -22,13 +22,13 @@ from trajopt.transcription.mesh import Mesh
 from trajopt.transcription.row_collection import RowCollection, RowInfo
 from trajopt.transcription.schedule_rows import schedule_rows
 from trajopt.transcription.stage_functions import PointFunction
-from trajopt.transcription.term_functions import Kind, TermFunctions
+from trajopt.transcription.term_functions import StageTerms, TermFunctions
 from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.variable_bounds import clocked_limits, variable_bounds
 
 
 @dataclass(frozen=True, kw_only=True)
-class Group:
+class FunctionGroup:
     """One point function at the same place of several stages.
 
     ``gather`` (n_z, window) maps a window's scaled unknowns to z; ``stages`` (n,) are the intervals or
@@ -57,7 +57,7 @@ class Transcription:
 
     problem: Problem
     layout: Layout
-    groups: tuple[Group, ...]
+    groups: tuple[FunctionGroup, ...]
     rows: RowInfo
     n_rows: int
     linear: sparse.csr_matrix
@@ -112,7 +112,7 @@ class Transcriber:
         self.clocked = clocked_limits(problem, self.layout, self.collocation)
         self.linear_rows: list[tuple[np.ndarray, sparse.coo_matrix]] = []
         self.rows = RowCollection()
-        self.groups: list[Group] = []
+        self.groups: list[FunctionGroup] = []
 
     def build(self) -> Transcription:
         phases = range(len(self.layout.intervals))
@@ -152,7 +152,7 @@ class Transcriber:
     # Rows
 
     def _number_rows(
-        self, kinds: Sequence[Kind], impacts: dict[int, Kind], nodes: dict[int, Kind]
+        self, kinds: Sequence[StageTerms], impacts: dict[int, StageTerms], nodes: dict[int, StageTerms]
     ) -> _Numbers:
         found = _Numbers([], {}, {}, {})
         layout = self.layout
@@ -182,12 +182,14 @@ class Transcriber:
 
     # Groups
 
-    def _add_point_groups(self, phase: int, kind: Kind, point_rows: dict[int, list[np.ndarray]]) -> None:
+    def _add_point_groups(
+        self, phase: int, kind: StageTerms, point_rows: dict[int, list[np.ndarray]]
+    ) -> None:
         method = self.layout.scheme_of(phase)
         for stages in self._alike(phase):
             for i in range(method.s):
                 self.groups.append(
-                    Group(
+                    FunctionGroup(
                         point=kind.function,
                         gather=self.collocation.point_gather(int(stages[0]), i),
                         stages=stages,
@@ -205,7 +207,7 @@ class Transcriber:
         for step in np.unique(steps):
             yield stages[steps == step]
 
-    def _parameters(self, kind: Kind, stages: np.ndarray, fraction: float = 0.0) -> np.ndarray:
+    def _parameters(self, kind: StageTerms, stages: np.ndarray, fraction: float = 0.0) -> np.ndarray:
         """Values of the parameters (n, n_p) at that fraction of stages."""
         times = self.layout.node_times[stages]
         if fraction:
@@ -230,9 +232,9 @@ class Transcriber:
                 )
             )
 
-    def _add_impact_group(self, k: int, kind: Kind, rows: np.ndarray) -> None:
+    def _add_impact_group(self, k: int, kind: StageTerms, rows: np.ndarray) -> None:
         self.groups.append(
-            Group(
+            FunctionGroup(
                 point=kind.function,
                 gather=self.collocation.impact_gather(k),
                 stages=np.array([k]),
@@ -250,14 +252,14 @@ class Transcriber:
             _gap_group(self.functions.change(k), gather, np.array([k]), gap_rows[None, :], scale)
         )
 
-    def _add_node_groups(self, nodes: dict[int, Kind], node_rows: dict[int, np.ndarray]) -> None:
+    def _add_node_groups(self, nodes: dict[int, StageTerms], node_rows: dict[int, np.ndarray]) -> None:
         by_function: dict[int, list[int]] = {}
         for k, kind in nodes.items():
             by_function.setdefault(id(kind.function), []).append(k)
         for members in by_function.values():
             first = nodes[members[0]]
             self.groups.append(
-                Group(
+                FunctionGroup(
                     point=first.function,
                     gather=self.collocation.node_gather(self.layout.forms[members[0]]),
                     stages=np.array(members),
@@ -282,9 +284,9 @@ def objective_unit(problem: Problem) -> float:
 
 def _gap_group(
     point: PointFunction, gather: sparse.csr_matrix, stages: np.ndarray, rows: np.ndarray, scale: np.ndarray
-) -> Group:
+) -> FunctionGroup:
     """What is not linear of the map to the next node, x_next - F = 0; ``scale`` of the rows' entries."""
-    return Group(
+    return FunctionGroup(
         point=point,
         gather=gather,
         stages=stages,

@@ -17,7 +17,7 @@ from trajopt.problem.problem import Problem
 from trajopt.terms.interfaces import PointConstraint
 from trajopt.transcription.collocation import Collocation
 from trajopt.transcription.layout import Layout
-from trajopt.transcription.timeline import NodeForm, StageKind
+from trajopt.transcription.timeline import NodeLayout, StageKind
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def variable_bounds(
 
 
 def _node_values(
-    form: NodeForm, at: _Bounded, positions: np.ndarray, rates: np.ndarray, free: float
+    form: NodeLayout, at: _Bounded, positions: np.ndarray, rates: np.ndarray, free: float
 ) -> np.ndarray:
     """A node of bounds on local positions and rates (nv,), ``free`` elsewhere; clocked rates have none."""
     values = np.full(form.size, free)
@@ -90,7 +90,7 @@ def _fix_start(
 
 
 def _fix_place(
-    problem: Problem, form: NodeForm, scale: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    problem: Problem, form: NodeLayout, scale: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> None:
     """A periodic motion may be anywhere unless something says where: its base starts over its place."""
     place = form.coordinates.node_from_pinocchio(problem.initial_q, problem.initial_v)
@@ -136,7 +136,7 @@ def clocked_limits(
 
 def _clocked(
     name: str,
-    form: NodeForm,
+    form: NodeLayout,
     limits: Sequence[np.ndarray],
     collocation: Collocation,
     n_unknowns: int,

@@ -36,7 +36,7 @@ def mujoco_package() -> Any:
 
 
 @contextlib.contextmanager
-def quiet() -> Iterator[None]:
+def muted_mujoco() -> Iterator[None]:
     """MuJoCo says nothing meanwhile: its warnings go to stderr and into a file where the program runs.
 
     A simulation that runs away is found by its numbers.

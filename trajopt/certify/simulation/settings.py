@@ -27,7 +27,7 @@ ALLOWED = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class SimulationSettings:
     """Settings of a simulation; None is a value that follows from the robot.
 
     timestep: longest step of the physics, s. control_rate: of the controller, Hz. kp, kd: factors on the
