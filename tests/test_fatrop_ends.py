@@ -39,7 +39,8 @@ found = []
 for sigma in (30.0, 100.0):
     for seed in range(seeds):
         start = perturbed(prepared.transcription, prepared.guess, seed, sigma)
-        result = run_solver(prepared.nlp, start, "fatrop", StoppingCriteria(max_time=limit), {}, lambda *_: True)
+        stop = StoppingCriteria(max_time=limit)
+        result = run_solver(prepared.nlp, start, "fatrop", stop, {}, lambda *_: True)
         found.append([result.solver_status, result.status.word, result.wall_time])
 print(json.dumps(found))
 """

@@ -44,7 +44,7 @@ def extract(transcription: Transcription, x: np.ndarray, meta: dict[str, Any]) -
     """
     layout, problem = transcription.layout, transcription.problem
     unknowns = x * transcription.scale
-    clocks = layout.clocks(unknowns)
+    clocks = layout.time_scales(unknowns)
     steps = layout.steps * clocks[layout.phase_of]
     times = layout.times(unknowns)
     columns: dict[str, list[np.ndarray]] = {name: [] for name in ("t", "q", "v", "a", "tau", "f")}

@@ -23,7 +23,7 @@ from trajopt.solution.local_states import local_state
 from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
 from trajopt.solving.multipliers import Multipliers, resampled_multipliers
-from trajopt.transcription.guess import MotionSource, in_form, node_phase, unknowns_of
+from trajopt.transcription.guess import MotionSource, in_form, node_phase, unknowns_from_motion
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.transcription import Transcription
 from trajopt.transcription.variable_bounds import start_of
@@ -104,7 +104,7 @@ def warm_start(transcription: Transcription, solution: Solution) -> WarmStart:
     source = _source(transcription, solution)
     scales = source.clocks[[clock is not None for clock in layout.schedule.clocks]]
     near = layout.coordinates.node_from_pinocchio(*start_of(transcription.problem, layout))
-    x = unknowns_of(layout, source, scales, near) / transcription.scale
+    x = unknowns_from_motion(layout, source, scales, near) / transcription.scale
     fixed = transcription.lower_x == transcription.upper_x
     x[fixed] = transcription.lower_x[fixed]
     return WarmStart(x=x, multipliers=resampled_multipliers(transcription, solution))

@@ -34,8 +34,8 @@ class MotionSource(Protocol):
         """Return the impulses of the impact that is stage k; None for the least that carry the jump."""
 
 
-def unknowns_of(
-    layout: Layout, source: MotionSource, clocks: np.ndarray, near: np.ndarray | None = None
+def unknowns_from_motion(
+    layout: Layout, source: MotionSource, time_scales: np.ndarray, near: np.ndarray | None = None
 ) -> np.ndarray:
     """Return the unscaled unknowns (n_unknowns,) of a motion.
 
@@ -44,7 +44,7 @@ def unknowns_of(
     Args:
         layout: where the unknowns are.
         source: the motion.
-        clocks: (n_clocks,) durations of the free phases over their nominal ones.
+        time_scales: (n_time_scales,) durations of the free phases over their nominal ones.
         near: the coordinates' state that the first node continues; None where that is free.
     """
     x = np.zeros(layout.n_unknowns)
@@ -53,7 +53,7 @@ def unknowns_of(
         state = form.coordinates.node_from_pinocchio(*source.node_state(k))
         state = form.coordinates.continued(state, previous.get(id(form.coordinates), state))
         previous[id(form.coordinates)] = state
-        x[layout.node(k)] = form.node(state, clocks)
+        x[layout.node(k)] = form.node(state, time_scales)
     for k, stage in enumerate(layout.stages):
         window = x[layout.window(k)]
         if stage.kind is StageKind.INTERVAL:
@@ -82,8 +82,9 @@ def _fill_impact(
 
 def initial_guess(transcription: Transcription) -> np.ndarray:
     """Return scaled unknowns (n_unknowns,) from the problem's guess; the start is the problem's own."""
-    clocks = np.ones(transcription.layout.forms[0].n_clocks)
-    return unknowns_of(transcription.layout, _ProblemGuess(transcription), clocks) / transcription.scale
+    time_scales = np.ones(transcription.layout.forms[0].n_time_scales)
+    unknowns = unknowns_from_motion(transcription.layout, _ProblemGuess(transcription), time_scales)
+    return unknowns / transcription.scale
 
 
 @dataclass(frozen=True)
@@ -149,13 +150,13 @@ def node_phase(layout: Layout, k: int) -> int:
     Of two phases that meet there, the one with more contacts: its feet do not move. Across an impact
     each side has its own.
     """
-    meeting = layout.meeting(k)
-    if meeting.before is None or meeting.after is None:
-        only = meeting.after if meeting.before is None else meeting.before
+    adjacent = layout.adjacent_intervals(k)
+    if adjacent.before is None or adjacent.after is None:
+        only = adjacent.after if adjacent.before is None else adjacent.before
         return int(layout.phase_of[only])
-    before, after = int(layout.phase_of[meeting.before]), int(layout.phase_of[meeting.after])
-    if meeting.impact_ahead or meeting.impact_behind:
-        return before if meeting.impact_ahead else after
+    before, after = int(layout.phase_of[adjacent.before]), int(layout.phase_of[adjacent.after])
+    if adjacent.impact_ahead or adjacent.impact_behind:
+        return before if adjacent.impact_ahead else after
     return before if len(layout.touching[before]) > len(layout.touching[after]) else after
 
 
@@ -181,12 +182,12 @@ def perturbed(transcription: Transcription, x: np.ndarray, seed: int, sigma: flo
     free = transcription.lower_x < transcription.upper_x
     moved = np.where(free, x + noise, x)
     layout = transcription.layout
-    first, clocks = layout.node(0), layout.forms[0].clocks
-    bounds = transcription.lower_x[first][clocks], transcription.upper_x[first][clocks]
-    durations = np.clip(moved[first][clocks], *bounds)
+    first, time_scales = layout.node(0), layout.forms[0].time_scales
+    bounds = transcription.lower_x[first][time_scales], transcription.upper_x[first][time_scales]
+    durations = np.clip(moved[first][time_scales], *bounds)
     for k, form in enumerate(layout.forms):
         node = moved[layout.node(k)]
-        node[form.clocks] = durations
+        node[form.time_scales] = durations
         for i in range(form.coordinates.n_rotations):
             node[4 * i : 4 * i + 4] /= np.linalg.norm(node[4 * i : 4 * i + 4])
     return moved

@@ -203,7 +203,7 @@ class Layout:
         last = final and index == mesh.count
         return NodePlace(self.schedule.phases[phase], index, mesh.fractions, last, final)
 
-    def meeting(self, k: int) -> AdjacentIntervals:
+    def adjacent_intervals(self, k: int) -> AdjacentIntervals:
         """The intervals between which node k lies, whatever transitions are there."""
         stages, before, after = self.stages, k - 1, k
         while before >= 0 and stages[before].kind is not StageKind.INTERVAL:
@@ -219,7 +219,7 @@ class Layout:
 
     def times(self, unknowns: np.ndarray) -> np.ndarray:
         """Time of each node in s (n_stages + 1,), from unscaled unknowns."""
-        return np.concatenate([[0.0], np.cumsum(self.steps * self.clocks(unknowns)[self.phase_of])])
+        return np.concatenate([[0.0], np.cumsum(self.steps * self.time_scales(unknowns)[self.phase_of])])
 
     def place_phase(self, k: int) -> int:
         """Phase index of ``place(k)``, -1 where there is none."""
@@ -235,7 +235,7 @@ class Layout:
         """Coordinates of the first node."""
         return self.forms[0].coordinates
 
-    def clocks(self, unknowns: np.ndarray) -> np.ndarray:
+    def time_scales(self, unknowns: np.ndarray) -> np.ndarray:
         """Duration over nominal duration of every phase, (n_phases,), from unscaled unknowns."""
-        values = unknowns[self.node(0)][self.forms[0].clocks]
-        return np.array([1.0 if clock is None else values[clock] for clock in self.schedule.clocks])
+        values = unknowns[self.node(0)][self.forms[0].time_scales]
+        return np.array([1.0 if index is None else values[index] for index in self.schedule.clocks])

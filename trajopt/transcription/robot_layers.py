@@ -39,7 +39,7 @@ def robot_layers(context: Context, expression: ca.SX) -> tuple[ca.SX, _Layers]:
 
 
 def _plain_layers(context: Context, used: list[int]) -> _Layers:
-    """z -> (q, v, a, w) -> o.
+    """Layers z -> (q, v, a, w) -> o.
 
     Where dynamics feel no velocity (statics, impacts), it enters frames alone; an impact feels no gravity.
     """

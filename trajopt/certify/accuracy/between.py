@@ -91,7 +91,7 @@ class BetweenPoints:
     foot_drift: tuple[float | None, ...]
 
 
-def between_points(plan: Solution) -> BetweenPoints:
+def figures_between_points(plan: Solution) -> BetweenPoints:
     """Figures of a plan whose rotations are of unit norm, at ``FRACTIONS`` of its intervals."""
     dense = resampled(plan, FRACTIONS)
     samples = sample_quantities(dense)

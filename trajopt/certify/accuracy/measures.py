@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.certify.accuracy.between import BetweenPoints, between_points
+from trajopt.certify.accuracy.between import BetweenPoints, figures_between_points
 from trajopt.certify.accuracy.comparison import Comparison, compare
 from trajopt.certify.accuracy.open_loop import OpenLoopDrift, interval_drifts, motion_drift, phase_drifts
 from trajopt.certify.consistency import interval_gaps
@@ -135,7 +135,7 @@ def measure(solution: SolutionOrFile, reference: SolutionOrFile | None = None) -
     """
     plan = consistent_solution(solution).normalized()
     comparison = None if reference is None else compare(plan, consistent_solution(reference).normalized())
-    gaps, local, dense = interval_gaps(plan), interval_drifts(plan), between_points(plan)
+    gaps, local, dense = interval_gaps(plan), interval_drifts(plan), figures_between_points(plan)
     phases = _phases(plan, local, dense, comparison)
     return Accuracy(
         **_worst("open_loop", [phase.open_loop for phase in phases]),

@@ -109,8 +109,8 @@ def input_labels(context: Context, form: NodeLayout, clocks: Sequence[str]) -> l
     names = ("impulse", "angular impulse") if impact else ("force", "moment")
     for contact in context.contacts:
         labels += wrench_labels(contact.name, contact.rows, *names)
-    if form.clock is not None:
-        labels.append(Label(owner=f"phase {clocks[form.clock]}", kind="clock", quantity="duration"))
+    if form.time_scale is not None:
+        labels.append(Label(owner=f"phase {clocks[form.time_scale]}", kind="clock", quantity="duration"))
     return labels
 
 
