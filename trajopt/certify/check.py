@@ -13,7 +13,7 @@ from trajopt.certify.impact_figures import impact_figures
 from trajopt.certify.limit_figures import drive_figures, limit_figures
 from trajopt.certify.reintegration import OpenLoopError, open_loop
 from trajopt.certify.report import CheckReport, PhaseReport
-from trajopt.certify.samples import sample_quantities
+from trajopt.certify.samples import largest, sample_quantities
 from trajopt.dynamics.virtual_base import gimbal_margin_along
 from trajopt.solution.clearance import clearance_figures
 from trajopt.solution.input import SolutionOrFile, consistent_solution
@@ -22,11 +22,16 @@ from trajopt.solution.touched import touched_surfaces
 
 
 def check(solution: SolutionOrFile) -> CheckReport:
-    """Recompute every figure of ``solution``, or of the file at that path.
+    """Recompute every figure of a solution from its arrays and its model with numeric Pinocchio.
 
-    Nothing of the transcription takes part: only the file's arrays, its model, and numeric
-    Pinocchio. Raises `SolutionFileError` for a file, `InputError` for a solution, that is
-    inconsistent or not finite.
+    Nothing of the transcription is used.
+
+    Args:
+        solution: the solution, or the path of its file.
+
+    Raises:
+        SolutionFileError: for a file that is inconsistent or not finite.
+        InputError: for such a solution.
     """
     given = consistent_solution(solution)
     plan = given.normalized()  # the rotations' error is a figure of its own and shall not disturb others
@@ -63,10 +68,6 @@ def _worst(values: list[float | None]) -> float | None:
     return max(found) if found else None
 
 
-def _largest(values: np.ndarray) -> float | None:
-    return float(np.max(values)) if values.size else None
-
-
 def _quaternion_error(plan: Solution) -> float | None:
     """Largest | |x| - 1 | over unit quaternions and (cos, sin) pairs."""
     errors = []
@@ -76,7 +77,7 @@ def _quaternion_error(plan: Solution) -> float | None:
         if size:
             end = joint.idx_q + joint.nq
             errors.append(np.abs(np.linalg.norm(plan.q[:, end - size : end], axis=1) - 1).max())
-    return _largest(np.array(errors))
+    return largest(np.array(errors))
 
 
 def _phases(plan: Solution) -> tuple[PhaseReport, ...]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from trajopt.certify.payloads import payload_wrenches
-from trajopt.certify.samples import SampleQuantities
+from trajopt.certify.samples import SampleQuantities, largest, least
 from trajopt.certify.sliding import held_part, sliding_error
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.robot.sole import pressure_rows, yaw_rows
@@ -19,7 +19,7 @@ _Figures = dict[str, float | None]
 
 
 def force_figures(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> _Figures:
-    """Margins of contact forces over the weight; nothing is asked of a bilateral surface."""
+    """Margins of contact forces over the weight; none on bilateral surfaces."""
     weight = mass_of(plan.model) * gravity_of(plan.model)
     points = plan.collocation[:, None]
     force = plan.f[..., :3] / weight
@@ -28,12 +28,12 @@ def force_figures(plan: Solution, samples: SampleQuantities, surfaces: TouchedSu
     margin = surfaces.friction * normal - tangential
     pressed = plan.active & ~surfaces.bilateral
     return {
-        "friction_margin": _least(margin[pressed & points]),
-        "friction_margin_between": _least(margin[pressed & ~points]),
-        "unilateral_margin": _least(normal[pressed & points]),
+        "friction_margin": least(margin[pressed & points]),
+        "friction_margin_between": least(margin[pressed & ~points]),
+        "unilateral_margin": least(normal[pressed & points]),
         "sole_margin": _sole_margin(plan, samples, surfaces, weight),
         "sliding_friction": sliding_error(plan, samples, surfaces),
-        "inactive_force": _largest(np.abs(_uncarried(plan)[~plan.active]) / weight),
+        "inactive_force": largest(np.abs(_uncarried(plan)[~plan.active]) / weight),
     }
 
 
@@ -93,12 +93,12 @@ def place_figures(plan: Solution, samples: SampleQuantities, surfaces: TouchedSu
     stances = [_way(moved[first:stop, index]) for index, first, stop in _stances(plan)]
     speed = np.linalg.norm(held_part(samples.velocity[..., :3], surfaces)[plan.active], axis=1)
     return {
-        "contact_velocity": _largest(speed),
-        "penetration": _largest(np.maximum(-distance[surfaces.known], 0.0)),
-        "landing_height": _largest(np.array(landing)),
-        "foot_drift": _largest(np.array(drift)),
-        "stance_drift": _largest(np.array(stances)),
-        "foot_turn": _largest(np.array(turn)),
+        "contact_velocity": largest(speed),
+        "penetration": largest(np.maximum(-distance[surfaces.known], 0.0)),
+        "landing_height": largest(np.array(landing)),
+        "foot_drift": largest(np.array(drift)),
+        "stance_drift": largest(np.array(stances)),
+        "foot_turn": largest(np.array(turn)),
         "sole_tilt": _sole_tilt(plan, samples, surfaces),
         "patch_margin": _patch_margin(plan, samples),
     }
@@ -135,7 +135,7 @@ def _patch_margin(plan: Solution, samples: SampleQuantities) -> float | None:
                 corners = np.array([[x, y, 0] for x in (-1, 1) for y in (-1, 1)]) * [*sizes[index], 0.0]
                 places = places + np.einsum("kij,cj->kci", samples.rotation[rows, index], corners)
             found.append(patch.inside(places).ravel())
-    return _least(np.concatenate([np.zeros(0), *found]))
+    return least(np.concatenate([np.zeros(0), *found]))
 
 
 def is_sole(plan: Solution) -> np.ndarray:
@@ -147,18 +147,10 @@ def _sole_tilt(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfa
     """Largest angle (rad) between an active sole's z axis and its surface's normal, exact for small ones."""
     flat = plan.active & is_sole(plan) & surfaces.known
     chord = np.linalg.norm(samples.rotation[flat][..., 2] - surfaces.normal[flat], axis=-1)
-    return _largest(2 * np.arcsin(np.minimum(chord / 2, 1.0)))
+    return largest(2 * np.arcsin(np.minimum(chord / 2, 1.0)))
 
 
 def _turn(rotation: np.ndarray) -> float:
     """Largest angle (rad) between rotations (n, 3, 3) and the first, exact for small angles."""
     chord = np.linalg.norm(rotation - rotation[0], axis=(1, 2)).max() / np.sqrt(8)
     return float(2 * np.arcsin(min(chord, 1.0)))
-
-
-def _largest(values: np.ndarray) -> float | None:
-    return float(np.max(values)) if values.size else None
-
-
-def _least(values: np.ndarray) -> float | None:
-    return float(np.min(values)) if values.size else None

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trajopt.certify.contact_figures import is_sole
-from trajopt.certify.samples import SampleQuantities, sample_quantities
+from trajopt.certify.samples import SampleQuantities, largest, sample_quantities
 from trajopt.certify.sliding import held_part
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.solution.solution import Solution
@@ -53,11 +53,7 @@ def dynamics_figures(
     weight = mass_of(plan.model) * gravity
     moving = np.sqrt(gravity) if plan.meta.get("actuation") == "velocity" else gravity
     return {
-        "base_residual": _largest(np.abs(rows.base[points]) / weight),
-        "actuated_residual": _largest(np.abs(rows.actuated[points]) / weight),
-        "contact_acceleration": _largest(np.abs(rows.contact[points][plan.active[points]]) / moving),
+        "base_residual": largest(np.abs(rows.base[points]) / weight),
+        "actuated_residual": largest(np.abs(rows.actuated[points]) / weight),
+        "contact_acceleration": largest(np.abs(rows.contact[points][plan.active[points]]) / moving),
     }
-
-
-def _largest(values: np.ndarray) -> float | None:
-    return float(np.max(values)) if values.size else None

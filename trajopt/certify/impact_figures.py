@@ -10,6 +10,7 @@ import pinocchio as pin
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
 from trajopt.certify.contact.impact import cone_margins, momentum_of_links, total_wrench
 from trajopt.certify.payloads import carrying_model
+from trajopt.certify.reintegration import active_contacts
 from trajopt.dynamics.base_joint import base_of
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.solution.solution import Solution
@@ -45,17 +46,13 @@ def _impact(plan: Solution, surfaces: TouchedSurfaces, number: int, row: int) ->
     assert plan.impulse is not None
     q, before, after = plan.q[row], plan.v[row - 1], plan.v[row]
     model = carrying_model(plan, int(plan.phase[row]))
-    active = np.flatnonzero(plan.active[row])
-    kinds = [plan.meta["contact_kinds"][index] for index in active]
-    frames = [plan.contact_frames[index] for index in active]
-    contacts = ContactSet.of(
-        model, [(frame, 3 if kind == "point" else 6) for frame, kind in zip(frames, kinds, strict=True)]
-    )
+    active = plan.active[row]
+    contacts = active_contacts(plan, model, row)
     impulses = plan.impulse[number][active]
     data = model.createData()
     mass = pin.crba(model, data, q)
     kinematics = contact_kinematics(model, data, q, after, contacts)
-    stacked = np.concatenate([f[:d] for f, d in zip(impulses, contacts.dimensions, strict=True)])
+    stacked = contacts.stacked(impulses)
     speed = math.sqrt(gravity_of(model))
     unit = mass_of(model) * speed
     pressed = ~surfaces.bilateral[row, active]

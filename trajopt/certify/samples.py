@@ -53,3 +53,13 @@ def sample_quantities(solution: Solution) -> SampleQuantities:
         velocity=velocity,
         acceleration=acceleration,
     )
+
+
+def largest(values: np.ndarray) -> float | None:
+    """Return the largest value, None where there is none."""
+    return float(np.max(values)) if values.size else None
+
+
+def least(values: np.ndarray) -> float | None:
+    """Return the least value, None where there is none."""
+    return float(np.min(values)) if values.size else None

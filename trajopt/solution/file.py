@@ -1,4 +1,4 @@
-"""The solution file of version 1: an ``.npz`` without pickles, written at once, read with suspicion."""
+"""The solution file of version 1: an ``.npz`` without pickles, written atomically and checked on reading."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def write_solution_file(
 
 
 def consistent_meta(meta: Mapping[str, Any], model_text: str, arrays: Mapping[str, np.ndarray]) -> str:
-    """Return meta as JSON; raises `InputError` if it is none or the solution is inconsistent."""
+    """Return meta as JSON; raises `InputError` if it cannot be JSON or the solution is inconsistent."""
     try:
         text = json.dumps(_jsonable({**meta, "format": FORMAT, "version": VERSION}), allow_nan=False)
     except (TypeError, ValueError) as error:

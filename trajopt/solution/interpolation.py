@@ -103,7 +103,7 @@ def interval_interpolant(plan: Solution, number: int) -> IntervalInterpolant:
 
 
 def _without_turns(model: pin.Model, apart: np.ndarray) -> np.ndarray:
-    """The difference (nv,) without whole turns of the angles that q tells by their cosine and sine."""
+    """The difference (nv,) without whole turns of the angles that q has as cosine and sine."""
     for joint in list(model.joints)[1:]:
         if joint.shortname() == "JointModelPlanar" or (joint.nq, joint.nv) == (2, 1):
             angle = joint.idx_v + joint.nv - 1

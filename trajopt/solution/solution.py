@@ -11,6 +11,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.actuators.on_robot import drive_torque_values
 from trajopt.solution import file
 from trajopt.solution.arrays import OTHERS, SAMPLED, model_from_text, read_only, runs
 
@@ -101,6 +103,17 @@ class Solution:
     def n_unactuated(self) -> int:
         """Number of base rows, which come first in v and have no torque."""
         return self.v.shape[1] - self.tau.shape[1]
+
+    @cached_property
+    def drives(self) -> tuple[Drive | None, ...]:
+        """Drive of each actuated row (nu,), None without."""
+        described = self.meta.get("drives") or [None] * self.tau.shape[1]
+        return tuple(None if entry is None else Drive.from_meta(entry) for entry in described)
+
+    @property
+    def drive_torque(self) -> np.ndarray:
+        """Torques (K, nu) that the drives deliver, joint side: ``tau`` and the joints' friction."""
+        return drive_torque_values(self.drives, self.tau, self.v[:, self.n_unactuated :])
 
     @cached_property
     def intervals(self) -> tuple[range, ...]:

@@ -23,7 +23,7 @@ from trajopt.solution.local_states import local_state
 from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
 from trajopt.solving.multipliers import Multipliers, resampled_multipliers
-from trajopt.transcription.guess import MotionSource, in_form, node_phase, unknowns_from_motion
+from trajopt.transcription.guess import MotionSource, node_phase, unknowns_from_motion
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.transcription import Transcription
 from trajopt.transcription.variable_bounds import start_of
@@ -59,7 +59,7 @@ class _Source(MotionSource):
         stages = layout.intervals_of(phase)
         middle = (layout.node_times[stages[0]] + layout.node_times[stages[-1] + 1]) / 2
         found = self._at(phase, float(layout.node_times[k]), float(middle))
-        return in_form(layout, layout.forms[k], (found.q, found.v, found.a))[:2]
+        return layout.in_coordinates_of(layout.forms[k], found.q, found.v, found.a)[:2]
 
     @override
     def at_point(self, k: int, i: int, node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -67,7 +67,7 @@ class _Source(MotionSource):
         start, step = layout.node_times[k], layout.steps[k]
         found = self._at(phase, float(start + layout.scheme_of(phase).c[i] * step), float(start + step / 2))
         origin = form.coordinates.node_to_pinocchio(form.state(node))[0][0]
-        state = in_form(layout, form, (found.q, found.v, found.a))
+        state = layout.in_coordinates_of(form, found.q, found.v, found.a)
         highest = local_state(form.robot.model, origin, *state)[layout.order]
         wrenches = [found.f[self.columns[c.frame], list(c.rows)] for c in layout.contacts[phase]]
         scale = self.clocks[phase] ** layout.order

@@ -11,7 +11,7 @@ from typing_extensions import override
 
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.transcription.layout import Layout
-from trajopt.transcription.timeline import NodeLayout, StageKind
+from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
 from trajopt.transcription.variable_bounds import start_of
 
@@ -98,14 +98,16 @@ class _ProblemGuess(MotionSource):
         layout, problem = self.transcription.layout, self.transcription.problem
         if k == 0 and problem.periodicity is None:
             return start_of(problem, layout)
-        return in_form(layout, layout.forms[k], self._state(layout.node_times[k], node_phase(layout, k)))[:2]
+        return layout.in_coordinates_of(
+            layout.forms[k], *self._state(layout.node_times[k], node_phase(layout, k))
+        )[:2]
 
     @override
     def at_point(self, k: int, i: int, node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         layout = self.transcription.layout
         phase, form = layout.stages[k].phase, layout.forms[k]
         time = layout.node_times[k] + layout.scheme_of(phase).c[i] * layout.steps[k]
-        q, v, a = in_form(layout, form, self._state(time, phase))
+        q, v, a = layout.in_coordinates_of(form, *self._state(time, phase))
         if layout.order == 2:
             highest = form.coordinates.acceleration_from_pinocchio(q, v, a)
         else:
@@ -134,14 +136,6 @@ class _ProblemGuess(MotionSource):
             (forward + backward) / (2 * step),
             (forward - backward) / step**2,
         )
-
-
-def in_form(layout: Layout, form: NodeLayout, state: _State) -> _State:
-    """A state of the whole robot in the coordinates of a form."""
-    for mode in layout.modes.values():
-        if mode.robot is form.robot:
-            return mode.dropped(*state)
-    return state
 
 
 def node_phase(layout: Layout, k: int) -> int:

@@ -192,6 +192,13 @@ class Layout:
         """Indices of the stages that are a phase's intervals."""
         return self.interval_stages[self.phase_of[self.interval_stages] == phase]
 
+    def in_coordinates_of(
+        self, form: NodeLayout, q: np.ndarray, v: np.ndarray, a: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return a state (q, v, a) of the whole robot in the coordinates of a node."""
+        mode = next((mode for mode in self.modes.values() if mode.robot is form.robot), None)
+        return (q, v, a) if mode is None else mode.dropped(q, v, a)
+
     def place(self, k: int) -> NodePlace | None:
         """Phase and fraction of node k, None where it repeats another; between phases it is the later's."""
         found = self.timeline.places[k]
@@ -204,7 +211,7 @@ class Layout:
         return NodePlace(self.schedule.phases[phase], index, mesh.fractions, last, final)
 
     def adjacent_intervals(self, k: int) -> AdjacentIntervals:
-        """The intervals between which node k lies, whatever transitions are there."""
+        """Return the intervals around node k, across transitions."""
         stages, before, after = self.stages, k - 1, k
         while before >= 0 and stages[before].kind is not StageKind.INTERVAL:
             before -= 1

@@ -1,4 +1,4 @@
-"""Contact rows that say what others say already: they are left out of the problem.
+"""Redundant contact rows: those that depend on others are left out of the problem.
 
 Two points of one body, the four corners of a foot, four feet on legs that move in parallel planes: their
 velocities depend on each other wherever the contacts hold, so that the rows of all have no full rank (no

@@ -128,7 +128,7 @@ class TermFunctions:
         return after.coordinates.symbolic_node(q, v, shared)
 
     def redundant(self) -> dict[str, list[str]]:
-        """Rows of contacts that are left out for saying nothing new, in words, by phase."""
+        """Return the redundant rows of contacts, which are left out, in words, by phase."""
         axes, found = ("x", "y", "z", "rx", "ry", "rz"), {}
         for index, phase in enumerate(self.problem.schedule.phases):
             kept = self.kept_rows(index)
@@ -156,15 +156,13 @@ class TermFunctions:
         after = [contact for contact in contacts if contact.name not in kept]
         first, last = layout.intervals_of(phase)[[0, -1]]
         q = self.problem.guess_at(float(layout.node_times[first] + layout.node_times[last + 1]) / 2)
-        q = self._in_form(form, q)
+        q = self._in_coordinates_of(form, q)
         known = {c.name: self.problem.contact_place(c.name, phase) for c in contacts}
         places = {name: place for name, place in known.items() if place is not None}
         return independent_rows(form.robot, q, before, after, places)
 
-    def _in_form(self, form: NodeLayout, q: np.ndarray) -> np.ndarray:
-        """A configuration (nq,) of the whole robot in the coordinates of a form."""
-        mode = next((mode for mode in self.problem.modes.values() if mode.robot is form.robot), None)
-        return q if mode is None else mode.dropped(q, *np.zeros((2, self.layout.robot.nv)))[0]
+    def _in_coordinates_of(self, form: NodeLayout, q: np.ndarray) -> np.ndarray:
+        return self.layout.in_coordinates_of(form, q, *np.zeros((2, self.layout.robot.nv)))[0]
 
     @cached_property
     def _unwrapped_guess(self) -> dict[int, np.ndarray]:
@@ -180,7 +178,9 @@ class TermFunctions:
                 continue
             fixed = k == 0 and self.problem.periodicity is None
             time = float(self.layout.node_times[k])
-            q = self._in_form(form, self.problem.initial_q if fixed else self.problem.guess_at(time))
+            q = self._in_coordinates_of(
+                form, self.problem.initial_q if fixed else self.problem.guess_at(time)
+            )
             node = coordinates.node_from_pinocchio(q, np.zeros(coordinates.nv))
             found[k] = coordinates.continued(node, before.get(id(coordinates), node))
             before[id(coordinates)] = found[k]

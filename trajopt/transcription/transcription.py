@@ -51,7 +51,7 @@ class Transcription:
 
     ``gap_rows`` (one array a stage) and ``linear`` (n_rows, n_unknowns) are the defects' rows and the part
     of all rows that is linear in the unknowns. ``scale`` (n_unknowns,) turns a scaled unknown into SI.
-    ``redundant`` names, by phase, rows of contacts that others say already (see ``redundancy``).
+    ``redundant`` names, by phase, rows of contacts that depend on others (see ``redundancy``).
     ``objective_unit``: the groups' costs are over it, see `objective_unit`.
     """
 
@@ -304,10 +304,16 @@ def transcribe(
     intervals: int | None = None,
     mesh: Mesh | None = None,
 ) -> Transcription:
-    """Transcribe a problem on ``intervals`` over the whole schedule, or on a mesh of its own.
+    """Transcribe a problem.
 
-    transcription: a scheme by name for all phases, or one for each, separated by commas.
-    Raises InputError for an unknown scheme, fewer intervals than phases, or a mesh that does not fit.
+    Args:
+        problem: what to transcribe.
+        transcription: a scheme by name for all phases, or one for each, separated by commas.
+        intervals: number of intervals over the whole schedule.
+        mesh: instead of both, schemes and intervals of each phase.
+
+    Raises:
+        InputError: for an unknown scheme, fewer intervals than phases, or a mesh that does not fit.
     """
     chosen = mesh if mesh is not None else _uniform_mesh(problem, transcription, intervals)
     if mesh is not None and (transcription is not None or intervals is not None):

@@ -101,11 +101,8 @@ def _fix_place(
 
 def start_of(problem: Problem, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
     """Configuration and velocity at the start in the coordinates of the first phase."""
-    mode = layout.modes.get(layout.schedule.phases[0].name)
-    if mode is None:
-        return problem.initial_q, problem.initial_v
-    q, v, _ = mode.dropped(problem.initial_q, problem.initial_v, np.zeros(problem.robot.nv))
-    return q, v
+    still = np.zeros(problem.robot.nv)
+    return layout.in_coordinates_of(layout.form_of(0), problem.initial_q, problem.initial_v, still)[:2]
 
 
 def scaled_rate_limits(

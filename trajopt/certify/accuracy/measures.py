@@ -128,10 +128,15 @@ def _finite(value: Any) -> Any:
 
 
 def measure(solution: SolutionOrFile, reference: SolutionOrFile | None = None) -> Accuracy:
-    """Measure ``solution``, or the file at that path, and compare it with ``reference`` where there is one.
+    """Measure the accuracy of a solution without the NLP, and compare it with a reference.
 
-    Nothing of the NLP takes part. Raises `SolutionFileError` for a file, `InputError` for a solution, that is
-    inconsistent or not finite, and `InputError` for a reference of another robot or of other phases.
+    Args:
+        solution: the solution, or the path of its file.
+        reference: a converged solution of the same problem, or the path of its file.
+
+    Raises:
+        SolutionFileError: for a file that is inconsistent or not finite.
+        InputError: for such a solution, and for a reference of another robot or of other phases.
     """
     plan = consistent_solution(solution).normalized()
     comparison = None if reference is None else compare(plan, consistent_solution(reference).normalized())

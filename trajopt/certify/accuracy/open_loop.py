@@ -63,7 +63,7 @@ def interval_drifts(plan: Solution) -> np.ndarray:
     """Local error (I,) in m of every interval, integrated from its own planned start.
 
     The largest over the robot's named points of |p - p_plan| + T |p' - p'_plan| at the interval's end, with
-    the natural time T = sqrt(reach / g): an error of the velocity counts by the way that it makes within T.
+    the natural time T = sqrt(reach / g): an error of the velocity counts by the displacement within T.
     Of a velocity source positions alone count. inf where the integration runs away.
     """
     points = NamedPoints.of(plan.model)

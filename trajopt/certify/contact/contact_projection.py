@@ -31,7 +31,7 @@ class ContactTorques:
 
     torque: (nu,). wrenches: (n, 6) world axes, frame origins. residual: (nv,) M a + h - S^T tau - J^T f;
     zero unless actuators and contacts together cannot give the motion. contact_acceleration: (n, 6)
-    J a + Jdot v of the motion asked for; zero unless it contradicts the contacts. fully_actuated: whether
+    J a + Jdot v of the given motion; zero unless it contradicts the contacts. fully_actuated: whether
     torques can give every acceleration that the contacts allow.
     """
 
@@ -113,7 +113,7 @@ def least_norm_inverse_dynamics(
 
     The norm is ``|f|^2 + |m|^2 / arm^2 + |tau / torque_scale|^2``; ``torque_scale`` (a number or (nu,)), in
     m for a rotation and without unit for a translation, defaults to the moment arm of ``contacts``. The
-    smaller it is, the dearer are torques: `projected_inverse_dynamics` is its limit at zero. Raises
+    smaller it is, the costlier are torques: `projected_inverse_dynamics` is its limit at zero. Raises
     `InputError`.
     """
     needed, rows, scaled, base = _needed(model, motion, contacts, n_unactuated)

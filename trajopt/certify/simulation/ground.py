@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
-from trajopt.certify.simulation.bodies import mujoco_package
+from trajopt.certify.simulation.bodies import mujoco_package, mujoco_quaternion
 from trajopt.certify.simulation.reference import image_of_contacts
 from trajopt.robot.collision.shapes import BoxObstacle, CapsuleObstacle, SphereObstacle
 from trajopt.solution.descriptions import surfaces_of, terrain_of
@@ -172,17 +171,12 @@ def _under(plan: Solution, surface: Surface, place: Surroundings, phase: int, co
     return np.concatenate([places + turn[:, :2] @ corner for corner in around])
 
 
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    quaternion = pin.Quaternion(np.array(rotation)).normalized()
-    return np.array([quaternion.w, quaternion.x, quaternion.y, quaternion.z])
-
-
 def _plane(spec: Any, surface: Surface, place: Surroundings) -> str:
     spec.worldbody.add_geom(
         name="terrain",
         type=mujoco_package().mjtGeom.mjGEOM_PLANE,
         pos=surface.point - place.ball * surface.normal,
-        quat=_quaternion(surface.frame),
+        quat=mujoco_quaternion(surface.frame),
         size=[0.0, 0.0, 1.0],
         contype=0,
         conaffinity=0,
@@ -254,7 +248,7 @@ def _board(spec: Any, name: str, surface: Surface, points: np.ndarray, place: Su
         name=name,
         type=mujoco_package().mjtGeom.mjGEOM_BOX,
         pos=centre,
-        quat=_quaternion(turn),
+        quat=mujoco_quaternion(turn),
         size=[*(high - low) / 2, deep],
         contype=0,
         conaffinity=0,
@@ -277,7 +271,7 @@ def add_obstacles(spec: Any, obstacles: Sequence[Any]) -> tuple[str, ...]:
             made |= {
                 "type": shapes.mjGEOM_BOX,
                 "pos": obstacle.position,
-                "quat": _quaternion(rotation),
+                "quat": mujoco_quaternion(rotation),
                 "size": obstacle.sides / 2,
             }
         spec.worldbody.add_geom(**made)

@@ -15,8 +15,6 @@ from trajopt.certify.payloads import carrying_model, payload_wrenches
 from trajopt.certify.simulation.settings import HOLD, SimulationSettings
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
-from trajopt.robot.actuators.drive import Drive
-from trajopt.robot.actuators.on_robot import drive_torque_values
 from trajopt.solution.interpolation import collocation_fractions, lagrange_coefficients
 from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
@@ -56,14 +54,8 @@ class ReferenceTrajectory:
         return len(self.t) - self.held
 
 
-def drives_of(plan: Solution) -> list[Drive | None]:
-    """Drive of each actuated row (nu), None without."""
-    described = plan.meta.get("drives") or [None] * plan.tau.shape[1]
-    return [None if entry is None else Drive.from_meta(entry) for entry in described]
-
-
 def reference_of(plan: Solution, settings: SimulationSettings) -> ReferenceTrajectory:
-    """Sample a plan, repeat it if asked to, and hold its end if it is at rest. Raises `InputError`."""
+    """Sample a plan, repeat it by the settings, and hold its end if it is at rest. Raises `InputError`."""
     described = plan.meta.get("periodicity")
     whole = settings.cycles * (2 if described and described["mirror"] else 1)
     periods = float(plan.interval_t[-1, 1] - plan.interval_t[0, 0]) * settings.control_rate * whole
@@ -112,12 +104,7 @@ def _once(plan: Solution, rate: float) -> ReferenceTrajectory:
 
 def _torques(plan: Solution, t: np.ndarray) -> np.ndarray:
     """Torques (n, nu) of the drives at times ``t`` (n,): polynomials of the intervals, and joint friction."""
-    points = np.flatnonzero(plan.collocation)
-    delivered = plan.tau[points]
-    if plan.meta.get("drives"):
-        rates = plan.v[points][:, plan.n_unactuated :]
-        delivered = drive_torque_values(tuple(drives_of(plan)), delivered, rates)
-    return _polynomials(plan, delivered, t)
+    return _polynomials(plan, plan.drive_torque[plan.collocation], t)
 
 
 def _polynomials(plan: Solution, values: np.ndarray, t: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What a simulation found, its thresholds, and how it is told."""
+"""The figures of a simulation, their thresholds, and their text."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from trajopt.certify.simulation.bodies import body_name, mujoco_package, write_inertias
 from trajopt.certify.simulation.gains import gains_of
-from trajopt.certify.simulation.reference import ReferenceTrajectory, drives_of
+from trajopt.certify.simulation.reference import ReferenceTrajectory
 from trajopt.certify.simulation.settings import SimulationSettings
 from trajopt.certify.simulation.world import World
 from trajopt.dynamics.base_joint import BASE_JOINT, UNLIMITED, base_of
@@ -80,7 +80,7 @@ class _Run:
         self.model.opt.timestep = reference.period / self.substeps
         self.rows = world.coordinates.rows[plan.n_unactuated :]
         self.gains = gains_of(plan, world, reference, settings)
-        self.drives = drives_of(plan)
+        self.drives = plan.drives
         self.low, self.high = _limits(plan)
         self._plan_in_mujoco()
 
@@ -135,7 +135,7 @@ class _Run:
         return not warnings and bool(np.isfinite(self.data.qacc).all())
 
     def _start(self) -> None:
-        """The planned start, with noise where it is asked for."""
+        """Set the planned start, with noise if the settings have any."""
         self.data.qpos[:], self.data.qvel[:] = self.qpos[0], self.qvel[0]
         if self.settings.noise:
             generator = np.random.default_rng(self.settings.seed)
@@ -274,7 +274,7 @@ def _limits(plan: Solution) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _with_drives(
-    drives: list[Drive | None], rate: np.ndarray, low: np.ndarray, high: np.ndarray
+    drives: tuple[Drive | None, ...], rate: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Limits of rows with a drive: those of its voltage and current at the rates."""
     low, high = low.copy(), high.copy()

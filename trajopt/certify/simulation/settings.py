@@ -1,4 +1,4 @@
-"""What a simulation can be asked for, and the scales that everything else follows from."""
+"""Settings of a simulation, and the scales from which everything else follows."""
 
 from __future__ import annotations
 

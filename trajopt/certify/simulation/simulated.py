@@ -27,7 +27,7 @@ from trajopt.versions import VERSIONED, installed_version
 
 # Periods of the controller in an interval: 4 ms by default, finer than a screen's picture.
 PERIODS = 4
-# Of the plan's meta: what says nothing of a simulation.
+# Keys of the plan's meta that do not apply to a simulation.
 LEFT_OUT = (
     "mesh",
     "periodicity",

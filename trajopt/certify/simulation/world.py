@@ -12,7 +12,14 @@ import pinocchio as pin
 from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.certify.payloads import carrying_model
 from trajopt.certify.samples import SampleQuantities, sample_quantities
-from trajopt.certify.simulation.bodies import Bodies, body_name, build_bodies, compile_bodies, mujoco_package
+from trajopt.certify.simulation.bodies import (
+    Bodies,
+    body_name,
+    build_bodies,
+    compile_bodies,
+    mujoco_package,
+    mujoco_quaternion,
+)
 from trajopt.certify.simulation.coordinates import CoordinateMap
 from trajopt.certify.simulation.ground import (
     BALL,
@@ -24,7 +31,6 @@ from trajopt.certify.simulation.ground import (
     height_over,
     surroundings_of,
 )
-from trajopt.certify.simulation.reference import drives_of
 from trajopt.certify.simulation.settings import CONTACT_TIME, SimulationSettings
 from trajopt.dynamics.base_joint import base_of
 from trajopt.solution.descriptions import scene_of_meta, terrain_of
@@ -168,9 +174,10 @@ def _add_feet(bodies: Bodies, plan: Solution, place: Surroundings) -> list[list[
     for number, frame in enumerate(plan.contact_frames):
         own = bodies.model.frames[bodies.model.getFrameId(frame)]
         body = bodies.spec.body(body_name(own.parentJoint))
-        turn = pin.Quaternion(own.placement.rotation).normalized()
         body.add_site(
-            name=f"contact{number}", pos=own.placement.translation, quat=[turn.w, turn.x, turn.y, turn.z]
+            name=f"contact{number}",
+            pos=own.placement.translation,
+            quat=mujoco_quaternion(own.placement.rotation),
         )
         corners = touching_places(plan, number)
         names.append([f"ball{number}.{i}" for i in range(len(corners))])
@@ -229,9 +236,10 @@ def _add_grasps(
         runs = np.split(np.array(phases, dtype=int), np.flatnonzero(np.diff(phases) > 1) + 1)
         for run in (run for run in runs if len(run)):
             name, row = f"grasp{len(found)}", plan.phases[int(run[0])].start
-            turn = pin.Quaternion(samples.rotation[row, contact])
             bodies.spec.worldbody.add_site(
-                name=name, pos=samples.position[row, contact], quat=[turn.w, turn.x, turn.y, turn.z]
+                name=name,
+                pos=samples.position[row, contact],
+                quat=mujoco_quaternion(samples.rotation[row, contact]),
             )
             sole = plan.meta["contact_kinds"][contact] == "surface"
             bodies.spec.add_equality(
@@ -296,7 +304,7 @@ def _stiffness(settings: SimulationSettings, units: NaturalUnits) -> dict[str, l
 
 def _friction_of_drives(compiled: Any, coordinates: CoordinateMap, plan: Solution) -> None:
     rows = coordinates.rows[plan.n_unactuated :]
-    for row, drive in zip(rows, drives_of(plan), strict=True):
+    for row, drive in zip(rows, plan.drives, strict=True):
         if drive is not None:
             compiled.dof_damping[row] = drive.viscous_friction
             compiled.dof_frictionloss[row] = drive.coulomb_friction
