@@ -11,24 +11,24 @@ import pytest
 import robots_for_tests
 from numpy.testing import assert_allclose
 from problems_for_tests import SCHEME_ORDERS, hop, reach
+from symbolic_interpolation import SymbolicInterpolation
 from synthetic import arm_motion, sampled, standing, tumbling_flight
 from test_transitions import landing, still
 
 import trajopt
 from trajopt.certify.accuracy.comparison import compare
-from trajopt.certify.accuracy.interpolation import sample_interval
 from trajopt.certify.accuracy.measures import measure
 from trajopt.certify.accuracy.named_points import NamedPoints
 from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.errors import InputError
+from trajopt.solution.interpolation import sample_interval
 from trajopt.solution.local_states import local_state, state_from_local
-from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
 from trajopt_library import robots
 
 ROUNDING = 1e-12
-# Derivatives of rotations' coordinates come from central differences, here or there.
-DIFFERENCED = 1e-7
+# Accelerations of order 1e2, of which the symbolic coordinates are read and evaluated by other formulas.
+ACCELERATION = 1e-10
 INTERVALS = 10
 
 
@@ -53,26 +53,26 @@ def test_local_states_are_inverted(kind):
     back = state_from_local(model, start, *local_state(model, start, q, v, a))
     assert_allclose(pin.difference(model, q, back[0]), 0.0, atol=ROUNDING)
     assert_allclose(back[1], v, atol=ROUNDING)
-    assert_allclose(back[2], a, atol=DIFFERENCED)
+    assert_allclose(back[2], a, atol=ACCELERATION)
 
 
 @pytest.mark.parametrize("scheme", [*SCHEME_ORDERS, "velocity"])
-def test_interpolation_is_that_of_warm_starts_and_replays(scheme):
-    """`SolutionMotion` evaluates the same polynomials by the transcription's own symbolic coordinates."""
+def test_interpolation_is_that_of_the_symbolic_coordinates(scheme):
+    """The same polynomials, read and evaluated by the transcription's own symbolic coordinates."""
     if scheme == "velocity":
         plan = trajopt.solve(still(), compile="none", intervals=4)
     else:
         plan = trajopt.solve(hop(), compile="none", intervals=6, transcription=scheme, max_iterations=5)
-    other = SolutionMotion(plan)
+    other = SymbolicInterpolation(plan)
     fractions = np.array([0.0, 0.3, 0.75, 1.0])
     for number in (0, plan.n_intervals - 1):
         found = sample_interval(plan, number, fractions)
         start, end = plan.interval_t[number]
         for index, fraction in enumerate(fractions):
-            expected = other._sample(number, start + fraction * (end - start))
+            expected = other.sample(number, start + fraction * (end - start))
             assert_allclose(pin.difference(plan.model, expected.q, found.q[index]), 0.0, atol=1e-9)
             assert_allclose(found.v[index], expected.v, atol=1e-9, rtol=1e-9)
-            assert_allclose(found.a[index], expected.a, atol=DIFFERENCED, rtol=DIFFERENCED)
+            assert_allclose(found.a[index], expected.a, atol=ACCELERATION, rtol=ACCELERATION)
             assert_allclose(found.f[index], expected.f, atol=1e-9, rtol=1e-9)
 
 

@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 from contact_cases import INDEPENDENT, Case, body, close, independent, vanishes
 
-from trajopt.certify.contact.contact_dynamics import actuated_force, forward_dynamics, unactuated_rows
+from trajopt.certify.contact.contact_dynamics import actuated_force, count_unactuated, forward_dynamics
 from trajopt.certify.contact.contact_projection import (
     consistent_projector,
     least_norm_inverse_dynamics,
@@ -38,7 +38,7 @@ def twice(case: Case) -> Case:
 
 def driven(case: Case) -> tuple[Case, np.ndarray]:
     """The case with actuated rows alone, and its acceleration."""
-    tau = actuated_force(case.model, case.tau[unactuated_rows(case.model) :])
+    tau = actuated_force(case.model, case.tau[count_unactuated(case.model) :])
     found = forward_dynamics(case.model, case.q, case.v, tau, case.contacts)
     return replace(case, tau=tau), found.acceleration
 
@@ -91,7 +91,7 @@ def test_projectors_project_onto_motions_that_contacts_allow(name):
 @cases
 def test_projected_torques_give_the_motion_and_none_are_less(name):
     case, acceleration = driven(independent(name))
-    model, base = case.model, unactuated_rows(case.model)
+    model, base = case.model, count_unactuated(case.model)
     found = projected_inverse_dynamics(model, (case.q, case.v, acceleration), case.contacts)
     vanishes(found.residual, ZERO)
     vanishes(found.contact_acceleration, ZERO)
@@ -111,7 +111,7 @@ def test_projected_torques_give_the_motion_and_none_are_less(name):
 @cases
 def test_least_norm_torques_are_the_pseudo_inverse_of_the_lecture(name):
     case, acceleration = driven(independent(name))
-    model, base = case.model, unactuated_rows(case.model)
+    model, base = case.model, count_unactuated(case.model)
     found = least_norm_inverse_dynamics(
         model, (case.q, case.v, acceleration), replace(case.contacts, moment_arm=1.0)
     )

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from problems_for_tests import FOOT, hop, hopper, planar_hopper, reach
 
-from trajopt.certify.samples import evaluate
+from trajopt.certify.samples import sample_quantities
 from trajopt.solution.solution import Solution
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import solve
@@ -91,7 +91,7 @@ def test_node_shared_by_two_intervals_has_one_state(name):
 @pytest.mark.parametrize("name", SCHEMES)
 def test_dynamics_hold_at_the_points_with_the_extracted_torques(name):
     solution, robot = solved(name), hopper()
-    force = evaluate(solution).generalized_force[solution.collocation]
+    force = sample_quantities(solution).generalized_force[solution.collocation]
     n = robot.n_unactuated
     assert_allclose(force[:, :n] / robot.weight, 0.0, atol=RESIDUAL)
     assert_allclose(force[:, n:], solution.tau[solution.collocation], atol=ROUNDING * robot.weight)
@@ -101,7 +101,7 @@ def test_dynamics_hold_at_the_points_with_the_extracted_torques(name):
 def test_contacts_do_not_accelerate_at_the_points(name):
     solution = solved(name)
     touching = solution.collocation & solution.active[:, 0]
-    acceleration = evaluate(solution).acceleration[touching, 0, :3]
+    acceleration = sample_quantities(solution).acceleration[touching, 0, :3]
     assert_allclose(acceleration / 9.81, 0.0, atol=RESIDUAL)
 
 

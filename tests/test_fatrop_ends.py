@@ -27,16 +27,17 @@ DEGENERATE = """
 import json, sys
 from trajopt_library import problems
 from trajopt.transcription.guess import perturbed
-from trajopt.solvers import run
-from trajopt.solvers.result import Stop
-from trajopt.solving import prepare
+from trajopt.solvers.drivers import run_solver
+from trajopt.solvers.result import StoppingCriteria
+from trajopt.solving.solving import prepare
 name, intervals, limit, seeds = sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), int(sys.argv[4])
 prepared = prepare(problems.load(name), intervals=intervals, compile="none")
 found = []
 for sigma in (30.0, 100.0):
     for seed in range(seeds):
         start = perturbed(prepared.transcription, prepared.guess, seed, sigma)
-        result = run(prepared.nlp, start, "fatrop", Stop(max_time=limit), {}, lambda *_: True)
+        stop = StoppingCriteria(max_time=limit)
+        result = run_solver(prepared.nlp, start, "fatrop", stop, {}, lambda *_: True)
         found.append([result.solver_status, result.status.word, result.wall_time])
 print(json.dumps(found))
 """

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from problems_for_tests import SCHEME_ORDERS, hop, hopper, reach
 from robots_for_tests import hand_built, random_state
 
-from trajopt.certify.samples import evaluate
+from trajopt.certify.samples import sample_quantities
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
@@ -37,7 +37,7 @@ def jump(name: str = "legendre:2") -> Transcription:
 def test_guess_carries_the_robot_in_stance():
     t = jump()
     solution = extract(t, initial_guess(t), {})
-    samples, robot = evaluate(solution), t.problem.robot
+    samples, robot = sample_quantities(solution), t.problem.robot
     stance = solution.collocation & (solution.phase == 0)
     assert solution.active[stance].all()
     base = samples.generalized_force[stance, : robot.n_unactuated]

@@ -10,7 +10,7 @@ from robots_for_tests import robot
 from scipy.linalg import expm
 
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
-from trajopt.certify.contact.impact import cone_margins, impact, momentum, total_wrench
+from trajopt.certify.contact.impact import cone_margins, impact, momentum_of_links, total_wrench
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
 
@@ -89,7 +89,7 @@ def test_energies_are_those_of_the_links_and_their_rotors():
 def test_the_momentum_jump_is_the_impulse_of_contacts_and_root(name):
     case = independent(name)
     found = impact(case.model, case.q, case.v, case.contacts)
-    before, after = (momentum(case.model, case.q, v) for v in (case.v, found.velocity))
+    before, after = (momentum_of_links(case.model, case.q, v) for v in (case.v, found.velocity))
     close(found.jump.linear, after.linear - before.linear, RELATIVE)
     point = np.array([0.3, -1.2, 0.5])
     about = total_wrench(case.model, case.q, case.contacts, found.impulses, point)

@@ -20,7 +20,7 @@ from trajopt.robot.collision.shapes import BoxObstacle, CapsuleObstacle, LinkCap
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.solution.clearance import finer
+from trajopt.solution.clearance import refined_configurations
 from trajopt.solution.solution import Solution
 from trajopt.solving.avoidance import missed_pairs, solve_clear, with_obstacles
 from trajopt.terms import AccelerationCost, Clearance, Context, TerminalRest, TerminalState
@@ -104,7 +104,9 @@ def test_straight_motion_collides_and_the_solution_does_not():
     assert scene.least_distances(points).min() > MARGIN - DISTANCE
     report = check(solution)
     assert report.ok, report.failures()
-    assert report.obstacle_distance == pytest.approx(scene.least_distances(finer(solution)).min())
+    assert report.obstacle_distance == pytest.approx(
+        scene.least_distances(refined_configurations(solution)).min()
+    )
     assert report.obstacle_distance > MARGIN - BETWEEN
     assert report.self_distance is None
 
@@ -215,7 +217,7 @@ def _at(function: object, context: Context, coordinates: Coordinates, q: np.ndar
 def test_cubics_between_samples_are_the_motion():
     _, solution = avoided()
     rows = solution.intervals[3]
-    found = np.array(finer(solution, rows))
+    found = np.array(refined_configurations(solution, rows))
     times = np.concatenate(
         [np.linspace(solution.t[a], solution.t[a + 1], 6)[1 if a > rows[0] else 0 :] for a in rows[:-1]]
     )

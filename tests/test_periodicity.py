@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 import trajopt
-from trajopt.certify.closing import image
+from trajopt.certify.closing import periodic_image
 from trajopt.certify.report import RESIDUAL
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
@@ -183,7 +183,7 @@ def test_closing_rows_vanish_exactly_at_the_image(given: dict[str, object], wher
     q = pin.integrate(robot.model, origin, generator.uniform(-0.3, 0.3, robot.nv))
     v = generator.normal(size=robot.nv)
     described = made.describe(robot, origin[:3])
-    q_end, v_end = image(robot.model, described, q, v, 0.7)
+    q_end, v_end = periodic_image(robot.model, described, q, v, 0.7)
     coordinates, closing = Coordinates(robot.model), closing_map(robot, made, origin)
     first, last = (coordinates.node_from_pinocchio(*state) for state in ((q, v), (q_end, v_end)))
     if first[:4] @ last[:4] < 0 and not made.mirror and not made.turn:

@@ -16,6 +16,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 from problems_for_tests import hop, hopper, one_joint_arm, planar_hopper
+from symbolic_interpolation import SymbolicInterpolation
 from synthetic import arm_motion, sampled, tumbling_flight
 
 from trajopt import solve
@@ -23,7 +24,6 @@ from trajopt.certify.check import check
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
 from trajopt.view.plotting import style
 from trajopt.view.plotting.figure import figure_of
@@ -93,11 +93,11 @@ def lines(figures: list[Figure], panel: str) -> dict[str, tuple[np.ndarray, np.n
 
 
 def states(solution: Solution, t: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """States by the other implementation of the interpolation, that of warm starts, inside intervals."""
-    motion, found = SolutionMotion(solution), []
+    """States by the other implementation of the interpolation, on symbolic coordinates, inside intervals."""
+    motion, found = SymbolicInterpolation(solution), []
     for time in t:
         index = int(np.searchsorted(solution.interval_t[:, 0], time, side="right")) - 1
-        sample = motion._sample(max(index, 0), float(time))
+        sample = motion.sample(max(index, 0), float(time))
         found.append((sample.q, sample.v))
     return found
 

@@ -19,10 +19,10 @@ from replay_pages import (
 )
 from synthetic import arm_motion, pushing_off, sampled, standing
 
-from trajopt.certify.samples import evaluate
+from trajopt.certify.samples import sample_quantities
 from trajopt.robot.payload import Payload, loaded, loaded_model
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import touched
+from trajopt.solution.touched import touched_surfaces
 from trajopt.terrain.surface import Surface
 from trajopt.view.replay.balance import Balance, balance_of, on_ground, outer_wrenches
 from trajopt.view.replay.balance_marks import SUPPORT_LIFT
@@ -52,7 +52,7 @@ def rising() -> Solution:
 
 def balance(solution: Solution) -> Balance:
     motion = motion_of(solution)
-    return balance_of(solution, motion, touched(solution, motion.feet, motion.phase))
+    return balance_of(solution, motion, touched_surfaces(solution, motion.feet, motion.phase))
 
 
 def centre_of_pressure(solution: Solution) -> np.ndarray:
@@ -72,7 +72,7 @@ def test_zero_moment_point_on_flat_ground_is_the_centre_of_pressure(rising):
 
 def test_momentum_changes_by_the_contact_forces(rising):
     force, moment = outer_wrenches(rising)
-    samples = evaluate(rising)
+    samples = sample_quantities(rising)
     forces = rising.f[..., :3]
     weight = motion_of(rising).weight
     turning = np.cross(samples.position, forces).sum(axis=1)

@@ -7,8 +7,8 @@ import statistics
 import numpy as np
 import pytest
 
-from trajopt.solvers.drivers import mesh_weight, run
-from trajopt.solvers.result import Stop
+from trajopt.solvers.drivers import mesh_weight, run_solver
+from trajopt.solvers.result import StoppingCriteria
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import Prepared, prepare
 from trajopt.transcription.guess import perturbed
@@ -55,7 +55,7 @@ def test_the_weight_of_a_point_is_the_mean_of_the_quadrature() -> None:
 def solved(made: Prepared, solver: str, seed: int) -> tuple[int, float, int]:
     """Iterations, objective, evaluations of values."""
     start = perturbed(made.transcription, made.guess, seed, SIGMA) if seed else made.guess
-    result = run(made.nlp, start, solver, Stop(), {}, lambda *_: True)
+    result = run_solver(made.nlp, start, solver, StoppingCriteria(), {}, lambda *_: True)
     assert result.status is Status.SOLVED, (solver, seed, result.solver_status)
     return result.iterations, result.objective, made.nlp.engine.timings()["value"][1]
 

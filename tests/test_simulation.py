@@ -10,11 +10,11 @@ import pytest
 from synthetic import Motion, arm_motion, sampled, standing, tumbling_flight
 
 from trajopt import Contact, Robot, Solution, solve
-from trajopt.certify.closing import image
-from trajopt.certify.samples import evaluate
+from trajopt.certify.closing import periodic_image
+from trajopt.certify.samples import sample_quantities
 from trajopt.certify.simulation.figures import farthest_travel
 from trajopt.certify.simulation.reference import reference_of
-from trajopt.certify.simulation.settings import Settings
+from trajopt.certify.simulation.settings import SimulationSettings
 from trajopt.certify.simulation.simulate import simulate
 from trajopt.errors import InputError
 from trajopt_library import problems, robots
@@ -249,7 +249,7 @@ def test_jump_is_tracked(jump):
 def test_simulated_motion_obeys_pinocchios_equations_of_motion(jump):
     found = simulate(jump).as_solution()
     points, weight = found.collocation, 24.5
-    force = evaluate(found).generalized_force[points]
+    force = sample_quantities(found).generalized_force[points]
     assert np.abs(force[:, :6]).max() < SOLVER * weight
     np.testing.assert_allclose(force[:, 6:], found.tau[points], atol=SOLVER * weight)
 
@@ -289,7 +289,7 @@ def test_grasp_holds_what_the_plan_holds():
     plan = solve(problems.load("ur5-pull"), intervals=12, compile="none")
     found = simulate(plan)
     pulling = found.reference.phase == 2
-    planned = evaluate(plan).position[-1, 0]
+    planned = sample_quantities(plan).position[-1, 0]
     assert np.abs(found.record.feet[pulling, 0] - planned).max() < 2e-3
     # The pull against the board's normal, 60 N, within what the feedback adds.
     pull = found.record.force[pulling, 0, :3].mean(axis=0)
@@ -308,12 +308,14 @@ def test_carried_object_is_felt():
 
 def test_cycles_follow_each_other_as_images():
     plan = solve(problems.load("hopper-gait"), compile="none")
-    reference = reference_of(plan, Settings(cycles=3))
+    reference = reference_of(plan, SimulationSettings(cycles=3))
     count, described = len(reference.t) // 3, plan.meta["periodicity"]
     duration = float(plan.t[-1] - plan.t[0])
     for cycle in (1, 2):
         first = count * cycle
-        q, v = image(plan.model, described, reference.q[first - count], reference.v[first - count], duration)
+        q, v = periodic_image(
+            plan.model, described, reference.q[first - count], reference.v[first - count], duration
+        )
         np.testing.assert_allclose(reference.q[first], q, atol=1e-9)
         np.testing.assert_allclose(reference.v[first], v, atol=1e-9)
     assert np.abs(np.diff(reference.q, axis=0)).max() < 0.05

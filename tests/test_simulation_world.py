@@ -11,8 +11,8 @@ import pytest
 from synthetic import arm_motion, sampled, standing
 
 from trajopt import Solution
-from trajopt.certify.samples import evaluate
-from trajopt.certify.simulation.settings import Settings
+from trajopt.certify.samples import sample_quantities
+from trajopt.certify.simulation.settings import SimulationSettings
 from trajopt.certify.simulation.simulate import simulate
 from trajopt.certify.simulation.world import build_world
 from trajopt.robot.actuators.drive import Drive
@@ -101,7 +101,7 @@ def test_friction_of_drives_is_overcome_by_the_planned_torques():
     # What moves the robot is the same: a file has torques without the friction that drives overcome.
     moved = found.as_solution()
     points = moved.collocation
-    force = evaluate(moved).generalized_force[points]
+    force = sample_quantities(moved).generalized_force[points]
     np.testing.assert_allclose(force, moved.tau[points], atol=SOLVER)
 
 
@@ -177,7 +177,7 @@ def test_board_carries_whole_soles():
     sizes = [[c.half_length, c.half_width] if c in feet else None for c in robot.contacts]
     board = Surface(point=np.zeros(3), normal=np.array(UP)).describe()
     plan = with_meta(plan, terrain=None, contact_sizes=sizes, surfaces=[{feet[0].frame: board}])
-    world = build_world(plan, Settings())
+    world = build_world(plan, SimulationSettings())
     state = mujoco.MjData(world.compiled)
     state.qpos[:] = world.coordinates.to_mujoco(plan.q[:1])[0]
     mujoco.mj_kinematics(world.compiled, state)

@@ -10,9 +10,9 @@ import pytest
 from numpy.testing import assert_allclose
 from problems_for_tests import SCHEME_ORDERS, hop
 from robots_for_tests import JOINT_KINDS, hand_built, random_state
+from symbolic_interpolation import local_from_pinocchio
 from test_warm_start import ROUNDING, SAME_STATE, solved, solved_hop
 
-from trajopt.dynamics.local_motion import local_from_pinocchio
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.solution.motion import motion_of
 from trajopt.transcription.guess import initial_guess

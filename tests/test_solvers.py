@@ -12,8 +12,8 @@ from problems_for_tests import hop, lean, reach
 
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.solvers.drivers import IPOPT_OPTIONS, SOLVERS, run
-from trajopt.solvers.result import Stop
+from trajopt.solvers.drivers import IPOPT_OPTIONS, SOLVERS, run_solver
+from trajopt.solvers.result import StoppingCriteria
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import Prepared, prepare, solve
 from trajopt.terms import TorqueCost
@@ -71,7 +71,7 @@ def test_callback_that_says_stop_returns_the_iterate_of_that_moment(solver):
         seen.append(info)
         return info["iteration"] < 3
 
-    result = run(made.nlp, made.guess, solver, Stop(), {}, stop_at_three)
+    result = run_solver(made.nlp, made.guess, solver, StoppingCriteria(), {}, stop_at_three)
     assert result.status is Status.INTERRUPTED
     assert result.iterations == seen[-1]["iteration"] == 3
     assert np.max(np.abs(result.x - made.guess)) > 0
@@ -86,7 +86,7 @@ def test_exception_in_a_callback_reaches_the_caller(solver):
         raise ZeroDivisionError(f"at iteration {info['iteration']}")
 
     with pytest.raises(ZeroDivisionError, match="at iteration 0"):
-        run(made.nlp, made.guess, solver, Stop(), {}, fail)
+        run_solver(made.nlp, made.guess, solver, StoppingCriteria(), {}, fail)
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -94,13 +94,13 @@ def test_exception_in_a_callback_reaches_the_caller(solver):
 def test_unknown_option_or_value_is_refused_by_name(solver, option):
     made = prepared()
     with pytest.raises(InputError, match=f"{solver}.*'{next(iter(option))}'"):
-        run(made.nlp, made.guess, solver, Stop(), option, go_on)
+        run_solver(made.nlp, made.guess, solver, StoppingCriteria(), option, go_on)
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_iteration_limit_is_a_status(solver):
     made = prepared()
-    result = run(made.nlp, made.guess, solver, Stop(max_iterations=2), {}, go_on)
+    result = run_solver(made.nlp, made.guess, solver, StoppingCriteria(max_iterations=2), {}, go_on)
     assert result.status is Status.ITERATION_LIMIT
     assert result.iterations <= 3  # FATROP counts the one it did not finish
 
@@ -149,6 +149,6 @@ def test_optimum_is_that_of_casadi_on_the_same_functions(build):
     bounds = {"lbx": t.lower_x, "ubx": t.upper_x, "lbg": t.lower_g, "ubg": t.upper_g}
     expected = reference(x0=made.guess, **bounds)
     assert reference.stats()["success"]
-    result = run(made.nlp, made.guess, "ipopt", Stop(tolerance=1e-9), {}, go_on)
+    result = run_solver(made.nlp, made.guess, "ipopt", StoppingCriteria(tolerance=1e-9), {}, go_on)
     assert result.status is Status.SOLVED
     assert result.objective == pytest.approx(float(expected["f"]), rel=SAME_OPTIMUM)

@@ -16,11 +16,11 @@ from scipy.optimize import linprog
 
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.solvers.convexification import Convexified
-from trajopt.solvers.drivers import run
-from trajopt.solvers.qp import QpStep, Quadratic, StageQp
-from trajopt.solvers.result import Callback, Result, Stop, Warm
-from trajopt.solvers.sqp_filter import Filter, Pair
+from trajopt.solvers.convexification import ConvexifiedHessian
+from trajopt.solvers.drivers import run_solver
+from trajopt.solvers.qp import QpStep, QuadraticProgram, StageQp
+from trajopt.solvers.result import Callback, Result, StoppingCriteria, WarmMultipliers
+from trajopt.solvers.sqp_filter import Filter, FilterEntry
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import Prepared, prepare, solve, solve_prepared
 from trajopt.terms import AccelerationCost, EffortLimits, TorqueCost, VelocityCost
@@ -43,7 +43,7 @@ EARLY = 1e-3
 SAME_MISS = 1e-3
 
 
-def dense_program(seed: int, *, convex: bool = True) -> tuple[SimpleNamespace, Quadratic]:
+def dense_program(seed: int, *, convex: bool = True) -> tuple[SimpleNamespace, QuadraticProgram]:
     """A random program of 12 unknowns with equations, inequalities of all kinds and bounds, feasible.
 
     If not ``convex`` its matrix is negative on a direction that the equations forbid.
@@ -67,21 +67,21 @@ def dense_program(seed: int, *, convex: bool = True) -> tuple[SimpleNamespace, Q
     nlp = SimpleNamespace(
         transcription=bounds, row=row, column=column, hessian_row=lower[0], hessian_column=lower[1]
     )
-    q = Quadratic(
+    q = QuadraticProgram(
         hessian=h[lower], gradient=generator.normal(size=n), jacobian=j.ravel(),
         low=low, high=high, x_low=x_low, x_high=x_high,
     )  # fmt: skip
     return nlp, q
 
 
-def matrices(q: Quadratic) -> tuple[np.ndarray, np.ndarray]:
+def matrices(q: QuadraticProgram) -> tuple[np.ndarray, np.ndarray]:
     n = len(q.gradient)
     h = np.zeros((n, n))
     h[np.tril_indices(n)] = q.hessian
     return h + np.tril(h, -1).T, q.jacobian.reshape(-1, n)
 
 
-def by_osqp(q: Quadratic) -> tuple[np.ndarray, np.ndarray]:
+def by_osqp(q: QuadraticProgram) -> tuple[np.ndarray, np.ndarray]:
     h, j = matrices(q)
     n = len(h)
     solver = osqp.OSQP()
@@ -94,7 +94,7 @@ def by_osqp(q: Quadratic) -> tuple[np.ndarray, np.ndarray]:
     return np.array(found.x), np.array(found.y)
 
 
-def assert_optimal(q: Quadratic, step: QpStep) -> None:
+def assert_optimal(q: QuadraticProgram, step: QpStep) -> None:
     """Karush, Kuhn and Tucker: no slope, rows within bounds, multipliers only at the bound they are of."""
     h, j = matrices(q)
     assert_allclose(h @ step.d + q.gradient + j.T @ step.lam_g + step.lam_x, 0, atol=SAME_STEP)
@@ -146,7 +146,7 @@ def test_delta_is_added_to_the_diagonal():
     assert_allclose(*steps, atol=SAME_STEP)
 
 
-def contradiction(seed: int) -> tuple[SimpleNamespace, Quadratic]:
+def contradiction(seed: int) -> tuple[SimpleNamespace, QuadraticProgram]:
     """A program whose first two equations ask two things of one direction."""
     nlp, q = dense_program(seed)
     _, j = matrices(q)
@@ -186,27 +186,28 @@ def test_elastic_program_of_a_feasible_one_misses_nothing():
 
 def test_filter_takes_what_improves_either_and_forbids_what_a_kept_pair_beats():
     known = Filter(1.0, 1e-9)
-    here = Pair(1.0, 5.0)
+    here = FilterEntry(1.0, 5.0)
     taken = {
-        Pair(0.5, 9.0): True, Pair(2.0, 4.0): True, Pair(1.0, 5.0): False, Pair(1.1, 5.1): False,
-        Pair(2e4, 0.0): False, Pair(np.nan, 0.0): False, Pair(0.5, np.nan): False, Pair(0.5, np.inf): False,
+        FilterEntry(0.5, 9.0): True, FilterEntry(2.0, 4.0): True, FilterEntry(1.0, 5.0): False,
+        FilterEntry(1.1, 5.1): False, FilterEntry(2e4, 0.0): False, FilterEntry(np.nan, 0.0): False,
+        FilterEntry(0.5, np.nan): False, FilterEntry(0.5, np.inf): False,
     }  # fmt: skip
     assert {there: known.takes(here, there, slope=1.0, share=1.0) for there in taken} == taken
-    known.keep(Pair(0.5, 6.0))
-    assert not known.takes(here, Pair(0.6, 7.0), slope=1.0, share=1.0)
-    assert known.takes(here, Pair(0.4, 7.0), slope=1.0, share=1.0)
-    assert known.takes(here, Pair(0.6, 4.0), slope=1.0, share=1.0)
+    known.keep(FilterEntry(0.5, 6.0))
+    assert not known.takes(here, FilterEntry(0.6, 7.0), slope=1.0, share=1.0)
+    assert known.takes(here, FilterEntry(0.4, 7.0), slope=1.0, share=1.0)
+    assert known.takes(here, FilterEntry(0.6, 4.0), slope=1.0, share=1.0)
 
 
 def test_filter_holds_a_step_about_the_objective_to_its_promise():
-    known, here = Filter(1.0, 1e-9), Pair(1e-8, 5.0)
-    assert not known.takes(here, Pair(0.0, 5.0 - 1e-6), slope=-1.0, share=1.0)
-    assert known.takes(here, Pair(1e-3, 4.5), slope=-1.0, share=1.0)
+    known, here = Filter(1.0, 1e-9), FilterEntry(1e-8, 5.0)
+    assert not known.takes(here, FilterEntry(0.0, 5.0 - 1e-6), slope=-1.0, share=1.0)
+    assert known.takes(here, FilterEntry(1e-3, 4.5), slope=-1.0, share=1.0)
 
 
 def test_kept_pairs_that_a_new_one_beats_are_dropped():
     known = Filter(1.0, 1e-9)
-    for pair in (Pair(1.0, 5.0), Pair(0.5, 7.0), Pair(0.4, 4.0)):
+    for pair in (FilterEntry(1.0, 5.0), FilterEntry(0.5, 7.0), FilterEntry(0.4, 4.0)):
         known.keep(pair)
     assert len(known.pairs) == 1
 
@@ -215,10 +216,10 @@ def test_kept_pairs_that_a_new_one_beats_are_dropped():
 
 
 def sqp(prepared: Prepared, x: np.ndarray | None = None, **given: object) -> Result:
-    settings = {"options": {}, "callback": lambda *_: True, "warm": None, "stop": Stop(), **given}
+    settings = {"options": {}, "callback": lambda *_: True, "warm": None, "stop": StoppingCriteria(), **given}
     start = prepared.guess if x is None else x
     order = ("stop", "options", "callback", "warm")
-    return run(prepared.nlp, start, "sqp", *(settings[name] for name in order))
+    return run_solver(prepared.nlp, start, "sqp", *(settings[name] for name in order))
 
 
 def swing() -> Problem:
@@ -265,7 +266,9 @@ def test_solutions_fulfil_the_conditions_of_optimality_and_report_their_errors(p
 @pytest.mark.parametrize("problem", [swing, lean], ids=lambda make: make.__name__)
 def test_the_optimum_is_ipopts(problem):
     prepared = ready(problem())
-    expected = run(prepared.nlp, prepared.guess, "ipopt", Stop(tolerance=1e-8), {}, lambda *_: True)
+    expected = run_solver(
+        prepared.nlp, prepared.guess, "ipopt", StoppingCriteria(tolerance=1e-8), {}, lambda *_: True
+    )
     found = sqp(prepared)
     assert (expected.status, found.status) == (Status.SOLVED, Status.SOLVED)
     assert found.objective == pytest.approx(expected.objective, rel=SAME_OBJECTIVE)
@@ -274,7 +277,9 @@ def test_the_optimum_is_ipopts(problem):
 @pytest.mark.parametrize("name", SCHEME_ORDERS)
 def test_every_scheme_is_solved(name):
     prepared = ready(lean(), transcription=name)
-    best = run(prepared.nlp, prepared.guess, "ipopt", Stop(tolerance=1e-8), {}, lambda *_: True)
+    best = run_solver(
+        prepared.nlp, prepared.guess, "ipopt", StoppingCriteria(tolerance=1e-8), {}, lambda *_: True
+    )
     assert sqp(prepared).objective == pytest.approx(best.objective, rel=SAME_OBJECTIVE)
 
 
@@ -283,7 +288,7 @@ def test_every_scheme_is_solved(name):
 def test_real_robots_end_at_ipopts_optimum_also_from_perturbed_starts(name):
     """`quadruped-trot` is periodic: its rows join the first and the last stage."""
     prepared = prepare(problems.load(name))
-    best = run(prepared.nlp, prepared.guess, "ipopt", Stop(), {}, lambda *_: True)
+    best = run_solver(prepared.nlp, prepared.guess, "ipopt", StoppingCriteria(), {}, lambda *_: True)
     starts = [prepared.guess, perturbed(prepared.transcription, prepared.guess, 1, 0.1)]
     for start in starts:
         found = sqp(prepared, start)
@@ -294,7 +299,7 @@ def test_real_robots_end_at_ipopts_optimum_also_from_perturbed_starts(name):
 def test_a_start_from_a_solution_with_its_multipliers_takes_no_step():
     prepared = ready(lean())
     first = sqp(prepared)
-    again = sqp(prepared, first.x, warm=Warm(lam_g=first.lam_g, lam_x=first.lam_x))
+    again = sqp(prepared, first.x, warm=WarmMultipliers(lam_g=first.lam_g, lam_x=first.lam_x))
     assert (again.status, again.iterations) == (Status.SOLVED, 0)
 
 
@@ -319,7 +324,9 @@ def test_contradicting_limits_are_reported_as_infeasible_near_their_least_violat
 @pytest.mark.parametrize("limit", [0, 2])
 @pytest.mark.parametrize("by", ["stop", "option"])
 def test_the_limit_of_steps_is_obeyed(limit, by):
-    given = {"stop": Stop(max_iterations=limit)} if by == "stop" else {"options": {"max_sqp": limit}}
+    given = (
+        {"stop": StoppingCriteria(max_iterations=limit)} if by == "stop" else {"options": {"max_sqp": limit}}
+    )
     found = sqp(ready(hop()), **given)
     assert (found.status, found.iterations) == (Status.ITERATION_LIMIT, limit)
 
@@ -356,7 +363,7 @@ def test_every_step_is_reported_with_the_keys_of_the_other_solvers():
     names: dict[str, set[str]] = {}
     for solver in ("ipopt", "sqp"):
         told: list[dict[str, float]] = []
-        run(prepared.nlp, prepared.guess, solver, Stop(), {}, _keeping(told))
+        run_solver(prepared.nlp, prepared.guess, solver, StoppingCriteria(), {}, _keeping(told))
         names[solver], seen = set(told[0]), told
     assert names["sqp"] == names["ipopt"]
     assert [info["iteration"] for info in seen] == list(range(len(seen)))
@@ -397,7 +404,7 @@ def test_an_exception_in_the_callback_is_raised():
 
 
 def test_the_time_limit_is_reported():
-    assert sqp(ready(hop()), stop=Stop(max_time=1e-6)).status is Status.TIME_LIMIT
+    assert sqp(ready(hop()), stop=StoppingCriteria(max_time=1e-6)).status is Status.TIME_LIMIT
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -412,7 +419,7 @@ def test_a_start_that_is_not_finite_is_a_status(value):
 def test_multipliers_that_are_wild_are_got_over():
     prepared = ready(swing())
     generator = np.random.default_rng(0)
-    wild = Warm(
+    wild = WarmMultipliers(
         lam_g=1e8 * generator.normal(size=prepared.transcription.n_rows), lam_x=np.zeros_like(prepared.guess)
     )
     found = sqp(prepared, warm=wild)
@@ -441,7 +448,7 @@ def test_curvature_that_is_taken_away_is_a_share_of_the_negative_eigenvalues():
     nlp, n = prepared.nlp, len(prepared.guess)
     multipliers = np.random.default_rng(0).normal(size=prepared.transcription.n_rows)
     values = nlp.engine.hessian(prepared.guess, 1.0, multipliers)
-    known = Convexified(nlp)
+    known = ConvexifiedHessian(nlp)
 
     def dense(entries: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
         lower = sparse.csr_matrix((entries, (row, column)), shape=(n, n)).toarray()

@@ -100,7 +100,7 @@ def test_derivatives_of_the_whole_nlp_equal_differences(name, scheme):
     layout = nlp.transcription.layout
     clocks = np.concatenate(
         [
-            np.arange(layout.node(k).start, layout.node(k).stop)[form.clocks]
+            np.arange(layout.node(k).start, layout.node(k).stop)[form.time_scales]
             for k, form in enumerate(layout.forms)
         ]
     )
@@ -113,7 +113,7 @@ def test_next_state_enters_its_gap_rows_with_an_identity_block(name):
     t = nlp.transcription
     x = random_unknowns(t, 3)
     for k, form in enumerate(t.layout.forms):
-        x[t.layout.node(k)][form.clocks] = 1.1
+        x[t.layout.node(k)][form.time_scales] = 1.1
     jacobian = Matrices(nlp).jacobian(x)
     for k in range(t.layout.n_stages):
         block = jacobian[t.gap_rows[k]][:, t.layout.node(k + 1)].toarray()

@@ -14,7 +14,7 @@ from scipy.optimize import linprog
 
 import trajopt
 from tests.problems_for_tests import FOOT, hop, hopper, reach
-from trajopt.certify.samples import evaluate
+from trajopt.certify.samples import sample_quantities
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
@@ -197,7 +197,10 @@ def test_redistribution_keeps_motion_base_rows_and_friction_and_lowers_torques_e
     problem, solution = guessed()
     shared = redistributed(problem, solution)
     points = solution.collocation
-    before, after = evaluate(solution).generalized_force[points], evaluate(shared).generalized_force[points]
+    before, after = (
+        sample_quantities(solution).generalized_force[points],
+        sample_quantities(shared).generalized_force[points],
+    )
     assert_allclose(after[:, :6], before[:, :6], atol=ROUNDING * problem.robot.weight)
     assert_allclose(shared.tau[points], after[:, 6:], atol=ROUNDING)
     assert (np.sum(after[:, 6:] ** 2, axis=1) <= np.sum(before[:, 6:] ** 2, axis=1) + ROUNDING).all()
@@ -276,7 +279,7 @@ def test_soles_and_a_hand_on_a_wall_keep_pressure_inside_and_friction() -> None:
     robot, wall = problem.robot, problem.schedule.phases[-1].surfaces["hand"]
     worst = {}
     for name, plan in (("before", solution), ("after", shared)):
-        samples, beyond = evaluate(plan), []
+        samples, beyond = sample_quantities(plan), []
         for row in np.flatnonzero(plan.collocation):
             for i, contact in enumerate(robot.contacts):
                 axes = samples.rotation[row, i] if contact.kind == "surface" else wall.frame

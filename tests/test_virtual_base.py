@@ -336,4 +336,4 @@ def test_conversion_takes_free_durations():
     problem = problems.load("solo12-jump", distance=0.1)
     phases = [replace(phase, duration_bounds=(0.1, 1.0)) for phase in problem.schedule.phases]
     free = with_virtual_base(replace(problem, schedule=Schedule(tuple(phases))))
-    assert transcribe(free, "legendre:1", 6).layout.forms[0].n_clocks == 3
+    assert transcribe(free, "legendre:1", 6).layout.forms[0].n_time_scales == 3

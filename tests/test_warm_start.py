@@ -17,8 +17,8 @@ from trajopt.problem.problem import Problem
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solution.motion import motion_of
 from trajopt.solution.solution import Solution
-from trajopt.solvers.drivers import SOLVERS, run
-from trajopt.solvers.result import Result, Stop
+from trajopt.solvers.drivers import SOLVERS, run_solver
+from trajopt.solvers.result import Result, StoppingCriteria
 from trajopt.solving.extraction import extract
 from trajopt.solving.multipliers import with_multipliers
 from trajopt.solving.solving import prepare
@@ -50,7 +50,7 @@ class Solved:
 
 def solved(problem: Problem, scheme: str, intervals: int) -> Solved:
     prepared = prepare(problem, transcription=scheme, intervals=intervals, compile="none")
-    result = run(prepared.nlp, prepared.guess, "ipopt", Stop(), {}, lambda *_: True)
+    result = run_solver(prepared.nlp, prepared.guess, "ipopt", StoppingCriteria(), {}, lambda *_: True)
     t = prepared.transcription
     meta = {"success": True, "status": "solved", "solver": "ipopt"}
     meta |= {"iterations": 0, "objective": 0.0, "tolerance": 1e-6, "wall_time_s": 0.0}

@@ -14,7 +14,7 @@ from trajopt.reduced.body_guess import guess_from_srb
 from trajopt.reduced.foot_motion import DEFAULT_CLEARANCE, FootMotion, guess_from_lip
 from trajopt.reduced.footsteps import feet_of
 from trajopt.reduced.single_rigid_body import body_problem, footholds_of
-from trajopt.solvers.result import Stop
+from trajopt.solvers.result import StoppingCriteria
 from trajopt.solving.solving import prepare
 from trajopt.transcription.guess import perturbed
 from trajopt_library import problems
@@ -27,7 +27,7 @@ JUMPS = (
     {"distance": 0.4, "height": 0.15, "yaw": "35deg"},
 )
 WALKS = ({}, {"steps": 3, "length": 0.3, "turn": "10deg"}, {"steps": 2, "length": -0.2, "step_time": 0.8})
-LIMITS = Stop(max_iterations=200)
+LIMITS = StoppingCriteria(max_iterations=200)
 
 
 @dataclass(frozen=True, kw_only=True)

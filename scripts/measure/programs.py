@@ -21,7 +21,7 @@ import piqp
 from scipy import sparse
 
 from scripts.measure.shared import head, row
-from trajopt.solvers.qp import Quadratic, StageQp
+from trajopt.solvers.qp import QuadraticProgram, StageQp
 from trajopt.solvers.sqp import Sqp, SqpOutcome
 from trajopt.solvers.sqp_point import Evaluator
 from trajopt.solvers.sqp_settings import SqpSettings
@@ -49,7 +49,7 @@ class Answer(NamedTuple):
 class Program:
     """One program as matrices."""
 
-    def __init__(self, nlp: Nlp, q: Quadratic) -> None:
+    def __init__(self, nlp: Nlp, q: QuadraticProgram) -> None:
         t, n = nlp.transcription, len(q.gradient)
         lower = sparse.csc_matrix((q.hessian, (nlp.hessian_row, nlp.hessian_column)), shape=(n, n))
         self.h = (lower + sparse.tril(lower, -1).T + DELTA * sparse.eye(n)).tocsc()

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import click
 import numpy as np
 
-from trajopt.solvers.drivers import SOLVERS, run
-from trajopt.solvers.result import Result, Stop
+from trajopt.solvers.drivers import SOLVERS, run_solver
+from trajopt.solvers.result import Result, StoppingCriteria
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import Prepared
 
@@ -38,7 +38,10 @@ class Timed:
 
 
 def timed(
-    prepared: Prepared, start: np.ndarray | None = None, solver: str = "ipopt", stop: Stop | None = None
+    prepared: Prepared,
+    start: np.ndarray | None = None,
+    solver: str = "ipopt",
+    stop: StoppingCriteria | None = None,
 ) -> Timed:
     """Solve from scaled unknowns (n_unknowns,), by default from the guess."""
     seen: list[tuple[int, float]] = []
@@ -50,7 +53,7 @@ def timed(
         return True
 
     first = prepared.guess if start is None else start
-    result = run(prepared.nlp, first, solver, stop or Stop(), {}, watch, prepared.warm)
+    result = run_solver(prepared.nlp, first, solver, stop or StoppingCriteria(), {}, watch, prepared.warm)
     seconds = time.process_time() - begun
     return Timed(result=result, seconds=seconds, feasible=seen[0] if seen else None)
 

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.certify.check import check
-from trajopt.certify.report import Report, Tolerances
+from trajopt.certify.report import CheckReport, Tolerances
 from trajopt.cli.report import solve_dict, summary, to_json
 from trajopt.errors import InputError, SolutionFileError, TrajoptError
 from trajopt.problem.problem import Problem
@@ -158,7 +158,7 @@ def _refusal(expected: Expected, error: InputError) -> str:
     return f"refused: {text}"
 
 
-def _require_sound(solution: Solution, report: Report | None) -> None:
+def _require_sound(solution: Solution, report: CheckReport | None) -> None:
     """What holds of every solution, solved or not: JSON without NaN, a status with advice, the same file."""
     meta = solution.meta
     json.dumps(json.loads(to_json(meta)), allow_nan=False)
@@ -178,7 +178,7 @@ def _require_sound(solution: Solution, report: Report | None) -> None:
     _require_file(solution, report, finite)
 
 
-def _require_file(solution: Solution, report: Report | None, finite: bool) -> None:
+def _require_file(solution: Solution, report: CheckReport | None, finite: bool) -> None:
     """What is saved and loaded is the same and checks the same; what is not finite is not saved at all."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "cell.npz"
@@ -200,7 +200,7 @@ def _require_file(solution: Solution, report: Report | None, finite: bool) -> No
 RECHECKED = 60
 
 
-def _report(solution: Solution) -> Report | None:
+def _report(solution: Solution) -> CheckReport | None:
     """The independent check; None for an iterate that is no motion, which the check refuses."""
     try:
         with np.errstate(all="ignore"):
@@ -210,7 +210,9 @@ def _report(solution: Solution) -> Report | None:
         return None
 
 
-def _require_solved(expected: Solved, problem: Problem, solution: Solution, report: Report | None) -> None:
+def _require_solved(
+    expected: Solved, problem: Problem, solution: Solution, report: CheckReport | None
+) -> None:
     meta = solution.meta
     _require(solution.success, f"{meta['status']} ({meta['advice']}): {meta['worst_blocks'][:1]}")
     assert report is not None
@@ -236,13 +238,13 @@ def _require_failed(expected: Failed, solution: Solution) -> None:
     _require(expected.advice in meta["advice"], f"advice without '{expected.advice}': {meta['advice']}")
 
 
-def open_loop(problem: Problem, report: Report) -> float:
+def open_loop(problem: Problem, report: CheckReport) -> float:
     """Worst open-loop error of any phase: position over the robot's length, orientation, joints."""
     position = (report.open_loop_position or 0.0) / problem.robot.length
     return max(position, report.open_loop_orientation or 0.0, report.open_loop_joints)
 
 
-def _line(problem: Problem, solution: Solution, report: Report | None) -> str:
+def _line(problem: Problem, solution: Solution, report: CheckReport | None) -> str:
     """The cell's figures in one line: what docs/extremes.md shows."""
     meta = solution.meta
     figures = [meta["status"], f"{meta['iterations']} iterations"]

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
-import pinocchio as pin
 
 from trajopt.certify.closing import periodicity_error
 from trajopt.certify.consistency import interval_gaps
@@ -17,29 +12,34 @@ from trajopt.certify.flight import flight_errors
 from trajopt.certify.impact_figures import impact_figures
 from trajopt.certify.limit_figures import drive_figures, limit_figures
 from trajopt.certify.reintegration import OpenLoopError, open_loop
-from trajopt.certify.report import PhaseReport, Report
-from trajopt.certify.samples import evaluate
+from trajopt.certify.report import CheckReport, PhaseReport
+from trajopt.certify.samples import largest, sample_quantities
 from trajopt.dynamics.virtual_base import gimbal_margin_along
 from trajopt.solution.clearance import clearance_figures
-from trajopt.solution.file import consistent_meta
+from trajopt.solution.input import SolutionOrFile, consistent_solution
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import touched
+from trajopt.solution.touched import touched_surfaces
 
 
-def check(solution: Solution | str | Path) -> Report:
-    """Recompute every figure of ``solution``, or of the file at that path.
+def check(solution: SolutionOrFile) -> CheckReport:
+    """Recompute every figure of a solution from its arrays and its model with numeric Pinocchio.
 
-    Nothing of the transcription takes part: only the file's arrays, its model, and numeric
-    Pinocchio. Raises `SolutionFileError` for a file, `InputError` for a solution, that is
-    inconsistent or not finite.
+    Nothing of the transcription is used.
+
+    Args:
+        solution: the solution, or the path of its file.
+
+    Raises:
+        SolutionFileError: for a file that is inconsistent or not finite.
+        InputError: for such a solution.
     """
-    given = trusted(solution)
-    plan = on_manifold(given)
-    samples = evaluate(plan)
-    surfaces = touched(plan, samples.position)
+    given = consistent_solution(solution)
+    plan = given.normalized()  # the rotations' error is a figure of its own and shall not disturb others
+    samples = sample_quantities(plan)
+    surfaces = touched_surfaces(plan, samples.position)
     gaps = interval_gaps(plan)
     phases = _phases(plan)
-    return Report(
+    return CheckReport(
         **dynamics_figures(plan, samples, surfaces),
         **force_figures(plan, samples, surfaces),
         **limit_figures(plan),
@@ -63,28 +63,9 @@ def check(solution: Solution | str | Path) -> Report:
     )
 
 
-def trusted(solution: Solution | str | Path) -> Solution:
-    """The solution, or the one of the file at that path, its consistency tested; raises as `check`."""
-    if not isinstance(solution, Solution):
-        return Solution.load(solution)
-    return replace(
-        solution, meta=json.loads(consistent_meta(solution.meta, solution.model_text, solution.arrays))
-    )
-
-
-def on_manifold(plan: Solution) -> Solution:
-    """Rotations of unit norm: their error is a figure of its own and shall not disturb the others."""
-    q = np.array([pin.normalize(plan.model, row) for row in plan.q])
-    return replace(plan, q=q)
-
-
 def _worst(values: list[float | None]) -> float | None:
     found = [value for value in values if value is not None]
     return max(found) if found else None
-
-
-def _largest(values: np.ndarray) -> float | None:
-    return float(np.max(values)) if values.size else None
 
 
 def _quaternion_error(plan: Solution) -> float | None:
@@ -96,7 +77,7 @@ def _quaternion_error(plan: Solution) -> float | None:
         if size:
             end = joint.idx_q + joint.nq
             errors.append(np.abs(np.linalg.norm(plan.q[:, end - size : end], axis=1) - 1).max())
-    return _largest(np.array(errors))
+    return largest(np.array(errors))
 
 
 def _phases(plan: Solution) -> tuple[PhaseReport, ...]:

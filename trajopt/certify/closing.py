@@ -22,12 +22,12 @@ def periodicity_error(plan: Solution) -> float | None:
     described = plan.meta.get("periodicity")
     if not described:
         return None
-    q, v = image(plan.model, described, plan.q[0], plan.v[0], float(plan.t[-1] - plan.t[0]))
+    q, v = periodic_image(plan.model, described, plan.q[0], plan.v[0], float(plan.t[-1] - plan.t[0]))
     apart = pin.difference(plan.model, q, plan.q[-1])
     return float(max(np.abs(apart).max(), np.abs(v - plan.v[-1]).max()))
 
 
-def image(
+def periodic_image(
     model: pin.Model, described: dict[str, Any], q: np.ndarray, v: np.ndarray, duration: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Image of a state (nq,), (nv,) under a described periodicity; Pinocchio's convention."""

@@ -19,14 +19,14 @@ SAME_POINT = 1e-9
 
 
 @dataclass(frozen=True)
-class Gaps:
+class IntegrationGaps:
     """Worst mismatch of position (m, rad) and of velocity (m/s, rad/s) over one interval."""
 
     position: float
     velocity: float
 
 
-def interval_gaps(solution: Solution) -> Gaps:
+def interval_gaps(solution: Solution) -> IntegrationGaps:
     """Return the worst difference between ends of an interval and what integration gives.
 
     position: end minus start minus the integral of the velocity polynomial through all samples.
@@ -35,10 +35,10 @@ def interval_gaps(solution: Solution) -> Gaps:
     that are inconsistent within an interval (semi-implicit Euler) show their step error.
     """
     found = [_interval(solution, rows) for rows in solution.intervals]
-    return Gaps(max(gap.position for gap in found), max(gap.velocity for gap in found))
+    return IntegrationGaps(max(gap.position for gap in found), max(gap.velocity for gap in found))
 
 
-def _interval(solution: Solution, rows: range) -> Gaps:
+def _interval(solution: Solution, rows: range) -> IntegrationGaps:
     start, end = solution.interval_t[solution.interval[rows.start]]
     fractions = (solution.t[rows.start : rows.stop] - start) / (end - start)
     points = np.flatnonzero(solution.collocation[rows.start : rows.stop])
@@ -48,7 +48,7 @@ def _interval(solution: Solution, rows: range) -> Gaps:
     step = end - start
     position = xi[-1] - xi[0] - step * quadrature_weights(fractions[distinct]) @ rate[distinct]
     velocity = rate[-1] - rate[0] - step * quadrature_weights(fractions[points]) @ second[points]
-    return Gaps(float(np.abs(position).max()), float(np.abs(velocity).max()))
+    return IntegrationGaps(float(np.abs(position).max()), float(np.abs(velocity).max()))
 
 
 def _state(solution: Solution, row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -7,19 +7,19 @@ from collections.abc import Iterator
 import numpy as np
 
 from trajopt.certify.payloads import payload_wrenches
-from trajopt.certify.samples import Samples
+from trajopt.certify.samples import SampleQuantities, largest, least
 from trajopt.certify.sliding import held_part, sliding_error
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.robot.sole import pressure_rows, yaw_rows
 from trajopt.solution.descriptions import patches_of
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import Touched
+from trajopt.solution.touched import TouchedSurfaces
 
-Figures = dict[str, float | None]
+_Figures = dict[str, float | None]
 
 
-def force_figures(plan: Solution, samples: Samples, surfaces: Touched) -> Figures:
-    """Margins of contact forces over the weight; nothing is asked of a bilateral surface."""
+def force_figures(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> _Figures:
+    """Margins of contact forces over the weight; none on bilateral surfaces."""
     weight = mass_of(plan.model) * gravity_of(plan.model)
     points = plan.collocation[:, None]
     force = plan.f[..., :3] / weight
@@ -28,12 +28,12 @@ def force_figures(plan: Solution, samples: Samples, surfaces: Touched) -> Figure
     margin = surfaces.friction * normal - tangential
     pressed = plan.active & ~surfaces.bilateral
     return {
-        "friction_margin": _least(margin[pressed & points]),
-        "friction_margin_between": _least(margin[pressed & ~points]),
-        "unilateral_margin": _least(normal[pressed & points]),
+        "friction_margin": least(margin[pressed & points]),
+        "friction_margin_between": least(margin[pressed & ~points]),
+        "unilateral_margin": least(normal[pressed & points]),
         "sole_margin": _sole_margin(plan, samples, surfaces, weight),
         "sliding_friction": sliding_error(plan, samples, surfaces),
-        "inactive_force": _largest(np.abs(_uncarried(plan)[~plan.active]) / weight),
+        "inactive_force": largest(np.abs(_uncarried(plan)[~plan.active]) / weight),
     }
 
 
@@ -45,7 +45,9 @@ def _uncarried(plan: Solution) -> np.ndarray:
     return loose
 
 
-def _sole_margin(plan: Solution, samples: Samples, surfaces: Touched, weight: float) -> float | None:
+def _sole_margin(
+    plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces, weight: float
+) -> float | None:
     """Least distance from the limits of pressure and yaw moment in the sole's axes, weight times metre.
 
     Half sizes [half_length, half_width] come from the optional key ``contact_sizes`` of meta (null for a
@@ -72,7 +74,7 @@ def _sole_margin(plan: Solution, samples: Samples, surfaces: Touched, weight: fl
     return min(found) if found else None
 
 
-def place_figures(plan: Solution, samples: Samples, surfaces: Touched) -> Figures:
+def place_figures(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> _Figures:
     """Where contacts are, and whether they stay: over all samples, and from the start of each phase.
 
     ``stance_drift`` is from a touchdown to the lift-off, whatever phases that spans. Contacts that slide stay
@@ -91,12 +93,12 @@ def place_figures(plan: Solution, samples: Samples, surfaces: Touched) -> Figure
     stances = [_way(moved[first:stop, index]) for index, first, stop in _stances(plan)]
     speed = np.linalg.norm(held_part(samples.velocity[..., :3], surfaces)[plan.active], axis=1)
     return {
-        "contact_velocity": _largest(speed),
-        "penetration": _largest(np.maximum(-distance[surfaces.known], 0.0)),
-        "landing_height": _largest(np.array(landing)),
-        "foot_drift": _largest(np.array(drift)),
-        "stance_drift": _largest(np.array(stances)),
-        "foot_turn": _largest(np.array(turn)),
+        "contact_velocity": largest(speed),
+        "penetration": largest(np.maximum(-distance[surfaces.known], 0.0)),
+        "landing_height": largest(np.array(landing)),
+        "foot_drift": largest(np.array(drift)),
+        "stance_drift": largest(np.array(stances)),
+        "foot_turn": largest(np.array(turn)),
         "sole_tilt": _sole_tilt(plan, samples, surfaces),
         "patch_margin": _patch_margin(plan, samples),
     }
@@ -121,7 +123,7 @@ def _stances(plan: Solution) -> Iterator[tuple[int, int, int]]:
             yield index, first, plan.n_samples
 
 
-def _patch_margin(plan: Solution, samples: Samples) -> float | None:
+def _patch_margin(plan: Solution, samples: SampleQuantities) -> float | None:
     """Least distance (m) inside the edges of their patches of active contacts, of a sole its corners'."""
     frames, sizes, found = list(plan.contact_frames), plan.meta.get("contact_sizes") or [], []
     for phase, patches in enumerate(patches_of(plan.meta.get("patches"))):
@@ -133,7 +135,7 @@ def _patch_margin(plan: Solution, samples: Samples) -> float | None:
                 corners = np.array([[x, y, 0] for x in (-1, 1) for y in (-1, 1)]) * [*sizes[index], 0.0]
                 places = places + np.einsum("kij,cj->kci", samples.rotation[rows, index], corners)
             found.append(patch.inside(places).ravel())
-    return _least(np.concatenate([np.zeros(0), *found]))
+    return least(np.concatenate([np.zeros(0), *found]))
 
 
 def is_sole(plan: Solution) -> np.ndarray:
@@ -141,22 +143,14 @@ def is_sole(plan: Solution) -> np.ndarray:
     return np.array([kind == "surface" for kind in plan.meta["contact_kinds"]], dtype=bool)
 
 
-def _sole_tilt(plan: Solution, samples: Samples, surfaces: Touched) -> float | None:
+def _sole_tilt(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> float | None:
     """Largest angle (rad) between an active sole's z axis and its surface's normal, exact for small ones."""
     flat = plan.active & is_sole(plan) & surfaces.known
     chord = np.linalg.norm(samples.rotation[flat][..., 2] - surfaces.normal[flat], axis=-1)
-    return _largest(2 * np.arcsin(np.minimum(chord / 2, 1.0)))
+    return largest(2 * np.arcsin(np.minimum(chord / 2, 1.0)))
 
 
 def _turn(rotation: np.ndarray) -> float:
     """Largest angle (rad) between rotations (n, 3, 3) and the first, exact for small angles."""
     chord = np.linalg.norm(rotation - rotation[0], axis=(1, 2)).max() / np.sqrt(8)
     return float(2 * np.arcsin(min(chord, 1.0)))
-
-
-def _largest(values: np.ndarray) -> float | None:
-    return float(np.max(values)) if values.size else None
-
-
-def _least(values: np.ndarray) -> float | None:
-    return float(np.min(values)) if values.size else None

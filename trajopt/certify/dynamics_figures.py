@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trajopt.certify.contact_figures import is_sole
-from trajopt.certify.samples import Samples, evaluate
+from trajopt.certify.samples import SampleQuantities, largest, sample_quantities
 from trajopt.certify.sliding import held_part
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import Touched
+from trajopt.solution.touched import TouchedSurfaces
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,13 +27,13 @@ class DynamicsRows:
     contact: np.ndarray
 
 
-def dynamics_rows(plan: Solution, samples: Samples, surfaces: Touched) -> DynamicsRows:
+def dynamics_rows(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> DynamicsRows:
     """Rows at every sample; of a velocity source the base rows are its statics, RNEA(q, 0, 0) - sum J^T f."""
     base, force = plan.n_unactuated, samples.generalized_force
     balance, held = force[:, :base], samples.acceleration
     if plan.meta.get("actuation") == "velocity":  # rows of statics and of velocities, not of motion
         still = replace(plan, v=np.zeros_like(plan.v), a=np.zeros_like(plan.a))
-        balance = evaluate(still).generalized_force[:, :base] if base else balance
+        balance = sample_quantities(still).generalized_force[:, :base] if base else balance
         held = samples.velocity
     contact = np.concatenate([held_part(held[..., :3], surfaces), held[..., 3:]], axis=-1)
     contact[~plan.active] = 0.0
@@ -41,7 +41,9 @@ def dynamics_rows(plan: Solution, samples: Samples, surfaces: Touched) -> Dynami
     return DynamicsRows(base=balance, actuated=force[:, base:] - plan.tau, contact=contact)
 
 
-def dynamics_figures(plan: Solution, samples: Samples, surfaces: Touched) -> dict[str, float | None]:
+def dynamics_figures(
+    plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces
+) -> dict[str, float | None]:
     """Largest rows at the collocation points, over the weight (moments: times 1 m) and over g.
 
     Of a velocity source the contacts' velocities are over sqrt(g 1 m).
@@ -51,11 +53,7 @@ def dynamics_figures(plan: Solution, samples: Samples, surfaces: Touched) -> dic
     weight = mass_of(plan.model) * gravity
     moving = np.sqrt(gravity) if plan.meta.get("actuation") == "velocity" else gravity
     return {
-        "base_residual": _largest(np.abs(rows.base[points]) / weight),
-        "actuated_residual": _largest(np.abs(rows.actuated[points]) / weight),
-        "contact_acceleration": _largest(np.abs(rows.contact[points][plan.active[points]]) / moving),
+        "base_residual": largest(np.abs(rows.base[points]) / weight),
+        "actuated_residual": largest(np.abs(rows.actuated[points]) / weight),
+        "contact_acceleration": largest(np.abs(rows.contact[points][plan.active[points]]) / moving),
     }
-
-
-def _largest(values: np.ndarray) -> float | None:
-    return float(np.max(values)) if values.size else None

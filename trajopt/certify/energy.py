@@ -8,27 +8,28 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
-from trajopt.robot.actuators.drive import Drive
-from trajopt.robot.actuators.on_robot import drive_torque_values
 from trajopt.solution.grid import interval_schemes
 from trajopt.solution.solution import Solution
 from trajopt.terms.power import heat_coefficients, require_recovered
 
 
 def energy(solution: Solution, *, recovered: float = -1.0) -> float:
-    """Energy that the drives of a solution draw, J: the integral of `power` by the scheme's quadrature.
+    """Return the energy in J that the drives draw: the integral of `power` by the scheme's quadrature.
 
-    From the file alone: torques, rates and drives at the collocation points. Raises InputError unless
-    ``recovered`` is within -1 to 1.
+    Torques, rates and drives at the collocation points are the file's.
+
+    Args:
+        solution: the motion.
+        recovered: part of negative mechanical power that returns, -1 to 1.
+
+    Raises:
+        InputError: for another ``recovered``.
     """
     require_recovered(recovered)
-    entries = solution.meta.get("drives") or []
-    drives = tuple(None if entry is None else Drive.from_meta(entry) for entry in entries)
-    rates = solution.v[:, solution.n_unactuated :]
-    torque = drive_torque_values(drives, solution.tau, rates) if drives else solution.tau
-    power = torque * rates
+    torque = solution.drive_torque
+    power = torque * solution.v[:, solution.n_unactuated :]
     drawn = (1 + recovered) / 2 * power + (1 - recovered) / 2 * np.abs(power)
-    heat = torque**2 * heat_coefficients(drives, solution.tau.shape[1])
+    heat = torque**2 * heat_coefficients(solution.drives, solution.tau.shape[1])
     return float(np.dot(_quadrature(solution), (drawn + heat).sum(axis=1)))
 
 
@@ -42,10 +43,14 @@ def _quadrature(solution: Solution) -> np.ndarray:
 
 
 def cost_of_transport(solution: Solution, *, recovered: float = -1.0) -> float:
-    """Energy over weight times horizontal way of the centre of mass, dimensionless.
+    """Return energy over weight times horizontal displacement of the centre of mass, dimensionless.
 
-    See `energy`; the way is the straight line from the first sample to the last. Infinite on the spot, and
-    for robots that go nowhere: with a fixed base, or without contacts.
+    The displacement is the straight line from the first sample to the last. The result is infinite on the
+    spot, with a fixed base, and without contacts.
+
+    Args:
+        solution: the motion.
+        recovered: see `energy`.
     """
     model = solution.model
     if not (solution.n_unactuated and solution.contact_frames):

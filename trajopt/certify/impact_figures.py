@@ -8,17 +8,18 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
-from trajopt.certify.contact.impact import cone_margins, momentum, total_wrench
+from trajopt.certify.contact.impact import cone_margins, momentum_of_links, total_wrench
 from trajopt.certify.payloads import carrying_model
+from trajopt.certify.reintegration import active_contacts
 from trajopt.dynamics.base_joint import base_of
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import Touched
+from trajopt.solution.touched import TouchedSurfaces
 
-Figures = dict[str, float | None]
+_Figures = dict[str, float | None]
 
 
-def impact_figures(plan: Solution, surfaces: Touched) -> Figures:
+def impact_figures(plan: Solution, surfaces: TouchedSurfaces) -> _Figures:
     """Worst figures over all impacts of ``plan``, None without any, and of jumps elsewhere.
 
     The contacts of an impact are those that are active just after it. Speeds are over sqrt(g 1 m),
@@ -27,7 +28,7 @@ def impact_figures(plan: Solution, surfaces: Touched) -> Figures:
     """
     rows = [] if plan.impact_index is None else [int(row) for row in plan.impact_index]
     found = [_impact(plan, surfaces, number, row) for number, row in enumerate(rows)]
-    worst: Figures = {}
+    worst: _Figures = {}
     for name in (
         "impact_residual",
         "impact_velocity",
@@ -41,21 +42,17 @@ def impact_figures(plan: Solution, surfaces: Touched) -> Figures:
     return {**worst, "state_jump": _state_jump(plan, rows)}
 
 
-def _impact(plan: Solution, surfaces: Touched, number: int, row: int) -> Figures:
+def _impact(plan: Solution, surfaces: TouchedSurfaces, number: int, row: int) -> _Figures:
     assert plan.impulse is not None
     q, before, after = plan.q[row], plan.v[row - 1], plan.v[row]
     model = carrying_model(plan, int(plan.phase[row]))
-    active = np.flatnonzero(plan.active[row])
-    kinds = [plan.meta["contact_kinds"][index] for index in active]
-    frames = [plan.contact_frames[index] for index in active]
-    contacts = ContactSet.of(
-        model, [(frame, 3 if kind == "point" else 6) for frame, kind in zip(frames, kinds, strict=True)]
-    )
+    active = plan.active[row]
+    contacts = active_contacts(plan, model, row)
     impulses = plan.impulse[number][active]
     data = model.createData()
     mass = pin.crba(model, data, q)
     kinematics = contact_kinematics(model, data, q, after, contacts)
-    stacked = np.concatenate([f[:d] for f, d in zip(impulses, contacts.dimensions, strict=True)])
+    stacked = contacts.stacked(impulses)
     speed = math.sqrt(gravity_of(model))
     unit = mass_of(model) * speed
     pressed = ~surfaces.bilateral[row, active]
@@ -83,7 +80,7 @@ def _momentum_error(
     base = base_of(plan.model)
     if base == "fixed":
         return None
-    jump = momentum(model, q, plan.v[row]) - momentum(model, q, plan.v[row - 1])
+    jump = momentum_of_links(model, q, plan.v[row]) - momentum_of_links(model, q, plan.v[row - 1])
     given = total_wrench(model, q, contacts, impulses, jump.point)
     linear, angular = jump.linear - given.linear, jump.angular - given.angular
     if base == "planar":

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from trajopt.certify.samples import largest
 from trajopt.dynamics.base_joint import position_limits
-from trajopt.robot.actuators.drive import Drive
-from trajopt.robot.actuators.on_robot import drive_torque_values
 from trajopt.solution.solution import Solution
 
-Figures = dict[str, float | None]
+_Figures = dict[str, float | None]
 
 
-def limit_figures(plan: Solution) -> Figures:
+def limit_figures(plan: Solution) -> _Figures:
     """Torques and velocities over their limits minus one, positions beyond theirs over the range."""
     effort = _beyond(plan.tau, plan.meta["effort_limit"])
     # Rates that are inputs have values at points; those of motions have them everywhere.
@@ -23,10 +22,10 @@ def limit_figures(plan: Solution) -> Figures:
     limited = np.isfinite(lower) | np.isfinite(upper)
     span = np.where(np.isfinite(upper - lower) & (upper > lower), upper - lower, 1.0)
     return {
-        "effort_excess": _largest(effort[plan.collocation]),
-        "effort_excess_between": _largest(effort[~plan.collocation]),
-        "velocity_excess": _largest(velocity),
-        "position_excess": _largest((beyond / span)[:, limited]),
+        "effort_excess": largest(effort[plan.collocation]),
+        "effort_excess_between": largest(effort[~plan.collocation]),
+        "velocity_excess": largest(velocity),
+        "position_excess": largest((beyond / span)[:, limited]),
     }
 
 
@@ -40,22 +39,15 @@ def _beyond(values: np.ndarray, limit: list[float | None] | None) -> np.ndarray:
     return np.asarray((np.abs(values[:, columns]) - bound[columns]) / unit)
 
 
-def drive_figures(plan: Solution) -> Figures:
+def drive_figures(plan: Solution) -> _Figures:
     """Motor torque and voltage over their limits, minus one, from ``tau``, ``v`` and the drives of meta."""
-    entries = plan.meta.get("drives") or []
-    drives = tuple(None if entry is None else Drive.from_meta(entry) for entry in entries)
-    rates = plan.v[:, plan.n_unactuated :]
-    torque = drive_torque_values(drives, plan.tau, rates) if drives else plan.tau
-    found = [(row, drive) for row, drive in enumerate(drives) if drive is not None]
+    rates, torque = plan.v[:, plan.n_unactuated :], plan.drive_torque
+    found = [(row, drive) for row, drive in enumerate(plan.drives) if drive is not None]
     current = [torque[:, i] / d.joint_torque_limit for i, d in found if np.isfinite(d.torque_limit)]
     voltage = [d.voltage_use(torque[:, i], rates[:, i]) for i, d in found if np.isfinite(d.stall_torque)]
     points = plan.collocation
     return {
-        "drive_torque_excess": _largest(np.abs([row[points] for row in current]) - 1),
-        "drive_voltage_excess": _largest(np.abs([row[points] for row in voltage]) - 1),
-        "drive_voltage_excess_between": _largest(np.abs([row[~points] for row in voltage]) - 1),
+        "drive_torque_excess": largest(np.abs([row[points] for row in current]) - 1),
+        "drive_voltage_excess": largest(np.abs([row[points] for row in voltage]) - 1),
+        "drive_voltage_excess_between": largest(np.abs([row[~points] for row in voltage]) - 1),
     }
-
-
-def _largest(values: np.ndarray) -> float | None:
-    return float(np.max(values)) if values.size else None

@@ -11,12 +11,12 @@ from trajopt.robot.payload import loaded_model, payload_wrench
 from trajopt.solution.solution import Solution
 
 
-def carried(plan: Solution, phase: int) -> list[dict[str, Any]]:
+def payloads_in(plan: Solution, phase: int) -> list[dict[str, Any]]:
     """Descriptions of what is carried in a phase, from the optional key ``payloads`` of meta."""
     return [entry for entry in plan.meta.get("payloads") or [] if phase in entry["phases"]]
 
 
-def body_of(entry: dict[str, Any]) -> pin.Inertia:
+def payload_inertia(entry: dict[str, Any]) -> pin.Inertia:
     """The spatial inertia that a description gives, in the axes of its frame."""
     return pin.Inertia(entry["mass"], np.array(entry["centre"]), np.array(entry["inertia"]))
 
@@ -24,8 +24,8 @@ def body_of(entry: dict[str, Any]) -> pin.Inertia:
 def carrying_model(plan: Solution, phase: int) -> pin.Model:
     """The plan's model with everything that is carried in a phase."""
     model = plan.model
-    for entry in carried(plan, phase):
-        model = loaded_model(model, entry["frame"], body_of(entry))
+    for entry in payloads_in(plan, phase):
+        model = loaded_model(model, entry["frame"], payload_inertia(entry))
     return model
 
 
@@ -34,8 +34,8 @@ def payload_wrenches(plan: Solution) -> np.ndarray:
     model, data = plan.model, plan.model.createData()
     wrenches = np.zeros_like(plan.f)
     for row in range(plan.n_samples):
-        for entry in carried(plan, int(plan.phase[row])):
+        for entry in payloads_in(plan, int(plan.phase[row])):
             index = plan.contact_frames.index(entry["frame"])
             state = (plan.q[row], plan.v[row], plan.a[row])
-            wrenches[row, index] += payload_wrench(model, data, entry["frame"], body_of(entry), state)
+            wrenches[row, index] += payload_wrench(model, data, entry["frame"], payload_inertia(entry), state)
     return wrenches

@@ -7,13 +7,14 @@ active contacts of the interval the acceleration solves
 
 (Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8) without any stabilisation, so that a
 plan which is inconsistent between its points drifts away here. States are integrated on the
-manifold, q = q_k (+) delta, with the eighth-order method of Dormand and Prince.
+manifold, q = q_k (+) delta, with the eighth-order method of Dormand and Prince. Impacts follow the law of
+`contact.impact`, M (v+ - v-) = J^T Lambda, J v+ = 0.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,14 +22,17 @@ import pinocchio as pin
 
 from trajopt.certify.contact.contact_dynamics import ContactDynamics
 from trajopt.certify.contact.contact_set import ContactSet
+from trajopt.certify.contact.impact import impact
 from trajopt.certify.payloads import carrying_model
 from trajopt.certify.sliding import SlidingDynamics
 from trajopt.dynamics.base_joint import BASE_JOINT, BASE_POSITION, BASE_ROWS, base_of
+from trajopt.errors import InputError
 from trajopt.solution.descriptions import surfaces_of
-from trajopt.solution.motion import lagrange_coefficients
+from trajopt.solution.interpolation import collocation_fractions, lagrange_coefficients
 from trajopt.solution.solution import Solution
 
 PhaseDynamics = ContactDynamics | SlidingDynamics
+RobotState = tuple[np.ndarray, np.ndarray]
 
 # Far below what is measured (1e-6 at best), far above rounding.
 RELATIVE_ERROR = 1e-10
@@ -51,32 +55,61 @@ class OpenLoopError:
     joints: float
 
 
-def open_loop(solution: Solution) -> tuple[OpenLoopError, ...]:
+def open_loop(plan: Solution) -> tuple[OpenLoopError, ...]:
     """Integrate every phase from its first sample with the planned torques; errors at its nodes.
 
     Of a velocity source the planned rates are integrated instead. An error is inf where the integration
     ran away before the phase's end.
     """
-    return tuple(_phase_error(solution, phase) for phase in solution.phases)
+    return tuple(_phase_error(plan, plan.intervals_of(phase)) for phase in range(len(plan.phases)))
 
 
-def _phase_error(solution: Solution, phase: range) -> OpenLoopError:
-    q, v = solution.q[phase.start].copy(), solution.v[phase.start].copy()
+def _phase_error(plan: Solution, numbers: range) -> OpenLoopError:
     worst: np.ndarray = np.zeros(3)
-    dynamics = phase_dynamics(solution, phase.start)
-    for rows in solution.intervals[solution.interval[phase.start] : solution.interval[phase.stop - 1] + 1]:
-        if solution.meta.get("actuation") == "velocity":
-            end = follow_rates(solution, rows, q)
-        else:
-            end = integrate_interval(solution, dynamics, rows, q, v)
-        if end is None:
+    for number, state in zip(numbers, integrated_states(plan, numbers), strict=False):
+        if state is None:
             worst[:] = np.inf
             break
-        q, v = end
-        worst = np.maximum(worst, state_distance(solution.model, solution.q[rows.stop - 1], q))
-    if base_of(solution.model) == "fixed":
+        planned = plan.q[plan.intervals[number].stop - 1]
+        worst = np.maximum(worst, state_distance(plan.model, planned, state[0]))
+    if base_of(plan.model) == "fixed":
         return OpenLoopError(position=None, orientation=None, joints=float(worst[2]))
     return OpenLoopError(position=float(worst[0]), orientation=float(worst[1]), joints=float(worst[2]))
+
+
+def integrated_states(plan: Solution, numbers: range) -> Iterator[RobotState | None]:
+    """Yield the states (q, v) at the ends of intervals, integrated from the planned start of the first.
+
+    Impacts follow their law at the state that is reached. The last state is None where the integration
+    runs away.
+    """
+    first = plan.intervals[numbers.start].start
+    q, v = plan.q[first].copy(), plan.v[first].copy()
+    impacts = set() if plan.impact_index is None else {int(row) for row in plan.impact_index}
+    dynamics, phase = phase_dynamics(plan, first), plan.phase[first]
+    for number in numbers:
+        row = plan.intervals[number].start
+        if plan.phase[row] != phase:
+            dynamics, phase = phase_dynamics(plan, row), plan.phase[row]
+        if row in impacts and row != first:
+            after = _after_impact(plan, row, q, v)
+            if after is None:
+                yield None
+                return
+            v = after
+        end = integrate_interval(plan, dynamics, number, q, v)
+        yield end
+        if end is None:
+            return
+        q, v = end
+
+
+def _after_impact(plan: Solution, row: int, q: np.ndarray, v: np.ndarray) -> np.ndarray | None:
+    model = carrying_model(plan, int(plan.phase[row]))
+    try:
+        return impact(model, q, v, active_contacts(plan, model, row)).velocity
+    except (InputError, np.linalg.LinAlgError):  # a state that has run away
+        return None
 
 
 def state_distance(model: pin.Model, planned: np.ndarray, reached: np.ndarray) -> np.ndarray:
@@ -104,42 +137,37 @@ def _base_rotation(model: pin.Model, q: np.ndarray) -> np.ndarray:
 
 
 def integrate_interval(
-    solution: Solution, dynamics: ContactDynamics | SlidingDynamics, rows: range, q: np.ndarray, v: np.ndarray
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Integrate one interval from ``q``, ``v`` with its torques and contacts; None where it runs away."""
-    model, nv = solution.model, solution.model.nv
-    start, end = (float(time) for time in solution.interval_t[solution.interval[rows.start]])
-    points = [row for row in rows if solution.collocation[row]]
-    torque = lagrange_coefficients((solution.t[points] - start) / (end - start), solution.tau[points])
-    powers = np.arange(len(points))
+    plan: Solution, dynamics: PhaseDynamics, number: int, q: np.ndarray, v: np.ndarray
+) -> RobotState | None:
+    """Integrate one interval from ``q``, ``v`` with its torques and contacts; None where it runs away.
+
+    Of a velocity source its rates are integrated, polynomials through the points, whatever ``v``.
+    """
+    model, nv = plan.model, plan.model.nv
+    points, fractions = collocation_fractions(plan, number)
+    start, end = (float(time) for time in plan.interval_t[number])
+    moved_by_rates = plan.meta.get("actuation") == "velocity"
+    planned = plan.v if moved_by_rates else plan.tau
+    coefficients, powers = lagrange_coefficients(fractions, planned[points]), np.arange(len(points))
     force = np.zeros(nv)
 
-    def rate(fraction: float, state: np.ndarray) -> np.ndarray:
+    def coordinate_rate(delta: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        return np.linalg.solve(pin.dIntegrate(model, q, delta, pin.ArgumentPosition.ARG1), velocity)
+
+    def kinematics(fraction: float, delta: np.ndarray) -> np.ndarray:
+        return (end - start) * coordinate_rate(delta, fraction**powers @ coefficients)
+
+    def motion(fraction: float, state: np.ndarray) -> np.ndarray:
         delta, velocity = state[:nv], state[nv:]
-        force[solution.n_unactuated :] = fraction**powers @ torque
-        here = pin.integrate(model, q, delta)
-        to_local = pin.dIntegrate(model, q, delta, pin.ArgumentPosition.ARG1)
-        moved = np.linalg.solve(to_local, velocity)
-        return (end - start) * np.concatenate([moved, dynamics.acceleration(here, velocity, force)])
+        force[plan.n_unactuated :] = fraction**powers @ coefficients
+        acceleration = dynamics.acceleration(pin.integrate(model, q, delta), velocity, force)
+        return (end - start) * np.concatenate([coordinate_rate(delta, velocity), acceleration])
 
-    final = _run(rate, np.concatenate([np.zeros(nv), v]))
+    if moved_by_rates:
+        final = _run(kinematics, np.zeros(nv))
+        return None if final is None else (pin.integrate(model, q, final), coefficients.sum(axis=0))
+    final = _run(motion, np.concatenate([np.zeros(nv), v]))
     return None if final is None else (pin.integrate(model, q, final[:nv]), final[nv:])
-
-
-def follow_rates(solution: Solution, rows: range, q: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Integrate the rates of one interval, polynomials through its points, from ``q``; None if not finite."""
-    model = solution.model
-    start, end = (float(time) for time in solution.interval_t[solution.interval[rows.start]])
-    points = [row for row in rows if solution.collocation[row]]
-    velocity = lagrange_coefficients((solution.t[points] - start) / (end - start), solution.v[points])
-    powers = np.arange(len(points))
-
-    def rate(fraction: float, delta: np.ndarray) -> np.ndarray:
-        to_local = pin.dIntegrate(model, q, delta, pin.ArgumentPosition.ARG1)
-        return (end - start) * np.linalg.solve(to_local, fraction**powers @ velocity)
-
-    final = _run(rate, np.zeros(model.nv))
-    return None if final is None else (pin.integrate(model, q, final), velocity.sum(axis=0))
 
 
 def _run(rate: Callable[[float, np.ndarray], np.ndarray], state: np.ndarray) -> np.ndarray | None:

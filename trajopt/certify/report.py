@@ -1,4 +1,4 @@
-"""What a check found: figures with units, tolerances with reasons, a readable table."""
+"""The report of a check: figures with units, tolerances with reasons, a readable table."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ FIGURES: dict[str, Figure] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report:
+class CheckReport:
     """Worst figures of a solution, see ``FIGURES`` for their units; None where there is nothing to measure.
 
     base_residual, actuated_residual: RNEA(q, v, a) - sum J^T f (minus tau) at collocation points;
@@ -162,8 +162,8 @@ class Report:
         `impact_figures`. state_jump: largest jump of q or v where intervals meet without an impact.
     penetration, quaternion_error, contact_velocity, foot_drift, foot_turn, sole_tilt: at all samples.
         penetration is below the surface of an active contact, below the terrain otherwise.
-    obstacle_distance, self_distance: of capsules around links, by Coal, at samples and between.
         On ground that is no plane it is below the tangent plane of the highest ground under the contact.
+    obstacle_distance, self_distance: of capsules around links, by Coal, at samples and between.
     landing_height: distance of active contacts from their surface at their phase's start, unsigned.
     patch_margin: least distance of active contacts (of soles: their corners) inside their patches' edges.
     position_gap, velocity_gap: see `consistency.interval_gaps`. ballistic_error, momentum_error: at

@@ -12,7 +12,7 @@ from trajopt.solution.solution import Solution
 
 
 @dataclass(frozen=True, kw_only=True)
-class Samples:
+class SampleQuantities:
     """What the robot does at K samples; contact quantities in world axes at the frame's origin.
 
     generalized_force: (K, nv) RNEA(q, v, a) - sum J^T f.
@@ -27,7 +27,7 @@ class Samples:
     acceleration: np.ndarray
 
 
-def evaluate(solution: Solution) -> Samples:
+def sample_quantities(solution: Solution) -> SampleQuantities:
     """Evaluate every sample of ``solution``."""
     model = solution.model
     data = model.createData()
@@ -46,10 +46,20 @@ def evaluate(solution: Solution) -> Samples:
             position[row, index], rotation[row, index] = placement.translation, placement.rotation
             velocity[row, index] = pin.getFrameVelocity(model, data, frame, axes).vector
             acceleration[row, index] = pin.getFrameClassicalAcceleration(model, data, frame, axes).vector
-    return Samples(
+    return SampleQuantities(
         generalized_force=force,
         position=position,
         rotation=rotation,
         velocity=velocity,
         acceleration=acceleration,
     )
+
+
+def largest(values: np.ndarray) -> float | None:
+    """Return the largest value, None where there is none."""
+    return float(np.max(values)) if values.size else None
+
+
+def least(values: np.ndarray) -> float | None:
+    """Return the least value, None where there is none."""
+    return float(np.min(values)) if values.size else None

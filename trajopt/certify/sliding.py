@@ -6,20 +6,20 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
-from trajopt.certify.samples import Samples
+from trajopt.certify.samples import SampleQuantities
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import Touched
+from trajopt.solution.touched import TouchedSurfaces
 from trajopt.terrain.surface import Surface
 
 
-def held_part(vectors: np.ndarray, surfaces: Touched) -> np.ndarray:
+def held_part(vectors: np.ndarray, surfaces: TouchedSurfaces) -> np.ndarray:
     """Vectors (K, nc, 3) of motion, of sliding contacts their part along the normal alone."""
     normal = surfaces.along_normal(vectors)[..., None] * surfaces.normal
     return np.where(surfaces.slides[..., None], normal, vectors)
 
 
-def sliding_error(plan: Solution, samples: Samples, surfaces: Touched) -> float | None:
+def sliding_error(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> float | None:
     """Largest difference between forces of sliding contacts and Coulomb's law, over the weight, at points.
 
     The law is that of `trajopt.terms.sliding`: mu f_n against the velocity within the surface, over the root

@@ -33,10 +33,10 @@ def check(file: Path, accuracy: bool, reference: Path | None, as_json: bool) -> 
     shown, text = report.to_dict(), report.table()
     if accuracy or reference is not None:
         from trajopt.certify.accuracy.measures import measure
-        from trajopt.certify.accuracy.table import table
+        from trajopt.certify.accuracy.table import accuracy_table
 
         found = measure(plan, reference)
         shown["accuracy"] = found.to_dict()
-        text = f"{text}\n\n{table(found)}"
+        text = f"{text}\n\n{accuracy_table(found)}"
     click.echo(cli_report.to_json(shown) if as_json else text)
     return 0 if report.ok else NOT_REACHED

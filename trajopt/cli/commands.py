@@ -43,7 +43,7 @@ from trajopt.solution.output import check_apart, check_output
 from trajopt.solving.interruption import CANCELLED, interruptible
 
 if TYPE_CHECKING:
-    from trajopt.certify.report import Report
+    from trajopt.certify.report import CheckReport
     from trajopt.problem.problem import Problem
     from trajopt.reduced.scenes.smallest import Scene
     from trajopt.solution.solution import Solution
@@ -295,7 +295,7 @@ def _saved(solution: Solution, target: Path) -> tuple[Path | None, list[str]]:
     return solution.save(target), []
 
 
-def _checked(solution: Solution, notes: list[str], advice: str) -> Report | None:
+def _checked(solution: Solution, notes: list[str], advice: str) -> CheckReport | None:
     """The check of a solve, or None and a note where there is nothing that can be checked."""
     import numpy as np
 

@@ -80,7 +80,7 @@ def continue_(
     """
     from trajopt.problem.catalogue import families
     from trajopt.problem.family import choose
-    from trajopt.solving.warm_start import solution_of
+    from trajopt.solution.input import solution_of
 
     family, fixed = choose(families(), problem), values_of(settings, "--set")
     name, values = parse_vary(family, vary, fixed)

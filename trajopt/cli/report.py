@@ -14,7 +14,7 @@ from rich.table import Table
 from trajopt.transcription.violations import describe_block
 
 if TYPE_CHECKING:
-    from trajopt.certify.report import Report
+    from trajopt.certify.report import CheckReport
     from trajopt.problem.family import Choice, Family, Parameter, RobotName
     from trajopt.solution.solution import Solution
 
@@ -72,7 +72,7 @@ def _finite(value: object) -> object:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def solve_dict(solution: Solution, report: Report | None, file: Path | None) -> dict[str, Any]:
+def solve_dict(solution: Solution, report: CheckReport | None, file: Path | None) -> dict[str, Any]:
     """The JSON of a solve; ``accuracy`` and ``file`` are null where they could not be had."""
     from trajopt.certify.energy import cost_of_transport, energy
 
@@ -148,7 +148,7 @@ def _range(parameter: Parameter | Choice | RobotName) -> str:
     return f"{parameter.lower:g} to {parameter.upper:g} {parameter.unit}".rstrip()
 
 
-def summary(solution: Solution, report: Report | None, file: Path | None, notes: list[str]) -> str:
+def summary(solution: Solution, report: CheckReport | None, file: Path | None, notes: list[str]) -> str:
     """A solve in a few lines: what happened, how good it is, where the file is, what to do next."""
     meta = solution.meta
     lines = [_verdict(meta)]
@@ -201,7 +201,7 @@ def _times(meta: dict[str, Any]) -> str:
     )
 
 
-def accuracy_line(report: Report) -> str:
+def accuracy_line(report: CheckReport) -> str:
     """The key figures of a check in one line."""
     from trajopt.certify.report import FIGURES
 
@@ -213,7 +213,7 @@ def accuracy_line(report: Report) -> str:
     return ", ".join(parts)
 
 
-def beyond(report: Report) -> str:
+def beyond(report: CheckReport) -> str:
     """The figures beyond the check's tolerances in words, or an empty text."""
     from trajopt.certify.report import FIGURES
 

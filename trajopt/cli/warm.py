@@ -75,8 +75,8 @@ def solve_warm(
     **settings: Any,
 ) -> Climbed:
     """Solve from a file, over a ladder, or neither (a ladder of one rung), with progress."""
+    from trajopt.solution.input import solution_of
     from trajopt.solving.ladder import solve_ladder
-    from trajopt.solving.warm_start import solution_of
 
     grid = (settings.pop("transcription"), settings.pop("intervals"))
     if ladder is not None and grid != (None, None):

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 
-from trajopt.certify.samples import evaluate
+from trajopt.certify.samples import sample_quantities
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
@@ -220,7 +220,7 @@ def recover_torques(problem: Problem, solution: Solution) -> tuple[np.ndarray, T
             f"the solution has {solution.v.shape[1]} velocities and {solution.tau.shape[1]} torques",
             f"allowed: {robot.nv} and {robot.nu}, those of '{robot.name}', which has joints",
         )
-    forces = evaluate(solution).generalized_force
+    forces = sample_quantities(solution).generalized_force
     torque = forces[:, robot.n_unactuated :]
     base = np.abs(forces[solution.collocation, : robot.n_unactuated])
     bounds = torque_bounds(problem, solution.v)

@@ -25,7 +25,7 @@ import osqp
 from scipy import sparse
 from scipy.linalg import null_space
 
-from trajopt.certify.samples import Samples, evaluate
+from trajopt.certify.samples import SampleQuantities, sample_quantities
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
@@ -63,7 +63,7 @@ def redistributed(problem: Problem, solution: Solution) -> Solution:
     """
     if problem.modes or solution.v.shape[1] != problem.robot.nv:
         raise InputError("wrenches are redistributed for the whole robot in its own coordinates", "no modes")
-    samples, bounds = evaluate(solution), torque_bounds(problem, solution.v)
+    samples, bounds = sample_quantities(solution), torque_bounds(problem, solution.v)
     phases = {i: _Phase(problem, i) for i, phase in enumerate(problem.schedule.phases) if phase.contacts}
     f, torque = solution.f.copy(), samples.generalized_force[:, problem.robot.n_unactuated :].copy()
     changed, points = 0, np.flatnonzero(solution.collocation)
@@ -141,7 +141,7 @@ class _Phase:
         self.frames = [list(context.frames) for context in contexts]
 
     def share(
-        self, solution: Solution, samples: Samples, bounds: TorqueBounds, row: int
+        self, solution: Solution, samples: SampleQuantities, bounds: TorqueBounds, row: int
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Wrenches (nc, 6) and torques (nu,) at one sample, or None where they stay."""
         which, rows = (np.array(part) for part in zip(*self.entries, strict=True))
@@ -169,7 +169,7 @@ class _Phase:
         return f, torque + levers @ y
 
 
-def _frame_values(contacts: tuple, samples: Samples, row: int, names: list[str]) -> np.ndarray:
+def _frame_values(contacts: tuple, samples: SampleQuantities, row: int, names: list[str]) -> np.ndarray:
     """Numbers for a context's frame symbols: rotation by columns, position, velocity, acceleration."""
     order = [contact.frame for contact in contacts]
     parts = [np.zeros(0)]

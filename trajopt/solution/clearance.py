@@ -19,7 +19,7 @@ def clearance_figures(plan: Solution) -> dict[str, float | None]:
     scene = scene_of_meta(plan.model, plan.meta.get("collision"))
     if scene is None:
         return {"obstacle_distance": None, "self_distance": None}
-    least = scene.least_distances(finer(plan))
+    least = scene.least_distances(refined_configurations(plan))
     outer, own = least[: scene.n_outer], least[scene.n_outer :]
     return {
         "obstacle_distance": float(outer.min()) if outer.size else None,
@@ -27,7 +27,9 @@ def clearance_figures(plan: Solution) -> dict[str, float | None]:
     }
 
 
-def finer(solution: Solution, rows: Sequence[int] | None = None, between: int = FINER) -> list[np.ndarray]:
+def refined_configurations(
+    solution: Solution, rows: Sequence[int] | None = None, between: int = FINER
+) -> list[np.ndarray]:
     """Configurations (nq,) at consecutive samples and ``between`` times in each gap: cubics through q and v.
 
     Exact where the motion is a cubic in time between samples, as collocation with two points makes it.

@@ -38,13 +38,13 @@ META_KEYS = (
     "versions",
 )
 
-Arrays = Mapping[str, np.ndarray]
+_Arrays = Mapping[str, np.ndarray]
 
 # Times are sums of steps: equal up to rounding, relative to the duration.
 SAME_TIME = 1e-9
 
 
-def inconsistency(arrays: Arrays, model_text: str, meta: dict[str, Any]) -> str:
+def inconsistency(arrays: _Arrays, model_text: str, meta: dict[str, Any]) -> str:
     """Return the first thing wrong with a solution's arrays and its JSON ``meta``, or an empty text.
 
     Raises `InputError` where the model's text is damaged.
@@ -130,7 +130,7 @@ def _wrong_collision(model: pin.Model, meta: dict[str, Any]) -> str:
     return ""
 
 
-def _wrong_surfaces(arrays: Arrays, meta: dict[str, Any]) -> str:
+def _wrong_surfaces(arrays: _Arrays, meta: dict[str, Any]) -> str:
     """Optional keys of meta: for each phase, by frame, what active contacts touch, and their patches."""
     try:
         read: dict[str, Sequence[Mapping[str, object]]] = {
@@ -151,7 +151,7 @@ def _wrong_surfaces(arrays: Arrays, meta: dict[str, Any]) -> str:
     return ""
 
 
-def _wrong_phases(arrays: Arrays, meta: dict[str, Any]) -> str:
+def _wrong_phases(arrays: _Arrays, meta: dict[str, Any]) -> str:
     """Optional keys of meta: the name of each phase, and what is carried in which phases."""
     names, count = meta.get("phase_names"), int(arrays["phase"][-1]) + 1
     if names is not None and not (
@@ -185,7 +185,7 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def _wrong_shape(arrays: Arrays, model: pin.Model, meta: dict[str, Any]) -> str:
+def _wrong_shape(arrays: _Arrays, model: pin.Model, meta: dict[str, Any]) -> str:
     contacts, samples = len(meta["contact_frames"]), len(arrays["t"])
     actuated = arrays["tau"].shape[-1] if arrays["tau"].ndim == 2 else 0
     expected = {
@@ -213,7 +213,7 @@ def _wrong_shape(arrays: Arrays, model: pin.Model, meta: dict[str, Any]) -> str:
     return _wrong_impacts(arrays, contacts) or _wrong_multipliers(arrays, meta)
 
 
-def _wrong_multipliers(arrays: Arrays, meta: dict[str, Any]) -> str:
+def _wrong_multipliers(arrays: _Arrays, meta: dict[str, Any]) -> str:
     rows, place, bounds = (
         arrays.get("row_multiplier"),
         arrays.get("row_place"),
@@ -234,7 +234,7 @@ def _wrong_multipliers(arrays: Arrays, meta: dict[str, Any]) -> str:
     return ""
 
 
-def _wrong_impacts(arrays: Arrays, contacts: int) -> str:
+def _wrong_impacts(arrays: _Arrays, contacts: int) -> str:
     impulse, index = arrays.get("impulse"), arrays.get("impact_index")
     if impulse is None and index is None:
         return ""
@@ -251,7 +251,7 @@ def _wrong_impacts(arrays: Arrays, contacts: int) -> str:
     return ""
 
 
-def _wrong_number(arrays: Arrays) -> str:
+def _wrong_number(arrays: _Arrays) -> str:
     for name, kind in {**SAMPLED, **OTHERS}.items():
         array = arrays.get(name)
         if array is not None and kind is float and not np.isfinite(array).all():
@@ -260,7 +260,7 @@ def _wrong_number(arrays: Arrays) -> str:
     return ""
 
 
-def _wrong_time(arrays: Arrays) -> str:
+def _wrong_time(arrays: _Arrays) -> str:
     if len(arrays["t"]) < 2:
         return f"{len(arrays['t'])} samples, at least 2 are needed"
     for name in ("interval", "phase"):
@@ -280,7 +280,7 @@ def _wrong_time(arrays: Arrays) -> str:
     return ""
 
 
-def _wrong_interval(arrays: Arrays, rows: range, edges: np.ndarray, same: float) -> str:
+def _wrong_interval(arrays: _Arrays, rows: range, edges: np.ndarray, same: float) -> str:
     t, points = arrays["t"][rows.start : rows.stop], arrays["collocation"][rows.start : rows.stop]
     if len(rows) < 2 or abs(t[0] - edges[0]) > same or abs(t[-1] - edges[1]) > same:
         return "its samples do not start and end with its nodes"

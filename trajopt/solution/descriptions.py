@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -15,7 +16,8 @@ from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import UP, Surface
 
-Read = Surface | PiecewiseTerrain | SmoothTerrain
+_Read = TypeVar("_Read")
+GroundShape = Surface | PiecewiseTerrain | SmoothTerrain
 
 
 def surfaces_of(described: Any) -> list[dict[str, Surface]]:
@@ -23,17 +25,7 @@ def surfaces_of(described: Any) -> list[dict[str, Surface]]:
 
     Empty where all contacts touch the terrain. Raises `SolutionFileError`.
     """
-    if described is None:
-        return []
-    if not isinstance(described, list) or not all(isinstance(phase, dict) for phase in described):
-        raise SolutionFileError("surfaces of meta is not null or a list of {contact frame: surface}")
-    try:
-        return [
-            {str(frame): Surface.from_description(entry) for frame, entry in phase.items()}
-            for phase in described
-        ]
-    except InputError as error:
-        raise SolutionFileError(f"surfaces of meta: {error.what}", error.allowed) from None
+    return _by_phase("surfaces", "surface", described, Surface.from_description)
 
 
 def patches_of(described: Any) -> list[dict[str, Patch]]:
@@ -41,20 +33,21 @@ def patches_of(described: Any) -> list[dict[str, Patch]]:
 
     Empty where there are none. Raises `SolutionFileError`.
     """
+    return _by_phase("patches", "patch", described, Patch.from_description)
+
+
+def _by_phase(key: str, entry: str, described: Any, read: Callable[[Any], _Read]) -> list[dict[str, _Read]]:
     if described is None:
         return []
     if not isinstance(described, list) or not all(isinstance(phase, dict) for phase in described):
-        raise SolutionFileError("patches of meta is not null or a list of {contact frame: patch}")
+        raise SolutionFileError(f"{key} of meta is not null or a list of {{contact frame: {entry}}}")
     try:
-        return [
-            {str(frame): Patch.from_description(entry) for frame, entry in phase.items()}
-            for phase in described
-        ]
+        return [{str(frame): read(given) for frame, given in phase.items()} for phase in described]
     except InputError as error:
-        raise SolutionFileError(f"patches of meta: {error.what}", error.allowed) from None
+        raise SolutionFileError(f"{key} of meta: {error.what}", error.allowed) from None
 
 
-def terrain_of(described: Any) -> Read | None:
+def terrain_of(described: Any) -> GroundShape | None:
     """Read ``meta["terrain"]``; None where there is none. Raises `SolutionFileError` for another kind."""
     kind = described.get("kind") if isinstance(described, dict) else described
     if kind not in ("piecewise", "smooth"):

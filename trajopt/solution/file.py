@@ -1,4 +1,4 @@
-"""The solution file of version 1: an ``.npz`` without pickles, written at once, read with suspicion."""
+"""The solution file of version 1: an ``.npz`` without pickles, written atomically and checked on reading."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FORMAT = "trajopt-solution"
 VERSION = 1
 
 
-def write(
+def write_solution_file(
     path: str | Path, meta: Mapping[str, Any], model_text: str, arrays: Mapping[str, np.ndarray]
 ) -> Path:
     """Write a solution to a temporary file beside ``path`` and rename it; see `Solution.save`."""
@@ -38,7 +38,7 @@ def write(
 
 
 def consistent_meta(meta: Mapping[str, Any], model_text: str, arrays: Mapping[str, np.ndarray]) -> str:
-    """Return meta as JSON; raises `InputError` if it is none or the solution is inconsistent."""
+    """Return meta as JSON; raises `InputError` if it cannot be JSON or the solution is inconsistent."""
     try:
         text = json.dumps(_jsonable({**meta, "format": FORMAT, "version": VERSION}), allow_nan=False)
     except (TypeError, ValueError) as error:
@@ -84,7 +84,7 @@ def _jsonable(value: Any) -> Any:
     return None if isinstance(value, float) and math.isinf(value) else value
 
 
-def read(path: str | Path) -> tuple[dict[str, Any], str, dict[str, np.ndarray]]:
+def read_solution_file(path: str | Path) -> tuple[dict[str, Any], str, dict[str, np.ndarray]]:
     """Read meta, the model's text and arrays; raises `SolutionFileError`, one line; see `Solution.load`."""
     source = Path(path).expanduser()
     arrays = _arrays(source)

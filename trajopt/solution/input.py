@@ -2,33 +2,53 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
+from trajopt.solution.file import consistent_meta
 from trajopt.solution.solution import Solution
 
-Given = Solution | str | Path
+SolutionOrFile = Solution | str | Path
 # Norms of rotations may be this far from one: interpolation and single precision stay well below.
 UNIT = 1e-2
 
 
-def solutions_of(given: Given | Iterable[Given]) -> list[Solution]:
-    """Return the solutions that are meant: ``given`` is one, or the path of its file, or several of them.
+def solution_of(given: SolutionOrFile) -> Solution:
+    """Return the solution that is meant: ``given`` itself, or the one in the file at that path.
 
     Raises `InputError` for anything else, `SolutionFileError` for a file that cannot be read.
     """
-    allowed = "allowed: a Solution or the path of its file, or several in a list"
-    if not isinstance(given, Solution | str | Path | Iterable):
-        raise InputError(f"{given!r:.60} is no solution", allowed)
-    several = [given] if isinstance(given, Solution | str | Path) else list(given)
-    for one in several:
-        if not isinstance(one, Solution | str | Path):
-            raise InputError(f"{one!r:.60} is no solution", allowed)
-    return [one if isinstance(one, Solution) else Solution.load(one) for one in several]
+    if isinstance(given, Solution):
+        return given
+    if isinstance(given, str | Path):
+        return Solution.load(given)
+    raise InputError(f"{given!r:.60} is no solution", "allowed: a Solution or the path of its file")
+
+
+def solutions_of(given: SolutionOrFile | Iterable[SolutionOrFile]) -> list[Solution]:
+    """Return the solutions that are meant: ``given`` is one as in `solution_of`, or several of them."""
+    if isinstance(given, Iterable) and not isinstance(given, str):
+        return [solution_of(one) for one in given]
+    return [solution_of(given)]
+
+
+def consistent_solution(given: SolutionOrFile) -> Solution:
+    """Return the solution that is meant, its consistency tested.
+
+    Raises `SolutionFileError` for a file, `InputError` for a solution, that is inconsistent or not finite.
+    """
+    solution = solution_of(given)
+    if solution is not given:  # reading a file tests it
+        return solution
+    return replace(
+        solution, meta=json.loads(consistent_meta(solution.meta, solution.model_text, solution.arrays))
+    )
 
 
 def require_motion(solution: Solution) -> Solution:

@@ -7,17 +7,27 @@ they are.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pinocchio as pin
+from numpy.polynomial import Polynomial
 
-State = tuple[np.ndarray, np.ndarray, np.ndarray]
-
-# Step of the central difference of Jr(theta) theta' along theta': its error is near 1e-10 relative.
-DIRECTION_STEP = 1e-5
+_State = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-def local_state(model: pin.Model, start: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> State:
-    """Local coordinates relative to ``start`` (nq,) and their first two derivatives, each (nv,)."""
+def _cosine_series(first: int) -> Polynomial:
+    """Sum over n of (-t)^n / (2 n + first)!, to rounding up to t = pi^2."""
+    return Polynomial([(-1) ** n / math.factorial(2 * n + first) for n in range(SERIES_TERMS)])
+
+
+# Terms of the series in the squared angle of a rotation.
+SERIES_TERMS = 16
+_C2, _C3 = _cosine_series(2), _cosine_series(3)
+
+
+def local_state(model: pin.Model, start: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> _State:
+    """Return local coordinates relative to ``start`` (nq,) and their first two derivatives, each (nv,)."""
     xi, rate, second = pin.difference(model, start, q), v.copy(), a.copy()
     for joint in list(model.joints)[1:]:
         kind, iq, iv = joint.shortname(), joint.idx_q, joint.idx_v
@@ -40,8 +50,11 @@ def local_state(model: pin.Model, start: np.ndarray, q: np.ndarray, v: np.ndarra
 
 def state_from_local(
     model: pin.Model, start: np.ndarray, xi: np.ndarray, rate: np.ndarray, second: np.ndarray
-) -> State:
-    """Pinocchio's q (nq,), v, a (nv,) of local coordinates relative to ``start``: `local_state` inverted."""
+) -> _State:
+    """Return q (nq,), v, a (nv,) of local coordinates relative to ``start``: the inverse of `local_state`.
+
+    Quaternions have the sign that is nearer to the start's.
+    """
     q, v, a = pin.integrate(model, start, xi), rate.copy(), second.copy()
     for joint in list(model.joints)[1:]:
         kind, iq, iv = joint.shortname(), joint.idx_q, joint.idx_v
@@ -50,7 +63,8 @@ def state_from_local(
             _from_exponential(turn, xi, v, a)
             there = _rotation(start[iq + 3 : iq + 7]) @ pin.exp3(xi[turn])
             q[iq : iq + 3] = start[iq : iq + 3] + xi[move]
-            q[iq + 3 : iq + 7] = pin.Quaternion(there).normalized().coeffs()
+            quaternion = pin.Quaternion(there).normalized().coeffs()
+            q[iq + 3 : iq + 7] = np.copysign(1.0, quaternion @ start[iq + 3 : iq + 7]) * quaternion
             v[move] = there.T @ rate[move]
             a[move] = there.T @ second[move] - np.cross(v[turn], v[move])
         elif kind == "JointModelPlanar":
@@ -90,6 +104,12 @@ def _from_exponential(rows: slice, xi: np.ndarray, v: np.ndarray, a: np.ndarray)
 
 
 def _turning(theta: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """(d/dt Jr(theta)) theta' along theta' = ``rate``."""
-    ahead, behind = (pin.Jexp3(theta + sign * DIRECTION_STEP * rate) for sign in (1, -1))
-    return np.asarray((ahead - behind) @ rate / (2 * DIRECTION_STEP))
+    """(d/dt Jr(theta)) theta' along theta' = ``rate``.
+
+    Jr = 1 - c2(t) [theta] + c3(t) [theta]^2 with the cross-product matrix [theta] and t = |theta|^2.
+    """
+    squared, change = theta @ theta, 2 * theta @ rate
+    once = np.cross(theta, rate)
+    twice = np.cross(theta, once)
+    moved = change * (_C3.deriv()(squared) * twice - _C2.deriv()(squared) * once)
+    return np.asarray(moved + _C3(squared) * np.cross(rate, once))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.actuators.on_robot import drive_torque_values
 from trajopt.solution import file
 from trajopt.solution.arrays import OTHERS, SAMPLED, model_from_text, read_only, runs
 
@@ -103,6 +105,17 @@ class Solution:
         return self.v.shape[1] - self.tau.shape[1]
 
     @cached_property
+    def drives(self) -> tuple[Drive | None, ...]:
+        """Drive of each actuated row (nu,), None without."""
+        described = self.meta.get("drives") or [None] * self.tau.shape[1]
+        return tuple(None if entry is None else Drive.from_meta(entry) for entry in described)
+
+    @property
+    def drive_torque(self) -> np.ndarray:
+        """Torques (K, nu) that the drives deliver, joint side: ``tau`` and the joints' friction."""
+        return drive_torque_values(self.drives, self.tau, self.v[:, self.n_unactuated :])
+
+    @cached_property
     def intervals(self) -> tuple[range, ...]:
         """Samples of each interval."""
         return runs(self.interval)
@@ -111,6 +124,26 @@ class Solution:
     def phases(self) -> tuple[range, ...]:
         """Samples of each phase."""
         return runs(self.phase)
+
+    def intervals_of(self, phase: int) -> range:
+        """Return the numbers of a phase's intervals."""
+        rows = self.phases[phase]
+        return range(int(self.interval[rows.start]), int(self.interval[rows.stop - 1]) + 1)
+
+    def interval_at(self, t: ArrayLike) -> np.ndarray:
+        """Return the numbers of the intervals at ``t`` (s): at a node the later one, outside the ends."""
+        found = np.searchsorted(self.interval_t[:, 0], t, side="right") - 1
+        return np.clip(found, 0, self.n_intervals - 1)
+
+    def with_arrays(self, **arrays: np.ndarray | None) -> Solution:
+        """Return the same solution with other arrays; the model is not read from its text anew."""
+        made = replace(self, **arrays)  # type: ignore[arg-type]
+        made.__dict__["model"] = self.model
+        return made
+
+    def normalized(self) -> Solution:
+        """Return the same solution with rotations of unit norm."""
+        return self.with_arrays(q=np.array([pin.normalize(self.model, row) for row in self.q]))
 
     def interpolate(self, t: ArrayLike) -> np.ndarray:
         """Return the configuration at time ``t`` (s), for display: geodesics between samples.
@@ -136,10 +169,10 @@ class Solution:
 
         Raises `InputError` if the place cannot be written or the solution is inconsistent.
         """
-        return file.write(path, self.meta, self.model_text, self.arrays)
+        return file.write_solution_file(path, self.meta, self.model_text, self.arrays)
 
     @classmethod
     def load(cls, path: str | Path) -> Solution:
         """Read a file; raises `SolutionFileError`, one line, if anything about it is wrong."""
-        meta, model_text, arrays = file.read(path)
+        meta, model_text, arrays = file.read_solution_file(path)
         return cls(meta=meta, model_text=model_text, **arrays)

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajopt.solution.descriptions import Read, surfaces_of, terrain_of
+from trajopt.solution.descriptions import GroundShape, surfaces_of, terrain_of
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import UP, Surface
 
 
 @dataclass(frozen=True, kw_only=True)
-class Touched:
+class TouchedSurfaces:
     """Planes at K samples of nc contacts: the terrain's under it, or that of the phase where it has its own.
 
     point, normal (K, nc, 3) m; friction (K, nc); bilateral (K, nc): transmits any wrench; known (K, nc):
@@ -41,7 +41,9 @@ class Touched:
         return np.where(self.known, self.along_normal(position - self.point), np.nan)
 
 
-def touched(plan: Solution, position: np.ndarray, phases: np.ndarray | None = None) -> Touched:
+def touched_surfaces(
+    plan: Solution, position: np.ndarray, phases: np.ndarray | None = None
+) -> TouchedSurfaces:
     """Read terrain, friction and surfaces of a consistent solution. Raises `SolutionFileError`.
 
     ``position`` (K, nc, 3) m: of the contacts; ground that is no plane is what lies under them.
@@ -57,10 +59,12 @@ def touched(plan: Solution, position: np.ndarray, phases: np.ndarray | None = No
             point[at], normal[at], friction[at] = surface.point, surface.normal, surface.friction
             bilateral[at], known[at] = surface.bilateral, True
             slip[at] = np.nan if surface.slip_speed is None else surface.slip_speed
-    return Touched(point=point, normal=normal, friction=friction, bilateral=bilateral, known=known, slip=slip)
+    return TouchedSurfaces(
+        point=point, normal=normal, friction=friction, bilateral=bilateral, known=known, slip=slip
+    )
 
 
-def _ground(terrain: Read | None, position: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _ground(terrain: GroundShape | None, position: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Point, normal (K, nc, 3) of the ground under contacts, and where there is any; a hole is none."""
     size = position.shape
     if terrain is None or isinstance(terrain, Surface):

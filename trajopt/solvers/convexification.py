@@ -1,7 +1,7 @@
 """A Hessian without negative curvature, for programs that cannot be solved with the exact one.
 
 The Hessian is block diagonal: no function of the NLP depends on unknowns of two stages. A share of every
-block's negative eigenvalues is taken away. Replacing them by their magnitudes makes steps far too short: what
+block's negative eigenvalues is removed. Replacing them by their magnitudes makes steps far too short: what
 is bilinear, such as a force times its lever, has eigenvalues in pairs of both signs.
 """
 
@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from trajopt.transcription.nlp import Nlp
 
-# The least share of negative curvature that is taken away; by which factors it grows until a program is
+# The least share of negative curvature that is removed; the factors by which it grows until a program is
 # solved, and shrinks from step to step. After n smaller ones in a row that failed it stays for 2^n - 1 steps.
 LEAST, MORE, LESS = 1e-2, 8.0, 2.0
 MOST_FAILURES = 3
@@ -37,7 +37,7 @@ class _Blocks:
     lower: tuple[np.ndarray, np.ndarray]
 
 
-class Convexified:
+class ConvexifiedHessian:
     """The Hessian with less negative curvature; ``row``, ``column`` of its blocks' lower triangles."""
 
     def __init__(self, nlp: Nlp) -> None:
@@ -68,7 +68,7 @@ class Convexified:
     def values(self, hessian: np.ndarray, share: float) -> np.ndarray:
         """Nonzeros in the order of ``row``, ``column``, from those of the Hessian's lower triangle.
 
-        ``share`` of the negative eigenvalues is taken away: 0 is the Hessian as it is, 1 is none.
+        ``share`` of the negative eigenvalues is removed: at 0 none, at 1 all of them.
         """
         parts = []
         for blocks in self._blocks:
@@ -81,8 +81,8 @@ class Convexified:
         return np.concatenate(parts)
 
 
-class Convexity:
-    """The share of negative curvature to take away from step to step: as little as programs ask for."""
+class ConvexificationShare:
+    """The share of negative curvature that is removed from step to step: as little as the programs need."""
 
     def __init__(self) -> None:
         self.share = 0.0
@@ -92,7 +92,7 @@ class Convexity:
     def shares(self) -> Iterator[float]:
         """Shares to try in turn for one step: a bit less than it took last, then more, up to all.
 
-        After one that was too small the last is kept for a while: a program without a solution is dear.
+        After one that was too small the last is kept for a while: a program without a solution is costly.
         """
         last, self._lowering = self.share, self._patience == 0
         if self._lowering:

@@ -10,7 +10,14 @@ import numpy as np
 from trajopt import _engine
 from trajopt.errors import InputError
 from trajopt.robot.units import Units
-from trajopt.solvers.result import FEASIBILITY_SHARE, Callback, Option, Result, Stop, Warm
+from trajopt.solvers.result import (
+    FEASIBILITY_SHARE,
+    Callback,
+    Option,
+    Result,
+    StoppingCriteria,
+    WarmMultipliers,
+)
 from trajopt.solvers.sqp_driver import solve_sqp
 from trajopt.solvers.status import Status
 from trajopt.transcription.compilation import HESSIANS
@@ -87,10 +94,10 @@ _IPOPT_STATUS = {
 def _ipopt(
     nlp: Nlp,
     x0: np.ndarray,
-    stop: Stop,
+    stop: StoppingCriteria,
     options: Mapping[str, Option],
     callback: Callback,
-    warm: Warm | None,
+    warm: WarmMultipliers | None,
 ) -> Result:
     t = nlp.transcription
     multipliers = (None, None) if warm is None else (warm.lam_g, warm.lam_x)
@@ -114,7 +121,7 @@ def _ipopt(
     return _result(raw, _IPOPT_STATUS.get(raw["status"], Status.FAILED))
 
 
-def _ipopt_warm(warm: Warm | None) -> Mapping[str, Option]:
+def _ipopt_warm(warm: WarmMultipliers | None) -> Mapping[str, Option]:
     if warm is None:
         return {}
     return IPOPT_WARM_WITHOUT_MULTIPLIERS if warm.lam_g is None else IPOPT_WARM
@@ -144,10 +151,10 @@ def mesh_weight(t: Transcription) -> float:
 def _fatrop(
     nlp: Nlp,
     x0: np.ndarray,
-    stop: Stop,
+    stop: StoppingCriteria,
     options: Mapping[str, Option],
     callback: Callback,
-    warm: Warm | None,
+    warm: WarmMultipliers | None,
 ) -> Result:
     t = nlp.transcription
     if t.problem.periodicity is not None:
@@ -194,14 +201,14 @@ def _result(raw: dict[str, Any], status: Status) -> Result:
     )
 
 
-def run(
+def run_solver(
     nlp: Nlp,
     x0: np.ndarray,
     solver: str,
-    stop: Stop,
+    stop: StoppingCriteria,
     options: Mapping[str, Option],
     callback: Callback,
-    warm: Warm | None = None,
+    warm: WarmMultipliers | None = None,
 ) -> Result:
     """Solve from ``x0`` with the solver of that name; ``warm`` where ``x0`` comes from another solution.
 

@@ -32,7 +32,7 @@ MOST_ITERATIONS = 40
 
 
 @dataclass(frozen=True, kw_only=True)
-class Quadratic:
+class QuadraticProgram:
     """Numbers of one program: nonzeros of H (lower triangle) and of J in their patterns' order, c, bounds."""
 
     hessian: np.ndarray
@@ -111,7 +111,7 @@ class StageQp:
         self.factorisation = piqp.KKTSolver.sparse_multistage
         self.solver: piqp.SparseSolver | None = None
 
-    def solve(self, q: Quadratic, delta: float, accuracy: float) -> QpStep:
+    def solve(self, q: QuadraticProgram, delta: float, accuracy: float) -> QpStep:
         """The program as it is, to ``accuracy`` in its residuals and duality gap."""
         p = self.curvature.filled(q.hessian, delta)
         rows = {
@@ -133,7 +133,7 @@ class StageQp:
         self.solver.solve()
         return self._step(self.solver.result, 1.0)
 
-    def elastic(self, q: Quadratic, delta: float, share: float, accuracy: float) -> QpStep:
+    def elastic(self, q: QuadraticProgram, delta: float, share: float, accuracy: float) -> QpStep:
         """The elastic program: slacks blow stages up, so by a factorisation for any sparse matrix."""
         count = self.slack.shape[1]
         curvature = share * self.curvature.filled(q.hessian, delta)

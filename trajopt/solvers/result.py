@@ -1,4 +1,4 @@
-"""What every solver takes and gives."""
+"""Input and result that all solvers share."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from trajopt.solvers.status import Status
 
 Option = str | int | float
-# Told of every iteration: its figures, and a function that returns the unknowns there (empty where the solver
-# cannot tell), to be called before it returns. False stops at the iterate.
+# Called at every iteration with its figures and a function that returns the unknowns there (empty where the
+# solver does not give them), to be called before the callback returns. False stops at the iterate.
 Callback = Callable[[dict[str, float], Callable[[], np.ndarray]], bool]
 
 # IPOPT meets rows more tightly than optimality, so that a solution passes a check at its tolerance.
@@ -26,7 +26,7 @@ class Result:
 
     lam_g, lam_x: multipliers of rows and bounds, of the Lagrangian f + lam_g . g + lam_x . x.
     primal, dual, complementarity: the solver's own infeasibilities (largest entries, unscaled by its
-    multipliers) at ``x``; NaN where it was not started. figures: what else a solver tells, for ``meta``.
+    multipliers) at ``x``; NaN where it was not started. figures: further figures of the solver, for ``meta``.
     """
 
     x: np.ndarray
@@ -45,16 +45,16 @@ class Result:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Warm:
-    """What a start from another solution knows: multipliers as `Result`'s, None where there are none."""
+class WarmMultipliers:
+    """Multipliers of a warm start, as `Result`'s; None where there are none."""
 
     lam_g: np.ndarray | None = None
     lam_x: np.ndarray | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stop:
-    """When to stop: optimality and feasibility ``tolerance`` in scaled units, iterations, s."""
+class StoppingCriteria:
+    """When a solver stops: optimality and feasibility ``tolerance`` in scaled units, iterations, s."""
 
     tolerance: float = 1e-6
     max_iterations: int = 500

@@ -21,11 +21,11 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from trajopt.solvers.convexification import Convexified, Convexity
-from trajopt.solvers.qp import QpStep, Quadratic, StageQp
+from trajopt.solvers.convexification import ConvexificationShare, ConvexifiedHessian
+from trajopt.solvers.qp import QpStep, QuadraticProgram, StageQp
 from trajopt.solvers.result import Callback
 from trajopt.solvers.sqp_filter import Filter
-from trajopt.solvers.sqp_point import Errors, Evaluator, Point
+from trajopt.solvers.sqp_point import Evaluator, KktErrors, SqpIterate
 from trajopt.solvers.sqp_settings import SqpSettings
 from trajopt.transcription.nlp import Nlp
 
@@ -33,21 +33,21 @@ from trajopt.transcription.nlp import Nlp
 # for a program that is not solved.
 FIRST_DELTA, DELTA_GROWTH, SHORT_STEP_DELTA, MOST_DELTA = 1e-4, 4.0, 1.0, 1e4
 UNSOLVED_DELTA = 1e-2
-# What the diagonal gets where negative curvature is taken away.
+# What the diagonal gets where negative curvature is removed.
 CONVEX_DELTA = 1e-4
 # Steps shorter than this share of their direction call for curvature; the shortest that are tried.
 SHORT, SHORTEST, SHORTEST_ELASTIC = 0.2, 1e-3, 1e-6
-# The elastic program: its first and least share of the objective, the part of the violation that it must
-# do away with to be content with its share, and its curvature, in natural units.
-FIRST_SHARE, LEAST_SHARE, CONTENT, ELASTIC_DELTA = 0.1, 1e-4, 0.9, 1e-2
-# Less than this part of the violation done away with is none: the rows have a stationary point.
+# The elastic program: its first and least share of the objective, the part of the violation that may remain
+# for its share to be accepted, and its curvature, in natural units.
+FIRST_SHARE, LEAST_SHARE, ACCEPTED, ELASTIC_DELTA = 0.1, 1e-4, 0.9, 1e-2
+# A reduction of the violation by less than this part is none: the rows have a stationary point.
 STATIONARY = 1e-6
-# Multipliers beyond say nothing but that rows contradict each other: the Hessian does without.
+# Larger multipliers only mean that rows contradict each other: the Hessian does without them.
 LARGEST_MULTIPLIER = 1e6
 # Programs are solved to this part of the errors so far, never less well than that, nor better than to this
 # part of the tolerance.
 QP_SHARE, LEAST_QP_ACCURACY, FINEST_QP = 1e-3, 1e-4, 1e-2
-# A direction so short is at the limit of rounding: nothing can be told from values along it.
+# A direction so short is at the limit of rounding: values along it carry no information.
 TINY = 1e-9
 
 
@@ -55,8 +55,8 @@ TINY = 1e-9
 class SqpOutcome:
     """The last iterate and why it is the last; ``programs``: how many were solved, ``program_time`` in s."""
 
-    point: Point
-    errors: Errors
+    point: SqpIterate
+    errors: KktErrors
     status: str
     iterations: int
     programs: int
@@ -64,7 +64,7 @@ class SqpOutcome:
     program_time: float
 
 
-class _Stop(Exception):  # noqa: N818 - it is no error
+class _Stopped(Exception):  # noqa: N818 - it is no error
     """The reason why no further step is taken."""
 
 
@@ -82,7 +82,7 @@ class Sqp:
     program_iterations: int = field(default=0, init=False)
     program_time: float = field(default=0.0, init=False)
     correcting: bool = field(default=True, init=False)
-    convexity: Convexity = field(default_factory=Convexity, init=False)
+    convexity: ConvexificationShare = field(default_factory=ConvexificationShare, init=False)
 
     def __post_init__(self) -> None:
         self.evaluator = Evaluator(self.nlp)
@@ -100,7 +100,7 @@ class Sqp:
                 self._report_and_test()
                 self.point = self._next()
                 self.iteration += 1
-        except _Stop as reason:
+        except _Stopped as reason:
             status = str(reason)
         except KeyboardInterrupt:
             pass
@@ -115,7 +115,7 @@ class Sqp:
         )
 
     def _report_and_test(self) -> None:
-        """Tell of the iterate; stop there if it is good enough, or there is no more time."""
+        """Report the iterate; stop there if it is good enough, or the time is up."""
         point, settings = self.point, self.settings
         errors = self.errors = self.evaluator.errors(point)
         seen = {
@@ -130,26 +130,26 @@ class Sqp:
             "restoration": False,
         }
         if not self.callback({**seen, **self.last}, lambda: point.x.copy()):
-            raise _Stop("Interrupted")
+            raise _Stopped("Interrupted")
         if not point.is_finite:
-            raise _Stop("NotFinite")
+            raise _Stopped("NotFinite")
         if errors.primal <= settings.feasibility and errors.optimality <= settings.tolerance:
-            raise _Stop("Solved")
+            raise _Stopped("Solved")
         if settings.early is not None and self.iteration > 0 and errors.primal <= settings.early:
-            raise _Stop("Early")
+            raise _Stopped("Early")
         if self.iteration >= settings.max_iterations:
-            raise _Stop("IterationLimit")
+            raise _Stopped("IterationLimit")
         self._watch_time()
 
     def _watch_time(self) -> None:
         if time.perf_counter() > self.deadline:
-            raise _Stop("TimeLimit")
+            raise _Stopped("TimeLimit")
 
-    def _next(self) -> Point:
+    def _next(self) -> SqpIterate:
         """The point after one step: along the program's direction, or the elastic program's."""
         q = self.evaluator.program(self.point, self.point.lam_g)
         if not np.isfinite(q.hessian).all():
-            raise _Stop("NotFinite")
+            raise _Stopped("NotFinite")
         for _ in range(3):
             step = self._direction(q)
             if step is None:
@@ -161,26 +161,26 @@ class Sqp:
                 break
         return self._elastic_step()
 
-    def _direction(self, q: Quadratic) -> QpStep | None:
+    def _direction(self, q: QuadraticProgram) -> QpStep | None:
         """The program's solution: with the Hessian as it is, or without its negative curvature.
 
         None where rows contradict each other, or no program can be solved.
         """
         for _ in self.convexity.shares():
             step = self._program(q)
-            if step.infeasible or self._leads_on(q, step):
+            if step.infeasible or self._is_descent(q, step):
                 self.convexity.was_enough()
                 return None if step.infeasible else step
             self._watch_time()
         return None
 
-    def _leads_on(self, q: Quadratic, step: QpStep) -> bool:
-        """Whether a step is one, and not uphill from where the rows hold."""
+    def _is_descent(self, q: QuadraticProgram, step: QpStep) -> bool:
+        """Whether the program was solved, and the step is not uphill from where the rows hold."""
         holds = self.point.pair.theta <= self.filter.negligible
         uphill = holds and float(q.gradient @ step.d) >= 0 and np.abs(step.d).max() > TINY
         return step.solved and not uphill
 
-    def _program(self, q: Quadratic) -> QpStep:
+    def _program(self, q: QuadraticProgram) -> QpStep:
         """Solve a program without the present share of its Hessian's negative curvature."""
         if self.convexity.share == 0:
             return self._timed(partial(self.qp.solve, q, self.delta, self._accuracy()))
@@ -189,8 +189,8 @@ class Sqp:
         return self._timed(partial(qp.solve, own, max(self.delta, CONVEX_DELTA), self._accuracy()))
 
     @cached_property
-    def _convex(self) -> tuple[Convexified, StageQp]:
-        known = Convexified(self.nlp)
+    def _convex(self) -> tuple[ConvexifiedHessian, StageQp]:
+        known = ConvexifiedHessian(self.nlp)
         return known, StageQp(self.nlp, (known.row, known.column))
 
     def _more_curvature(self, least: float, most: float) -> bool:
@@ -199,7 +199,7 @@ class Sqp:
         self.delta = max(before, min(most, max(least, 2 * DELTA_GROWTH * before)))
         return self.delta > before
 
-    def _line_search(self, q: Quadratic, step: QpStep) -> Point | None:
+    def _line_search(self, q: QuadraticProgram, step: QpStep) -> SqpIterate | None:
         """The first point along a direction that the filter takes, or None."""
         here, slope = self.point.pair, float(q.gradient @ step.d)
         share, trials = 1.0, 0
@@ -216,7 +216,7 @@ class Sqp:
             self._watch_time()
         return None
 
-    def _corrected(self, q: Quadratic, step: QpStep, slope: float) -> Point | None:
+    def _corrected(self, q: QuadraticProgram, step: QpStep, slope: float) -> SqpIterate | None:
         """The point after a direction with the rows' curvature, if the filter takes it.
 
         Rows have their values at the first direction's end. After one that is not taken none is tried until
@@ -229,7 +229,7 @@ class Sqp:
         self.correcting = False
         return None
 
-    def _taken(self, x: np.ndarray, step: QpStep, slope: float, share: float, trials: int) -> Point:
+    def _taken(self, x: np.ndarray, step: QpStep, slope: float, share: float, trials: int) -> SqpIterate:
         """Go to ``x``; the filter, the multipliers and delta follow."""
         point, here = self.point, self.point.pair
         if not self.filter.about_objective(here, slope, share):
@@ -246,14 +246,14 @@ class Sqp:
             lam_g, lam_x = np.zeros_like(lam_g), np.zeros_like(lam_x)
         return self.evaluator.at(x, lam_g, lam_x)
 
-    def _elastic_step(self) -> Point:
+    def _elastic_step(self) -> SqpIterate:
         """A step that makes the rows better; stops where there is none."""
         here = self.point.pair
         if here.theta <= self.filter.negligible:
-            raise _Stop("NoStep")
+            raise _Stopped("NoStep")
         step = self._elastic_direction()
         if here.theta - step.missed <= STATIONARY * here.theta:
-            raise _Stop("Infeasible")
+            raise _Stopped("Infeasible")
         self.filter.keep(here)
         share, trials = 1.0, 1
         while share >= SHORTEST_ELASTIC:
@@ -265,7 +265,7 @@ class Sqp:
                 zero_g, zero_x = np.zeros_like(self.point.lam_g), np.zeros_like(self.point.lam_x)
                 return self.evaluator.at(x, zero_g, zero_x)
             share, trials = 0.5 * share, trials + 1
-        raise _Stop("NoStep")
+        raise _Stopped("NoStep")
 
     def _elastic_direction(self) -> QpStep:
         """The elastic program with curvature of the objective alone, which rows cannot make indefinite."""
@@ -279,11 +279,11 @@ class Sqp:
                 delta *= 10
                 continue
             best = step
-            if step.missed <= CONTENT * here.theta:
+            if step.missed <= ACCEPTED * here.theta:
                 break
             share /= 10
         if best is None:
-            raise _Stop("NoStep")
+            raise _Stopped("NoStep")
         return best
 
     def _accuracy(self) -> float:

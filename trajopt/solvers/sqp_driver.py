@@ -7,7 +7,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from trajopt.solvers.result import FEASIBILITY_SHARE, Callback, Option, Result, Stop, Warm
+from trajopt.solvers.result import (
+    FEASIBILITY_SHARE,
+    Callback,
+    Option,
+    Result,
+    StoppingCriteria,
+    WarmMultipliers,
+)
 from trajopt.solvers.sqp_settings import SqpSettings
 from trajopt.solvers.status import Status
 from trajopt.transcription.nlp import Nlp
@@ -27,10 +34,10 @@ _SQP_STATUS = {
 def solve_sqp(
     nlp: Nlp,
     x0: np.ndarray,
-    stop: Stop,
+    stop: StoppingCriteria,
     options: Mapping[str, Option],
     callback: Callback,
-    warm: Warm | None,
+    warm: WarmMultipliers | None,
 ) -> Result:
     """Solve from ``x0``, moved into its bounds, and the multipliers of ``warm``.
 

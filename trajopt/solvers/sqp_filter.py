@@ -25,7 +25,7 @@ ROUNDING = 1e-11
 
 
 @dataclass(frozen=True)
-class Pair:
+class FilterEntry:
     """Violation of the rows and objective at a point."""
 
     theta: float
@@ -39,19 +39,19 @@ class Filter:
         self.furthest = FURTHEST * max(1.0, theta)
         self.near = NEAR * max(1.0, theta)
         self.negligible = negligible
-        self.pairs: list[Pair] = []
+        self.pairs: list[FilterEntry] = []
 
-    def keep(self, here: Pair) -> None:
+    def keep(self, here: FilterEntry) -> None:
         """Later points must improve on ``here``."""
-        new = Pair((1 - THETA_MARGIN) * here.theta, here.f - F_MARGIN * here.theta)
+        new = FilterEntry((1 - THETA_MARGIN) * here.theta, here.f - F_MARGIN * here.theta)
         self.pairs = [p for p in self.pairs if p.theta < new.theta or p.f < new.f] + [new]
 
-    def forbids(self, there: Pair) -> bool:
+    def forbids(self, there: FilterEntry) -> bool:
         """Whether a kept pair is as good in both respects; so a pair that is not finite is forbidden."""
         improves = all(there.theta <= p.theta or there.f <= p.f for p in self.pairs)
         return not (there.theta <= self.furthest and there.f < float("inf") and improves)
 
-    def takes(self, here: Pair, there: Pair, slope: float, share: float) -> bool:
+    def takes(self, here: FilterEntry, there: FilterEntry, slope: float, share: float) -> bool:
         """Whether the step from ``here`` by ``share`` of a direction is taken; ``slope`` of f along it."""
         if self.forbids(there):
             return False
@@ -63,7 +63,7 @@ class Filter:
         improves = there.theta <= (1 - THETA_MARGIN) * here.theta
         return improves or there.f <= here.f - F_MARGIN * here.theta
 
-    def about_objective(self, here: Pair, slope: float, share: float) -> bool:
+    def about_objective(self, here: FilterEntry, slope: float, share: float) -> bool:
         """Whether a step promises so much of the objective that it must keep that promise."""
         if not (slope < 0 and here.theta <= self.near):
             return False

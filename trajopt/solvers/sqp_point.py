@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from trajopt.solvers.qp import Quadratic
-from trajopt.solvers.sqp_filter import Pair
+from trajopt.solvers.qp import QuadraticProgram
+from trajopt.solvers.sqp_filter import FilterEntry
 from trajopt.transcription.nlp import Nlp
 
 # Mean multipliers larger than this relax optimality in proportion, as IPOPT's s_max does: the error of a
@@ -17,13 +17,13 @@ LARGE_MEAN = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Point:
+class SqpIterate:
     """An iterate: unknowns, multipliers, violation and f (``pair``), rows, and nonzeros of derivatives."""
 
     x: np.ndarray
     lam_g: np.ndarray
     lam_x: np.ndarray
-    pair: Pair
+    pair: FilterEntry
     g: np.ndarray
     gradient: np.ndarray
     jacobian: np.ndarray
@@ -35,7 +35,7 @@ class Point:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Errors:
+class KktErrors:
     """Largest violation of a row, entry of the Lagrangian's gradient, and multiplier times distance.
 
     ``optimality`` is the larger of the last two over the mean multiplier, where that is large.
@@ -63,15 +63,15 @@ class Evaluator:
         """The nearest point within the bounds of the unknowns."""
         return np.clip(x, self.x_low, self.x_high)
 
-    def pair(self, x: np.ndarray) -> Pair:
+    def pair(self, x: np.ndarray) -> FilterEntry:
         """Sum of the rows' violations, and the objective."""
         f, g = float(self.engine.f(x)), np.asarray(self.engine.g(x))
-        return Pair(float(_outside(g, self.low, self.high).sum()), f)
+        return FilterEntry(float(_outside(g, self.low, self.high).sum()), f)
 
-    def at(self, x: np.ndarray, lam_g: np.ndarray, lam_x: np.ndarray) -> Point:
+    def at(self, x: np.ndarray, lam_g: np.ndarray, lam_x: np.ndarray) -> SqpIterate:
         """The iterate at ``x``, moved into its bounds."""
         x = self.inside(x)
-        return Point(
+        return SqpIterate(
             x=x,
             lam_g=lam_g,
             lam_x=lam_x,
@@ -81,7 +81,7 @@ class Evaluator:
             jacobian=np.asarray(self.engine.jacobian(x)),
         )
 
-    def errors(self, point: Point) -> Errors:
+    def errors(self, point: SqpIterate) -> KktErrors:
         """How far the iterate is from what a solution fulfils (Karush, Kuhn and Tucker)."""
         slope = point.gradient + self._jacobian(point).T @ point.lam_g + point.lam_x
         products = np.concatenate(
@@ -93,16 +93,16 @@ class Evaluator:
         multipliers = np.concatenate([point.lam_g, point.lam_x])
         relaxed = max(LARGE_MEAN, float(np.abs(multipliers).mean())) / LARGE_MEAN
         dual, complementarity = _largest(slope), _largest(products)
-        return Errors(
+        return KktErrors(
             primal=_largest(_outside(point.g, self.low, self.high)),
             dual=dual,
             complementarity=complementarity,
             optimality=max(dual, complementarity) / relaxed,
         )
 
-    def program(self, point: Point, lam_g: np.ndarray) -> Quadratic:
+    def program(self, point: SqpIterate, lam_g: np.ndarray) -> QuadraticProgram:
         """The quadratic program at an iterate, with the Hessian for multipliers ``lam_g``."""
-        return Quadratic(
+        return QuadraticProgram(
             hessian=np.asarray(self.engine.hessian(point.x, 1.0, lam_g)),
             gradient=point.gradient,
             jacobian=point.jacobian,
@@ -112,12 +112,12 @@ class Evaluator:
             x_high=self.x_high - point.x,
         )
 
-    def bent(self, point: Point, q: Quadratic, d: np.ndarray) -> Quadratic:
+    def bent(self, point: SqpIterate, q: QuadraticProgram, d: np.ndarray) -> QuadraticProgram:
         """The program with rows through their values at the end of the direction ``d``."""
         g = np.asarray(self.engine.g(self.inside(point.x + d))) - self._jacobian(point) @ d
         return replace(q, low=self.low - g, high=self.high - g)
 
-    def _jacobian(self, point: Point) -> sparse.csr_matrix:
+    def _jacobian(self, point: SqpIterate) -> sparse.csr_matrix:
         self.matrix.data = point.jacobian
         return self.matrix
 

@@ -17,7 +17,7 @@ from trajopt.robot.collision.link_capsules import robot_capsules
 from trajopt.robot.collision.near import CollisionScene, Pair, separable_pairs
 from trajopt.robot.collision.shapes import LinkCapsule, Obstacle
 from trajopt.schedule.schedule import Schedule
-from trajopt.solution.clearance import finer
+from trajopt.solution.clearance import refined_configurations
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import solve
 from trajopt.terms.clearance import Clearance, collision_scene
@@ -92,7 +92,7 @@ def missed_pairs(problem: Problem, solution: Solution) -> dict[str, tuple[Pair, 
     for phase, rows in zip(problem.schedule.phases, solution.phases, strict=True):
         for term in problem.terms:
             if isinstance(term, Clearance) and term.acts_in(phase.name):
-                near = term.scene.near(finer(solution, rows), term.margin)
+                near = term.scene.near(refined_configurations(solution, rows), term.margin)
                 new = tuple(pair for pair in near if pair not in term.pairs)
                 if new:
                     missed[phase.name] = new
@@ -121,7 +121,11 @@ def solve_clear(problem: Problem, **options: Any) -> tuple[Solution, Problem]:
 
 def _least(problem: Problem, solution: Solution) -> float:
     scene = collision_scene(problem.terms)
-    return math.inf if scene is None else float(scene.least_distances(finer(solution)).min(initial=math.inf))
+    return (
+        math.inf
+        if scene is None
+        else float(scene.least_distances(refined_configurations(solution)).min(initial=math.inf))
+    )
 
 
 def _again(problem: Problem, solution: Solution, missed: Mapping[str, tuple[Pair, ...]]) -> Problem:

@@ -20,7 +20,7 @@ from trajopt.terms.clearance import collision_meta
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import Surface
 from trajopt.transcription.layout import Layout
-from trajopt.transcription.timeline import NodeForm, StageKind
+from trajopt.transcription.timeline import NodeLayout, StageKind
 from trajopt.transcription.transcription import Transcription
 from trajopt.versions import VERSIONED, installed_version
 
@@ -44,7 +44,7 @@ def extract(transcription: Transcription, x: np.ndarray, meta: dict[str, Any]) -
     """
     layout, problem = transcription.layout, transcription.problem
     unknowns = x * transcription.scale
-    clocks = layout.clocks(unknowns)
+    clocks = layout.time_scales(unknowns)
     steps = layout.steps * clocks[layout.phase_of]
     times = layout.times(unknowns)
     columns: dict[str, list[np.ndarray]] = {name: [] for name in ("t", "q", "v", "a", "tau", "f")}
@@ -185,7 +185,7 @@ def _add_payload(problem: Problem, phase: str, motion: list[np.ndarray], f: np.n
 
 
 def _in_pinocchio(
-    form: NodeForm, rotations: np.ndarray, xi: np.ndarray, dxi: np.ndarray, ddxi: np.ndarray
+    form: NodeLayout, rotations: np.ndarray, xi: np.ndarray, dxi: np.ndarray, ddxi: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return form.coordinates.local_to_pinocchio(np.tile(rotations, (len(xi), 1)), xi, dxi, ddxi)
 

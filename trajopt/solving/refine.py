@@ -17,12 +17,12 @@ from trajopt.certify.accuracy.measures import Accuracy, measure
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solution.grid import mesh_of
+from trajopt.solution.input import solution_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.ladder import INTERRUPTED
 from trajopt.solving.remeshing import PhaseErrors, remeshed
 from trajopt.solving.solving import solve
 from trajopt.solving.verdicts import is_start
-from trajopt.solving.warm_start import solution_of
 from trajopt.transcription.mesh import Mesh
 
 # The first mesh has this part of the problem's own intervals, and two a phase at least: its solution takes

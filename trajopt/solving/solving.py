@@ -13,9 +13,10 @@ import numpy as np
 
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
+from trajopt.solution.input import solution_of
 from trajopt.solution.solution import Solution
-from trajopt.solvers.drivers import SOLVERS, check_hessian, run
-from trajopt.solvers.result import Option, Result, Stop, Warm
+from trajopt.solvers.drivers import SOLVERS, check_hessian, run_solver
+from trajopt.solvers.result import Option, Result, StoppingCriteria, WarmMultipliers
 from trajopt.solvers.status import Status
 from trajopt.solving.extraction import extract
 from trajopt.solving.iterate import Watch
@@ -29,7 +30,7 @@ from trajopt.solving.verdicts import (
     judged,
     locks_reported,
 )
-from trajopt.solving.warm_start import solution_of, warm_start
+from trajopt.solving.warm_start import warm_start
 from trajopt.transcription.compilation import (
     DEFAULT_HESSIAN,
     DEFAULT_LEVEL,
@@ -56,7 +57,7 @@ class Prepared:
     guess: np.ndarray
     compilation: CompilationReport
     build_time: float
-    warm: Warm | None = None
+    warm: WarmMultipliers | None = None
 
 
 def prepare(
@@ -92,12 +93,16 @@ def prepare(
     )
 
 
-def _guess(transcribed: Transcription, start: Solution | str | Path | None) -> tuple[np.ndarray, Warm | None]:
+def _guess(
+    transcribed: Transcription, start: Solution | str | Path | None
+) -> tuple[np.ndarray, WarmMultipliers | None]:
     if start is None:
         return initial_guess(transcribed), None
     found = warm_start(transcribed, solution_of(start))
     known = found.multipliers
-    return found.x, Warm() if known is None else Warm(lam_g=known.rows, lam_x=known.bounds)
+    return found.x, WarmMultipliers() if known is None else WarmMultipliers(
+        lam_g=known.rows, lam_x=known.bounds
+    )
 
 
 def solve(
@@ -154,7 +159,7 @@ def solve(
         start=start,
     )
     guess = perturbed(prepared.transcription, prepared.guess, seed, perturb) if perturb else prepared.guess
-    stop = Stop(tolerance=tolerance, max_iterations=max_iterations, max_time=max_time)
+    stop = StoppingCriteria(tolerance=tolerance, max_iterations=max_iterations, max_time=max_time)
     origin = {"seed": seed, "perturb": perturb}
     return solve_prepared(
         prepared,
@@ -175,7 +180,7 @@ def solve_prepared(
     *,
     origin: Mapping[str, Any],
     solver: str = DEFAULT_SOLVER,
-    stop: Stop | None = None,
+    stop: StoppingCriteria | None = None,
     options: Mapping[str, Option] | None = None,
     progress: Progress | None = None,
     watch: Watch | None = None,
@@ -186,12 +191,12 @@ def solve_prepared(
     origin: where the start comes from, for ``meta``: ``seed`` and ``perturb`` at least. The rest is as in
     `solve`. Never raises because the solver did not converge.
     """
-    stop = stop or Stop()
+    stop = stop or StoppingCriteria()
     place = nonfinite_place(prepared.nlp, start)
     told = Teller(prepared.transcription, progress, watch, solver, label)
     told.see("guess", lambda: start)
     if place is None:
-        result = run(prepared.nlp, start, solver, stop, options or {}, told, prepared.warm)
+        result = run_solver(prepared.nlp, start, solver, stop, options or {}, told, prepared.warm)
     else:
         result = _not_finite(prepared, start)
     found = _solution(prepared, result, solver, stop.tolerance, place, origin)

@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 from trajopt.certify.contact_figures import place_figures
-from trajopt.certify.samples import evaluate
+from trajopt.certify.samples import sample_quantities
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin_along
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import touched
+from trajopt.solution.touched import touched_surfaces
 from trajopt.solvers.status import Status
 
 # A solver's "solved" is believed up to this multiple of its tolerance, measured anew on all rows.
@@ -63,8 +63,8 @@ def creep_reported(solution: Solution, length: float) -> Solution:
     """A plan whose contacts leave their places by a good part of the robot's ``length`` m is no success."""
     if not solution.success:
         return solution
-    samples = evaluate(solution)
-    creep = place_figures(solution, samples, touched(solution, samples.position))["foot_drift"]
+    samples = sample_quantities(solution)
+    creep = place_figures(solution, samples, touched_surfaces(solution, samples.position))["foot_drift"]
     if creep is None or creep <= MOST_CREEP * length:
         return solution
     status = Status.COARSE_GRID

@@ -12,19 +12,19 @@ within its bounds. The state at the start is the problem's own where that is fix
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from typing_extensions import override
 
-from trajopt.dynamics.local_motion import local_from_pinocchio
 from trajopt.errors import InputError
-from trajopt.solution.motion import Sample, SolutionMotion
+from trajopt.solution.interpolation import MotionSample
+from trajopt.solution.local_states import local_state
+from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
 from trajopt.solving.multipliers import Multipliers, resampled_multipliers
-from trajopt.transcription.guess import fill_impact, in_form, node_phase
+from trajopt.transcription.guess import MotionSource, node_phase, unknowns_from_motion
 from trajopt.transcription.layout import Layout
-from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
 from trajopt.transcription.variable_bounds import start_of
 
@@ -38,11 +38,11 @@ class WarmStart:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Source:
+class _Source(MotionSource):
     """The solution's motion in the time of a layout.
 
     ``clocks`` (n_phases,): duration over nominal duration; ``stretch`` (n_phases,): duration over the
-    solution's; ``columns``: the solution's column of a contact's frame; ``impulses`` (nc, 6) by phase.
+    solution's; ``columns``: the solution's column of a contact's frame; ``known_impulses`` (nc, 6) by phase.
     """
 
     layout: Layout
@@ -50,9 +50,39 @@ class _Source:
     clocks: np.ndarray
     stretch: np.ndarray
     columns: dict[str, int]
-    impulses: dict[int, np.ndarray]
+    known_impulses: dict[int, np.ndarray]
 
-    def at(self, phase: int, t: float, towards: float) -> Sample:
+    @override
+    def node_state(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        layout = self.layout
+        phase = node_phase(layout, k)
+        stages = layout.intervals_of(phase)
+        middle = (layout.node_times[stages[0]] + layout.node_times[stages[-1] + 1]) / 2
+        found = self._at(phase, float(layout.node_times[k]), float(middle))
+        return layout.in_coordinates_of(layout.forms[k], found.q, found.v, found.a)[:2]
+
+    @override
+    def at_point(self, k: int, i: int, node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        layout, form, phase = self.layout, self.layout.forms[k], self.layout.stages[k].phase
+        start, step = layout.node_times[k], layout.steps[k]
+        found = self._at(phase, float(start + layout.scheme_of(phase).c[i] * step), float(start + step / 2))
+        origin = form.coordinates.node_to_pinocchio(form.state(node))[0][0]
+        state = layout.in_coordinates_of(form, found.q, found.v, found.a)
+        highest = local_state(form.robot.model, origin, *state)[layout.order]
+        wrenches = [found.f[self.columns[c.frame], list(c.rows)] for c in layout.contacts[phase]]
+        scale = self.clocks[phase] ** layout.order
+        return highest * scale, np.concatenate([np.zeros(0), *wrenches])
+
+    @override
+    def impulses(self, k: int) -> np.ndarray | None:
+        phase = self.layout.stages[k].phase
+        if phase not in self.known_impulses:
+            return None
+        impulse = self.known_impulses[phase] / self.stretch[phase]
+        contacts = self.layout.touching[phase]
+        return np.concatenate([impulse[self.columns[c.frame], list(c.rows)] for c in contacts])
+
+    def _at(self, phase: int, t: float, towards: float) -> MotionSample:
         """Sample at nominal time ``t`` of a phase, at a node on the side of ``towards``, in its new time."""
         stages, times = self.layout.intervals_of(phase), self.layout.node_times
         start, end = float(times[stages[0]]), float(times[stages[-1] + 1])
@@ -72,27 +102,12 @@ def warm_start(transcription: Transcription, solution: Solution) -> WarmStart:
     _require_same_robot(layout, solution)
     _require_same_phases(layout, solution)
     source = _source(transcription, solution)
-    x = np.zeros(layout.n_unknowns)
-    _fill_nodes(transcription, source, x)
-    for k, stage in enumerate(layout.stages):
-        window = x[layout.window(k)]
-        if stage.kind is StageKind.INTERVAL:
-            _fill_interval(source, k, window)
-        elif stage.kind is StageKind.IMPACT:
-            _fill_impact(source, k, window, x[layout.node(k + 1)])
-    x = x / transcription.scale
+    scales = source.clocks[[clock is not None for clock in layout.schedule.clocks]]
+    near = layout.coordinates.node_from_pinocchio(*start_of(transcription.problem, layout))
+    x = unknowns_from_motion(layout, source, scales, near) / transcription.scale
     fixed = transcription.lower_x == transcription.upper_x
     x[fixed] = transcription.lower_x[fixed]
     return WarmStart(x=x, multipliers=resampled_multipliers(transcription, solution))
-
-
-def solution_of(start: Solution | str | Path) -> Solution:
-    """The solution, or the one in that file; raises `InputError` for anything else."""
-    if isinstance(start, Solution):
-        return start
-    if isinstance(start, str | Path):
-        return Solution.load(start)
-    raise InputError(f"start is {start!r}", "allowed: a Solution or the path of its file")
 
 
 def _require_same_robot(layout: Layout, solution: Solution) -> None:
@@ -146,48 +161,10 @@ def _source(transcription: Transcription, solution: Solution) -> _Source:
         impulses = dict(zip(solution.phase[solution.impact_index].tolist(), solution.impulse, strict=True))
     columns = {frame: i for i, frame in enumerate(solution.contact_frames)}
     return _Source(
-        layout=layout, motion=motion, clocks=clocks, stretch=new / old, columns=columns, impulses=impulses
+        layout=layout,
+        motion=motion,
+        clocks=clocks,
+        stretch=new / old,
+        columns=columns,
+        known_impulses=impulses,
     )
-
-
-def _fill_nodes(transcription: Transcription, source: _Source, x: np.ndarray) -> None:
-    """States at nodes, quaternions and turns continued from the problem's start on."""
-    layout = transcription.layout
-    own_clocks = np.array(
-        [s for s, clock in zip(source.clocks, layout.schedule.clocks, strict=True) if clock is not None]
-    )
-    first = layout.forms[0].coordinates
-    previous = {id(first): first.node_from_pinocchio(*start_of(transcription.problem, layout))}
-    for k, form in enumerate(layout.forms):
-        phase = node_phase(layout, k)
-        stages = layout.intervals_of(phase)
-        middle = (layout.node_times[stages[0]] + layout.node_times[stages[-1] + 1]) / 2
-        found = source.at(phase, float(layout.node_times[k]), float(middle))
-        q, v, _ = in_form(layout, form, (found.q, found.v, found.a))
-        state = form.coordinates.node_from_pinocchio(q, v)
-        state = form.coordinates.continued(state, previous.get(id(form.coordinates), state))
-        previous[id(form.coordinates)] = state
-        x[layout.node(k)] = form.node(state, own_clocks)
-
-
-def _fill_interval(source: _Source, k: int, window: np.ndarray) -> None:
-    """Highest derivatives in nominal time relative to the interval's start, and wrenches, at the points."""
-    layout, form, phase = source.layout, source.layout.forms[k], int(source.layout.phase_of[k])
-    start, step, clock = layout.node_times[k], layout.steps[k], source.clocks[phase]
-    for i, c in enumerate(layout.scheme_of(phase).c):
-        found = source.at(phase, float(start + c * step), float(start + step / 2))
-        q, v, a = in_form(layout, form, (found.q, found.v, found.a))
-        local = local_from_pinocchio(form.coordinates, window[form.rotations], q, v, a)
-        window[layout.local_derivative(phase, i)] = local[layout.order] * clock**layout.order
-        rows = [found.f[source.columns[c.frame], list(c.rows)] for c in layout.contacts[phase]]
-        window[layout.local_wrench(phase, i)] = np.concatenate([np.zeros(0), *rows])
-
-
-def _fill_impact(source: _Source, k: int, window: np.ndarray, after: np.ndarray) -> None:
-    """The jump between the rates of both nodes, and the solution's impulses, or the least that carry it."""
-    layout, phase = source.layout, source.layout.stages[k].phase
-    fill_impact(layout, k, window, after)
-    if phase in source.impulses:
-        impulse = source.impulses[phase] / source.stretch[phase]
-        rows = [impulse[source.columns[c.frame], list(c.rows)] for c in layout.touching[phase]]
-        window[layout.local_impulse(k)] = np.concatenate(rows)

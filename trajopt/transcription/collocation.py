@@ -10,7 +10,7 @@ from scipy import sparse
 
 from trajopt.robot.units import Units
 from trajopt.transcription.layout import Layout
-from trajopt.transcription.timeline import NodeForm, StageKind
+from trajopt.transcription.timeline import NodeLayout, StageKind
 
 
 @dataclass(frozen=True)
@@ -23,16 +23,16 @@ class Collocation:
     layout: Layout
     units: dict[int, Units]
 
-    def units_of(self, form: NodeForm) -> Units:
+    def units_of(self, form: NodeLayout) -> Units:
         """Natural units over the coordinates of a node's form."""
         return self.units[id(form.robot)]
 
-    def node_scale(self, form: NodeForm) -> np.ndarray:
+    def node_scale(self, form: NodeLayout) -> np.ndarray:
         """Natural unit of each entry of a node (size,)."""
         units = self.units_of(form)
         additive = units.position[form.coordinates.additive_index]
         rates = units.velocity[: len(form.rates)]
-        return np.concatenate([np.ones(len(form.rotations)), additive, rates, np.ones(form.n_clocks)])
+        return np.concatenate([np.ones(len(form.rotations)), additive, rates, np.ones(form.n_time_scales)])
 
     def window_scale(self, k: int) -> np.ndarray:
         """Natural unit of each entry of stage k's window; contacts share the weight."""
@@ -58,29 +58,29 @@ class Collocation:
         return np.concatenate([*windows, self.node_scale(self.layout.forms[-1])])
 
     def point_gather(self, stage: int, i: int) -> sparse.csr_matrix:
-        """z of a point of an interval: rotations, local coordinates and derivatives, wrenches, own clock."""
+        """Return the map to z of a point: rotations, xi, xi', xi'', wrenches, own time scale."""
         layout, phase = self.layout, int(self.layout.phase_of[stage])
         scheme, form = layout.scheme_of(phase), layout.form_of(phase)
         lower = self._lower_derivatives(stage, scheme.c[i], scheme.A1[i], scheme.A2[i])
         eye = np.eye(layout.window_size(stage))
         highest = eye[layout.local_derivative(phase, i)]
         rows = [eye[form.rotations], *lower, highest, eye[layout.local_wrench(phase, i)]]
-        return sparse.csr_matrix(np.vstack([*rows, self._clock(eye, form)]) * self.window_scale(stage))
+        return sparse.csr_matrix(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(stage))
 
     def impact_gather(self, k: int) -> sparse.csr_matrix:
-        """z of an impact: rotations, xi, rates before, jump of the rates, impulses, own clock."""
+        """Return the map to z of an impact: rotations, xi, rates, their jump, impulses, own time scale."""
         layout, form = self.layout, self.layout.forms[k]
         eye = np.eye(layout.window_size(k))
         jump, impulse = eye[layout.local_jump(k)], eye[layout.local_impulse(k)]
         rows = [eye[form.rotations], self._positions(eye, form), eye[form.rates], jump, impulse]
-        return sparse.csr_matrix(np.vstack([*rows, self._clock(eye, form)]) * self.window_scale(k))
+        return sparse.csr_matrix(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(k))
 
-    def node_gather(self, form: NodeForm) -> sparse.csr_matrix:
-        """z of a node: its own unknowns."""
+    def node_gather(self, form: NodeLayout) -> sparse.csr_matrix:
+        """Return the map to z of a node: its own unknowns."""
         return sparse.csr_matrix(np.diag(self.node_scale(form)))
 
     def end_gather(self, stage: int) -> sparse.csr_matrix:
-        """z = (rotations, theta, and theta' if there are rates) at the end of an interval."""
+        """Return the map to z at an interval's end: rotations, theta, and theta' if there are rates."""
         layout, form = self.layout, self.layout.forms[stage]
         rotation = form.coordinates.rotation_index
         eye = np.eye(layout.window_size(stage))
@@ -122,7 +122,7 @@ class Collocation:
         block = np.zeros((layout.forms[k + 1].size, layout.window_size(k)))
         if kind is StageKind.CHANGE:
             return block
-        block[form.clocks] = eye[form.clocks]
+        block[form.time_scales] = eye[form.time_scales]
         if kind is StageKind.IMPACT:
             block[: form.size] = eye[: form.size]
             block[form.rates] += eye[layout.local_jump(k)]
@@ -139,7 +139,7 @@ class Collocation:
         return self._lower_derivatives(k, 1.0, scheme.b1, scheme.b2)
 
     def _lower_derivatives(self, k: int, c: float, a1: np.ndarray, a2: np.ndarray) -> list[np.ndarray]:
-        """xi (and xi' where that is no unknown) at fraction c of interval k: matrices (nv, window)."""
+        """Maps (nv, window) to xi, and to xi' where that is no unknown, at fraction c of interval k."""
         layout, form = self.layout, self.layout.forms[k]
         phase, h = layout.stages[k].phase, layout.steps[k]
         eye = np.eye(layout.window_size(k))
@@ -153,12 +153,12 @@ class Collocation:
         return [position, rate]
 
     @staticmethod
-    def _positions(eye: np.ndarray, form: NodeForm) -> np.ndarray:
-        """xi (nv, window) at a node: the additive positions, zero for rotations."""
+    def _positions(eye: np.ndarray, form: NodeLayout) -> np.ndarray:
+        """Map (nv, window) to xi at a node: the additive positions, zero for rotations."""
         position = np.zeros((form.coordinates.nv, eye.shape[1]))
         position[form.coordinates.additive_index] = eye[form.additive]
         return position
 
     @staticmethod
-    def _clock(eye: np.ndarray, form: NodeForm) -> np.ndarray:
-        return eye[form.clocks[[] if form.clock is None else [form.clock]]]
+    def _time_scale(eye: np.ndarray, form: NodeLayout) -> np.ndarray:
+        return eye[form.time_scales[[] if form.time_scale is None else [form.time_scale]]]

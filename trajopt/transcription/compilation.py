@@ -46,11 +46,11 @@ FLAGS = {
 LEVELS = tuple(FLAGS)
 DEFAULT_LEVEL = "quick"
 FUNCTION_NAMES = ("value", "first", "second")
-# Hessians that can be asked for; a solver makes the last one up from gradients.
+# Hessians to choose from; a solver makes the last one up from gradients.
 HESSIANS = ("exact", "gauss-newton", "limited-memory")
 DEFAULT_HESSIAN = "exact"
-# Functions of an entry, by its kind. What asks for another Hessian than the exact one takes value and first
-# from that one's entry if it is there: nothing is compiled that is not asked for, nor twice.
+# Functions of an entry, by its kind. With another Hessian than the exact one value and first are taken from
+# the exact one's entry if it is there: nothing is compiled that is not needed, nor twice.
 ENTRIES = {"exact": FUNCTION_NAMES, "first-order": ("value", "first"), "gauss-newton": ("gauss_newton",)}
 # Functions whose intermediate values are C array entries instead of local variables: gcc's register
 # allocation then takes half the time on a Jacobian, at the same speed of the code. On a Hessian it
@@ -64,7 +64,7 @@ ENTRY = "entry.json"
 class CompiledPoint:
     """Where the three functions of a point live, and the patterns of their derivatives.
 
-    The second is of the Hessian that was asked for; zero where the solver makes its own.
+    The second is of the chosen Hessian; zero where the solver makes its own.
 
     ``sources`` maps value, first, second to serialised text (virtual machine) or to
     (library, name); ``c_bytes`` is the size of the generated C, 0 without.

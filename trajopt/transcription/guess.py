@@ -2,81 +2,140 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Protocol
+
 import numpy as np
 import pinocchio as pin
+from typing_extensions import override
 
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.transcription.layout import Layout
-from trajopt.transcription.timeline import NodeForm, StageKind
+from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
 from trajopt.transcription.variable_bounds import start_of
 
 # Step of the differences that turn q(t) into v and a, s: errors far below a guess's own.
 DIFFERENCE_STEP = 1e-3
 
-State = tuple[np.ndarray, np.ndarray, np.ndarray]
+_State = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-def initial_guess(transcription: Transcription) -> np.ndarray:
-    """Scaled unknowns (n_unknowns,) from the problem's guess; the start is the problem's own."""
-    layout, problem = transcription.layout, transcription.problem
+class MotionSource(Protocol):
+    """A motion from which unknowns are made, in SI units and in the coordinates of each node's form."""
+
+    def node_state(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return configuration and velocity at node k, Pinocchio's."""
+
+    def at_point(self, k: int, i: int, node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return highest derivative and wrenches at point i of interval k, which starts at ``node``."""
+
+    def impulses(self, k: int) -> np.ndarray | None:
+        """Return the impulses of the impact that is stage k; None for the least that carry the jump."""
+
+
+def unknowns_from_motion(
+    layout: Layout, source: MotionSource, time_scales: np.ndarray, near: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the unscaled unknowns (n_unknowns,) of a motion.
+
+    Quaternion signs and whole turns continue from node to node.
+
+    Args:
+        layout: where the unknowns are.
+        source: the motion.
+        time_scales: (n_time_scales,) durations of the free phases over their nominal ones.
+        near: the coordinates' state that the first node continues; None where that is free.
+    """
     x = np.zeros(layout.n_unknowns)
-    previous: dict[int, np.ndarray] = {}
+    previous = {} if near is None else {id(layout.coordinates): near}
     for k, form in enumerate(layout.forms):
-        if k == 0 and problem.periodicity is None:
-            q, v = start_of(problem, layout)
-        else:
-            q, v, _ = in_form(
-                layout, form, _state(transcription, layout.node_times[k], node_phase(layout, k))
-            )
-        state = form.coordinates.node_from_pinocchio(q, v)
+        state = form.coordinates.node_from_pinocchio(*source.node_state(k))
         state = form.coordinates.continued(state, previous.get(id(form.coordinates), state))
         previous[id(form.coordinates)] = state
-        x[layout.node(k)] = form.node(state, np.ones(form.n_clocks))
+        x[layout.node(k)] = form.node(state, time_scales)
     for k, stage in enumerate(layout.stages):
         window = x[layout.window(k)]
         if stage.kind is StageKind.INTERVAL:
-            _fill_interval(transcription, k, window)
+            for i in range(layout.scheme_of(stage.phase).s):
+                highest, wrench = source.at_point(k, i, window[: layout.forms[k].size])
+                window[layout.local_derivative(stage.phase, i)] = highest
+                window[layout.local_wrench(stage.phase, i)] = wrench
         elif stage.kind is StageKind.IMPACT:
-            fill_impact(layout, k, window, x[layout.node(k + 1)])
-    return x / transcription.scale
+            _fill_impact(layout, k, window, x[layout.node(k + 1)], source.impulses(k))
+    return x
 
 
-def _fill_interval(transcription: Transcription, k: int, window: np.ndarray) -> None:
-    layout, phase, form = (
-        transcription.layout,
-        int(transcription.layout.phase_of[k]),
-        transcription.layout.forms[k],
-    )
-    for i, c in enumerate(layout.scheme_of(phase).c):
-        whole = _state(transcription, layout.node_times[k] + c * layout.steps[k], phase)
-        q, v, a = in_form(layout, form, whole)
+def _fill_impact(
+    layout: Layout, k: int, window: np.ndarray, after: np.ndarray, impulses: np.ndarray | None
+) -> None:
+    """The jump between the rates of both nodes, and impulses: else the least, M (v+ - v-) = J^T impulses."""
+    form, contacts = layout.forms[k], layout.touching[layout.stages[k].phase]
+    window[layout.local_jump(k)] = after[form.rates] - window[form.rates]
+    if impulses is None:
+        (q, _), v = form.coordinates.node_to_pinocchio(form.state(np.array([window[: form.size], after])))
+        mass = pin.crba(form.robot.model, form.robot.model.createData(), q)
+        jacobian = contact_jacobian(form.robot.model, q, [(c.frame, c.rows) for c in contacts])
+        impulses = np.linalg.lstsq(jacobian.T, mass @ (v[1] - v[0]), rcond=None)[0]
+    window[layout.local_impulse(k)] = impulses
+
+
+def initial_guess(transcription: Transcription) -> np.ndarray:
+    """Return scaled unknowns (n_unknowns,) from the problem's guess; the start is the problem's own."""
+    time_scales = np.ones(transcription.layout.forms[0].n_time_scales)
+    unknowns = unknowns_from_motion(transcription.layout, _ProblemGuess(transcription), time_scales)
+    return unknowns / transcription.scale
+
+
+@dataclass(frozen=True)
+class _ProblemGuess(MotionSource):
+    """The guess q(t) of a problem: rates by differences, forces that carry the motion."""
+
+    transcription: Transcription
+
+    @override
+    def node_state(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        layout, problem = self.transcription.layout, self.transcription.problem
+        if k == 0 and problem.periodicity is None:
+            return start_of(problem, layout)
+        return layout.in_coordinates_of(
+            layout.forms[k], *self._state(layout.node_times[k], node_phase(layout, k))
+        )[:2]
+
+    @override
+    def at_point(self, k: int, i: int, node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        layout = self.transcription.layout
+        phase, form = layout.stages[k].phase, layout.forms[k]
+        time = layout.node_times[k] + layout.scheme_of(phase).c[i] * layout.steps[k]
+        q, v, a = layout.in_coordinates_of(form, *self._state(time, phase))
         if layout.order == 2:
             highest = form.coordinates.acceleration_from_pinocchio(q, v, a)
         else:
             highest = form.coordinates.node_from_pinocchio(q, v)[-form.coordinates.nv :]
             v, a = np.zeros_like(v), np.zeros_like(a)
-        window[layout.local_derivative(phase, i)] = highest
-        window[layout.local_wrench(phase, i)] = _carrying_wrenches(layout, phase, q, v, a)
+        return highest, _carrying_wrenches(layout, phase, q, v, a)
 
+    @override
+    def impulses(self, k: int) -> None:
+        return None
 
-def fill_impact(layout: Layout, k: int, window: np.ndarray, after: np.ndarray) -> None:
-    """The jump between the rates of both nodes, and least impulses for it: M (v+ - v-) = J^T impulses."""
-    form, contacts = layout.forms[k], layout.touching[layout.stages[k].phase]
-    window[layout.local_jump(k)] = after[form.rates] - window[form.rates]
-    states = [form.coordinates.node_to_pinocchio(form.state(node)) for node in (window[: form.size], after)]
-    (q, before), (_, behind) = ((q[0], v[0]) for q, v in states)
-    mass = pin.crba(form.robot.model, form.robot.model.createData(), q)
-    jacobian = contact_jacobian(form.robot.model, q, [(c.frame, c.rows) for c in contacts])
-    window[layout.local_impulse(k)] = np.linalg.lstsq(jacobian.T, mass @ (behind - before), rcond=None)[0]
+    def _state(self, t: float, phase: int) -> _State:
+        """(q, v, a) at time t by differences on the manifold, taken within the phase.
 
-
-def in_form(layout: Layout, form: NodeForm, state: State) -> State:
-    """A state of the whole robot in the coordinates of a form."""
-    for mode in layout.modes.values():
-        if mode.robot is form.robot:
-            return mode.dropped(*state)
-    return state
+        A motion may have kinks between phases (a foot that leaves, a push that ends).
+        """
+        layout, motion = self.transcription.layout, self.transcription.problem.guess_at
+        model, stages = layout.robot.model, layout.intervals_of(phase)
+        low, high = layout.node_times[stages[0]], layout.node_times[stages[-1] + 1]
+        step = min(DIFFERENCE_STEP, (high - low) / 4)
+        middle = min(max(t, low + step), high - step)
+        before, centre, after = (motion(middle + offset) for offset in (-step, 0.0, step))
+        forward, backward = pin.difference(model, centre, after), pin.difference(model, before, centre)
+        return (
+            centre if middle == t else motion(t),
+            (forward + backward) / (2 * step),
+            (forward - backward) / step**2,
+        )
 
 
 def node_phase(layout: Layout, k: int) -> int:
@@ -85,34 +144,14 @@ def node_phase(layout: Layout, k: int) -> int:
     Of two phases that meet there, the one with more contacts: its feet do not move. Across an impact
     each side has its own.
     """
-    meeting = layout.meeting(k)
-    if meeting.before is None or meeting.after is None:
-        only = meeting.after if meeting.before is None else meeting.before
+    adjacent = layout.adjacent_intervals(k)
+    if adjacent.before is None or adjacent.after is None:
+        only = adjacent.after if adjacent.before is None else adjacent.before
         return int(layout.phase_of[only])
-    before, after = int(layout.phase_of[meeting.before]), int(layout.phase_of[meeting.after])
-    if meeting.impact_ahead or meeting.impact_behind:
-        return before if meeting.impact_ahead else after
+    before, after = int(layout.phase_of[adjacent.before]), int(layout.phase_of[adjacent.after])
+    if adjacent.impact_ahead or adjacent.impact_behind:
+        return before if adjacent.impact_ahead else after
     return before if len(layout.touching[before]) > len(layout.touching[after]) else after
-
-
-def _state(transcription: Transcription, t: float, phase: int) -> State:
-    """(q, v, a) of the guess at time t by differences on the manifold, taken within the phase.
-
-    A motion may have kinks between phases (a foot that leaves, a push that ends).
-    """
-    layout, motion = transcription.layout, transcription.problem.guess_at
-    model = layout.robot.model
-    stages = layout.intervals_of(phase)
-    low, high = layout.node_times[stages[0]], layout.node_times[stages[-1] + 1]
-    step = min(DIFFERENCE_STEP, (high - low) / 4)
-    middle = min(max(t, low + step), high - step)
-    before, centre, after = (motion(middle + offset) for offset in (-step, 0.0, step))
-    forward, backward = pin.difference(model, centre, after), pin.difference(model, before, centre)
-    return (
-        centre if middle == t else motion(t),
-        (forward + backward) / (2 * step),
-        (forward - backward) / step**2,
-    )
 
 
 def _carrying_wrenches(layout: Layout, phase: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -137,12 +176,12 @@ def perturbed(transcription: Transcription, x: np.ndarray, seed: int, sigma: flo
     free = transcription.lower_x < transcription.upper_x
     moved = np.where(free, x + noise, x)
     layout = transcription.layout
-    first, clocks = layout.node(0), layout.forms[0].clocks
-    bounds = transcription.lower_x[first][clocks], transcription.upper_x[first][clocks]
-    durations = np.clip(moved[first][clocks], *bounds)
+    first, time_scales = layout.node(0), layout.forms[0].time_scales
+    bounds = transcription.lower_x[first][time_scales], transcription.upper_x[first][time_scales]
+    durations = np.clip(moved[first][time_scales], *bounds)
     for k, form in enumerate(layout.forms):
         node = moved[layout.node(k)]
-        node[form.clocks] = durations
+        node[form.time_scales] = durations
         for i in range(form.coordinates.n_rotations):
             node[4 * i : 4 * i + 4] /= np.linalg.norm(node[4 * i : 4 * i + 4])
     return moved

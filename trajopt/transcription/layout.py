@@ -22,11 +22,11 @@ from trajopt.schedule.schedule import Schedule
 from trajopt.terms.node_interfaces import NodePlace
 from trajopt.transcription.mesh import Mesh
 from trajopt.transcription.schemes import Scheme
-from trajopt.transcription.timeline import NodeForm, Stage, StageKind, Timeline, timeline
+from trajopt.transcription.timeline import NodeLayout, Stage, StageKind, Timeline, timeline
 
 
 @dataclass(frozen=True)
-class Meeting:
+class AdjacentIntervals:
     """The intervals (stages, or None) around a node, and whether impacts lie between it and them."""
 
     before: int | None
@@ -61,7 +61,7 @@ class Layout:
         return self.timeline.stages
 
     @property
-    def forms(self) -> tuple[NodeForm, ...]:
+    def forms(self) -> tuple[NodeLayout, ...]:
         """Form of every node, one more than there are stages."""
         return self.timeline.forms
 
@@ -127,7 +127,7 @@ class Layout:
             tuple(self.robot.contact(name) for name in phase.contacts) for phase in self.schedule.phases
         )
 
-    def form_of(self, phase: int) -> NodeForm:
+    def form_of(self, phase: int) -> NodeLayout:
         """Form of the nodes within a phase."""
         return self.forms[int(self.intervals_of(phase)[0])]
 
@@ -192,6 +192,13 @@ class Layout:
         """Indices of the stages that are a phase's intervals."""
         return self.interval_stages[self.phase_of[self.interval_stages] == phase]
 
+    def in_coordinates_of(
+        self, form: NodeLayout, q: np.ndarray, v: np.ndarray, a: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return a state (q, v, a) of the whole robot in the coordinates of a node."""
+        mode = next((mode for mode in self.modes.values() if mode.robot is form.robot), None)
+        return (q, v, a) if mode is None else mode.dropped(q, v, a)
+
     def place(self, k: int) -> NodePlace | None:
         """Phase and fraction of node k, None where it repeats another; between phases it is the later's."""
         found = self.timeline.places[k]
@@ -203,14 +210,14 @@ class Layout:
         last = final and index == mesh.count
         return NodePlace(self.schedule.phases[phase], index, mesh.fractions, last, final)
 
-    def meeting(self, k: int) -> Meeting:
-        """The intervals between which node k lies, whatever transitions are there."""
+    def adjacent_intervals(self, k: int) -> AdjacentIntervals:
+        """Return the intervals around node k, across transitions."""
         stages, before, after = self.stages, k - 1, k
         while before >= 0 and stages[before].kind is not StageKind.INTERVAL:
             before -= 1
         while after < len(stages) and stages[after].kind is not StageKind.INTERVAL:
             after += 1
-        return Meeting(
+        return AdjacentIntervals(
             before=before if before >= 0 else None,
             after=after if after < len(stages) else None,
             impact_behind=any(stage.kind is StageKind.IMPACT for stage in stages[before + 1 : k]),
@@ -219,7 +226,7 @@ class Layout:
 
     def times(self, unknowns: np.ndarray) -> np.ndarray:
         """Time of each node in s (n_stages + 1,), from unscaled unknowns."""
-        return np.concatenate([[0.0], np.cumsum(self.steps * self.clocks(unknowns)[self.phase_of])])
+        return np.concatenate([[0.0], np.cumsum(self.steps * self.time_scales(unknowns)[self.phase_of])])
 
     def place_phase(self, k: int) -> int:
         """Phase index of ``place(k)``, -1 where there is none."""
@@ -235,7 +242,7 @@ class Layout:
         """Coordinates of the first node."""
         return self.forms[0].coordinates
 
-    def clocks(self, unknowns: np.ndarray) -> np.ndarray:
+    def time_scales(self, unknowns: np.ndarray) -> np.ndarray:
         """Duration over nominal duration of every phase, (n_phases,), from unscaled unknowns."""
-        values = unknowns[self.node(0)][self.forms[0].clocks]
-        return np.array([1.0 if clock is None else values[clock] for clock in self.schedule.clocks])
+        values = unknowns[self.node(0)][self.forms[0].time_scales]
+        return np.array([1.0 if index is None else values[index] for index in self.schedule.clocks])

@@ -11,7 +11,7 @@ from trajopt import _engine
 from trajopt.errors import InputError
 from trajopt.transcription.compilation import DEFAULT_HESSIAN, CompiledPoint
 from trajopt.transcription.sparse_maps import DerivativeMap, hessian_map, jacobian_map
-from trajopt.transcription.transcription import Group, Transcription
+from trajopt.transcription.transcription import FunctionGroup, Transcription
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +113,7 @@ def assemble(
 
 
 def _engine_group(
-    group: Group,
+    group: FunctionGroup,
     point: CompiledPoint,
     offset: np.ndarray,
     first: DerivativeMap,

@@ -1,4 +1,4 @@
-"""Contact rows that say what others say already: they are left out of the problem.
+"""Redundant contact rows: those that depend on others are left out of the problem.
 
 Two points of one body, the four corners of a foot, four feet on legs that move in parallel planes: their
 velocities depend on each other wherever the contacts hold, so that the rows of all have no full rank (no
@@ -28,7 +28,7 @@ SAMPLES, SPREAD = 3, 0.2
 # Heights first, so that a foot of several points still lies flat; then sliding, then turning.
 ORDER = (2, 0, 1, 3, 4, 5)
 
-Kept = dict[str, tuple[int, ...]]
+_KeptRows = dict[str, tuple[int, ...]]
 
 
 def independent_rows(
@@ -37,7 +37,7 @@ def independent_rows(
     before: Sequence[Contact],
     after: Sequence[Contact],
     places: Mapping[str, np.ndarray] = MappingProxyType({}),
-) -> Kept:
+) -> _KeptRows:
     """Rows to keep of every contact, by name: of ``before`` first, then of ``after``.
 
     A row is left out if at q (nq,), and at postures around it with the contacts where they hold, it depends
@@ -51,7 +51,7 @@ def independent_rows(
 
 def _kept(
     postures: Sequence[np.ndarray], robot: Robot, before: Sequence[Contact], after: Sequence[Contact]
-) -> Kept:
+) -> _KeptRows:
     kept: dict[str, list[int]] = {contact.name: [] for contact in (*before, *after)}
     bases: list[list[np.ndarray]] = [[] for _ in postures]
     for contact, row in _ordered(before, after):

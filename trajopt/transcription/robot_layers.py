@@ -21,10 +21,10 @@ from trajopt.dynamics.rotations import body_rates, exp_quaternion, quaternion_pr
 from trajopt.terms.context import Context
 from trajopt.terms.context_symbols import Place
 
-Layers = tuple[ca.Function, ...]
+_Layers = tuple[ca.Function, ...]
 
 
-def robot_layers(context: Context, expression: ca.SX) -> tuple[ca.SX, Layers]:
+def robot_layers(context: Context, expression: ca.SX) -> tuple[ca.SX, _Layers]:
     """Symbols o that ``expression`` uses, and the layers that compute them from the context's z."""
     groups = [context.dynamics_symbols(), context.frame_symbols()]
     outputs = ca.vertcat(*groups)
@@ -38,8 +38,8 @@ def robot_layers(context: Context, expression: ca.SX) -> tuple[ca.SX, Layers]:
     return outputs[used.tolist()], _plain_layers(context, used.tolist())
 
 
-def _plain_layers(context: Context, used: list[int]) -> Layers:
-    """z -> (q, v, a, w) -> o.
+def _plain_layers(context: Context, used: list[int]) -> _Layers:
+    """Layers z -> (q, v, a, w) -> o.
 
     Where dynamics feel no velocity (statics, impacts), it enters frames alone; an impact feels no gravity.
     """
@@ -79,7 +79,7 @@ def _frames(context: Context) -> tuple[list[str], list[int]]:
     return frames + extra, dimensions + [0] * len(extra)
 
 
-def _base_axes_layers(context: Context, used: list[int]) -> Layers:
+def _base_axes_layers(context: Context, used: list[int]) -> _Layers:
     """The base's own velocity p' enters nowhere: dynamics feel no uniform motion."""
     joints = ca.vertcat(context.q[7:], context.v[6:], context.a[6:])
     wrench = context.wrench_column()

@@ -29,17 +29,17 @@ def schedule_rows(problem: Problem, layout: Layout, collocation: Collocation) ->
     """Rows of a problem's periodicity and of the bounds of its total duration, where it has them."""
     if problem.periodicity is not None:
         yield _closing(problem, layout, collocation)
-    if problem.duration_bounds is not None and any(clock is not None for clock in layout.schedule.clocks):
+    if problem.duration_bounds is not None and layout.forms[0].n_time_scales:
         yield _duration(problem, layout, collocation)
 
 
 def _closing(problem: Problem, layout: Layout, collocation: Collocation) -> ScheduleRow:
-    """left z_N - right z_0 - velocity * duration = constant, each row in the unit of what it compares."""
+    """Rows left z_N - right z_0 - velocity * duration = constant, each in the unit of what it compares."""
     assert problem.periodicity is not None
     made = closing_map(problem.robot, problem.periodicity, problem.initial_q)
     form, last = layout.forms[0], layout.forms[-1]
     scale = collocation.node_scale(form)
-    state = np.setdiff1d(np.arange(form.size), form.clocks)
+    state = np.setdiff1d(np.arange(form.size), form.time_scales)
     rotations = len(made.left) - (len(state) - len(form.rotations))
     unit = np.concatenate([np.ones(rotations), scale[state[len(form.rotations) :]]])
     first = np.zeros((len(unit), form.size))
@@ -47,7 +47,7 @@ def _closing(problem: Problem, layout: Layout, collocation: Collocation) -> Sche
     fixed = made.constant + made.translated @ problem.periodicity.moved(_fixed_duration(layout))
     if problem.periodicity.velocity is not None:
         speed = made.translated @ np.array(problem.periodicity.velocity)
-        first[:, form.clocks] = -np.outer(speed, _free_durations(layout))
+        first[:, form.time_scales] = -np.outer(speed, _free_durations(layout))
     final = np.zeros((len(unit), last.size))
     final[:, state] = made.left
     blocks = [(0, first * scale), (layout.n_stages, final * collocation.node_scale(last))]
@@ -61,13 +61,13 @@ def _duration(problem: Problem, layout: Layout, collocation: Collocation) -> Sch
     form = layout.forms[0]
     unit = np.array([collocation.units_of(form).time])
     row = np.zeros((1, form.size))
-    row[:, form.clocks] = _free_durations(layout)
+    row[:, form.time_scales] = _free_durations(layout)
     lower, upper = (np.array([bound - _fixed_duration(layout)]) / unit for bound in problem.duration_bounds)
     return ScheduleRow("duration", 0, _over_unknowns(layout, [(0, row)], unit), lower, upper)
 
 
 def _free_durations(layout: Layout) -> np.ndarray:
-    """Nominal duration of every free phase, in the order of the clocks, s."""
+    """Nominal duration of every free phase, in the order of the time scales, s."""
     return np.array([phase.duration for phase in layout.schedule.phases if phase.duration_bounds is not None])
 
 

@@ -20,13 +20,13 @@ from trajopt.terms.interfaces import Rows, Term
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.redundancy import independent_rows
 from trajopt.transcription.stage_functions import PointFunction, point_function
-from trajopt.transcription.timeline import NodeForm
+from trajopt.transcription.timeline import NodeLayout
 
-Built = TypeVar("Built")
+_Built = TypeVar("_Built")
 
 
 @dataclass(frozen=True)
-class Kind:
+class StageTerms:
     """A point function with its rows' names, bounds and units, and its parameters' values at a time, s."""
 
     function: PointFunction
@@ -48,7 +48,7 @@ class TermFunctions:
     units: Mapping[int, Units]
     _kept: dict[int, dict[str, tuple[int, ...]]] = field(default_factory=dict, init=False)
 
-    def point(self, phase: int) -> Kind:
+    def point(self, phase: int) -> StageTerms:
         """Function of a phase's collocation points."""
         form = self.layout.form_of(phase)
         own, context = self.units[id(form.robot)], self.context(phase, form, Place.POINT)
@@ -56,9 +56,9 @@ class TermFunctions:
         costs = [_of(t, name, t.value, context, own) for t in problem.costs if t.acts_in(name)]
         acting = [term for term in problem.point_constraints if term.acts_in(name)]
         rows = [(t.name, _of(t, name, t.rows, context, own)) for t in acting]
-        return _kind(name, context, context.clock * sum(costs, ca.SX(0)), rows)
+        return _stage_terms(name, context, context.clock * sum(costs, ca.SX(0)), rows)
 
-    def impact(self, k: int) -> Kind:
+    def impact(self, k: int) -> StageTerms:
         """Function of the impact that is stage k: its dynamics, and terms on contact forces."""
         phase, form = self.layout.stages[k].phase, self.layout.forms[k]
         own = self.units[id(form.robot)].impulsive()
@@ -67,31 +67,31 @@ class TermFunctions:
         costs = [_of(t, name, t.value, context, own) for t in problem.impact_costs if t.acts_in(name)]
         acting = [t for t in problem.point_constraints if t.acts_in(name) and t.acts_at_impacts]
         rows = [(t.name, _of(t, name, t.rows, context, own)) for t in (ImpactDynamics(), *acting)]
-        return _kind(f"impact_{name}", context, sum(costs, ca.SX(0)), rows)
+        return _stage_terms(f"impact_{name}", context, sum(costs, ca.SX(0)), rows)
 
-    def nodes(self) -> dict[int, Kind]:
+    def nodes(self) -> dict[int, StageTerms]:
         """For each node with constraints or costs: its function, named rows and parameter values."""
         functions: dict[tuple[object, ...], PointFunction] = {}
-        kinds, constraints, prices = {}, self.problem.node_constraints, self.problem.node_costs
+        found, constraints, prices = {}, self.problem.node_constraints, self.problem.node_costs
         for k, form in enumerate(self.layout.forms):
             place, phase = self.layout.place(k), self.layout.place_phase(k)
             acting = [t for t in constraints if place is not None and t.acts_at(place)]
             priced = [t for t in prices if place is not None and t.acts_at(place)]
             if place is None or not (acting or priced):
                 continue
-            own, near = self.units[id(form.robot)], self._wound.get(k)
+            own, near = self.units[id(form.robot)], self._unwrapped_guess.get(k)
             context = self.context(phase, form, Place.NODE, near)
             name = place.phase.name
             named = [(t.name, _of(t, name, t.rows, context, own, place)) for t in acting]
             cost = sum((_of(t, name, t.value, context, own, place) for t in priced), ca.SX(0))
-            kind = _kind(f"node_{name}", context, cost, named)
-            if kind.blocks or priced:
+            terms = _stage_terms(f"node_{name}", context, cost, named)
+            if terms.blocks or priced:
                 key = (id(form), name, *(id(term) for term in (*acting, *priced)))
-                shared = functions.setdefault(key, kind.function)
-                kinds[k] = replace(kind, function=shared)
-        return kinds
+                shared = functions.setdefault(key, terms.function)
+                found[k] = replace(terms, function=shared)
+        return found
 
-    def end(self, form: NodeForm) -> PointFunction | None:
+    def end(self, form: NodeLayout) -> PointFunction | None:
         """Rotations, and body rates if any, at an interval's end from (rotations, theta, theta')."""
         n = form.coordinates.n_rotations
         if n == 0:
@@ -102,11 +102,11 @@ class TermFunctions:
         return _plain("interval_end", z, [quaternions, *([body_rates] if form.order == 2 else [])])
 
     def change(self, k: int) -> PointFunction:
-        """The next node's entries from those of node k: other coordinates, or rates in another clock."""
+        """The next node's entries from those of node k: other coordinates, or rates in another time scale."""
         before, after = self.layout.forms[k], self.layout.forms[k + 1]
         phase = self.layout.stages[k].phase
         context = self.context(phase, before, Place.NODE)
-        clocks = context.z[before.clocks.tolist()] if before.n_clocks else ca.SX(0, 1)
+        time_scales = context.z[before.time_scales.tolist()] if before.n_time_scales else ca.SX(0, 1)
         if after.coordinates is before.coordinates:
             n = len(before.rotations) + len(before.additive)
             configuration, rates = context.z[:n], context.rates
@@ -114,11 +114,11 @@ class TermFunctions:
             state = self._mapped(context, before, after)
             n = state.numel() - after.coordinates.nv
             configuration, rates = state[:n], state[n:]
-        ratio = ca.SX(1) if after.clock is None else clocks[after.clock]
+        ratio = ca.SX(1) if after.time_scale is None else time_scales[after.time_scale]
         parts = [configuration, ratio * rates] if after.order == 2 else [configuration]
-        return _plain("change", context.z, [*parts, clocks])
+        return _plain("change", context.z, [*parts, time_scales])
 
-    def _mapped(self, context: Context, before: NodeForm, after: NodeForm) -> ca.SX:
+    def _mapped(self, context: Context, before: NodeLayout, after: NodeLayout) -> ca.SX:
         """State of the coordinates after a change from the symbols before: lift or drop of a mode."""
         whole = after.robot is self.problem.robot
         mode = next(m for m in self.problem.modes.values() if m.robot is (before if whole else after).robot)
@@ -128,7 +128,7 @@ class TermFunctions:
         return after.coordinates.symbolic_node(q, v, shared)
 
     def redundant(self) -> dict[str, list[str]]:
-        """Rows of contacts that are left out for saying nothing new, in words, by phase."""
+        """Return the redundant rows of contacts, which are left out, in words, by phase."""
         axes, found = ("x", "y", "z", "rx", "ry", "rz"), {}
         for index, phase in enumerate(self.problem.schedule.phases):
             kept = self.kept_rows(index)
@@ -156,18 +156,16 @@ class TermFunctions:
         after = [contact for contact in contacts if contact.name not in kept]
         first, last = layout.intervals_of(phase)[[0, -1]]
         q = self.problem.guess_at(float(layout.node_times[first] + layout.node_times[last + 1]) / 2)
-        q = self._in_form(form, q)
+        q = self._in_coordinates_of(form, q)
         known = {c.name: self.problem.contact_place(c.name, phase) for c in contacts}
         places = {name: place for name, place in known.items() if place is not None}
         return independent_rows(form.robot, q, before, after, places)
 
-    def _in_form(self, form: NodeForm, q: np.ndarray) -> np.ndarray:
-        """A configuration (nq,) of the whole robot in the coordinates of a form."""
-        mode = next((mode for mode in self.problem.modes.values() if mode.robot is form.robot), None)
-        return q if mode is None else mode.dropped(q, *np.zeros((2, self.layout.robot.nv)))[0]
+    def _in_coordinates_of(self, form: NodeLayout, q: np.ndarray) -> np.ndarray:
+        return self.layout.in_coordinates_of(form, q, *np.zeros((2, self.layout.robot.nv)))[0]
 
     @cached_property
-    def _wound(self) -> dict[int, np.ndarray]:
+    def _unwrapped_guess(self) -> dict[int, np.ndarray]:
         """The guess at nodes of coordinates that count whole turns: goals mean the turn nearest to it.
 
         A motion that is guessed to turn all around ends so, and one past the angle pi does not turn back.
@@ -180,13 +178,15 @@ class TermFunctions:
                 continue
             fixed = k == 0 and self.problem.periodicity is None
             time = float(self.layout.node_times[k])
-            q = self._in_form(form, self.problem.initial_q if fixed else self.problem.guess_at(time))
+            q = self._in_coordinates_of(
+                form, self.problem.initial_q if fixed else self.problem.guess_at(time)
+            )
             node = coordinates.node_from_pinocchio(q, np.zeros(coordinates.nv))
             found[k] = coordinates.continued(node, before.get(id(coordinates), node))
             before[id(coordinates)] = found[k]
         return found
 
-    def context(self, phase: int, form: NodeForm, place: Place, near: np.ndarray | None = None) -> Context:
+    def context(self, phase: int, form: NodeLayout, place: Place, near: np.ndarray | None = None) -> Context:
         """Fresh symbols of a point, node or impact of a phase."""
         contacts = {Place.POINT: self.layout.contacts, Place.IMPACT: self.layout.touching}
         name = self.problem.schedule.phases[phase].name
@@ -195,7 +195,7 @@ class TermFunctions:
             form.coordinates,
             contacts[place][phase] if place in contacts else (),
             place=place,
-            clocks=(form.n_clocks, form.clock),
+            clocks=(form.n_time_scales, form.time_scale),
             actuation=self.problem.actuation,
             surfaces=self.problem.surfaces_of(phase),
             kept_rows=self.kept_rows(phase),
@@ -204,7 +204,7 @@ class TermFunctions:
         )
 
 
-def _of(term: Term, phase: str, build: Callable[..., Built], *arguments: object) -> Built:
+def _of(term: Term, phase: str, build: Callable[..., _Built], *arguments: object) -> _Built:
     """What a term gives in a phase; what it refuses bears its name. Raises InputError."""
     try:
         return build(*arguments)
@@ -214,10 +214,12 @@ def _of(term: Term, phase: str, build: Callable[..., Built], *arguments: object)
         raise InputError(f"{term.name} in phase '{phase}': {error.what}", error.allowed) from None
 
 
-def _kind(name: str, context: Context, cost: ca.SX, named: Sequence[tuple[str, Rows | None]]) -> Kind:
+def _stage_terms(
+    name: str, context: Context, cost: ca.SX, named: Sequence[tuple[str, Rows | None]]
+) -> StageTerms:
     blocks = tuple((label, rows) for label, rows in named if rows is not None and rows.expression.numel())
     function = point_function(name, context, cost, [rows.expression for _, rows in blocks])
-    return Kind(function, blocks, context.parameter_values_at)
+    return StageTerms(function, blocks, context.parameter_values_at)
 
 
 def _plain(name: str, z: ca.SX, parts: Sequence[ca.SX]) -> PointFunction:

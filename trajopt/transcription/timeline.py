@@ -2,11 +2,11 @@
 
 A stage leads from one node to the next. An *interval* is a stretch of motion with collocation points.
 Between two phases there may be *transitions*, which take no time: an *impact* (velocities jump, the
-configuration does not) and a *change* of coordinates or of the clock that rates are measured in.
+configuration does not) and a *change* of coordinates or of the time scale that rates are measured in.
 
 Rates and their unknown derivatives are measured in nominal time: a phase of free duration T runs at the
-clock s = T / T_nominal, so that x' = s v and x'' = s^2 a, and what collocation does stays linear in the
-unknowns; the clock of every free phase is a constant entry of all nodes.
+time scale s = T / T_nominal, so that x' = s v and x'' = s^2 a, and what collocation does stays linear in the
+unknowns; the time scale of every free phase is a constant entry of all nodes.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ class StageKind(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class NodeForm:
-    """What a node holds: rotations, additive positions, rates, and the clocks of all free phases.
+class NodeLayout:
+    """What a node holds: rotations, additive positions, rates, and the time scales of all free phases.
 
-    ``clock`` is the index of the clock in which the rates are measured, None for nominal time;
+    ``time_scale`` is the index of the time scale in which the rates are measured, None for nominal time;
     ``order`` 1 (a velocity source) has no rates. The arrays are indices within the node.
     """
 
     robot: Robot
     coordinates: Coordinates
-    clock: int | None
-    n_clocks: int
+    time_scale: int | None
+    n_time_scales: int
     order: int
 
     @cached_property
@@ -64,14 +64,14 @@ class NodeForm:
         return start + np.arange(self.coordinates.nv if self.order == 2 else 0)
 
     @cached_property
-    def clocks(self) -> np.ndarray:
-        """Indices of the clocks."""
-        return len(self.rotations) + len(self.additive) + len(self.rates) + np.arange(self.n_clocks)
+    def time_scales(self) -> np.ndarray:
+        """Indices of the time scales."""
+        return len(self.rotations) + len(self.additive) + len(self.rates) + np.arange(self.n_time_scales)
 
     @property
     def size(self) -> int:
         """Number of entries."""
-        return len(self.rotations) + len(self.additive) + len(self.rates) + self.n_clocks
+        return len(self.rotations) + len(self.additive) + len(self.rates) + self.n_time_scales
 
     def state(self, node: np.ndarray) -> np.ndarray:
         """The coordinates' own state (rotations, additive, rates) of a node or of nodes (n, size).
@@ -80,15 +80,15 @@ class NodeForm:
         """
         rows = np.atleast_2d(np.asarray(node, dtype=float))
         rates = rows[:, self.rates] if self.order == 2 else np.zeros((len(rows), self.coordinates.nv))
-        if self.clock is not None:
-            rates = rates / rows[:, self.clocks[self.clock], None]
+        if self.time_scale is not None:
+            rates = rates / rows[:, self.time_scales[self.time_scale], None]
         return np.hstack([rows[:, self.rotations], rows[:, self.additive], rates])
 
-    def node(self, state: np.ndarray, clocks: np.ndarray) -> np.ndarray:
-        """The node of a coordinates' state at these clocks (n_clocks,)."""
+    def node(self, state: np.ndarray, time_scales: np.ndarray) -> np.ndarray:
+        """The node of a coordinates' state at these time scales (n_time_scales,)."""
         n = len(self.rotations) + len(self.additive)
-        rates = state[n:] * (1.0 if self.clock is None else clocks[self.clock])
-        return np.concatenate([state[:n], rates if self.order == 2 else rates[:0], clocks])
+        rates = state[n:] * (1.0 if self.time_scale is None else time_scales[self.time_scale])
+        return np.concatenate([state[:n], rates if self.order == 2 else rates[:0], time_scales])
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Timeline:
     """
 
     stages: tuple[Stage, ...]
-    forms: tuple[NodeForm, ...]
+    forms: tuple[NodeLayout, ...]
     places: tuple[tuple[int, int] | None, ...]
 
 
@@ -122,23 +122,23 @@ class _Builder:
         self.modes = [modes.get(phase.name) for phase in schedule.phases]
         made = {id(mode): (mode.robot, Coordinates(mode.robot.model)) for mode in self.modes if mode}
         self.of_phase = [made[id(mode)] if mode else self.whole for mode in self.modes]
-        self.clocks = schedule.clocks
-        self.n_clocks = sum(clock is not None for clock in self.clocks)
-        self.known: dict[tuple[int, int | None], NodeForm] = {}
+        self.time_scales = schedule.clocks
+        self.n_time_scales = sum(index is not None for index in self.time_scales)
+        self.known: dict[tuple[int, int | None], NodeLayout] = {}
         self.stages: list[Stage] = []
-        self.forms: list[NodeForm] = []
+        self.forms: list[NodeLayout] = []
         self.places: list[tuple[int, int] | None] = []
 
-    def form(self, pair: tuple[Robot, Coordinates], clock: int | None) -> NodeForm:
-        key = (id(pair[1]), clock)
+    def form(self, pair: tuple[Robot, Coordinates], time_scale: int | None) -> NodeLayout:
+        key = (id(pair[1]), time_scale)
         if key not in self.known:
-            self.known[key] = NodeForm(*pair, clock, self.n_clocks, self.order)
+            self.known[key] = NodeLayout(*pair, time_scale, self.n_time_scales, self.order)
         return self.known[key]
 
     def build(self, mesh: Mesh) -> Timeline:
         last = len(self.schedule.phases) - 1
         for phase, own_mesh in enumerate(mesh.phases):
-            own = self.form(self.of_phase[phase], self.clocks[phase])
+            own = self.form(self.of_phase[phase], self.time_scales[phase])
             if phase == 0:
                 self.begin(own)
             duration = self.schedule.phases[phase].duration
@@ -148,13 +148,13 @@ class _Builder:
             self.transitions(phase, phase + 1 if phase < last else None)
         return Timeline(tuple(self.stages), tuple(self.forms), tuple(self.places))
 
-    def node(self, form: NodeForm, place: tuple[int, int] | None) -> None:
+    def node(self, form: NodeLayout, place: tuple[int, int] | None) -> None:
         self.forms.append(form)
         self.places.append(place)
 
-    def begin(self, own: NodeForm) -> None:
+    def begin(self, own: NodeLayout) -> None:
         """The first node; of a closed motion in true time, in which both ends can be compared."""
-        if self.closed and own.clock is not None:
+        if self.closed and own.time_scale is not None:
             self.node(self.form(self.of_phase[0], None), (0, 0))
             self.change(0, own)
         else:
@@ -166,8 +166,8 @@ class _Builder:
         same = after is not None and self.modes[after] is self.modes[before] and not impact
         lift = self.modes[before] is not None and not same
         here = before if after is None else after
-        end = None if after is None and self.closed else self.clocks[before]
-        if lift or end is not self.clocks[before]:
+        end = None if after is None and self.closed else self.time_scales[before]
+        if lift or end is not self.time_scales[before]:
             self.change(here, self.form(self.whole, end))
         if after is None:
             if self.places[-1] is None:
@@ -177,11 +177,11 @@ class _Builder:
             self.stages.append(Stage(StageKind.IMPACT, after, 0.0))
             self.node(self.forms[-1], None)
         self.places[-1] = (after, 0)
-        target = self.form(self.of_phase[after], self.clocks[after])
+        target = self.form(self.of_phase[after], self.time_scales[after])
         if target is not self.forms[-1]:
             self.change(after, target)
 
-    def change(self, phase: int, form: NodeForm) -> None:
+    def change(self, phase: int, form: NodeLayout) -> None:
         self.stages.append(Stage(StageKind.CHANGE, phase, 0.0))
         self.node(form, None)
 
@@ -196,6 +196,6 @@ def timeline(
 ) -> Timeline:
     """Stages and nodes of a schedule on a mesh.
 
-    closed: rates at the first and the last node are in true time, whatever clocks the phases have.
+    closed: rates at the first and the last node are in true time, whatever time scales the phases have.
     """
     return _Builder(robot, schedule, modes, order, closed).build(mesh)

@@ -22,13 +22,13 @@ from trajopt.transcription.mesh import Mesh
 from trajopt.transcription.row_collection import RowCollection, RowInfo
 from trajopt.transcription.schedule_rows import schedule_rows
 from trajopt.transcription.stage_functions import PointFunction
-from trajopt.transcription.term_functions import Kind, TermFunctions
+from trajopt.transcription.term_functions import StageTerms, TermFunctions
 from trajopt.transcription.timeline import StageKind
-from trajopt.transcription.variable_bounds import clocked_limits, variable_bounds
+from trajopt.transcription.variable_bounds import scaled_rate_limits, variable_bounds
 
 
 @dataclass(frozen=True, kw_only=True)
-class Group:
+class FunctionGroup:
     """One point function at the same place of several stages.
 
     ``gather`` (n_z, window) maps a window's scaled unknowns to z; ``stages`` (n,) are the intervals or
@@ -51,13 +51,13 @@ class Transcription:
 
     ``gap_rows`` (one array a stage) and ``linear`` (n_rows, n_unknowns) are the defects' rows and the part
     of all rows that is linear in the unknowns. ``scale`` (n_unknowns,) turns a scaled unknown into SI.
-    ``redundant`` names, by phase, rows of contacts that others say already (see ``redundancy``).
+    ``redundant`` names, by phase, rows of contacts that depend on others (see ``redundancy``).
     ``objective_unit``: the groups' costs are over it, see `objective_unit`.
     """
 
     problem: Problem
     layout: Layout
-    groups: tuple[Group, ...]
+    groups: tuple[FunctionGroup, ...]
     rows: RowInfo
     n_rows: int
     linear: sparse.csr_matrix
@@ -109,22 +109,23 @@ class Transcriber:
         self.collocation = Collocation(self.layout, units)
         self.functions = TermFunctions(problem, self.layout, units)
         self.time = units[id(self.layout.forms[0].robot)].time
-        self.clocked = clocked_limits(problem, self.layout, self.collocation)
+        self.rate_limits = scaled_rate_limits(problem, self.layout, self.collocation)
         self.linear_rows: list[tuple[np.ndarray, sparse.coo_matrix]] = []
         self.rows = RowCollection()
-        self.groups: list[Group] = []
+        self.groups: list[FunctionGroup] = []
 
     def build(self) -> Transcription:
+        """Return the transcription."""
         phases = range(len(self.layout.intervals))
-        kinds = [self.functions.point(phase) for phase in phases]
+        point_terms = [self.functions.point(phase) for phase in phases]
         impacts = {k: self.functions.impact(k) for k in self.layout.transitions_of(StageKind.IMPACT)}
         nodes = self.functions.nodes()
-        numbers = self._number_rows(kinds, impacts, nodes)
+        numbers = self._number_rows(point_terms, impacts, nodes)
         for phase in phases:
-            self._add_point_groups(phase, kinds[phase], numbers.point)
+            self._add_point_groups(phase, point_terms[phase], numbers.point)
             self._add_end_group(phase, numbers.gap)
-        for k, kind in impacts.items():
-            self._add_impact_group(k, kind, numbers.impact[k])
+        for k, terms in impacts.items():
+            self._add_impact_group(k, terms, numbers.impact[k])
         for k in self.layout.transitions_of(StageKind.CHANGE):
             self._add_change_group(k, numbers.gap[k])
         self._add_node_groups(nodes, numbers.node)
@@ -152,7 +153,7 @@ class Transcriber:
     # Rows
 
     def _number_rows(
-        self, kinds: Sequence[Kind], impacts: dict[int, Kind], nodes: dict[int, Kind]
+        self, point_terms: Sequence[StageTerms], impacts: dict[int, StageTerms], nodes: dict[int, StageTerms]
     ) -> _Numbers:
         found = _Numbers([], {}, {}, {})
         layout = self.layout
@@ -162,7 +163,7 @@ class Transcriber:
                 zero = np.zeros(layout.forms[k + 1].size)
                 found.gap.append(self.rows.add("defect", k, -1, zero, zero))
                 if layout.stages[k].kind is StageKind.INTERVAL:
-                    blocks = kinds[layout.phase_of[k]].blocks
+                    blocks = point_terms[layout.phase_of[k]].blocks
                     found.point[k] = [
                         self.rows.add_blocks(blocks, k, i)
                         for i in range(layout.scheme_of(layout.stages[k].phase).s)
@@ -171,7 +172,7 @@ class Transcriber:
                 found.impact[k] = self.rows.add_blocks(impacts[k].blocks, k, -1)
             if k in nodes:
                 found.node[k] = self.rows.add_blocks(nodes[k].blocks, k, -1)
-            for limit in self.clocked.get(k, ()):
+            for limit in self.rate_limits.get(k, ()):
                 rows = self.rows.add(limit.name, k, -1, limit.lower, limit.upper)
                 self.linear_rows.append((rows, limit.map(int(layout.node_offset[k]))))
             for joined in whole:
@@ -182,18 +183,20 @@ class Transcriber:
 
     # Groups
 
-    def _add_point_groups(self, phase: int, kind: Kind, point_rows: dict[int, list[np.ndarray]]) -> None:
+    def _add_point_groups(
+        self, phase: int, terms: StageTerms, point_rows: dict[int, list[np.ndarray]]
+    ) -> None:
         method = self.layout.scheme_of(phase)
         for stages in self._alike(phase):
             for i in range(method.s):
                 self.groups.append(
-                    Group(
-                        point=kind.function,
+                    FunctionGroup(
+                        point=terms.function,
                         gather=self.collocation.point_gather(int(stages[0]), i),
                         stages=stages,
                         rows=np.array([point_rows[k][i] for k in stages]),
-                        row_scale=kind.row_scale,
-                        parameters=self._parameters(kind, stages, method.c[i]),
+                        row_scale=terms.row_scale,
+                        parameters=self._parameters(terms, stages, method.c[i]),
                         cost_weight=self.layout.steps[stages] * method.b1[i] / self.time,
                     )
                 )
@@ -205,12 +208,12 @@ class Transcriber:
         for step in np.unique(steps):
             yield stages[steps == step]
 
-    def _parameters(self, kind: Kind, stages: np.ndarray, fraction: float = 0.0) -> np.ndarray:
+    def _parameters(self, terms: StageTerms, stages: np.ndarray, fraction: float = 0.0) -> np.ndarray:
         """Values of the parameters (n, n_p) at that fraction of stages."""
         times = self.layout.node_times[stages]
         if fraction:
             times = times + fraction * self.layout.steps[stages]
-        return np.array([kind.parameters_at(float(t)) for t in times])
+        return np.array([terms.parameters_at(float(t)) for t in times])
 
     def _add_end_group(self, phase: int, gap_rows: list[np.ndarray]) -> None:
         form = self.layout.form_of(phase)
@@ -230,15 +233,15 @@ class Transcriber:
                 )
             )
 
-    def _add_impact_group(self, k: int, kind: Kind, rows: np.ndarray) -> None:
+    def _add_impact_group(self, k: int, terms: StageTerms, rows: np.ndarray) -> None:
         self.groups.append(
-            Group(
-                point=kind.function,
+            FunctionGroup(
+                point=terms.function,
                 gather=self.collocation.impact_gather(k),
                 stages=np.array([k]),
                 rows=rows[None, :],
-                row_scale=kind.row_scale,
-                parameters=self._parameters(kind, np.array([k])),
+                row_scale=terms.row_scale,
+                parameters=self._parameters(terms, np.array([k])),
                 cost_weight=np.ones(1),
             )
         )
@@ -250,14 +253,14 @@ class Transcriber:
             _gap_group(self.functions.change(k), gather, np.array([k]), gap_rows[None, :], scale)
         )
 
-    def _add_node_groups(self, nodes: dict[int, Kind], node_rows: dict[int, np.ndarray]) -> None:
+    def _add_node_groups(self, nodes: dict[int, StageTerms], node_rows: dict[int, np.ndarray]) -> None:
         by_function: dict[int, list[int]] = {}
-        for k, kind in nodes.items():
-            by_function.setdefault(id(kind.function), []).append(k)
+        for k, terms in nodes.items():
+            by_function.setdefault(id(terms.function), []).append(k)
         for members in by_function.values():
             first = nodes[members[0]]
             self.groups.append(
-                Group(
+                FunctionGroup(
                     point=first.function,
                     gather=self.collocation.node_gather(self.layout.forms[members[0]]),
                     stages=np.array(members),
@@ -282,9 +285,9 @@ def objective_unit(problem: Problem) -> float:
 
 def _gap_group(
     point: PointFunction, gather: sparse.csr_matrix, stages: np.ndarray, rows: np.ndarray, scale: np.ndarray
-) -> Group:
+) -> FunctionGroup:
     """What is not linear of the map to the next node, x_next - F = 0; ``scale`` of the rows' entries."""
-    return Group(
+    return FunctionGroup(
         point=point,
         gather=gather,
         stages=stages,
@@ -301,10 +304,16 @@ def transcribe(
     intervals: int | None = None,
     mesh: Mesh | None = None,
 ) -> Transcription:
-    """Transcribe a problem on ``intervals`` over the whole schedule, or on a mesh of its own.
+    """Transcribe a problem.
 
-    transcription: a scheme by name for all phases, or one for each, separated by commas.
-    Raises InputError for an unknown scheme, fewer intervals than phases, or a mesh that does not fit.
+    Args:
+        problem: what to transcribe.
+        transcription: a scheme by name for all phases, or one for each, separated by commas.
+        intervals: number of intervals over the whole schedule.
+        mesh: instead of both, schemes and intervals of each phase.
+
+    Raises:
+        InputError: for an unknown scheme, fewer intervals than phases, or a mesh that does not fit.
     """
     chosen = mesh if mesh is not None else _uniform_mesh(problem, transcription, intervals)
     if mesh is not None and (transcription is not None or intervals is not None):

@@ -1,7 +1,7 @@
 """Bounds of the unknowns: limits that hold at nodes, free durations, and the fixed start.
 
 A scheme with a point at an interval's start or end states a limit there as a row already: the node
-gets no bound then, which would repeat the row. Where rates are measured in the clock of a free duration,
+gets no bound then, which would repeat the row. Where rates are measured in the time scale of a free duration,
 a limit of the true rate is no bound but a linear row: |x'| <= s limit.
 """
 
@@ -17,11 +17,11 @@ from trajopt.problem.problem import Problem
 from trajopt.terms.interfaces import PointConstraint
 from trajopt.transcription.collocation import Collocation
 from trajopt.transcription.layout import Layout
-from trajopt.transcription.timeline import NodeForm, StageKind
+from trajopt.transcription.timeline import NodeLayout, StageKind
 
 
 @dataclass(frozen=True)
-class ClockedLimit:
+class ScaledRateLimit:
     """Linear rows at one node: ``coefficients`` (n, size) over its scaled unknowns, scaled bounds (n,)."""
 
     name: str
@@ -40,7 +40,7 @@ class ClockedLimit:
 def variable_bounds(
     problem: Problem, layout: Layout, collocation: Collocation
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Scaled bounds (n_unknowns,) of nodes from constraints that have them, of clocks, of the start."""
+    """Scaled bounds (n_unknowns,) of nodes from constraints that have them, of time scales, of the start."""
     lower = np.full(layout.n_unknowns, -np.inf)
     upper = np.full(layout.n_unknowns, np.inf)
     for _, at, bounds in _stated_limits(problem, layout):
@@ -55,13 +55,13 @@ def variable_bounds(
 
 
 def _node_values(
-    form: NodeForm, at: _Bounded, positions: np.ndarray, rates: np.ndarray, free: float
+    form: NodeLayout, at: _Bounded, positions: np.ndarray, rates: np.ndarray, free: float
 ) -> np.ndarray:
-    """A node of bounds on local positions and rates (nv,), ``free`` elsewhere; clocked rates have none."""
+    """A node of bounds on local positions and rates (nv,), ``free`` elsewhere; scaled rates have none."""
     values = np.full(form.size, free)
     if at.positions:
         values[form.additive] = positions[form.coordinates.additive_index]
-    if at.rates and form.order == 2 and form.clock is None:
+    if at.rates and form.order == 2 and form.time_scale is None:
         values[form.rates] = rates
     return values
 
@@ -69,28 +69,28 @@ def _node_values(
 def _fix_start(
     problem: Problem, layout: Layout, collocation: Collocation, lower: np.ndarray, upper: np.ndarray
 ) -> None:
-    """The start is fixed, but for moving rates in a free clock; clocks are within their bounds."""
+    """The start is fixed, but for moving rates in a free time scale; time scales are within their bounds."""
     form = layout.forms[0]
     own_lower, own_upper = lower[layout.node(0)], upper[layout.node(0)]
-    for phase, clock in zip(layout.schedule.phases, layout.schedule.clocks, strict=True):
-        if clock is not None and phase.duration_bounds is not None:
-            own_lower[form.clocks[clock]] = phase.duration_bounds[0] / phase.duration
-            own_upper[form.clocks[clock]] = phase.duration_bounds[1] / phase.duration
+    for phase, time_scale in zip(layout.schedule.phases, layout.schedule.clocks, strict=True):
+        if time_scale is not None and phase.duration_bounds is not None:
+            own_lower[form.time_scales[time_scale]] = phase.duration_bounds[0] / phase.duration
+            own_upper[form.time_scales[time_scale]] = phase.duration_bounds[1] / phase.duration
     if problem.periodicity is not None:
         _fix_place(problem, form, collocation.node_scale(form), own_lower, own_upper)
         return
     q, v = start_of(problem, layout)
-    start = form.node(form.coordinates.node_from_pinocchio(q, v), np.ones(form.n_clocks))
+    start = form.node(form.coordinates.node_from_pinocchio(q, v), np.ones(form.n_time_scales))
     start = start / collocation.node_scale(form)
-    fixed = np.setdiff1d(np.arange(form.size), form.clocks)
+    fixed = np.setdiff1d(np.arange(form.size), form.time_scales)
     own_lower[fixed], own_upper[fixed] = start[fixed], start[fixed]
-    if form.clock is not None and form.order == 2:
+    if form.time_scale is not None and form.order == 2:
         moving = form.rates[start[form.rates] != 0.0]
         own_lower[moving], own_upper[moving] = -np.inf, np.inf
 
 
 def _fix_place(
-    problem: Problem, form: NodeForm, scale: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    problem: Problem, form: NodeLayout, scale: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> None:
     """A periodic motion may be anywhere unless something says where: its base starts over its place."""
     place = form.coordinates.node_from_pinocchio(problem.initial_q, problem.initial_v)
@@ -101,59 +101,56 @@ def _fix_place(
 
 def start_of(problem: Problem, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
     """Configuration and velocity at the start in the coordinates of the first phase."""
-    mode = layout.modes.get(layout.schedule.phases[0].name)
-    if mode is None:
-        return problem.initial_q, problem.initial_v
-    q, v, _ = mode.dropped(problem.initial_q, problem.initial_v, np.zeros(problem.robot.nv))
-    return q, v
+    still = np.zeros(problem.robot.nv)
+    return layout.in_coordinates_of(layout.form_of(0), problem.initial_q, problem.initial_v, still)[:2]
 
 
-def clocked_limits(
+def scaled_rate_limits(
     problem: Problem, layout: Layout, collocation: Collocation
-) -> dict[int, list[ClockedLimit]]:
-    """Rows of rates that are measured in a free clock: their limits at nodes, and a start that moves."""
-    found: dict[int, list[ClockedLimit]] = {}
+) -> dict[int, list[ScaledRateLimit]]:
+    """Rows of rates that are measured in a free time scale: their limits at nodes, and a start that moves."""
+    found: dict[int, list[ScaledRateLimit]] = {}
     for term, at, bounds in _stated_limits(problem, layout):
         form = layout.forms[at.node]
-        if at.rates and form.clock is not None and form.order == 2:
-            limit = _clocked(term.name, form, bounds[2:], collocation, layout.n_unknowns)
+        if at.rates and form.time_scale is not None and form.order == 2:
+            limit = _scaled_rate_limit(term.name, form, bounds[2:], collocation, layout.n_unknowns)
             if len(limit.lower):
                 found.setdefault(at.node, []).append(limit)
     form = layout.forms[0]
-    if form.clock is not None and form.order == 2:
+    if form.time_scale is not None and form.order == 2:
         state = form.coordinates.node_from_pinocchio(*start_of(problem, layout))
-        rates = form.node(state, np.ones(form.n_clocks))[form.rates]
+        rates = form.node(state, np.ones(form.n_time_scales))[form.rates]
         moving = np.flatnonzero(rates)
         if len(moving):
             scale = collocation.node_scale(form)
             row = np.zeros((len(moving), form.size))
             row[np.arange(len(moving)), form.rates[moving]] = 1.0
-            row[:, form.clocks[form.clock]] = -rates[moving] / scale[form.rates[moving]]
+            row[:, form.time_scales[form.time_scale]] = -rates[moving] / scale[form.rates[moving]]
             zero = np.zeros(len(moving))
-            found.setdefault(0, []).append(ClockedLimit("start", row, zero, zero, layout.n_unknowns))
+            found.setdefault(0, []).append(ScaledRateLimit("start", row, zero, zero, layout.n_unknowns))
     return found
 
 
-def _clocked(
+def _scaled_rate_limit(
     name: str,
-    form: NodeForm,
+    form: NodeLayout,
     limits: Sequence[np.ndarray],
     collocation: Collocation,
     n_unknowns: int,
-) -> ClockedLimit:
-    """x' - s lower >= 0 and x' - s upper <= 0, over the rates' units, where both limits (nv,) are finite."""
+) -> ScaledRateLimit:
+    """Rows x' >= s lower, x' <= s upper, over the rates' units, where both limits (nv,) are finite."""
     rows, lower, upper = [], [], []
     scale = collocation.node_scale(form)[form.rates]
     for limit, (low, high) in zip(limits, ((0.0, np.inf), (-np.inf, 0.0)), strict=True):
         for index in np.flatnonzero(np.isfinite(limit)):
             row = np.zeros(form.size)
             row[form.rates[index]] = 1.0
-            row[form.clocks[form.clock]] = -limit[index] / scale[index]
+            row[form.time_scales[form.time_scale]] = -limit[index] / scale[index]
             rows.append(row)
             lower.append(low)
             upper.append(high)
     coefficients = np.array(rows).reshape(len(rows), form.size)
-    return ClockedLimit(name, coefficients, np.array(lower), np.array(upper), n_unknowns)
+    return ScaledRateLimit(name, coefficients, np.array(lower), np.array(upper), n_unknowns)
 
 
 @dataclass(frozen=True)
@@ -174,18 +171,18 @@ def _bounded_nodes(term: PointConstraint, layout: Layout) -> list[_Bounded]:
     """
     found = []
     for k in range(1, layout.n_stages + 1):
-        meeting = layout.meeting(k)
-        if meeting.before is None:  # the free start of a closed motion: its image at the end has the limits
+        adjacent = layout.adjacent_intervals(k)
+        if adjacent.before is None:  # the free start of a closed motion: its image at the end has the limits
             continue
-        before, after = (_acts(term, layout, stage) for stage in (meeting.before, meeting.after))
-        stated_before = before and _has_point(layout, meeting.before, 1.0)
-        stated_after = after and _has_point(layout, meeting.after, 0.0)
-        if meeting.impact_ahead:
+        before, after = (_acts(term, layout, stage) for stage in (adjacent.before, adjacent.after))
+        stated_before = before and _has_point(layout, adjacent.before, 1.0)
+        stated_after = after and _has_point(layout, adjacent.after, 0.0)
+        if adjacent.impact_ahead:
             if layout.stages[k].kind is StageKind.IMPACT and before and not stated_before:
                 found.append(_Bounded(k, positions=True, rates=True))
         elif k < layout.n_stages and layout.stages[k].kind is StageKind.CHANGE:
             continue
-        elif meeting.impact_behind:
+        elif adjacent.impact_behind:
             if after and not stated_after:
                 found.append(_Bounded(k, positions=not before, rates=True))
         elif (before or after) and not (stated_before or stated_after):

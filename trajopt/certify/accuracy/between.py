@@ -1,31 +1,31 @@
 """What a solution does between its collocation points: rows left of the dynamics, and constraints broken.
 
-Every figure is that of the check (`certify`), evaluated on the interpolated motion (`interpolation`) at
+Every figure is that of the check, evaluated on the interpolated motion (`solution.interpolation`) at
 ``FRACTIONS`` of every interval, its ends among them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from trajopt.certify.accuracy.interpolation import resampled
 from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.certify.contact_figures import force_figures, place_figures
 from trajopt.certify.dynamics_figures import DynamicsRows, dynamics_rows
 from trajopt.certify.limit_figures import drive_figures, limit_figures
-from trajopt.certify.samples import Samples, evaluate
+from trajopt.certify.samples import SampleQuantities, sample_quantities
 from trajopt.solution.arrays import SAMPLED
 from trajopt.solution.descriptions import scene_of_meta
+from trajopt.solution.interpolation import resampled
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import Touched, touched
+from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
 
 # Eleven per interval: between the points of a scheme of degree four lie at least two of them.
 FRACTIONS = np.linspace(0.0, 1.0, 11)
 
-Figures = dict[str, float | None]
+_Figures = dict[str, float | None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ def _length(units: NaturalUnits) -> float:
 
 # Violations are over the weight (forces), weight times reach (moments of soles), the limit (torques,
 # velocities, drives), the joint's range (positions) and the reach (depths, distances).
-BOUNDS = {
+VIOLATIONS = {
     "friction": _Bound(figure="friction_margin", sign=-1.0),
     "unilateral": _Bound(figure="unilateral_margin", sign=-1.0),
     "sole": _Bound(figure="sole_margin", sign=-1.0, unit=_length),
@@ -61,7 +61,7 @@ BOUNDS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Residuals:
+class IntervalResiduals:
     """Largest rows left by the interpolated motion in each interval (I,), in natural units.
 
     base, actuated: RNEA(q, v, a) - sum J^T f - S^T tau over m g (rows that turn: m g l). contact:
@@ -80,34 +80,34 @@ class Residuals:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Between:
+class BetweenPoints:
     """Residuals by interval, and by phase the violations (0 where kept) and the drift of active contacts, m.
 
     A violation or drift is None where the phase has nothing of that kind.
     """
 
-    residuals: Residuals
-    violations: tuple[Figures, ...]
+    residuals: IntervalResiduals
+    violations: tuple[_Figures, ...]
     foot_drift: tuple[float | None, ...]
 
 
-def between(plan: Solution) -> Between:
+def figures_between_points(plan: Solution) -> BetweenPoints:
     """Figures of a plan whose rotations are of unit norm, at ``FRACTIONS`` of its intervals."""
     dense = resampled(plan, FRACTIONS)
-    samples = evaluate(dense)
-    surfaces = touched(dense, samples.position)
+    samples = sample_quantities(dense)
+    surfaces = touched_surfaces(dense, samples.position)
     units = NaturalUnits.of(plan.model)
     phases = [slice(rows.start, rows.stop) for rows in dense.phases]
     parts = [_part(dense, samples, surfaces, rows) for rows in phases]
     found = [_violations(part, units) for part in parts]
-    return Between(
+    return BetweenPoints(
         residuals=_residuals(dense, dynamics_rows(dense, samples, surfaces), units),
         violations=tuple(violations for violations, _ in found),
         foot_drift=tuple(drift for _, drift in found),
     )
 
 
-def _residuals(dense: Solution, rows: DynamicsRows, units: NaturalUnits) -> Residuals:
+def _residuals(dense: Solution, rows: DynamicsRows, units: NaturalUnits) -> IntervalResiduals:
     force = units.generalized_force(dense.model)
     base = dense.n_unactuated
     turning = np.array([1.0] * 3 + [1.0 / units.length] * 3)
@@ -119,23 +119,28 @@ def _residuals(dense: Solution, rows: DynamicsRows, units: NaturalUnits) -> Resi
         np.abs(part.reshape(dense.n_intervals, -1)).max(axis=1, initial=0.0)
         for part in (rows.base / force[:base], rows.actuated / force[base:], contact)
     ]
-    return Residuals(base=worst[0], actuated=worst[1], contact=worst[2])
+    return IntervalResiduals(base=worst[0], actuated=worst[1], contact=worst[2])
 
 
 def _part(
-    dense: Solution, samples: Samples, surfaces: Touched, rows: slice
-) -> tuple[Solution, Samples, Touched]:
+    dense: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces, rows: slice
+) -> tuple[Solution, SampleQuantities, TouchedSurfaces]:
     """The samples of one phase."""
-    plan = replace(dense, **{name: getattr(dense, name)[rows] for name in SAMPLED})
-    plan.__dict__["model"] = dense.model  # as cached: reading it from its text anew takes long
+    plan = dense.with_arrays(**{name: getattr(dense, name)[rows] for name in SAMPLED})
     return (
         plan,
-        Samples(**{name: getattr(samples, name)[rows] for name in Samples.__dataclass_fields__}),
-        Touched(**{name: getattr(surfaces, name)[rows] for name in Touched.__dataclass_fields__}),
+        SampleQuantities(
+            **{name: getattr(samples, name)[rows] for name in SampleQuantities.__dataclass_fields__}
+        ),
+        TouchedSurfaces(
+            **{name: getattr(surfaces, name)[rows] for name in TouchedSurfaces.__dataclass_fields__}
+        ),
     )
 
 
-def _violations(part: tuple[Solution, Samples, Touched], units: NaturalUnits) -> tuple[Figures, float | None]:
+def _violations(
+    part: tuple[Solution, SampleQuantities, TouchedSurfaces], units: NaturalUnits
+) -> tuple[_Figures, float | None]:
     plan, samples, surfaces = part
     places = place_figures(plan, samples, surfaces)
     figures = {
@@ -145,14 +150,14 @@ def _violations(part: tuple[Solution, Samples, Touched], units: NaturalUnits) ->
         **places,
         **_distances(plan),
     }
-    found: Figures = {}
-    for name, bound in BOUNDS.items():
+    found: _Figures = {}
+    for name, bound in VIOLATIONS.items():
         value = figures[bound.figure]
         found[name] = None if value is None else max(bound.sign * value / bound.unit(units), 0.0)
     return found, places["foot_drift"]
 
 
-def _distances(plan: Solution) -> Figures:
+def _distances(plan: Solution) -> _Figures:
     """Least distances, m, of the capsules of the collision scene from obstacles and from each other."""
     scene = scene_of_meta(plan.model, plan.meta.get("collision"))
     least = np.zeros(0) if scene is None else scene.least_distances(plan.q)

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajopt.certify.accuracy.interpolation import Sampled, sample_interval
 from trajopt.certify.accuracy.named_points import NamedPoints
 from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.certify.reintegration import state_distance
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
+from trajopt.solution.interpolation import MotionSample, sample_interval
 from trajopt.solution.solution import Solution
 
 # Times of each phase at which motions are compared, from its start to its end.
@@ -120,10 +120,9 @@ def _span(solution: Solution, phase: int) -> float:
     return float(solution.t[rows.stop - 1] - solution.t[rows.start])
 
 
-def _sampled(solution: Solution, phase: int, fractions: np.ndarray) -> Sampled:
+def _sampled(solution: Solution, phase: int, fractions: np.ndarray) -> MotionSample:
     """The motion at fractions of a phase; a node belongs to the interval that it begins."""
-    rows = solution.phases[phase]
-    numbers = range(int(solution.interval[rows.start]), int(solution.interval[rows.stop - 1]) + 1)
+    numbers = solution.intervals_of(phase)
     edges = solution.interval_t[numbers.start : numbers.stop]
     times = edges[0, 0] + fractions * (edges[-1, 1] - edges[0, 0])
     which = np.clip(np.searchsorted(edges[:, 0], times, side="right") - 1, 0, len(edges) - 1)
@@ -132,10 +131,10 @@ def _sampled(solution: Solution, phase: int, fractions: np.ndarray) -> Sampled:
         start, end = edges[index]
         inner = np.clip((times[which == index] - start) / (end - start), 0.0, 1.0)
         parts.append(sample_interval(solution, numbers[index], inner))
-    return Sampled(
+    return MotionSample(
         **{
             name: np.concatenate([getattr(part, name) for part in parts])
-            for name in Sampled.__dataclass_fields__
+            for name in MotionSample.__dataclass_fields__
         }
     )
 

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from trajopt.certify.accuracy.between import Between, between
+from trajopt.certify.accuracy.between import BetweenPoints, figures_between_points
 from trajopt.certify.accuracy.comparison import Comparison, compare
-from trajopt.certify.accuracy.open_loop import Drift, interval_drifts, motion_drift, phase_drifts
-from trajopt.certify.check import on_manifold, trusted
+from trajopt.certify.accuracy.open_loop import OpenLoopDrift, interval_drifts, motion_drift, phase_drifts
 from trajopt.certify.consistency import interval_gaps
+from trajopt.solution.input import SolutionOrFile, consistent_solution
 from trajopt.solution.solution import Solution
 
 
@@ -28,8 +27,8 @@ class PhaseAccuracy:
     name: str
     start: float
     end: float
-    open_loop: Drift
-    motion: Drift
+    open_loop: OpenLoopDrift
+    motion: OpenLoopDrift
     interval_error: float
     collocation_error: float
     violation: float
@@ -128,15 +127,20 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def measure(solution: Solution | str | Path, reference: Solution | str | Path | None = None) -> Accuracy:
-    """Measure ``solution``, or the file at that path, and compare it with ``reference`` where there is one.
+def measure(solution: SolutionOrFile, reference: SolutionOrFile | None = None) -> Accuracy:
+    """Measure the accuracy of a solution without the NLP, and compare it with a reference.
 
-    Nothing of the NLP takes part. Raises `SolutionFileError` for a file, `InputError` for a solution, that is
-    inconsistent or not finite, and `InputError` for a reference of another robot or of other phases.
+    Args:
+        solution: the solution, or the path of its file.
+        reference: a converged solution of the same problem, or the path of its file.
+
+    Raises:
+        SolutionFileError: for a file that is inconsistent or not finite.
+        InputError: for such a solution, and for a reference of another robot or of other phases.
     """
-    plan = on_manifold(trusted(solution))
-    comparison = None if reference is None else compare(plan, on_manifold(trusted(reference)))
-    gaps, local, dense = interval_gaps(plan), interval_drifts(plan), between(plan)
+    plan = consistent_solution(solution).normalized()
+    comparison = None if reference is None else compare(plan, consistent_solution(reference).normalized())
+    gaps, local, dense = interval_gaps(plan), interval_drifts(plan), figures_between_points(plan)
     phases = _phases(plan, local, dense, comparison)
     return Accuracy(
         **_worst("open_loop", [phase.open_loop for phase in phases]),
@@ -157,22 +161,23 @@ def measure(solution: Solution | str | Path, reference: Solution | str | Path | 
     )
 
 
-def interval_errors(solution: Solution | str | Path) -> np.ndarray:
+def interval_errors(solution: SolutionOrFile) -> np.ndarray:
     """Local error (I,) in m that each interval makes from its own planned start, see `interval_drifts`.
 
     Raises as `measure`.
     """
-    return interval_drifts(on_manifold(trusted(solution)))
+    return interval_drifts(consistent_solution(solution).normalized())
 
 
 def _phases(
-    plan: Solution, local: np.ndarray, dense: Between, comparison: Comparison | None
+    plan: Solution, local: np.ndarray, dense: BetweenPoints, comparison: Comparison | None
 ) -> tuple[PhaseAccuracy, ...]:
     names = plan.meta.get("phase_names") or [str(number) for number in range(len(plan.phases))]
     own, through = phase_drifts(plan), motion_drift(plan)
     found = []
     for number, rows in enumerate(plan.phases):
-        inside = slice(int(plan.interval[rows.start]), int(plan.interval[rows.stop - 1]) + 1)
+        numbers = plan.intervals_of(number)
+        inside = slice(numbers.start, numbers.stop)
         violations = [value for value in dense.violations[number].values() if value is not None]
         found.append(
             PhaseAccuracy(
@@ -191,7 +196,7 @@ def _phases(
     return tuple(found)
 
 
-def _worst(name: str, drifts: list[Drift]) -> dict[str, Any]:
+def _worst(name: str, drifts: list[OpenLoopDrift]) -> dict[str, Any]:
     return {
         name: max(drift.position for drift in drifts),
         f"{name}_orientation": _largest([drift.orientation for drift in drifts]),

@@ -35,7 +35,7 @@ COMPARED = {
 }
 
 
-def table(accuracy: Accuracy) -> str:
+def accuracy_table(accuracy: Accuracy) -> str:
     """Figures with units; None is left out, and of violations those that are not zero are named."""
     lines = [_line(text, getattr(accuracy, name), unit) for name, (text, unit) in FIGURES.items()]
     broken = {name: value for name, value in accuracy.violations.items() if value}

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.linalg.lapack import dpotrf, dpotrs
 
-from trajopt.certify.contact.contact_response import ContactRank, contact_rank, mass_factor, response
+from trajopt.certify.contact.contact_response import ContactRank, contact_rank, contact_response, mass_factor
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
 from trajopt.dynamics.base_joint import BASE_ROWS, base_of
 from trajopt.dynamics.model_quantities import generalized_force
@@ -63,7 +63,7 @@ def forward_dynamics(
     lower = mass_factor(pin.crba(model, data, q))
     free = dpotrs(lower, tau - pin.nle(model, data, q, v), lower=1)[0]
     rows = contact_kinematics(model, data, q, v, contacts)
-    found = response(lower, contacts, rows.jacobian)
+    found = contact_response(lower, contacts, rows.jacobian)
     change, forces = found.least(-contacts.scale * (rows.drift + rows.jacobian @ free))
     acceleration = free + change
     wrenches = contacts.table(contacts.scale * forces)
@@ -96,11 +96,11 @@ def inverse_dynamics(
     if table.shape != (len(contacts.names), 6) or not np.isfinite(table).all():
         raise InputError(f"wrenches have shape {table.shape}", f"finite, shape ({len(contacts.names)}, 6)")
     force = generalized_force(model, model.createData(), motion, contacts.frames, table)
-    base = unactuated_rows(model, n_unactuated)
+    base = count_unactuated(model, n_unactuated)
     return InverseDynamics(torque=force[base:], base_residual=force[:base])
 
 
-def unactuated_rows(model: pin.Model, given: int | None = None) -> int:
+def count_unactuated(model: pin.Model, given: int | None = None) -> int:
     """Number of first rows of v without an actuator: ``given``, or those of the model's base."""
     if given is None:
         return BASE_ROWS[base_of(model)]
@@ -111,7 +111,7 @@ def unactuated_rows(model: pin.Model, given: int | None = None) -> int:
 
 def actuated_force(model: pin.Model, torque: np.ndarray, n_unactuated: int | None = None) -> np.ndarray:
     """Return ``S^T torque`` (nv,): torques (nu,) behind rows of zeros for the base."""
-    base = unactuated_rows(model, n_unactuated)
+    base = count_unactuated(model, n_unactuated)
     require_arrays({"torque": (torque, model.nv - base)})
     return np.concatenate([np.zeros(base), torque])
 
@@ -160,4 +160,4 @@ class ContactDynamics:
             return free
         rows = contact_kinematics(model, data, q, v, contacts)
         wanted = -contacts.scale * (rows.drift + rows.jacobian @ free)
-        return free + response(lower, contacts, rows.jacobian).least_change(wanted)
+        return free + contact_response(lower, contacts, rows.jacobian).least_change(wanted)

@@ -17,12 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from trajopt.certify.contact.contact_dynamics import require_arrays, unactuated_rows
-from trajopt.certify.contact.contact_response import mass_factor, numeric_rank, response
+from trajopt.certify.contact.contact_dynamics import count_unactuated, require_arrays
+from trajopt.certify.contact.contact_response import contact_response, mass_factor, numeric_rank
 from trajopt.certify.contact.contact_set import ContactKinematics, ContactSet, contact_kinematics
 from trajopt.errors import InputError
 
-Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
+_Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +31,7 @@ class ContactTorques:
 
     torque: (nu,). wrenches: (n, 6) world axes, frame origins. residual: (nv,) M a + h - S^T tau - J^T f;
     zero unless actuators and contacts together cannot give the motion. contact_acceleration: (n, 6)
-    J a + Jdot v of the motion asked for; zero unless it contradicts the contacts. fully_actuated: whether
+    J a + Jdot v of the given motion; zero unless it contradicts the contacts. fully_actuated: whether
     torques can give every acceleration that the contacts allow.
     """
 
@@ -57,7 +57,7 @@ def consistent_projector(mass: np.ndarray, contacts: ContactSet, jacobian: np.nd
 
     mass (nv, nv), jacobian (n_rows, nv) of ``contacts``. Raises `InputError` unless M is positive definite.
     """
-    found = response(mass_factor(mass), contacts, jacobian)
+    found = contact_response(mass_factor(mass), contacts, jacobian)
     allowed = null_space_projector(found.whitened.T, found.unit)
     return np.linalg.solve(found.lower.T, allowed @ found.lower.T)
 
@@ -84,7 +84,7 @@ def projected_forward_dynamics(
 
 
 def projected_inverse_dynamics(
-    model: pin.Model, motion: Motion, contacts: ContactSet, *, n_unactuated: int | None = None
+    model: pin.Model, motion: _Motion, contacts: ContactSet, *, n_unactuated: int | None = None
 ) -> ContactTorques:
     """Return the least torques of a motion (q, v, a), ``tau = (P S^T)^+ P (M a + h)``, and their wrenches.
 
@@ -103,7 +103,7 @@ def projected_inverse_dynamics(
 
 def least_norm_inverse_dynamics(
     model: pin.Model,
-    motion: Motion,
+    motion: _Motion,
     contacts: ContactSet,
     *,
     n_unactuated: int | None = None,
@@ -113,7 +113,7 @@ def least_norm_inverse_dynamics(
 
     The norm is ``|f|^2 + |m|^2 / arm^2 + |tau / torque_scale|^2``; ``torque_scale`` (a number or (nu,)), in
     m for a rotation and without unit for a translation, defaults to the moment arm of ``contacts``. The
-    smaller it is, the dearer are torques: `projected_inverse_dynamics` is its limit at zero. Raises
+    smaller it is, the costlier are torques: `projected_inverse_dynamics` is its limit at zero. Raises
     `InputError`.
     """
     needed, rows, scaled, base = _needed(model, motion, contacts, n_unactuated)
@@ -131,7 +131,7 @@ def least_norm_inverse_dynamics(
 
 
 def _needed(
-    model: pin.Model, motion: Motion, contacts: ContactSet, n_unactuated: int | None
+    model: pin.Model, motion: _Motion, contacts: ContactSet, n_unactuated: int | None
 ) -> tuple[np.ndarray, ContactKinematics, np.ndarray, int]:
     """M a + h (nv,), the contacts' rows, their scaled Jacobian and the number of unactuated rows."""
     q, v, a = motion
@@ -140,7 +140,7 @@ def _needed(
     needed = pin.rnea(model, data, q, v, a)
     rows = contact_kinematics(model, data, q, v, contacts)
     scaled = contacts.scale[:, None] * rows.jacobian
-    return needed, rows, scaled, unactuated_rows(model, n_unactuated)
+    return needed, rows, scaled, count_unactuated(model, n_unactuated)
 
 
 def _torques(

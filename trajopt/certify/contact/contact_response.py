@@ -28,7 +28,7 @@ WELL_CONDITIONED = 1e-8
 
 
 @dataclass(frozen=True, kw_only=True)
-class Dependency:
+class RowDependency:
     """Rows that depend on each other, the ``contacts`` they belong to, and how many are too many."""
 
     rows: tuple[str, ...]
@@ -49,7 +49,7 @@ class ContactRank:
     jacobian: int
     delassus: int
     condition: float
-    dependencies: tuple[Dependency, ...]
+    dependencies: tuple[RowDependency, ...]
 
     @property
     def redundant(self) -> bool:
@@ -64,7 +64,7 @@ class ContactRank:
 
 
 @dataclass(frozen=True)
-class Response:
+class ContactResponse:
     """``lower`` L (nv, nv) and ``whitened`` B (nv, n_rows) of contacts at a configuration.
 
     ``unit`` is what entries of B are like where a contact moves at all: a turn at the moment arm over the
@@ -109,13 +109,13 @@ def mass_factor(mass: np.ndarray) -> np.ndarray:
     return lower
 
 
-def response(lower: np.ndarray, contacts: ContactSet, jacobian: np.ndarray) -> Response:
+def contact_response(lower: np.ndarray, contacts: ContactSet, jacobian: np.ndarray) -> ContactResponse:
     """Return the response of ``contacts`` with J (n_rows, nv) and M = L L^T."""
     unit = contacts.moment_arm / float(np.sqrt((lower * lower).sum(axis=1).max()))
     if not contacts.n_rows:
-        return Response(lower, np.zeros((len(lower), 0)), unit)
+        return ContactResponse(lower, np.zeros((len(lower), 0)), unit)
     # Not LAPACK's dtrtrs: it wakes threads for the smallest of matrices, milliseconds on busy cores.
-    return Response(lower, dtrsm(1.0, lower, (contacts.scale[:, None] * jacobian).T, lower=1), unit)
+    return ContactResponse(lower, dtrsm(1.0, lower, (contacts.scale[:, None] * jacobian).T, lower=1), unit)
 
 
 def numeric_rank(singular: np.ndarray, unit: float) -> int:
@@ -123,7 +123,7 @@ def numeric_rank(singular: np.ndarray, unit: float) -> int:
     return int(np.sum(singular > RANK_TOLERANCE * singular.max(initial=unit)))
 
 
-def contact_rank(contacts: ContactSet, jacobian: np.ndarray, found: Response) -> ContactRank:
+def contact_rank(contacts: ContactSet, jacobian: np.ndarray, found: ContactResponse) -> ContactRank:
     """Return the rank report of ``contacts`` with J (n_rows, nv) and their response."""
     _, singular, right = np.linalg.svd(found.whitened)
     rank = numeric_rank(singular, found.unit)
@@ -138,7 +138,7 @@ def contact_rank(contacts: ContactSet, jacobian: np.ndarray, found: Response) ->
     )
 
 
-def _dependencies(contacts: ContactSet, projector: np.ndarray) -> tuple[Dependency, ...]:
+def _dependencies(contacts: ContactSet, projector: np.ndarray) -> tuple[RowDependency, ...]:
     """Blocks of the projector (n_rows, n_rows) onto internal wrenches."""
     coupled = np.abs(projector) > COUPLED
     owner = np.repeat(np.array(contacts.names, dtype=str), contacts.dimensions).tolist()
@@ -152,7 +152,7 @@ def _dependencies(contacts: ContactSet, projector: np.ndarray) -> tuple[Dependen
         rows = sorted(group)
         remaining -= group
         found.append(
-            Dependency(
+            RowDependency(
                 rows=tuple(contacts.row_names[row] for row in rows),
                 contacts=tuple(dict.fromkeys(owner[row] for row in rows)),
                 excess=round(float(projector[rows, rows].sum())),

@@ -110,8 +110,10 @@ class ContactSet:
 
 @dataclass(frozen=True, kw_only=True)
 class ContactKinematics:
-    """Rows of a contact set at (q, v), world axes: ``jacobian`` J (n_rows, nv), ``drift`` Jdot v and
-    ``velocity`` J v (n_rows,); m/s and rad/s, their rates."""
+    """Rows of a contact set at (q, v), in world axes.
+
+    ``jacobian`` J (n_rows, nv), ``drift`` Jdot v and ``velocity`` J v (n_rows,); m/s and rad/s, their rates.
+    """
 
     jacobian: np.ndarray
     drift: np.ndarray

@@ -18,7 +18,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from trajopt.certify.contact.contact_dynamics import require_arrays
-from trajopt.certify.contact.contact_response import ContactRank, contact_rank, mass_factor, response
+from trajopt.certify.contact.contact_response import ContactRank, contact_rank, contact_response, mass_factor
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
 from trajopt.errors import InputError
 
@@ -27,7 +27,7 @@ UNIT_SLACK = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Momentum:
+class MomentumAbout:
     """Linear momentum (3,) in kg m/s, angular momentum (3,) about ``point`` (3,) in kg m^2/s; world axes.
 
     Of the links alone: spinning rotors (armature) change joint rows of M, not these.
@@ -37,15 +37,15 @@ class Momentum:
     angular: np.ndarray
     point: np.ndarray
 
-    def about(self, point: ArrayLike) -> Momentum:
+    def about(self, point: ArrayLike) -> MomentumAbout:
         """Return the same momentum with the angular part about another point (3,) of the world."""
         new = np.asarray(point, dtype=float)
         moved = self.angular + np.cross(self.point - new, self.linear)
-        return Momentum(linear=self.linear, angular=moved, point=new)
+        return MomentumAbout(linear=self.linear, angular=moved, point=new)
 
-    def __sub__(self, other: Momentum) -> Momentum:
+    def __sub__(self, other: MomentumAbout) -> MomentumAbout:
         back = other.about(self.point)
-        return Momentum(
+        return MomentumAbout(
             linear=self.linear - back.linear, angular=self.angular - back.angular, point=self.point
         )
 
@@ -68,13 +68,13 @@ class Impact:
     energy_before: float
     energy_after: float
     energy_loss: float
-    jump: Momentum
-    impulse: Momentum
+    jump: MomentumAbout
+    impulse: MomentumAbout
     dynamics_residual: np.ndarray
     contact_velocity: np.ndarray
 
     @property
-    def root_impulse(self) -> Momentum:
+    def root_impulse(self) -> MomentumAbout:
         """Impulse of the world on the root joint: jump - impulse, zero for a free-flyer."""
         return self.jump - self.impulse
 
@@ -89,12 +89,12 @@ def impact(model: pin.Model, q: np.ndarray, v_minus: np.ndarray, contacts: Conta
     data = model.createData()
     lower = mass_factor(pin.crba(model, data, q))
     rows = contact_kinematics(model, data, q, v_minus, contacts)
-    found = response(lower, contacts, rows.jacobian)
+    found = contact_response(lower, contacts, rows.jacobian)
     change, forces = found.least(-contacts.scale * rows.velocity)
     v_plus = v_minus + change
     stacked = contacts.scale * forces
     impulses = contacts.table(stacked)
-    before, after = momentum(model, q, v_minus), momentum(model, q, v_plus)
+    before, after = momentum_of_links(model, q, v_minus), momentum_of_links(model, q, v_plus)
     return Impact(
         velocity=v_plus,
         impulses=impulses,
@@ -109,16 +109,16 @@ def impact(model: pin.Model, q: np.ndarray, v_minus: np.ndarray, contacts: Conta
     )
 
 
-def momentum(model: pin.Model, q: np.ndarray, v: np.ndarray) -> Momentum:
+def momentum_of_links(model: pin.Model, q: np.ndarray, v: np.ndarray) -> MomentumAbout:
     """Return the momentum of all links at q (nq,), v (nv,), about the centre of mass."""
     data = model.createData()
     found = pin.computeCentroidalMomentum(model, data, q, v)
-    return Momentum(linear=found.linear.copy(), angular=found.angular.copy(), point=data.com[0].copy())
+    return MomentumAbout(linear=found.linear.copy(), angular=found.angular.copy(), point=data.com[0].copy())
 
 
 def total_wrench(
     model: pin.Model, q: np.ndarray, contacts: ContactSet, wrenches: np.ndarray, point: ArrayLike
-) -> Momentum:
+) -> MomentumAbout:
     """Return the sum of wrenches or impulses (n, 6) of ``contacts``, with the moment about ``point`` (3,)."""
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
@@ -127,7 +127,7 @@ def total_wrench(
     for frame, wrench in zip(contacts.frames, wrenches, strict=True):
         linear += wrench[:3]
         angular += wrench[3:] + np.cross(data.oMf[frame].translation - centre, wrench[:3])
-    return Momentum(linear=linear, angular=angular, point=centre)
+    return MomentumAbout(linear=linear, angular=angular, point=centre)
 
 
 def cone_margins(wrenches: ArrayLike, normals: ArrayLike, friction: ArrayLike) -> np.ndarray:

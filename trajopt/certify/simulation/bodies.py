@@ -36,10 +36,10 @@ def mujoco_package() -> Any:
 
 
 @contextlib.contextmanager
-def quiet() -> Iterator[None]:
-    """MuJoCo says nothing meanwhile: its warnings go to stderr and into a file where the program runs.
+def muted_mujoco() -> Iterator[None]:
+    """Suppress MuJoCo's warnings, which go to stderr and into a file in the working directory.
 
-    A simulation that runs away is found by its numbers.
+    A simulation that diverges is found by its numbers.
     """
     mujoco = mujoco_package()
     before = mujoco.get_mju_user_warning()
@@ -76,7 +76,7 @@ def build_bodies(model: pin.Model) -> Bodies:
         body = bodies[model.parents[index]].add_body(
             name=body_name(index),
             pos=placement.translation,
-            quat=_quaternion(placement.rotation),
+            quat=mujoco_quaternion(placement.rotation),
             explicitinertial=True,
             **STAND_IN,
         )
@@ -85,7 +85,8 @@ def build_bodies(model: pin.Model) -> Bodies:
     return Bodies(model=model, spec=spec, names=tuple(body_name(i) for i in range(len(bodies))))
 
 
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
+def mujoco_quaternion(rotation: np.ndarray) -> np.ndarray:
+    """Return MuJoCo's quaternion (w, x, y, z) of a rotation matrix (3, 3)."""
     quaternion = pin.Quaternion(np.array(rotation)).normalized()
     return np.array([quaternion.w, quaternion.x, quaternion.y, quaternion.z])
 
@@ -168,5 +169,5 @@ def write_inertias(compiled: Any, model: pin.Model) -> None:
         compiled.body_mass[body] = inertia.mass
         compiled.body_ipos[body] = inertia.lever
         compiled.body_inertia[body] = moments
-        compiled.body_iquat[body] = _quaternion(axes)
+        compiled.body_iquat[body] = mujoco_quaternion(axes)
     mujoco.mj_setConst(compiled, mujoco.MjData(compiled))

@@ -1,4 +1,4 @@
-"""Pinocchio's coordinates and MuJoCo's: the same joints, told in two ways.
+"""Pinocchio's coordinates and MuJoCo's: two descriptions of the same joints.
 
 Both count one velocity for each degree of freedom, in the same order within a joint. They differ in
 

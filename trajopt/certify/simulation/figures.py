@@ -8,13 +8,13 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.reintegration import state_distance
-from trajopt.certify.samples import evaluate
-from trajopt.certify.simulation.reference import Reference
-from trajopt.certify.simulation.run import Record
+from trajopt.certify.samples import sample_quantities
+from trajopt.certify.simulation.reference import ReferenceTrajectory
+from trajopt.certify.simulation.run import SimulationRecord
 from trajopt.certify.simulation.world import World, touching_places
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import Touched, touched
+from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
 
 # A contact carries load from this part of the weight on: far above rounding, far below a leg's share.
 LOADED = 0.02
@@ -37,7 +37,7 @@ class Fall:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stance:
+class SimulatedStance:
     """One planned stance of a contact in the simulation.
 
     touchdown: s, simulated minus planned; None for one that lasts from the start, or never is loaded
@@ -53,7 +53,7 @@ class Stance:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Errors:
+class TrackingErrors:
     """Distances from the plan at n + 1 times: base m, turn rad, worst joint rad or m; joints (n + 1, .)."""
 
     base: np.ndarray
@@ -62,32 +62,36 @@ class Errors:
     joints: np.ndarray
 
 
-def errors_of(plan: Solution, reference: Reference, q: np.ndarray) -> Errors:
+def tracking_errors(plan: Solution, reference: ReferenceTrajectory, q: np.ndarray) -> TrackingErrors:
     """Errors of simulated q (n + 1, nq) at the starts of periods and at the end of the last."""
     wanted = np.vstack([reference.q, reference.end])[: len(q)]
     model, first = plan.model, plan.n_unactuated
     distance = np.array([state_distance(model, a, b) for a, b in zip(wanted, q, strict=True)])
     joints = np.array([pin.difference(model, a, b)[first:] for a, b in zip(wanted, q, strict=True)])
-    return Errors(base=distance[:, 0], turn=distance[:, 1], joint=distance[:, 2], joints=joints)
+    return TrackingErrors(base=distance[:, 0], turn=distance[:, 1], joint=distance[:, 2], joints=joints)
 
 
-def loads(record: Record, world: World) -> np.ndarray:
+def loaded_contacts(record: SimulationRecord, world: World) -> np.ndarray:
     """Whether contacts carry load (n, nc)."""
     force = np.linalg.norm(record.force[:, :, :3], axis=2)
     return np.asarray(force > LOADED * world.units.weight)
 
 
-def surfaces_by_phase(plan: Solution) -> Touched:
+def phase_surfaces(plan: Solution) -> TouchedSurfaces:
     """What contacts touch, at the first sample of each phase of the file."""
-    found = touched(plan, evaluate(plan).position)
+    found = touched_surfaces(plan, sample_quantities(plan).position)
     rows = [phase.start for phase in plan.phases]
-    return Touched(**{name: getattr(found, name)[rows] for name in Touched.__dataclass_fields__})
+    return TouchedSurfaces(
+        **{name: getattr(found, name)[rows] for name in TouchedSurfaces.__dataclass_fields__}
+    )
 
 
-def stances(plan: Solution, reference: Reference, record: Record, world: World) -> tuple[Stance, ...]:
+def simulated_stances(
+    plan: Solution, reference: ReferenceTrajectory, record: SimulationRecord, world: World
+) -> tuple[SimulatedStance, ...]:
     """Every planned stance, contact by contact."""
     n = min(len(record.feet), reference.planned)
-    loaded, surfaces, found = loads(record, world)[:n], surfaces_by_phase(plan), []
+    loaded, surfaces, found = loaded_contacts(record, world)[:n], phase_surfaces(plan), []
     gap = round(PULSES * world.units.time / reference.period)
     for contact in range(loaded.shape[1]):
         runs = _runs(reference.active[:n, contact])
@@ -101,7 +105,7 @@ def stances(plan: Solution, reference: Reference, record: Record, world: World) 
             free = bool((surfaces.bilateral | surfaces.slides)[own, contact].any())
             late = (window + int(touch[0]) - first) * reference.period if len(touch) else None
             found.append(
-                Stance(
+                SimulatedStance(
                     contact=contact,
                     start=float(reference.t[first]),
                     touchdown=late if first else None,
@@ -144,13 +148,13 @@ def farthest_travel(places: np.ndarray, loaded: np.ndarray, normal: np.ndarray) 
     return farthest
 
 
-def swing_load(reference: Reference, record: Record, world: World) -> float:
+def swing_load(reference: ReferenceTrajectory, record: SimulationRecord, world: World) -> float:
     """Longest time (s) for which a contact carries load in the middle half of a planned swing.
 
     Around lift-off and touchdown the contact only is late or early.
     """
     n = min(len(record.feet), reference.planned)
-    loaded, longest = loads(record, world)[:n], 0
+    loaded, longest = loaded_contacts(record, world)[:n], 0
     for contact in range(loaded.shape[1]):
         for first, end in _runs(~reference.active[:n, contact]):
             quarter = (end - first) // 4
@@ -158,14 +162,16 @@ def swing_load(reference: Reference, record: Record, world: World) -> float:
     return longest * reference.period
 
 
-def force_error(reference: Reference, record: Record) -> float | None:
+def force_error(reference: ReferenceTrajectory, record: SimulationRecord) -> float | None:
     """Root mean square over the plan of the difference of all contact forces, N; None without contacts."""
     n = min(len(record.force), reference.planned)
     difference = record.force[:n, :, :3] - reference.f[:n, :, :3]
     return float(np.sqrt((difference**2).sum(axis=(1, 2)).mean())) if difference.size else None
 
 
-def fall_of(plan: Solution, reference: Reference, record: Record, q: np.ndarray) -> Fall | None:
+def fall_of(
+    plan: Solution, reference: ReferenceTrajectory, record: SimulationRecord, q: np.ndarray
+) -> Fall | None:
     """The first fall; a robot on a fixed base falls only where its simulation runs away."""
     found = []
     if len(record.feet) < len(reference.t):
@@ -201,7 +207,7 @@ def _bases(model: pin.Model, q: np.ndarray) -> np.ndarray:
 
 def _height_over_feet(plan: Solution, up: np.ndarray) -> float:
     """Mean height of the base over the contacts that stand, m; zero where none does."""
-    position = evaluate(plan).position
+    position = sample_quantities(plan).position
     base = _bases(plan.model, plan.q)[:, :, 3]
     over = (base[:, None, :] - position) @ up
     return max(float(over[plan.active].mean()), 0.0) if plan.active.any() else 0.0

@@ -20,8 +20,8 @@ import numpy as np
 
 from trajopt.certify.payloads import carrying_model
 from trajopt.certify.simulation.bodies import mujoco_package, write_inertias
-from trajopt.certify.simulation.reference import Reference, rows_of
-from trajopt.certify.simulation.settings import FEEDBACK_TIME, Settings
+from trajopt.certify.simulation.reference import ReferenceTrajectory, moving_rows
+from trajopt.certify.simulation.settings import FEEDBACK_TIME, SimulationSettings
 from trajopt.certify.simulation.world import World
 from trajopt.dynamics.base_joint import base_of
 from trajopt.solution.solution import Solution
@@ -43,7 +43,9 @@ class Gains:
     rate: float
 
 
-def gains_of(plan: Solution, world: World, reference: Reference, settings: Settings) -> Gains:
+def gains_of(
+    plan: Solution, world: World, reference: ReferenceTrajectory, settings: SimulationSettings
+) -> Gains:
     """Gains for every period of a reference."""
     picked = np.arange(0, len(reference.t), EVERY)
     rows = world.coordinates.rows[plan.n_unactuated :]
@@ -59,7 +61,7 @@ def gains_of(plan: Solution, world: World, reference: Reference, settings: Setti
     return Gains(kp=settings.kp * (weaker * kp)[spread], kd=settings.kd * (weaker * kd)[spread], rate=rate)
 
 
-def _inertias(plan: Solution, world: World, reference: Reference, picked: np.ndarray) -> np.ndarray:
+def _inertias(plan: Solution, world: World, reference: ReferenceTrajectory, picked: np.ndarray) -> np.ndarray:
     """Mass matrices (n, nv, nv) of the picked periods, with what is carried, in MuJoCo's coordinates."""
     mujoco, model = mujoco_package(), copy.copy(world.compiled)
     data, found = mujoco.MjData(model), np.zeros((len(picked), model.nv, model.nv))
@@ -88,7 +90,7 @@ def _holding(plan: Solution, world: World, active: np.ndarray) -> np.ndarray:
     force = units.generalized_force(plan.model)[first:]
     stiffness = STIFFER * np.where(force == units.weight, force / units.length, force)  # N/m, or N m
     for contact, frame in enumerate(plan.contact_frames):
-        own = sorted(row - first for row in rows_of(plan.model, frame) if row >= first)
+        own = sorted(row - first for row in moving_rows(plan.model, frame) if row >= first)
         held = np.where(active[:, contact, None], stiffness[own] / standing[:, None], 0.0)
         found[:, own] = np.maximum(found[:, own], held)
     return found

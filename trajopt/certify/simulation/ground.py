@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
-from trajopt.certify.simulation.bodies import mujoco_package
+from trajopt.certify.simulation.bodies import mujoco_package, mujoco_quaternion
 from trajopt.certify.simulation.reference import image_of_contacts
 from trajopt.robot.collision.shapes import BoxObstacle, CapsuleObstacle, SphereObstacle
 from trajopt.solution.descriptions import surfaces_of, terrain_of
@@ -30,7 +29,7 @@ MOST_CELLS = 500
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ground:
+class GroundGeometry:
     """Geoms to touch: ``names``, the contacts that may touch them, and which of them are the terrain.
 
     friction: (phases, geoms, nc), that of a contact on a geom in a phase of the file.
@@ -43,7 +42,7 @@ class Ground:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
+class Surroundings:
     """Where a plan happens: contact frames (K, nc, 3) at its samples, a box around it, the reach; m."""
 
     feet: np.ndarray
@@ -57,14 +56,16 @@ class Place:
         return BALL * self.reach
 
 
-def place_of(plan: Solution, feet: np.ndarray, bodies: np.ndarray, reach: float) -> Place:
+def surroundings_of(plan: Solution, feet: np.ndarray, bodies: np.ndarray, reach: float) -> Surroundings:
     """The place of a plan with contacts at ``feet`` (K, nc, 3) and joints at ``bodies`` (K, n, 3) m."""
     points = np.concatenate([feet.reshape(-1, 3), bodies.reshape(-1, 3)])
     around = AROUND * reach
-    return Place(feet=feet, low=points.min(axis=0) - around, high=points.max(axis=0) + around, reach=reach)
+    return Surroundings(
+        feet=feet, low=points.min(axis=0) - around, high=points.max(axis=0) + around, reach=reach
+    )
 
 
-def add_ground(spec: Any, plan: Solution, place: Place) -> Ground:
+def add_ground(spec: Any, plan: Solution, place: Surroundings) -> GroundGeometry:
     """Add terrain and boards to a specification."""
     found: list[tuple[str, Surface | None, tuple[float, ...], tuple[int, ...], bool]] = []
     frames = list(plan.contact_frames)
@@ -87,7 +88,7 @@ def add_ground(spec: Any, plan: Solution, place: Place) -> Ground:
         found.append((name, surface, (surface.friction,) * len(frames), contacts, False))
     names, planes, usual, touched_by, is_terrain = zip(*found, strict=True) if found else ((),) * 5
     friction = _by_phase(plan, planes, np.array(usual, dtype=float).reshape(len(names), len(frames)))
-    return Ground(names=names, friction=friction, touched_by=touched_by, is_terrain=is_terrain)
+    return GroundGeometry(names=names, friction=friction, touched_by=touched_by, is_terrain=is_terrain)
 
 
 def _by_phase(plan: Solution, planes: Sequence[Surface | None], usual: np.ndarray) -> np.ndarray:
@@ -137,7 +138,7 @@ def _standing(plan: Solution, own: Sequence[tuple[int, int, Surface]]) -> tuple[
 
 
 def _boards(
-    plan: Solution, own: Sequence[tuple[int, int, Surface]], place: Place
+    plan: Solution, own: Sequence[tuple[int, int, Surface]], place: Surroundings
 ) -> list[tuple[Surface, tuple[int, ...], np.ndarray]]:
     """Planes that push, each with the contacts on it and where they touch it (n, 3), soles at the corners."""
     groups: list[tuple[Surface, list[tuple[int, int]]]] = []
@@ -159,7 +160,7 @@ def _boards(
     ]
 
 
-def _under(plan: Solution, surface: Surface, place: Place, phase: int, contact: int) -> np.ndarray:
+def _under(plan: Solution, surface: Surface, place: Surroundings, phase: int, contact: int) -> np.ndarray:
     """Places (n, 3) of a contact in a phase; of a sole those of a square on the plane around its corners."""
     places = place.feet[plan.phase == phase, contact]
     sizes = plan.meta.get("contact_sizes") or [None] * len(plan.contact_frames)
@@ -170,17 +171,12 @@ def _under(plan: Solution, surface: Surface, place: Place, phase: int, contact: 
     return np.concatenate([places + turn[:, :2] @ corner for corner in around])
 
 
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    quaternion = pin.Quaternion(np.array(rotation)).normalized()
-    return np.array([quaternion.w, quaternion.x, quaternion.y, quaternion.z])
-
-
-def _plane(spec: Any, surface: Surface, place: Place) -> str:
+def _plane(spec: Any, surface: Surface, place: Surroundings) -> str:
     spec.worldbody.add_geom(
         name="terrain",
         type=mujoco_package().mjtGeom.mjGEOM_PLANE,
         pos=surface.point - place.ball * surface.normal,
-        quat=_quaternion(surface.frame),
+        quat=mujoco_quaternion(surface.frame),
         size=[0.0, 0.0, 1.0],
         contype=0,
         conaffinity=0,
@@ -188,7 +184,7 @@ def _plane(spec: Any, surface: Surface, place: Place) -> str:
     return "terrain"
 
 
-def _prism(spec: Any, name: str, face: Patch, place: Place) -> str:
+def _prism(spec: Any, name: str, face: Patch, place: Surroundings) -> str:
     """A solid under the part of a face around the motion; no name where there is none."""
     corners = face.vertices
     for axis in (0, 1):
@@ -214,7 +210,7 @@ def _prism(spec: Any, name: str, face: Patch, place: Place) -> str:
     return name
 
 
-def _field(spec: Any, terrain: SmoothTerrain, place: Place) -> str:
+def _field(spec: Any, terrain: SmoothTerrain, place: Surroundings) -> str:
     """Smooth ground as a field of heights around the motion."""
     span = (place.high - place.low)[:2]
     cells = np.minimum(np.ceil(span / (CELL * place.reach)).astype(int), MOST_CELLS)
@@ -241,7 +237,7 @@ def _field(spec: Any, terrain: SmoothTerrain, place: Place) -> str:
     return "terrain"
 
 
-def _board(spec: Any, name: str, surface: Surface, points: np.ndarray, place: Place) -> str:
+def _board(spec: Any, name: str, surface: Surface, points: np.ndarray, place: Surroundings) -> str:
     """A box whose front is the plane, around the places (n, 3) where it is touched."""
     turn = frame_of_normal(surface.normal)
     local = (points - surface.point) @ turn[:, :2]
@@ -252,7 +248,7 @@ def _board(spec: Any, name: str, surface: Surface, points: np.ndarray, place: Pl
         name=name,
         type=mujoco_package().mjtGeom.mjGEOM_BOX,
         pos=centre,
-        quat=_quaternion(turn),
+        quat=mujoco_quaternion(turn),
         size=[*(high - low) / 2, deep],
         contype=0,
         conaffinity=0,
@@ -275,7 +271,7 @@ def add_obstacles(spec: Any, obstacles: Sequence[Any]) -> tuple[str, ...]:
             made |= {
                 "type": shapes.mjGEOM_BOX,
                 "pos": obstacle.position,
-                "quat": _quaternion(rotation),
+                "quat": mujoco_quaternion(rotation),
                 "size": obstacle.sides / 2,
             }
         spec.worldbody.add_geom(**made)

@@ -10,14 +10,13 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.accuracy.natural_units import NaturalUnits
-from trajopt.certify.closing import image
+from trajopt.certify.closing import periodic_image
 from trajopt.certify.payloads import carrying_model, payload_wrenches
-from trajopt.certify.simulation.settings import HOLD, Settings
+from trajopt.certify.simulation.settings import HOLD, SimulationSettings
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
-from trajopt.robot.actuators.drive import Drive
-from trajopt.robot.actuators.on_robot import drive_torque_values
-from trajopt.solution.motion import SolutionMotion, lagrange_coefficients
+from trajopt.solution.interpolation import collocation_fractions, lagrange_coefficients
+from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
 
 # A plan that ends slower than this (reaches and radians over the natural time) ends at rest.
@@ -27,7 +26,7 @@ MOST_PERIODS = 200_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reference:
+class ReferenceTrajectory:
     """A plan at the starts of n periods of the controller.
 
     t: (n,) s. period: s. q, v: (n, nq), (n, nv), Pinocchio's. torque: (n, nu) that the drives deliver, in the
@@ -55,14 +54,8 @@ class Reference:
         return len(self.t) - self.held
 
 
-def drives_of(plan: Solution) -> list[Drive | None]:
-    """Drive of each actuated row (nu), None without."""
-    described = plan.meta.get("drives") or [None] * plan.tau.shape[1]
-    return [None if entry is None else Drive.from_meta(entry) for entry in described]
-
-
-def reference_of(plan: Solution, settings: Settings) -> Reference:
-    """Sample a plan, repeat it if asked to, and hold its end if it is at rest. Raises `InputError`."""
+def reference_of(plan: Solution, settings: SimulationSettings) -> ReferenceTrajectory:
+    """Sample a plan, repeat it by the settings, and hold its end if it is at rest. Raises `InputError`."""
     described = plan.meta.get("periodicity")
     whole = settings.cycles * (2 if described and described["mirror"] else 1)
     periods = float(plan.interval_t[-1, 1] - plan.interval_t[0, 0]) * settings.control_rate * whole
@@ -79,7 +72,7 @@ def reference_of(plan: Solution, settings: Settings) -> Reference:
     return _with_hold(plan, one)
 
 
-def _once(plan: Solution, rate: float) -> Reference:
+def _once(plan: Solution, rate: float) -> ReferenceTrajectory:
     start, end = float(plan.interval_t[0, 0]), float(plan.interval_t[-1, 1])
     count = max(1, round((end - start) * rate))
     period = (end - start) / count
@@ -93,7 +86,7 @@ def _once(plan: Solution, rate: float) -> Reference:
         samples.append(motion.in_phase(int(number), (time - first) / (last - first), 1.0))
     active = np.array([plan.active[rows.start] for rows in plan.phases]).reshape(len(spans), -1)
     names = plan.meta.get("phase_names") or [f"phase {i}" for i in range(len(spans))]
-    return Reference(
+    return ReferenceTrajectory(
         t=t,
         period=period,
         q=np.array([sample.q for sample in samples]),
@@ -111,24 +104,18 @@ def _once(plan: Solution, rate: float) -> Reference:
 
 def _torques(plan: Solution, t: np.ndarray) -> np.ndarray:
     """Torques (n, nu) of the drives at times ``t`` (n,): polynomials of the intervals, and joint friction."""
-    points = np.flatnonzero(plan.collocation)
-    delivered = plan.tau[points]
-    if plan.meta.get("drives"):
-        rates = plan.v[points][:, plan.n_unactuated :]
-        delivered = drive_torque_values(tuple(drives_of(plan)), delivered, rates)
-    return _polynomials(plan, delivered, t)
+    return _polynomials(plan, plan.drive_torque[plan.collocation], t)
 
 
 def _polynomials(plan: Solution, values: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Values (n, m) at times ``t`` of the intervals' polynomials through ``values`` (points, m)."""
-    edges = plan.interval_t
-    index = np.clip(np.searchsorted(edges[:, 0], t, side="right") - 1, 0, len(edges) - 1)
-    points = np.flatnonzero(plan.collocation)
+    index = plan.interval_at(t)
+    of_point = plan.interval[plan.collocation]
     found = np.zeros((len(t), values.shape[1]))
     for number in np.unique(index):
-        start, end = edges[number]
-        own = plan.interval[points] == number
-        coefficients = lagrange_coefficients((plan.t[points][own] - start) / (end - start), values[own])
+        start, end = plan.interval_t[number]
+        _, fractions = collocation_fractions(plan, number)
+        coefficients = lagrange_coefficients(fractions, values[of_point == number])
         rows = index == number
         s = (t[rows] - start) / (end - start)
         found[rows] = np.vander(s, len(coefficients), increasing=True) @ coefficients
@@ -143,7 +130,9 @@ def _without_payload(plan: Solution, motion: SolutionMotion, f: np.ndarray, t: n
     return f - _polynomials(plan, carried, t).reshape(f.shape)
 
 
-def _repeated(plan: Solution, one: Reference, described: dict[str, Any], times: int) -> Reference:
+def _repeated(
+    plan: Solution, one: ReferenceTrajectory, described: dict[str, Any], times: int
+) -> ReferenceTrajectory:
     """The reference followed by its images, ``times`` in all."""
     duration = one.period * len(one.t)
     source = image_of_contacts(plan, described)
@@ -155,8 +144,10 @@ def _repeated(plan: Solution, one: Reference, described: dict[str, Any], times: 
     parts, end = [one], one.end
     for number in range(1, times):
         last = parts[-1]
-        states = [image(plan.model, described, q, v, duration) for q, v in zip(last.q, last.v, strict=True)]
-        end = image(plan.model, described, end, np.zeros(plan.model.nv), duration)[0]
+        states = [
+            periodic_image(plan.model, described, q, v, duration) for q, v in zip(last.q, last.v, strict=True)
+        ]
+        end = periodic_image(plan.model, described, end, np.zeros(plan.model.nv), duration)[0]
         f = last.f[:, source]
         parts.append(
             replace(
@@ -181,11 +172,11 @@ def _repeated(plan: Solution, one: Reference, described: dict[str, Any], times: 
 def image_of_contacts(plan: Solution, described: dict[str, Any]) -> list[int]:
     """For each contact the one whose image it is: the rows of v that move it are those of its image."""
     index = np.array(described["index"], dtype=int)
-    moved = [rows_of(plan.model, frame) for frame in plan.contact_frames]
+    moved = [moving_rows(plan.model, frame) for frame in plan.contact_frames]
     return [moved.index({int(index[row]) for row in rows}) for rows in moved]
 
 
-def rows_of(model: pin.Model, frame: str) -> set[int]:
+def moving_rows(model: pin.Model, frame: str) -> set[int]:
     """Rows of v that move a frame."""
     found: set[int] = set()
     for joint in list(model.supports[model.frames[model.getFrameId(frame)].parentJoint])[1:]:
@@ -194,7 +185,7 @@ def rows_of(model: pin.Model, frame: str) -> set[int]:
     return found
 
 
-def _at_rest(plan: Solution, reference: Reference) -> tuple[np.ndarray, np.ndarray]:
+def _at_rest(plan: Solution, reference: ReferenceTrajectory) -> tuple[np.ndarray, np.ndarray]:
     """Torques (nu,) and contact forces (nc, 6) that hold the plan's end: the forces nearest to its last ones.
 
     A plan that has come to rest may still accelerate: its last torques would move it away again.
@@ -214,7 +205,7 @@ def _at_rest(plan: Solution, reference: Reference) -> tuple[np.ndarray, np.ndarr
     return gravity[first:] - jacobian[:, first:].T @ forces, found
 
 
-def _with_hold(plan: Solution, reference: Reference) -> Reference:
+def _with_hold(plan: Solution, reference: ReferenceTrajectory) -> ReferenceTrajectory:
     """The reference with its end held for a while, where the plan ends at rest."""
     units = NaturalUnits.of(plan.model)
     speed = np.abs(plan.v[-1]) * units.time

@@ -1,4 +1,4 @@
-"""What a simulation found, its thresholds, and how it is told."""
+"""The figures of a simulation, their thresholds, and their text."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class ContactReport:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report:
+class SimulationReport:
     """Figures of a simulation; base and joint errors are over the plan, without what is held after it.
 
     reach: m. duration: s of the plan; held: s after it. fell: within both; fall_time s, fall_reason.

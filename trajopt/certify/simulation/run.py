@@ -15,8 +15,8 @@ import numpy as np
 
 from trajopt.certify.simulation.bodies import body_name, mujoco_package, write_inertias
 from trajopt.certify.simulation.gains import gains_of
-from trajopt.certify.simulation.reference import Reference, drives_of
-from trajopt.certify.simulation.settings import Settings
+from trajopt.certify.simulation.reference import ReferenceTrajectory
+from trajopt.certify.simulation.settings import SimulationSettings
 from trajopt.certify.simulation.world import World
 from trajopt.dynamics.base_joint import BASE_JOINT, UNLIMITED, base_of
 from trajopt.errors import InputError
@@ -34,7 +34,7 @@ LEAST_FRICTION = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Record:
+class SimulationRecord:
     """What happened at the starts of n periods (and at the end), in MuJoCo's coordinates.
 
     qpos (n + 1, nq'), qvel (n + 1, nv), qacc (n, nv); torque (n, nu) of the drives, where they are saturated
@@ -56,13 +56,17 @@ class Record:
     hit: np.ndarray
 
 
-def run(plan: Solution, reference: Reference, world: World, settings: Settings) -> Record:
+def run_simulation(
+    plan: Solution, reference: ReferenceTrajectory, world: World, settings: SimulationSettings
+) -> SimulationRecord:
     """Simulate; the record has one row a period, and the last state."""
     return _Run(plan, reference, world, settings).record()
 
 
 class _Run:
-    def __init__(self, plan: Solution, reference: Reference, world: World, settings: Settings) -> None:
+    def __init__(
+        self, plan: Solution, reference: ReferenceTrajectory, world: World, settings: SimulationSettings
+    ) -> None:
         self.mujoco, self.plan, self.reference, self.world = mujoco_package(), plan, reference, world
         self.settings = settings
         self.model = world.compiled
@@ -76,7 +80,7 @@ class _Run:
         self.model.opt.timestep = reference.period / self.substeps
         self.rows = world.coordinates.rows[plan.n_unactuated :]
         self.gains = gains_of(plan, world, reference, settings)
-        self.drives = drives_of(plan)
+        self.drives = plan.drives
         self.low, self.high = _limits(plan)
         self._plan_in_mujoco()
 
@@ -89,9 +93,9 @@ class _Run:
         whole[:, self.plan.n_unactuated :] = reference.torque
         self.torque = coordinates.rates_to_mujoco(self.qpos, whole)[:, self.rows]
 
-    def record(self) -> Record:
+    def record(self) -> SimulationRecord:
         count, contacts, model, data = len(self.reference.t), len(self.world.sites), self.model, self.data
-        found = Record(
+        found = SimulationRecord(
             qpos=np.zeros((count + 1, model.nq)),
             qvel=np.zeros((count + 1, model.nv)),
             qacc=np.zeros((count, model.nv)),
@@ -131,7 +135,7 @@ class _Run:
         return not warnings and bool(np.isfinite(self.data.qacc).all())
 
     def _start(self) -> None:
-        """The planned start, with noise where it is asked for."""
+        """Set the planned start, with noise if the settings have any."""
         self.data.qpos[:], self.data.qvel[:] = self.qpos[0], self.qvel[0]
         if self.settings.noise:
             generator = np.random.default_rng(self.settings.seed)
@@ -225,7 +229,7 @@ class _Run:
                 force[grasp.contact, :size] += np.linalg.lstsq(place[:size].T, joint, rcond=None)[0]
 
 
-def _until(record: Record, count: int) -> Record:
+def _until(record: SimulationRecord, count: int) -> SimulationRecord:
     """The periods of a record before the one, ``count``, in whose state MuJoCo has run away.
 
     That state and the step to it are left out; of a record that ends at once one period at rest is left.
@@ -233,10 +237,10 @@ def _until(record: Record, count: int) -> Record:
     rows = max(count - 1, 1)
     if count <= 1:
         record.qpos[1], record.qvel[1] = record.qpos[0], record.qvel[0]
-    return Record(
+    return SimulationRecord(
         **{
             name: getattr(record, name)[: rows + (name in ("qpos", "qvel"))]
-            for name in Record.__dataclass_fields__
+            for name in SimulationRecord.__dataclass_fields__
         }
     )
 
@@ -270,7 +274,7 @@ def _limits(plan: Solution) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _with_drives(
-    drives: list[Drive | None], rate: np.ndarray, low: np.ndarray, high: np.ndarray
+    drives: tuple[Drive | None, ...], rate: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Limits of rows with a drive: those of its voltage and current at the rates."""
     low, high = low.copy(), high.copy()

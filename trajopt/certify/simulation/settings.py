@@ -1,4 +1,4 @@
-"""What a simulation can be asked for, and the scales that everything else follows from."""
+"""Settings of a simulation, and the scales from which everything else follows."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ALLOWED = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class SimulationSettings:
     """Settings of a simulation; None is a value that follows from the robot.
 
     timestep: longest step of the physics, s. control_rate: of the controller, Hz. kp, kd: factors on the

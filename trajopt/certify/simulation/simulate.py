@@ -5,22 +5,21 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, fields
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from trajopt.certify.simulation import figures
-from trajopt.certify.simulation.bodies import quiet
-from trajopt.certify.simulation.reference import Reference, reference_of
-from trajopt.certify.simulation.report import ContactReport, Report
-from trajopt.certify.simulation.run import Record, run
-from trajopt.certify.simulation.settings import FEEDBACK_TIME, Settings
+from trajopt.certify.simulation.bodies import muted_mujoco
+from trajopt.certify.simulation.reference import ReferenceTrajectory, reference_of
+from trajopt.certify.simulation.report import ContactReport, SimulationReport
+from trajopt.certify.simulation.run import SimulationRecord, run_simulation
+from trajopt.certify.simulation.settings import FEEDBACK_TIME, SimulationSettings
 from trajopt.certify.simulation.simulated import simulated_solution
 from trajopt.certify.simulation.world import World, build_world
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
-from trajopt.solution.input import require_motion, solutions_of
+from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
 from trajopt.solution.solution import Solution
 
 
@@ -29,11 +28,11 @@ class Simulation:
     """A simulated plan: its report, and everything that was recorded. wall_time: s of the physics."""
 
     plan: Solution
-    settings: Settings
-    reference: Reference
+    settings: SimulationSettings
+    reference: ReferenceTrajectory
     world: World
-    record: Record
-    report: Report
+    record: SimulationRecord
+    report: SimulationReport
     wall_time: float
 
     def as_solution(self) -> Solution:
@@ -45,25 +44,27 @@ class Simulation:
         return simulated_solution(self.plan, self.reference, self.record, self.world, self.report)
 
 
-def simulate(solution: Solution | str | Path, **settings: Any) -> Simulation:
+def simulate(solution: SolutionOrFile, **settings: Any) -> Simulation:
     """Run a plan in MuJoCo with its torques and feedback of the joints.
 
-    solution: or the file at that path. settings: fields of `Settings`. Raises `InputError` for settings or a
-    model that cannot be simulated, or where MuJoCo is not installed.
+    Args:
+        solution: the plan, or the path of its file.
+        settings: fields of `SimulationSettings`.
+
+    Raises:
+        InputError: for settings or a model that cannot be simulated, or where MuJoCo is not installed.
     """
-    if not isinstance(solution, Solution | str | Path):
-        raise InputError(f"{solution!r:.60} is no solution", "allowed: a Solution or the path of its file")
-    plan = require_motion(*solutions_of(solution))
-    known = [field.name for field in fields(Settings)]
+    plan = require_motion(solution_of(solution))
+    known = [field.name for field in fields(SimulationSettings)]
     unknown = ", ".join(sorted(set(settings) - set(known)))
     if unknown:
         raise InputError(f"a simulation has no setting {unknown}", f"allowed: {', '.join(known)}")
-    wanted = Settings(**settings)
-    with quiet():
+    wanted = SimulationSettings(**settings)
+    with muted_mujoco():
         reference = reference_of(plan, wanted)
         world = build_world(plan, wanted)
         begin = time.perf_counter()
-        record = run(plan, reference, world, wanted)
+        record = run_simulation(plan, reference, world, wanted)
         spent = time.perf_counter() - begin
     return Simulation(
         plan=plan,
@@ -76,14 +77,16 @@ def simulate(solution: Solution | str | Path, **settings: Any) -> Simulation:
     )
 
 
-def _report(plan: Solution, reference: Reference, record: Record, world: World) -> Report:
+def _report(
+    plan: Solution, reference: ReferenceTrajectory, record: SimulationRecord, world: World
+) -> SimulationReport:
     q = world.coordinates.from_mujoco(record.qpos)
-    errors = figures.errors_of(plan, reference, q)
+    errors = figures.tracking_errors(plan, reference, q)
     fall = figures.fall_of(plan, reference, record, q)
-    stances = figures.stances(plan, reference, record, world)
+    stances = figures.simulated_stances(plan, reference, record, world)
     moving, end = base_of(plan.model) != "fixed", min(reference.planned, len(record.feet))
     force = figures.force_error(reference, record)
-    return Report(
+    return SimulationReport(
         problem=str(plan.meta["problem"]),
         robot=str(plan.meta["robot"]),
         reach=world.units.length,
@@ -112,7 +115,7 @@ def _report(plan: Solution, reference: Reference, record: Record, world: World) 
     )
 
 
-def _contacts(plan: Solution, stances: tuple[figures.Stance, ...], world: World) -> dict[str, Any]:
+def _contacts(plan: Solution, stances: tuple[figures.SimulatedStance, ...], world: World) -> dict[str, Any]:
     """Fields of the report about contacts."""
     times = [abs(stance.touchdown) for stance in stances if stance.touchdown is not None]
     travel = [stance.travel for stance in stances if stance.travel is not None]

@@ -16,10 +16,10 @@ import numpy as np
 
 from trajopt.certify.payloads import payload_wrenches
 from trajopt.certify.simulation.bodies import mujoco_package
-from trajopt.certify.simulation.figures import loads
-from trajopt.certify.simulation.reference import Reference
-from trajopt.certify.simulation.report import Report
-from trajopt.certify.simulation.run import Record
+from trajopt.certify.simulation.figures import loaded_contacts
+from trajopt.certify.simulation.reference import ReferenceTrajectory
+from trajopt.certify.simulation.report import SimulationReport
+from trajopt.certify.simulation.run import SimulationRecord
 from trajopt.certify.simulation.world import World
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import held_samples
@@ -27,7 +27,7 @@ from trajopt.versions import VERSIONED, installed_version
 
 # Periods of the controller in an interval: 4 ms by default, finer than a screen's picture.
 PERIODS = 4
-# Of the plan's meta: what says nothing of a simulation.
+# Keys of the plan's meta that do not apply to a simulation.
 LEFT_OUT = (
     "mesh",
     "periodicity",
@@ -47,7 +47,11 @@ LEFT_OUT = (
 
 
 def simulated_solution(
-    plan: Solution, reference: Reference, record: Record, world: World, report: Report
+    plan: Solution,
+    reference: ReferenceTrajectory,
+    record: SimulationRecord,
+    world: World,
+    report: SimulationReport,
 ) -> Solution:
     """The record as a solution of the plan's model."""
     n = len(record.feet)
@@ -88,10 +92,14 @@ def _chunks(phase: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _active(
-    plan: Solution, reference: Reference, record: Record, world: World, chunks: list[tuple[int, int]]
+    plan: Solution,
+    reference: ReferenceTrajectory,
+    record: SimulationRecord,
+    world: World,
+    chunks: list[tuple[int, int]],
 ) -> np.ndarray:
     """Whether contacts are active (intervals, nc)."""
-    loaded = loads(record, world)
+    loaded = loaded_contacts(record, world)
     held = held_samples(plan)[[rows.start for rows in plan.phases]]
     found, before = [], -1
     for first, end in chunks:
@@ -103,7 +111,9 @@ def _active(
     return np.array(found)
 
 
-def _meta(plan: Solution, reference: Reference, report: Report, phase: np.ndarray) -> dict[str, Any]:
+def _meta(
+    plan: Solution, reference: ReferenceTrajectory, report: SimulationReport, phase: np.ndarray
+) -> dict[str, Any]:
     used = int(phase[-1]) + 1
     source = [int(reference.source[np.argmax(reference.phase == i)]) for i in range(used)]
     starts = [float(reference.t[np.argmax(reference.phase == i)]) for i in range(used)]

@@ -11,21 +11,27 @@ import pinocchio as pin
 
 from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.certify.payloads import carrying_model
-from trajopt.certify.samples import Samples, evaluate
-from trajopt.certify.simulation.bodies import Bodies, body_name, build_bodies, compile_bodies, mujoco_package
+from trajopt.certify.samples import SampleQuantities, sample_quantities
+from trajopt.certify.simulation.bodies import (
+    Bodies,
+    body_name,
+    build_bodies,
+    compile_bodies,
+    mujoco_package,
+    mujoco_quaternion,
+)
 from trajopt.certify.simulation.coordinates import CoordinateMap
 from trajopt.certify.simulation.ground import (
     BALL,
-    Ground,
-    Place,
+    GroundGeometry,
+    Surroundings,
     add_ground,
     add_obstacles,
     capsule_geom,
     height_over,
-    place_of,
+    surroundings_of,
 )
-from trajopt.certify.simulation.reference import drives_of
-from trajopt.certify.simulation.settings import CONTACT_TIME, Settings
+from trajopt.certify.simulation.settings import CONTACT_TIME, SimulationSettings
 from trajopt.dynamics.base_joint import base_of
 from trajopt.solution.descriptions import scene_of_meta, terrain_of
 from trajopt.solution.solution import Solution
@@ -59,14 +65,15 @@ class World:
     sites: id of each contact frame's site (nc,). contact_of: for each geom the contact it belongs to, or -1.
     links: whether a geom is a link's. obstacles: whether it is an obstacle. models: the `pin.Model` of each
     phase of the plan, with what is carried. buried: depth, m, of joints that the plan takes into the ground:
-    they touch nothing. pairs: (n,) ids of feet on grounds, and their friction (phases, n), see `Ground`.
+    they touch nothing. pairs: (n,) ids of feet on grounds, and their friction (phases, n), see
+    `GroundGeometry`.
     """
 
     compiled: Any
     coordinates: CoordinateMap
     units: NaturalUnits
-    place: Place
-    ground: Ground
+    place: Surroundings
+    ground: GroundGeometry
     sites: np.ndarray
     contact_of: np.ndarray
     links: np.ndarray
@@ -78,12 +85,12 @@ class World:
     friction: np.ndarray
 
 
-def build_world(plan: Solution, settings: Settings) -> World:
+def build_world(plan: Solution, settings: SimulationSettings) -> World:
     """Model of a plan for these settings. Raises `InputError` for what MuJoCo cannot express."""
-    units, samples = NaturalUnits.of(plan.model), evaluate(plan)
+    units, samples = NaturalUnits.of(plan.model), sample_quantities(plan)
     bodies = build_bodies(plan.model)
     joints = joint_places(plan)
-    place = place_of(plan, samples.position, joints, units.length)
+    place = surroundings_of(plan, samples.position, joints, units.length)
     buried = _buried(plan, joints, place)
     ground = add_ground(bodies.spec, plan, place)
     feet = _add_feet(bodies, plan, place)
@@ -126,14 +133,14 @@ def joint_places(plan: Solution) -> np.ndarray:
     return found
 
 
-def _buried(plan: Solution, joints: np.ndarray, place: Place) -> dict[str, float]:
+def _buried(plan: Solution, joints: np.ndarray, place: Surroundings) -> dict[str, float]:
     """Joints that a plan takes into the ground, where their balls would touch, with the depth in m."""
     lowest = height_over(terrain_of(plan.meta["terrain"]), joints).min(axis=0)
     names = list(plan.model.names)[1:]
     return {name: -float(low) for name, low in zip(names, lowest, strict=True) if low < place.ball}
 
 
-def _scaled(model: pin.Model, settings: Settings) -> pin.Model:
+def _scaled(model: pin.Model, settings: SimulationSettings) -> pin.Model:
     scaled = pin.Model(model)
     for index in range(1, model.njoints):
         own = model.inertias[index]
@@ -161,15 +168,16 @@ def touching_places(plan: Solution, contact: int) -> np.ndarray:
     return np.array([[x, y, 0.0], [x, -y, 0.0], [-x, -y, 0.0], [-x, y, 0.0]])
 
 
-def _add_feet(bodies: Bodies, plan: Solution, place: Place) -> list[list[str]]:
+def _add_feet(bodies: Bodies, plan: Solution, place: Surroundings) -> list[list[str]]:
     """A site and balls at each contact frame; names of the balls."""
     names = []
     for number, frame in enumerate(plan.contact_frames):
         own = bodies.model.frames[bodies.model.getFrameId(frame)]
         body = bodies.spec.body(body_name(own.parentJoint))
-        turn = pin.Quaternion(own.placement.rotation).normalized()
         body.add_site(
-            name=f"contact{number}", pos=own.placement.translation, quat=[turn.w, turn.x, turn.y, turn.z]
+            name=f"contact{number}",
+            pos=own.placement.translation,
+            quat=mujoco_quaternion(own.placement.rotation),
         )
         corners = touching_places(plan, number)
         names.append([f"ball{number}.{i}" for i in range(len(corners))])
@@ -186,7 +194,7 @@ def _add_feet(bodies: Bodies, plan: Solution, place: Place) -> list[list[str]]:
 
 
 def _add_links(
-    bodies: Bodies, plan: Solution, place: Place, buried: Mapping[str, float]
+    bodies: Bodies, plan: Solution, place: Surroundings, buried: Mapping[str, float]
 ) -> tuple[list[str], list[str], list[str]]:
     """Balls at the joints of a moving base, capsules and obstacles of the file; their names."""
     links: list[str] = []
@@ -218,7 +226,7 @@ def _add_links(
 
 
 def _add_grasps(
-    bodies: Bodies, plan: Solution, samples: Samples, stiffness: Mapping[str, list[float]]
+    bodies: Bodies, plan: Solution, samples: SampleQuantities, stiffness: Mapping[str, list[float]]
 ) -> tuple[Grasp, ...]:
     """A constraint for each run of phases in which a contact is held on a bilateral surface."""
     mujoco, held = mujoco_package(), held_samples(plan)
@@ -228,9 +236,10 @@ def _add_grasps(
         runs = np.split(np.array(phases, dtype=int), np.flatnonzero(np.diff(phases) > 1) + 1)
         for run in (run for run in runs if len(run)):
             name, row = f"grasp{len(found)}", plan.phases[int(run[0])].start
-            turn = pin.Quaternion(samples.rotation[row, contact])
             bodies.spec.worldbody.add_site(
-                name=name, pos=samples.position[row, contact], quat=[turn.w, turn.x, turn.y, turn.z]
+                name=name,
+                pos=samples.position[row, contact],
+                quat=mujoco_quaternion(samples.rotation[row, contact]),
             )
             sole = plan.meta["contact_kinds"][contact] == "surface"
             bodies.spec.add_equality(
@@ -248,10 +257,10 @@ def _add_grasps(
 
 def _pairs(
     spec: Any,
-    ground: Ground,
+    ground: GroundGeometry,
     feet: list[list[str]],
     links: list[str],
-    settings: Settings,
+    settings: SimulationSettings,
     units: NaturalUnits,
 ) -> tuple[list[str], np.ndarray]:
     """Pairs of what may touch; names of those of feet, and their friction by phase (phases, pairs)."""
@@ -270,7 +279,9 @@ def _pairs(
     return names, np.hstack(friction)
 
 
-def _pair(spec: Any, first: str, second: str, mu: float, settings: Settings, units: NaturalUnits) -> None:
+def _pair(
+    spec: Any, first: str, second: str, mu: float, settings: SimulationSettings, units: NaturalUnits
+) -> None:
     spec.add_pair(
         name=f"{first} {second}",
         geomname1=first,
@@ -281,7 +292,7 @@ def _pair(spec: Any, first: str, second: str, mu: float, settings: Settings, uni
     )
 
 
-def _stiffness(settings: Settings, units: NaturalUnits) -> dict[str, list[float]]:
+def _stiffness(settings: SimulationSettings, units: NaturalUnits) -> dict[str, list[float]]:
     """Stiffness of contacts and grasps, in MuJoCo's numbers."""
     least = LEAST_STEPS * settings.step(units.time)
     d0, d1, middle, power = IMPEDANCE
@@ -293,7 +304,7 @@ def _stiffness(settings: Settings, units: NaturalUnits) -> dict[str, list[float]
 
 def _friction_of_drives(compiled: Any, coordinates: CoordinateMap, plan: Solution) -> None:
     rows = coordinates.rows[plan.n_unactuated :]
-    for row, drive in zip(rows, drives_of(plan), strict=True):
+    for row, drive in zip(rows, plan.drives, strict=True):
         if drive is not None:
             compiled.dof_damping[row] = drive.viscous_friction
             compiled.dof_frictionloss[row] = drive.coulomb_friction

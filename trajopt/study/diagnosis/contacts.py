@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from trajopt.certify.contact.contact_response import ContactRank, contact_rank, mass_factor, response
+from trajopt.certify.contact.contact_response import ContactRank, contact_rank, contact_response, mass_factor
 from trajopt.certify.contact.contact_set import AXES, ContactSet, contact_kinematics
 from trajopt.errors import TrajoptError
 from trajopt.robot.contact import Contact
@@ -120,6 +120,6 @@ def _rank(model: pin.Model, contacts: tuple[Contact, ...], q: np.ndarray) -> Con
         data = model.createData()
         lower = mass_factor(pin.crba(model, data, q))
         rows = contact_kinematics(model, data, q, np.zeros(model.nv), active)
-        return contact_rank(active, rows.jacobian, response(lower, active, rows.jacobian))
+        return contact_rank(active, rows.jacobian, contact_response(lower, active, rows.jacobian))
     except (TrajoptError, np.linalg.LinAlgError):  # a body without mass, an iterate far from any motion
         return None

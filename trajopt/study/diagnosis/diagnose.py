@@ -12,11 +12,11 @@ import numpy as np
 from trajopt.errors import TrajoptError
 from trajopt.problem.problem import Problem
 from trajopt.solution.grid import mesh_of
+from trajopt.solution.input import solution_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import Prepared, prepare
 from trajopt.solving.verdicts import STILL_FEASIBLE
-from trajopt.solving.warm_start import solution_of
 from trajopt.study.diagnosis.activity import active_limits
 from trajopt.study.diagnosis.advice import advice
 from trajopt.study.diagnosis.conflict import conflict

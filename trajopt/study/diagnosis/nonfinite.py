@@ -18,8 +18,8 @@ from trajopt.study.diagnosis.symbols import (
 from trajopt.study.diagnosis.term_values import Value, guilty_terms, slopes_of, values_of
 from trajopt.terms.context_symbols import Place
 from trajopt.transcription.nlp import Nlp
-from trajopt.transcription.timeline import NodeForm, StageKind
-from trajopt.transcription.transcription import Group, Transcription
+from trajopt.transcription.timeline import NodeLayout, StageKind
+from trajopt.transcription.transcription import FunctionGroup, Transcription
 
 # Changes of one input, in its natural units, by which a value becomes finite: the least that does counts.
 # Small ones leave a point without slope, such as a norm at zero; large ones reach into a root or a logarithm.
@@ -71,10 +71,10 @@ class NonFinite:
 class _Where:
     """The group of functions, its position, and how its inputs are called."""
 
-    group: Group
+    group: FunctionGroup
     position: int
     site: Site
-    form: NodeForm
+    form: NodeLayout
     place: Place | None
     labels: Sequence[Label]
 
@@ -153,7 +153,7 @@ def _where(t: Transcription, names: Names, number: int, position: int) -> _Where
     )
 
 
-def _point_of(t: Transcription, group: Group, k: int) -> int:
+def _point_of(t: Transcription, group: FunctionGroup, k: int) -> int:
     """Index of a group's collocation point, -1 where it is at a node; points share one function."""
     if k == t.layout.n_stages or t.layout.stages[k].kind is not StageKind.INTERVAL:
         return -1
@@ -167,7 +167,9 @@ def _point_of(t: Transcription, group: Group, k: int) -> int:
     return next(i for i, one in enumerate(siblings) if one is group)
 
 
-def _labels(t: Transcription, names: Names, group: Group, k: int, place: Place | None) -> Sequence[Label]:
+def _labels(
+    t: Transcription, names: Names, group: FunctionGroup, k: int, place: Place | None
+) -> Sequence[Label]:
     layout, form = t.layout, t.layout.forms[k]
     if place is not None:
         phase = layout.place_phase(k) if place is Place.NODE else layout.stages[k].phase

@@ -15,7 +15,7 @@ from trajopt.dynamics.manifold import Coordinates
 from trajopt.robot.robot import Robot
 from trajopt.terms.context import Context
 from trajopt.terms.context_symbols import Place
-from trajopt.transcription.timeline import NodeForm
+from trajopt.transcription.timeline import NodeLayout
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 QUATERNION = ("x", "y", "z", "w")
@@ -85,7 +85,7 @@ def wrench_labels(name: str, rows: Sequence[int], linear: str, angular: str) -> 
     ]
 
 
-def node_labels(form: NodeForm, clocks: Sequence[str]) -> list[Label]:
+def node_labels(form: NodeLayout, clocks: Sequence[str]) -> list[Label]:
     """Labels of a node's entries; ``clocks`` are the phases of free duration."""
     positions = coordinate_labels(form.robot, form.coordinates, "position")
     rates = coordinate_labels(form.robot, form.coordinates, "rate")
@@ -95,7 +95,7 @@ def node_labels(form: NodeForm, clocks: Sequence[str]) -> list[Label]:
     return [*rotations, *additive, *(rates if form.order == 2 else []), *own]
 
 
-def input_labels(context: Context, form: NodeForm, clocks: Sequence[str]) -> list[Label]:
+def input_labels(context: Context, form: NodeLayout, clocks: Sequence[str]) -> list[Label]:
     """Labels of the inputs z of a context, in its order."""
     if context.place is Place.NODE:
         return node_labels(form, clocks)
@@ -109,15 +109,15 @@ def input_labels(context: Context, form: NodeForm, clocks: Sequence[str]) -> lis
     names = ("impulse", "angular impulse") if impact else ("force", "moment")
     for contact in context.contacts:
         labels += wrench_labels(contact.name, contact.rows, *names)
-    if form.clock is not None:
-        labels.append(Label(owner=f"phase {clocks[form.clock]}", kind="clock", quantity="duration"))
+    if form.time_scale is not None:
+        labels.append(Label(owner=f"phase {clocks[form.time_scale]}", kind="clock", quantity="duration"))
     return labels
 
 
 class SymbolNames:
     """Labels of the symbols of one context, by identity."""
 
-    def __init__(self, context: Context, form: NodeForm, clocks: Sequence[str]) -> None:
+    def __init__(self, context: Context, form: NodeLayout, clocks: Sequence[str]) -> None:
         self._labels: dict[int, Label] = {}
         self._add(context.z, input_labels(context, form, clocks))
         if context.uses_dynamics:

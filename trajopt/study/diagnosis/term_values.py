@@ -12,13 +12,13 @@ from trajopt.study.diagnosis.names import Names, Site
 from trajopt.terms.context_symbols import Place
 from trajopt.terms.dynamics import ImpactDynamics
 from trajopt.transcription.stage_functions import PointFunction, derivatives, point_function
-from trajopt.transcription.timeline import NodeForm
+from trajopt.transcription.timeline import NodeLayout
 
 Value = Callable[[np.ndarray], np.ndarray]
 
 
 def guilty_terms(
-    names: Names, site: Site, form: NodeForm, place: Place, inputs: np.ndarray
+    names: Names, site: Site, form: NodeLayout, place: Place, inputs: np.ndarray
 ) -> list[tuple[str, Value]]:
     """Terms whose own values at z = ``inputs`` are not finite, with what evaluates them.
 
@@ -59,7 +59,7 @@ def slopes_of(function: PointFunction, parameters: np.ndarray) -> Value:
 
 
 def _terms(
-    names: Names, site: Site, form: NodeForm, place: Place
+    names: Names, site: Site, form: NodeLayout, place: Place
 ) -> Iterator[tuple[str, PointFunction, np.ndarray]]:
     """Name, function and parameters' values of every term that acts at a place."""
     layout, k = names.layout, site.stage

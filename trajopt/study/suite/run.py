@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from trajopt.certify.check import check
-from trajopt.certify.report import FIGURES, Report, Tolerances
+from trajopt.certify.report import FIGURES, CheckReport, Tolerances
 from trajopt.errors import TrajoptError
 from trajopt.problem.catalogue import families
 from trajopt.problem.family import choose
 from trajopt.solution.solution import Solution
-from trajopt.solvers.result import Stop
+from trajopt.solvers.result import StoppingCriteria
 from trajopt.solving.solving import Prepared, prepare, solve_prepared
 from trajopt.solving.telling import Progress
 from trajopt.study.suite.cases import Case
@@ -91,7 +91,7 @@ def _solve(
     origin: Mapping[str, Any],
     progress: Progress | None,
 ) -> Solution:
-    stop = Stop(
+    stop = StoppingCriteria(
         tolerance=settings.tolerance, max_iterations=settings.max_iterations, max_time=settings.max_time
     )
     return solve_prepared(
@@ -146,7 +146,7 @@ def checked(solution: Solution) -> Checked:
     )
 
 
-def worst_figure(report: Report) -> tuple[str, float]:
+def worst_figure(report: CheckReport) -> tuple[str, float]:
     """The judged figure that uses most of its tolerance: its name, and the part used (above 1: beyond)."""
     tolerances, used = Tolerances(), {}
     for name, figure in FIGURES.items():

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from trajopt.certify.accuracy.measures import measure
-from trajopt.solution.solution import Solution
 
 # Columns of ``settings.csv`` that say how accurate a solution is, as `trajopt.accuracy.Accuracy` names them;
 # the last two are against the reference.
@@ -27,9 +26,8 @@ COLUMNS = {
 
 def figures(file: Path, reference: Path | None) -> dict[str, float | None]:
     """Figures of the solution in ``file`` by column; what cannot be had is None. Raises TrajoptError."""
-    known = None if reference is None else Solution.load(reference)
     with np.errstate(all="ignore"):  # an inaccurate motion may run away: its figures say so
-        found: dict[str, Any] = measure(Solution.load(file), known).to_dict()
+        found: dict[str, Any] = measure(file, reference).to_dict()
     return {column: _number(found.get(name)) for name, column in COLUMNS.items()}
 
 

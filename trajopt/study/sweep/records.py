@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from trajopt.errors import InputError
-from trajopt.solvers.result import Stop
+from trajopt.solvers.result import StoppingCriteria
 from trajopt.solving.solving import DEFAULT_SOLVER, check_settings
 from trajopt.study.suite.settings import MOST_STARTS
 from trajopt.study.sweep.plan import Plan
@@ -54,7 +54,9 @@ class Asked:
     reference_time: float = 300.0
 
     def __post_init__(self) -> None:
-        check_settings(DEFAULT_SOLVER, Stop().tolerance, self.max_iterations, self.max_time, self.sigma, 0)
+        check_settings(
+            DEFAULT_SOLVER, StoppingCriteria().tolerance, self.max_iterations, self.max_time, self.sigma, 0
+        )
         if not 0 <= self.repeats <= MOST_STARTS:
             raise InputError(f"repeats is {self.repeats}", f"allowed: 0 to {MOST_STARTS}")
         if self.repeats and not self.sigma > 0:

@@ -12,7 +12,7 @@ from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.certify.contact_figures import is_sole
 from trajopt.certify.dynamics_figures import DynamicsRows, dynamics_rows
 from trajopt.certify.payloads import payload_wrenches
-from trajopt.certify.samples import Samples, evaluate
+from trajopt.certify.samples import SampleQuantities, sample_quantities
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.dynamics.virtual_base import angles_of
 from trajopt.robot.actuators.drive import Drive
@@ -20,7 +20,7 @@ from trajopt.robot.actuators.on_robot import drive_torque_values
 from trajopt.robot.sole import centre_of_pressure
 from trajopt.solution.descriptions import scene_of_meta
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import Touched, touched
+from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
 
 # A sole pressed with less than this part of the weight has no meaningful centre of pressure.
 LEAST_PRESSURE = 1e-3
@@ -127,14 +127,14 @@ class Motion:
         return found
 
     @cached_property
-    def samples(self) -> Samples:
+    def samples(self) -> SampleQuantities:
         """Generalised forces and the motion of the contacts, see `certify.samples`."""
-        return evaluate(self.solution)
+        return sample_quantities(self.solution)
 
     @cached_property
-    def surfaces(self) -> Touched:
-        """What contacts touch, see `certify.touched`."""
-        return touched(self.solution, self.samples.position)
+    def surfaces(self) -> TouchedSurfaces:
+        """What contacts touch, see `certify.touched_surfaces`."""
+        return touched_surfaces(self.solution, self.samples.position)
 
     @cached_property
     def force(self) -> np.ndarray:

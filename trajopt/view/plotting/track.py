@@ -10,12 +10,12 @@ from typing import Any, TypeVar
 import numpy as np
 import pinocchio as pin
 
-from trajopt.certify.accuracy.interpolation import Sampled, resampled, sample_interval
 from trajopt.certify.accuracy.measures import Accuracy, measure
 from trajopt.certify.accuracy.open_loop import interval_drifts
-from trajopt.certify.check import check, on_manifold
-from trajopt.certify.report import Report
+from trajopt.certify.check import check
+from trajopt.certify.report import CheckReport
 from trajopt.errors import InputError, TrajoptError
+from trajopt.solution.interpolation import MotionSample, resampled, sample_interval
 from trajopt.solution.solution import Solution
 from trajopt.view.plotting.joints import Axis, axes_of
 from trajopt.view.plotting.motion import Motion
@@ -52,8 +52,7 @@ class Track:
     points: Motion = field(init=False)
 
     def __post_init__(self) -> None:
-        plan = on_manifold(self.solution)
-        plan.__dict__["model"] = self.solution.model  # as cached: reading it from its text takes long
+        plan = self.solution.normalized()
         object.__setattr__(self, "points", Motion(plan))
         object.__setattr__(self, "dense", Motion(between_points(plan)))
 
@@ -96,7 +95,7 @@ class Track:
         return tuple(found)
 
     @cached_property
-    def report(self) -> Report | None:
+    def report(self) -> CheckReport | None:
         """The check of the solution, None where it is inconsistent or not finite."""
         return self._tried(lambda: check(self.solution))
 
@@ -154,20 +153,18 @@ class Track:
 
 
 def between_points(plan: Solution) -> Solution:
-    """The motion at even fractions of every interval, its ends among them; see `accuracy.interpolation`.
+    """The motion at even fractions of every interval, its ends among them; see `solution.interpolation`.
 
     An interval with a number that is not finite keeps what its samples are, joined by straight lines.
     """
     count = int(np.clip(round(DRAWN / plan.n_intervals), LEAST, MOST))
-    dense = resampled(plan, np.linspace(0.0, 1.0, count), _interval)
-    dense.__dict__["model"] = plan.model
-    return dense
+    return resampled(plan, np.linspace(0.0, 1.0, count), _interval)
 
 
-def _interval(plan: Solution, number: int, fractions: np.ndarray) -> Sampled:
+def _interval(plan: Solution, number: int, fractions: np.ndarray) -> MotionSample:
     rows = plan.intervals[number]
     inside = slice(rows.start, rows.stop)
-    names = tuple(Sampled.__dataclass_fields__)
+    names = tuple(MotionSample.__dataclass_fields__)
     if all(np.isfinite(getattr(plan, name)[inside]).all() for name in names):
         try:
             return sample_interval(plan, number, fractions)
@@ -177,7 +174,7 @@ def _interval(plan: Solution, number: int, fractions: np.ndarray) -> Sampled:
     times = start + fractions * (end - start)
     found = {name: _straight(times, plan.t[inside], getattr(plan, name)[inside]) for name in names}
     found["q"] = np.array([pin.normalize(plan.model, row) for row in found["q"]])
-    return Sampled(**found)
+    return MotionSample(**found)
 
 
 def _straight(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:

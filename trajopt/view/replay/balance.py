@@ -26,7 +26,7 @@ from trajopt.dynamics.model_quantities import mass_of
 from trajopt.robot.sole import centre_of_pressure
 from trajopt.solution.descriptions import terrain_of
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import Touched
+from trajopt.solution.touched import TouchedSurfaces
 from trajopt.terrain.surface import SAME_PLANE, UP, Surface
 from trajopt.view.replay.motion import LEAST_PRESSURE, Motion
 
@@ -58,7 +58,7 @@ class Balance:
     supports: list[Support]
 
 
-def balance_of(solution: Solution, motion: Motion, touched: Touched) -> Balance:
+def balance_of(solution: Solution, motion: Motion, touched: TouchedSurfaces) -> Balance:
     """Return the balance of a motion; ``touched`` is of its frames. Raises `SolutionFileError`."""
     com = centres_of_mass(solution, motion)
     supports = supports_of(solution, motion, touched)
@@ -97,7 +97,7 @@ def outer_wrenches(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     return force, moment + np.cross(com, force)
 
 
-def supports_of(solution: Solution, motion: Motion, touched: Touched) -> list[Support]:
+def supports_of(solution: Solution, motion: Motion, touched: TouchedSurfaces) -> list[Support]:
     """One support for each phase with contacts that press; phases that follow with the same are joined.
 
     Of contacts on the ground and on walls those on the ground.
@@ -124,7 +124,9 @@ def supports_of(solution: Solution, motion: Motion, touched: Touched) -> list[Su
     return found
 
 
-def _plane(solution: Solution, motion: Motion, touched: Touched, row: int, contacts: np.ndarray) -> Surface:
+def _plane(
+    solution: Solution, motion: Motion, touched: TouchedSurfaces, row: int, contacts: np.ndarray
+) -> Surface:
     """The one plane of ``contacts`` at a frame, or the virtual one."""
     normals, points = touched.normal[row, contacts], touched.point[row, contacts]
     turned = np.abs(normals - normals[0]).max() if len(contacts) else 0.0

@@ -8,7 +8,7 @@ import meshcat.geometry as shapes
 import numpy as np
 
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import Touched
+from trajopt.solution.touched import TouchedSurfaces
 from trajopt.view.replay.collada import ColouredMesh
 from trajopt.view.replay.commands import Tracks
 from trajopt.view.replay.motion import LEAST_PRESSURE, Motion
@@ -26,7 +26,7 @@ ROUND, RIBS = 24, 8
 
 
 def draw_cones(
-    node: Any, tracks: Tracks, solution: Solution, motion: Motion, touched: Touched, size: float
+    node: Any, tracks: Tracks, solution: Solution, motion: Motion, touched: TouchedSurfaces, size: float
 ) -> None:
     """Animate the cone of every contact that friction holds; ``touched`` is of the motion's frames.
 
@@ -52,7 +52,7 @@ def draw_cones(
             tracks.add(place[part]["<object>"], "material.color", "color", colours)
 
 
-def friction_used(motion: Motion, touched: Touched) -> np.ndarray:
+def friction_used(motion: Motion, touched: TouchedSurfaces) -> np.ndarray:
     """Part (n, nc) of friction that each force uses, |f_t| / (mu f_n), at most 1; 0 of hardly any force."""
     force = motion.force / motion.weight
     normal = touched.along_normal(force)

@@ -8,7 +8,7 @@ import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
 
-from trajopt.certify.payloads import body_of
+from trajopt.certify.payloads import payload_inertia
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.commands import Tracks
 from trajopt.view.replay.motion import Motion
@@ -28,7 +28,7 @@ def draw_payloads(node: Any, tracks: Tracks, solution: Solution, motion: Motion)
         carried = np.isin(motion.phase, phases)
         if not carried.any():
             continue
-        body, part = body_of(entry), node[f"body{number}"]
+        body, part = payload_inertia(entry), node[f"body{number}"]
         extent = _draw(part["shape"], body)
         placed = motion.contacts[_resting(carried), contact]
         tracks.add(part, "position", "vector3", placed[:, :3, 3])

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.solution.input import Given, require_motion, solutions_of
+from trajopt.solution.input import SolutionOrFile, require_motion, solutions_of
 from trajopt.solution.solution import Solution
 from trajopt.view.replay import video
 from trajopt.view.replay.browser import AT_START, OpenedPage, installed, opened
@@ -45,7 +45,7 @@ class Rendering:
 
 
 def render(
-    solutions: Given | Sequence[Given],
+    solutions: SolutionOrFile | Sequence[SolutionOrFile],
     target: str | Path,
     *,
     layout: str = "overlaid",

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import touched
+from trajopt.solution.touched import touched_surfaces
 from trajopt.view.replay.arrows import draw_arrows, weight_arrow_of
 from trajopt.view.replay.balance import balance_of
 from trajopt.view.replay.balance_marks import draw_balance
@@ -102,7 +102,7 @@ def _draw_run(
     for joint, place in joints:
         tracks.add(node[place], "position", "vector3", motion.joints[:, joint, :3, 3])
         tracks.add(node[place], "quaternion", "quaternion", quaternions_of(motion.joints[:, joint, :3, :3]))
-    touching = touched(solution, motion.feet, motion.phase)
+    touching = touched_surfaces(solution, motion.feet, motion.phase)
     places = [
         run.cloud,
         draw_surfaces(node["surfaces"], ground.elsewhere, solution, motion, run.robot, size),

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from trajopt.errors import InputError
-from trajopt.solution.input import Given, require_motion, solutions_of
+from trajopt.solution.input import SolutionOrFile, require_motion, solutions_of
 from trajopt.solving.interruption import LOOK
 from trajopt.view.replay.caption import page_facts
 from trajopt.view.replay.live import LiveWindow, where
@@ -48,7 +48,7 @@ class Replay:
 
 
 def replay(
-    solutions: Given | Sequence[Given],
+    solutions: SolutionOrFile | Sequence[SolutionOrFile],
     html: str | Path | None = None,
     open_browser: bool = True,
     speed: float = 1.0,
