@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 import pinocchio as pin
+from typing_extensions import override
 
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
@@ -112,9 +113,11 @@ class UnitRotation(NodeConstraint):
 
     phase: str
 
+    @override
     def acts_at(self, place: NodePlace) -> bool:
         return place.phase.name == self.phase and place.index == 0
 
+    @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         count = context.coordinates.n_rotations
         norms = [ca.sumsqr(context.rotations[4 * i : 4 * i + 4]) for i in range(count)]

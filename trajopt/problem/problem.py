@@ -21,10 +21,9 @@ from trajopt.robot.validation import require_configuration
 from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.schedule.standing import require_standing
 from trajopt.terms.context_symbols import ACTUATIONS, Actuation
-from trajopt.terms.dynamics import ContactVelocity
+from trajopt.terms.dynamics import BaseDynamics, ContactAcceleration, ContactVelocity
 from trajopt.terms.interfaces import Cost, PointConstraint, Term
 from trajopt.terms.landing import ContactLanding
-from trajopt.terms.limits import BaseDynamics, ContactAcceleration
 from trajopt.terms.node_costs import NodeCost
 from trajopt.terms.node_interfaces import NodeConstraint
 from trajopt.terms.sliding import SlidingFriction, require_sliding, sliding_surfaces

@@ -14,9 +14,10 @@ from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.reach import Place, longest_between
 from trajopt.robot.robot import Robot
 from trajopt.robot.validation import require_configuration
+from trajopt.terms.frames import FramePose
 from trajopt.terms.interfaces import PointConstraint, Term
 from trajopt.terms.limits import PositionLimits
-from trajopt.terms.terminal import FramePose, TerminalState
+from trajopt.terms.terminal import TerminalState
 
 # A start may exceed a limit by what a check allows: this part of it, at least this many rad, m, rad/s or m/s.
 LIMIT_SLACK = 1e-6

@@ -9,6 +9,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.errors import InputError
 from trajopt.robot.collision.distances import Axis, Box, box_distance, segment_distance
@@ -46,6 +47,7 @@ class Clearance(PointConstraint):
         if unknown:
             raise InputError(f"the scene has no pair {unknown[0]}", "allowed: pairs of the scene")
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         if not self.pairs:
             return None

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.errors import InputError
 from trajopt.robot.actuators.drive import Drive
@@ -39,6 +40,7 @@ class DriveLimits(PointConstraint):
     Rows that cannot bind are left out, by the measure of `Units`; ``check`` verifies them.
     """
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         robot = context.robot
         driven = dict(_driven_rows(robot))
@@ -84,6 +86,7 @@ class MotorTorqueCost(Cost):
     limit. A motor with neither limit is measured in weight times length over its gear ratio.
     """
 
+    @override
     def residual(self, context: Context, units: Units) -> ca.SX:
         driven = _driven_rows(context.robot)
         torque = ca.vertcat(*[context.torque[row] for row, _ in driven])

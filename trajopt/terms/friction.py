@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.errors import InputError
 from trajopt.robot.contact import Contact
@@ -119,6 +120,7 @@ class FrictionPyramid(ContactConstraint):
     friction f_1 = f_2 = 0.
     """
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         found = _ConeRows()
         for contact in self._pressed(context):
@@ -143,6 +145,7 @@ class FrictionCone(ContactConstraint):
     side. Without friction f_1 = f_2 = 0.
     """
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         found = _ConeRows()
         for contact in self._pressed(context):
@@ -166,6 +169,7 @@ class SoleLimits(ContactConstraint):
     mu f_n times the mean half size, whatever the other components are: `SoleCone` is exact.
     """
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         found = _ConeRows()
         for contact in self._pressed(context):
@@ -194,6 +198,7 @@ class SoleCone(ContactConstraint):
     Complete for soles: no other friction term is needed for them. Point contacts have no rows.
     """
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         found = _ConeRows()
         for contact in self._pressed(context):
@@ -240,6 +245,7 @@ class NormalForce(PointConstraint):
             math.inf if self.upper is None else self.upper,
         )
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         contact = context.contact(self.contact)
         if contact not in context.pressing:

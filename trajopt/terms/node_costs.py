@@ -13,6 +13,7 @@ from typing import ClassVar
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.errors import InputError
 from trajopt.robot.units import Units
@@ -63,9 +64,11 @@ class FrameHeightCost(NodeCost):
             raise InputError(f"fraction of {self.name} is {self.fraction:g}", "allowed: 0 to 1")
         object.__setattr__(self, "phases", (self.phase,))
 
+    @override
     def acts_at(self, place: NodePlace) -> bool:
         return place.phase.name == self.phase and place.index == nearest_node(place, self.fraction)
 
+    @override
     def quantity(self, context: Context, units: Units, place: NodePlace) -> ca.SX:
         return -context.frame(self.frame).position[2] / units.length
 
@@ -90,6 +93,7 @@ class DistanceCost(NodeCost):
             )
         object.__setattr__(self, "direction", tuple((direction / size).tolist()))
 
+    @override
     def quantity(self, context: Context, units: Units, place: NodePlace) -> ca.SX:
         direction = context.parameter(np.array(self.direction))
         return -ca.dot(direction, context.frame(self.frame).position) / units.length

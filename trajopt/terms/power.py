@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.errors import InputError
 from trajopt.robot.actuators.drive import Drive
@@ -64,12 +65,14 @@ class PowerCost(Cost):
         if not (math.isfinite(self.smoothing) and self.smoothing > 0):
             raise InputError(f"smoothing of {self.name} is {self.smoothing:g}", "allowed: finite and > 0")
 
+    @override
     def residual(self, context: Context, units: Units) -> ca.SX:
         """Power of each joint (nu,), and then the heat of each drive, over the unit of power."""
         drawn = self._drawn(*self._power(context, units))
         heat = self._heat(context, units)
         return drawn if heat is None else ca.vertcat(drawn, heat * context.torque**2)
 
+    @override
     def value(self, context: Context, units: Units) -> ca.SX:
         """Weighted sum over the joints: no mean of squares, energies add up.
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
@@ -57,6 +58,7 @@ class SlidingFriction(PointConstraint):
     such contacts, see `Problem.motion_rows`.
     """
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         law, pressing = [], []
         for contact in context.contacts:

@@ -10,6 +10,7 @@ from typing import Literal, get_args
 import casadi as ca
 import numpy as np
 import pinocchio as pin
+from typing_extensions import override
 
 from trajopt.dynamics.manifold import Joint
 from trajopt.dynamics.rotations import quaternion_product
@@ -45,6 +46,7 @@ class TrackingCost(Cost):
         if self.part not in PARTS:
             raise InputError(f"part of {self.name} is {self.part!r}", f"allowed: {', '.join(PARTS)}")
 
+    @override
     def residual(self, context: Context, units: Units) -> ca.SX:
         coordinates = context.coordinates
         n4 = 4 * coordinates.n_rotations
