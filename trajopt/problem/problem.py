@@ -16,7 +16,7 @@ from trajopt.problem.validation import require_goals, require_reach, require_sta
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.payload import Payload, loaded
 from trajopt.robot.robot import Robot
-from trajopt.robot.stance.mode import Mode
+from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
 from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.schedule.standing import require_standing
@@ -68,7 +68,7 @@ class Problem:
     default_transcription: str = "legendre:2"
     actuation: Actuation = "torque"
     dynamics: tuple[PointConstraint, ...] | None = None
-    modes: Mapping[str, Mode] = field(default_factory=dict)
+    modes: Mapping[str, StanceMode] = field(default_factory=dict)
     periodicity: Periodicity | None = None
     duration_bounds: tuple[float, float] | None = None
     payloads: Mapping[str, Payload] = field(default_factory=dict)
@@ -133,7 +133,7 @@ class Problem:
         for name, mode in self.modes.items():
             if name not in names:
                 raise InputError(f"a mode is given for phase '{name}'", f"allowed: {', '.join(names)}")
-            if mode.whole is not self.robot:
+            if mode.floating is not self.robot:
                 raise InputError(
                     f"mode of phase '{name}' is of another robot", "allowed: modes of the problem's robot"
                 )
@@ -145,13 +145,13 @@ class Problem:
                 )
             self._require_place(contact, index, mode)
         first = self.modes.get(names[0])
-        if first is not None and first.loses(self.initial_q, self.initial_v) > SAME_PLACE:
+        if first is not None and first.loss(self.initial_q, self.initial_v) > SAME_PLACE:
             raise InputError(
                 f"the start of problem '{self.name}' moves the contact on which its first mode stands",
                 "allowed: an initial_q and initial_v with that contact at rest",
             )
 
-    def _require_place(self, contact: str, index: int, mode: Mode) -> None:
+    def _require_place(self, contact: str, index: int, mode: StanceMode) -> None:
         place = self.contact_place(contact, index)
         if place is None:
             begins = self.schedule.phases[self.schedule.beginning(contact, index)].name

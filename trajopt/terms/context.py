@@ -19,7 +19,7 @@ from trajopt.errors import InputError
 from trajopt.robot.actuators.on_robot import drive_torque
 from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
-from trajopt.robot.stance.mode import Mode
+from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
 from trajopt.terms.context_symbols import Actuation, FrameSymbols, Place
 from trajopt.terrain.surface import Surface
@@ -51,7 +51,7 @@ class Context:
         clocks: tuple[int, int | None] = (0, None),
         actuation: Actuation = "torque",
         surfaces: Mapping[str, Ground] = MappingProxyType({}),
-        mode: Mode | None = None,
+        mode: StanceMode | None = None,
         kept_rows: Mapping[str, tuple[int, ...]] = MappingProxyType({}),
         near: np.ndarray | None = None,
     ) -> None:
@@ -129,7 +129,7 @@ class Context:
         for contact in self.pressing:
             if contact.name == name:
                 return contact
-        return (self._mode.whole if self._mode else self.robot).contact(name)
+        return (self._mode.floating if self._mode else self.robot).contact(name)
 
     def actuated(self, values: np.ndarray) -> np.ndarray:
         """Values of the whole robot's actuated rows (nu,) in the order of this context's torques."""
@@ -143,11 +143,11 @@ class Context:
 
     def posture(self, q: np.ndarray) -> np.ndarray:
         """A configuration of the whole robot in the coordinates of this context (nq,). Raises InputError."""
-        given, whole = np.array(q, dtype=float), self.robot if self._mode is None else self._mode.whole
+        given, whole = np.array(q, dtype=float), self.robot if self._mode is None else self._mode.floating
         if given.shape != (whole.nq,):
             raise InputError(f"a term's posture has shape {given.shape}", f"allowed: ({whole.nq},)")
         require_configuration(whole.model, given, "a term's posture")
-        return given if self._mode is None else self._mode.dropped(given, *np.zeros((2, whole.nv)))[0]
+        return given if self._mode is None else self._mode.dropped(given)[0]
 
     @cached_property
     def wrenches(self) -> dict[str, ca.SX]:

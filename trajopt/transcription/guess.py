@@ -75,7 +75,8 @@ def in_form(layout: Layout, form: NodeForm, state: State) -> State:
     """A state of the whole robot in the coordinates of a form."""
     for mode in layout.modes.values():
         if mode.robot is form.robot:
-            return mode.dropped(*state)
+            q, v, a, _ = mode.dropped(*state)
+            return q, v, a
     return state
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
-from trajopt.robot.stance.mode import Mode
+from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms.node_interfaces import NodePlace
 from trajopt.transcription.mesh import Mesh
@@ -47,7 +47,7 @@ class Layout:
     schedule: Schedule
     mesh: Mesh
     order: int = 2
-    modes: Mapping[str, Mode] = field(default_factory=dict)
+    modes: Mapping[str, StanceMode] = field(default_factory=dict)
     closed: bool = False
 
     @cached_property

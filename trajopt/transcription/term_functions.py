@@ -123,7 +123,8 @@ class TermFunctions:
         whole = after.robot is self.problem.robot
         mode = next(m for m in self.problem.modes.values() if m.robot is (before if whole else after).robot)
         still = ca.SX.zeros(before.coordinates.nv)
-        q, v, _ = (mode.lift if whole else mode.drop)(context.q, context.v, still)
+        state = (context.q, context.v, still)
+        q, v, *_ = mode.lift(*state, mode.anchor) if whole else mode.drop(*state)
         shared = {joint.name: context.xi[joint.v] for joint in before.coordinates.joints if joint.is_counted}
         return after.coordinates.symbolic_node(q, v, shared)
 
@@ -164,7 +165,7 @@ class TermFunctions:
     def _in_form(self, form: NodeForm, q: np.ndarray) -> np.ndarray:
         """A configuration (nq,) of the whole robot in the coordinates of a form."""
         mode = next((mode for mode in self.problem.modes.values() if mode.robot is form.robot), None)
-        return q if mode is None else mode.dropped(q, *np.zeros((2, self.layout.robot.nv)))[0]
+        return q if mode is None else mode.dropped(q)[0]
 
     @cached_property
     def _wound(self) -> dict[int, np.ndarray]:

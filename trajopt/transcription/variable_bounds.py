@@ -104,7 +104,7 @@ def start_of(problem: Problem, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
     mode = layout.modes.get(layout.schedule.phases[0].name)
     if mode is None:
         return problem.initial_q, problem.initial_v
-    q, v, _ = mode.dropped(problem.initial_q, problem.initial_v, np.zeros(problem.robot.nv))
+    q, v, *_ = mode.dropped(problem.initial_q, problem.initial_v)
     return q, v
 
 
