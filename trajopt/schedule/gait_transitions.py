@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from trajopt.errors import InputError
-from trajopt.schedule.gaits import SHORTEST, SIMULTANEOUS, Gait, Support, phases_of
+from trajopt.schedule.gaits import SHORTEST, SIMULTANEOUS, Gait, SupportPhase, phases_of
 from trajopt.schedule.schedule import Phase
 
 
@@ -101,7 +101,7 @@ def _to_standing(stances: list[_Stances], end: float) -> tuple[list[_Stances], f
     return found, last
 
 
-def _supports(stances: list[_Stances], window: tuple[float, float]) -> list[Support]:
+def _supports(stances: list[_Stances], window: tuple[float, float]) -> list[SupportPhase]:
     """Supports within a window of time, in periods."""
     inside = sorted(
         time
@@ -117,5 +117,5 @@ def _supports(stances: list[_Stances], window: tuple[float, float]) -> list[Supp
     found = []
     for now, then in pairwise(merged):
         feet = tuple(own.foot for own in stances if own.stands((now + then) / 2))
-        found.append(Support(now, then - now, feet))
+        found.append(SupportPhase(now, then - now, feet))
     return found

@@ -30,7 +30,7 @@ SUPPORTS = ("flight", "single", "double", "triple", "quadruple")
 
 
 @dataclass(frozen=True)
-class Support:
+class SupportPhase:
     """A part of a gait's period with a constant set of feet on the ground; both are parts of the period."""
 
     begin: float
@@ -106,7 +106,7 @@ class Gait:
         since = (fraction - self.offsets[foot] + SIMULTANEOUS) % 1.0
         return self.duty_of(foot) == 1 or since < self.duty_of(foot)
 
-    def supports(self, start: str | None = None) -> tuple[Support, ...]:
+    def supports(self, start: str | None = None) -> tuple[SupportPhase, ...]:
         """The supports of one period, from a touchdown on.
 
         start: foot whose touchdown begins the period; default the one with the least offset of those that
@@ -123,7 +123,7 @@ class Gait:
                     f"gait '{self.name}' has a support of {then - now:.2g} of its period",
                     f"allowed: at least {SHORTEST:g}",
                 )
-            found.append(Support(now, then - now, feet))
+            found.append(SupportPhase(now, then - now, feet))
         return tuple(found)
 
     def first(self, start: str | None = None) -> str:
@@ -211,7 +211,7 @@ def _number(value: float, what: str) -> float:
 
 
 def phases_of(
-    supports: Iterable[Support], period: float, bounds: tuple[float, float] | None
+    supports: Iterable[SupportPhase], period: float, bounds: tuple[float, float] | None
 ) -> tuple[Phase, ...]:
     if not (math.isfinite(period) and period > 0):
         raise InputError(f"period of a gait is {period:g} s", "allowed: finite and > 0")

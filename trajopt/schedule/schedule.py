@@ -169,6 +169,11 @@ class Schedule:
                 )
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the phases."""
+        return tuple(phase.name for phase in self.phases)
+
+    @property
     def duration(self) -> float:
         """Total nominal duration in s."""
         return sum(phase.duration for phase in self.phases)

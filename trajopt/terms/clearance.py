@@ -12,8 +12,8 @@ import numpy as np
 from typing_extensions import override
 
 from trajopt.errors import InputError
-from trajopt.robot.collision.distances import Axis, Box, box_distance, segment_distance
-from trajopt.robot.collision.near import CollisionScene, Pair
+from trajopt.robot.collision.distances import Box, SymbolicAxis, box_distance, segment_distance
+from trajopt.robot.collision.near import CollisionScene, ShapePair
 from trajopt.robot.collision.shapes import BoxObstacle, LinkCapsule, Obstacle
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
@@ -35,7 +35,7 @@ class Clearance(PointConstraint):
     """
 
     scene: CollisionScene
-    pairs: tuple[Pair, ...]
+    pairs: tuple[ShapePair, ...]
     margin: float = 0.0
 
     def __post_init__(self) -> None:
@@ -78,20 +78,20 @@ class _Placed:
             parts = (obstacle.turn, obstacle.position, obstacle.sides / 2)
             self.box = Box(*(context.parameter(part) for part in parts))
         else:
-            self.axis = Axis(*(context.parameter(end) for end in obstacle.axis))
+            self.axis = SymbolicAxis(*(context.parameter(end) for end in obstacle.axis))
             self.radius = context.parameter(obstacle.radius)
 
-    def beyond(self, axis: Axis, reach: ca.SX, smoothing: float) -> ca.SX:
+    def beyond(self, axis: SymbolicAxis, reach: ca.SX, smoothing: float) -> ca.SX:
         """Smooth distance of ``axis`` from the obstacle minus ``reach`` m."""
         if self.box is not None:
             return box_distance(axis, self.box, reach, smoothing)
         return segment_distance(axis, self.axis, self.radius + reach, smoothing)
 
 
-def _axis(context: Context, capsule: LinkCapsule) -> Axis:
+def _axis(context: Context, capsule: LinkCapsule) -> SymbolicAxis:
     frame = context.frame(capsule.frame)
     ends = (frame.position + ca.mtimes(frame.rotation, ca.DM(end)) for end in (capsule.start, capsule.end))
-    return Axis(*ends)
+    return SymbolicAxis(*ends)
 
 
 def collision_scene(terms: Sequence[Term]) -> CollisionScene | None:

@@ -118,7 +118,7 @@ class Context:
         return self._highest
 
     @property
-    def pressing(self) -> tuple[Contact, ...]:
+    def loaded_contacts(self) -> tuple[Contact, ...]:
         """Active contacts with a wrench: unknown, or the reaction where coordinates embed the contact."""
         if self._mode is None or self.place is not Place.POINT:
             return self.contacts
@@ -126,7 +126,7 @@ class Context:
 
     def contact(self, name: str) -> Contact:
         """The contact of that name, of this phase's coordinates or embedded in them. Raises InputError."""
-        for contact in self.pressing:
+        for contact in self.loaded_contacts:
             if contact.name == name:
                 return contact
         return (self._mode.floating if self._mode else self.robot).contact(name)

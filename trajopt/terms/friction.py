@@ -44,10 +44,10 @@ class ContactConstraint(PointConstraint):
         if self.friction is not None and not (math.isfinite(self.friction) and self.friction >= 0):
             raise InputError(f"friction of {self.name} is {self.friction:g}", "allowed: finite and >= 0")
 
-    def _pressed(self, context: Context) -> Iterator[Contact]:
+    def _unilateral_contacts(self, context: Context) -> Iterator[Contact]:
         """Active contacts that the term is about."""
         chosen = None if self.contacts is None else [context.contact(name) for name in self.contacts]
-        for contact in context.pressing:
+        for contact in context.loaded_contacts:
             if context.slides_on(contact) is not None or context.surface(contact).bilateral:
                 continue
             if chosen is None or contact in chosen:
@@ -123,7 +123,7 @@ class FrictionPyramid(ContactConstraint):
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         found = _ConeRows()
-        for contact in self._pressed(context):
+        for contact in self._unilateral_contacts(context):
             friction, f = self._friction(context, contact), ca.vertsplit(surface_force(context, contact))
             found.at_least_zero([f[2]], units.force)
             if friction == 0.0:
@@ -148,7 +148,7 @@ class FrictionCone(ContactConstraint):
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         found = _ConeRows()
-        for contact in self._pressed(context):
+        for contact in self._unilateral_contacts(context):
             friction = self._friction(context, contact)
             f = ca.vertsplit(surface_force(context, contact) / units.force)
             found.at_least_zero([f[2]], 1.0)
@@ -172,7 +172,7 @@ class SoleLimits(ContactConstraint):
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         found = _ConeRows()
-        for contact in self._pressed(context):
+        for contact in self._unilateral_contacts(context):
             if contact.kind == "surface":
                 friction = self._friction(context, contact)
                 rotation = context.frame(contact.frame).rotation
@@ -201,7 +201,7 @@ class SoleCone(ContactConstraint):
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         found = _ConeRows()
-        for contact in self._pressed(context):
+        for contact in self._unilateral_contacts(context):
             if contact.kind == "surface":
                 friction = self._friction(context, contact)
                 to_sole, wrench = context.frame(contact.frame).rotation.T, context.wrenches[contact.name]
@@ -248,6 +248,6 @@ class NormalForce(PointConstraint):
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         contact = context.contact(self.contact)
-        if contact not in context.pressing:
+        if contact not in context.loaded_contacts:
             return None
         return Rows.create(surface_force(context, contact)[2], *self._bounds(), units.force)

@@ -117,14 +117,7 @@ def contact_points(context: Context, contact: Contact) -> list[ca.SX]:
     frame = context.frame(contact.frame)
     if contact.kind == "point":
         return [frame.position]
-    return [frame.position + ca.mtimes(frame.rotation[:, :2], corner) for corner in corners(contact)]
-
-
-def corners(contact: Contact) -> np.ndarray:
-    """Where a contact touches, (n, 2) along its frame's x and y, m: its point, or its sole's four corners."""
-    if contact.kind == "point":
-        return np.zeros((1, 2))
-    return np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [contact.half_length, contact.half_width]
+    return [frame.position + ca.mtimes(frame.rotation[:, :2], corner) for corner in contact.corners]
 
 
 def _tilting_axes(contact: Contact, held: tuple[int, ...]) -> list[int]:

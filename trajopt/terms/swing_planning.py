@@ -11,7 +11,6 @@ from trajopt.robot.kinematics import contact_poses, contact_positions
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion, Phase, Schedule
 from trajopt.terms.interfaces import Term
-from trajopt.terms.landing import corners
 from trajopt.terms.swing import LEVEL, SwingArc, SwingClearance, SwingCrossing, SwingOver, SwingPart
 from trajopt.terrain.crossing import Crossing, Edge, crossing
 from trajopt.terrain.flat import FlatGround
@@ -86,7 +85,7 @@ def _swings(
 def _track(robot: Robot, name: str, guess: Motion, span: tuple[float, float]) -> np.ndarray:
     """Points (n, m, 3) of a contact along the guess of its swing, m: one, or a sole's four corners."""
     poses = (contact_poses(robot, guess(float(t)))[name] for t in np.linspace(*span, SAMPLES))
-    points = corners(robot.contact(name))
+    points = robot.contact(name).corners
     return np.array([pose.translation + points @ pose.rotation[:, :2].T for pose in poses])
 
 

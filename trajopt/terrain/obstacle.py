@@ -12,14 +12,14 @@ from trajopt.errors import InputError
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import UP, Surface
 
-Point = Sequence[float] | np.ndarray
+PlanePoint = Sequence[float] | np.ndarray
 
 
 @dataclass(frozen=True)
 class ObstacleAxes:
     """Where an obstacle stands: its origin (x, y) m and direction rad, and what its faces share."""
 
-    at: Point
+    at: PlanePoint
     yaw: float
     friction: float
     margin: float

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.terrain.obstacle import ObstacleAxes, Point, require_lengths
+from trajopt.terrain.obstacle import ObstacleAxes, PlanePoint, require_lengths
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import UP, Surface
 
@@ -126,7 +126,7 @@ class PiecewiseTerrain:
         run: float,
         *,
         width: float = 2 * REACH,
-        at: Point = (0.0, 0.0),
+        at: PlanePoint = (0.0, 0.0),
         yaw: float = 0.0,
         friction: float = 0.7,
         margin: float = 0.0,
@@ -160,7 +160,7 @@ class PiecewiseTerrain:
         steps: int,
         width: float = 2 * REACH,
         *,
-        at: Point = (0.0, 0.0),
+        at: PlanePoint = (0.0, 0.0),
         yaw: float = 0.0,
         friction: float = 0.7,
         margin: float = 0.0,
@@ -179,7 +179,7 @@ class PiecewiseTerrain:
         height: float,
         length: float,
         width: float,
-        at: Point = (0.0, 0.0),
+        at: PlanePoint = (0.0, 0.0),
         *,
         yaw: float = 0.0,
         friction: float = 0.7,
@@ -214,7 +214,7 @@ class PiecewiseTerrain:
         width: float,
         *,
         height: float = 0.0,
-        at: Point = (0.0, 0.0),
+        at: PlanePoint = (0.0, 0.0),
         yaw: float = 0.0,
         friction: float = 0.7,
         margin: float = 0.0,
@@ -240,7 +240,7 @@ class PiecewiseTerrain:
         length: float,
         *,
         width: float = 2 * REACH,
-        at: Point = (0.0, 0.0),
+        at: PlanePoint = (0.0, 0.0),
         yaw: float = 0.0,
         friction: float = 0.7,
         margin: float = 0.0,
@@ -259,7 +259,7 @@ class PiecewiseTerrain:
     @classmethod
     def stepping_stones(
         cls,
-        centres: Sequence[Point] | np.ndarray,
+        centres: Sequence[PlanePoint] | np.ndarray,
         size: float | tuple[float, float],
         heights: float | Sequence[float] = 0.0,
         *,

@@ -15,7 +15,7 @@ from trajopt.robot.actuators.drive import Drive
 Drives = tuple[Drive | None, ...]
 
 
-def driven(
+def drive_fields(
     model: pin.Model, effort: np.ndarray | None, velocity: np.ndarray, drives: Drives
 ) -> dict[str, Any]:
     """Return the fields of a robot that drives change: model, effort_limit, velocity_limit and drives.
