@@ -1,4 +1,8 @@
-"""The base of a model: which joints carry it, its rows and coordinates; limits of all coordinates."""
+"""Kinds of base: how each is recognised in a model, its rows and coordinates; position limits of a model.
+
+A base is fixed, a free-flyer, planar, or virtual: six joints in series, three prismatic along x, y, z, and
+three revolute about axes in one of ``ORDERS`` (see `virtual_base`).
+"""
 
 from __future__ import annotations
 
@@ -34,12 +38,13 @@ UNLIMITED = 1e20
 
 
 def require_base(base: str) -> None:
+    """Raise `InputError` for a kind of base that is none of ``BASES``."""
     if base not in BASES:
         raise InputError(f"base={base!r} is unknown", "one of " + ", ".join(repr(name) for name in BASES))
 
 
 def base_of(model: pin.Model) -> Base:
-    """Return the kind of base of ``model``, read from its first joint (six of them for a virtual base)."""
+    """Kind of base of a model, read from its first joint, or its first six for a virtual base."""
     if model.njoints < 2:
         return "fixed"
     if virtual_order(model) is not None:
@@ -49,9 +54,9 @@ def base_of(model: pin.Model) -> Base:
 
 
 def position_limits(model: pin.Model) -> tuple[np.ndarray, np.ndarray]:
-    """Return lower and upper limits (nq,); coordinates without a limit get -inf and +inf.
+    """Lower and upper position limits (nq,); -inf and inf where a coordinate has none.
 
-    Quaternions and (cos, sin) pairs are coordinates on a manifold, not limited ones.
+    Quaternions and (cos, sin) pairs are coordinates of a manifold and have no limits.
     """
     lower = np.where(np.abs(model.lowerPositionLimit) > UNLIMITED, -np.inf, model.lowerPositionLimit)
     upper = np.where(np.abs(model.upperPositionLimit) > UNLIMITED, np.inf, model.upperPositionLimit)
@@ -75,7 +80,7 @@ ROWS = 6
 
 
 def virtual_order(model: pin.Model) -> str | None:
-    """Return the order of the revolute joints of a virtual base, or None for another base."""
+    """Order of the revolute joints of a virtual base, such as "ZYX"; None for another base."""
     if model.njoints <= ROWS:
         return None
     names = list(model.names)[1 : ROWS + 1]

@@ -25,13 +25,19 @@ SMOOTHING = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Clearance(PointConstraint):
-    """Pairs of a scene keep at least ``margin`` m apart, at every collocation point.
+    """Pairs of a collision scene keep a distance at every collocation point.
 
-    ``scene`` says all that is there (a check of the solution measures all of it); ``pairs`` are those that
-    become rows, one each: the ones that can come near. Distances are smooth and on the safe side, see
-    `distances`: a pair that meets its row is ``margin`` apart, and one that is ``margin`` and 2e-3 of the
-    robot's length apart meets its row. Obstacles and margin are parameters: to move them compiles nothing.
-    Raises InputError.
+    Distances are smooth and on the safe side, see `distances`: a pair that meets its row is ``margin`` apart,
+    and one that is ``margin`` and 2e-3 of the robot's length apart meets its row. Obstacles and margin are
+    parameters: moving them compiles nothing.
+
+    Args:
+        scene: all capsules and obstacles; a check of the solution measures all of it.
+        pairs: the pairs that become rows, one each: those that can come near.
+        margin: least distance, m.
+
+    Raises:
+        InputError: for a negative margin or a pair that the scene does not have.
     """
 
     scene: CollisionScene
@@ -95,9 +101,10 @@ def _axis(context: Context, capsule: LinkCapsule) -> SymbolicAxis:
 
 
 def collision_scene(terms: Sequence[Term]) -> CollisionScene | None:
-    """What a motion under these terms must stay clear of; None where none of them is a `Clearance`.
+    """Collision scene of the terms, None where none of them is a `Clearance`.
 
-    Raises InputError where there are several scenes.
+    Raises:
+        InputError: where there are several scenes.
     """
     scenes = [term.scene for term in terms if isinstance(term, Clearance)]
     if any(scene is not scenes[0] for scene in scenes):
@@ -106,6 +113,6 @@ def collision_scene(terms: Sequence[Term]) -> CollisionScene | None:
 
 
 def collision_meta(terms: Sequence[Term]) -> dict[str, Any]:
-    """What a solution's meta says of obstacles; nothing where there are none."""
+    """Description of the collision scene for a solution's meta; empty where there is none."""
     scene = collision_scene(terms)
     return {} if scene is None else {"collision": scene.describe()}

@@ -1,4 +1,4 @@
-"""Constraints of feet and ground at nodes: where a contact lands, how high a foot swings."""
+"""Constraints at touchdown: where a contact lands, and that it does not move."""
 
 from __future__ import annotations
 
@@ -34,9 +34,14 @@ def along_normal(context: Context, surface: Surface, columns: ca.SX) -> ca.SX:
 class ContactLanding(NodeConstraint):
     """New contacts of a phase lie on their surface, patch or foothold and do not move.
 
-    The surface is the phase's for that contact, else the terrain; a sole lies flat on it. On a patch a point
-    keeps the margin from every edge, and so do the four corners of a sole. Contacts that are ``held`` through
-    an impact do not move after it either.
+    The surface is what the phase names for the contact, else the terrain; a sole lies flat on it. On a patch
+    a point keeps the margin from every edge, and so do the four corners of a sole.
+
+    Args:
+        phase: name of the phase, at whose first node the rows are.
+        contacts: names of the new contacts.
+        terrain: the ground.
+        held: names of contacts that hold through an impact and do not move after it either.
     """
 
     phase: str

@@ -19,7 +19,14 @@ from trajopt.terms.interfaces import PointConstraint, Rows
 
 @dataclass(frozen=True, kw_only=True)
 class EffortLimits(PointConstraint):
-    """Joint torques within ``limit`` (nu,) N m, joint side; default: the robot's limits."""
+    """Joint torques within limits.
+
+    Args:
+        limit: (nu,) on the joint side, N m or N; default the robot's limits.
+
+    Raises:
+        InputError: for limits that are negative or NaN.
+    """
 
     limit: np.ndarray | None = None
 
@@ -75,8 +82,8 @@ class VelocityLimits(PointConstraint):
 class PositionLimits(PointConstraint):
     """Joint positions within the robot's limits, at points and nodes.
 
-    A limit more than a full turn (2 pi) away from the reference posture is not imposed: no useful
-    motion winds a joint that far, and ``check`` still verifies it.
+    A limit more than a full turn (2 pi) away from the reference posture is not imposed: no useful motion
+    winds a joint that far. The check verifies it all the same.
     """
 
     def _limits(self, robot: Robot, context: Context) -> tuple[np.ndarray, np.ndarray]:

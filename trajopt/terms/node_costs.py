@@ -1,7 +1,7 @@
-"""Costs at single nodes: how high a frame is at some moment, how far it has come at the end.
+"""Costs at single nodes: how high a frame is at one moment, how far it is at the end.
 
-They are linear in the quantity, over its natural unit, and what is to be large has a minus sign: with a
-weight of one a rise by the robot's length is worth as much as torques of weight times length for sqrt(l/g).
+They are linear in a quantity over its natural unit, with a minus sign for what is to be large: with a weight
+of one, a rise by the robot's length is worth as much as torques of weight times length for sqrt(l/g).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class NodeCost(Term, ABC):
 
     @abstractmethod
     def quantity(self, context: Context, units: Units, place: NodePlace) -> ca.SX:
-        """What the weight multiplies, a number over its unit; only parameters may depend on ``place``."""
+        """Quantity over its unit, to be weighted; only parameter values may depend on ``place``."""
 
     def value(self, context: Context, units: Units, place: NodePlace) -> ca.SX:
         """Cost at one node."""
@@ -49,9 +49,16 @@ class NodeCost(Term, ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class FrameHeightCost(NodeCost):
-    """Minus the height of a frame over the robot's length, at the node nearest to ``fraction`` of a phase.
+    """Minus the height of a frame over the robot's length at one moment: as high as possible.
 
-    As high as possible: of a ballistic flight the middle. Of the phase's own nodes, as `FrameHeight`.
+    Args:
+        weight: dimensionless.
+        frame: name of the frame.
+        phase: name of the phase.
+        fraction: of the phase's duration, as of `FrameHeight`; the middle is the apex of a ballistic flight.
+
+    Raises:
+        InputError: for a fraction outside 0 to 1.
     """
 
     frame: str
@@ -75,9 +82,15 @@ class FrameHeightCost(NodeCost):
 
 @dataclass(frozen=True, kw_only=True)
 class DistanceCost(NodeCost):
-    """Minus a frame's way along ``direction`` (3,), world, over the robot's length, at the schedule's end.
+    """Minus a frame's coordinate along a direction over the robot's length at the end: as far as possible.
 
-    As far as possible. The direction is made a unit vector. Raises InputError if it has none.
+    Args:
+        weight: dimensionless.
+        frame: name of the frame.
+        direction: in the world (3,), normalised.
+
+    Raises:
+        InputError: for a vector without direction.
     """
 
     frame: str

@@ -33,12 +33,18 @@ def free_directions(
     contacts: Sequence[str],
     normals: Mapping[str, np.ndarray] = MappingProxyType({}),
 ) -> np.ndarray:
-    """Orthonormal basis (nv, n) of the local rates that active contacts leave free at q (nq,).
+    """Orthonormal basis (nv, n) of the local rates that active contacts leave free.
 
-    The null space of the contact Jacobian over the rates of the local coordinates (world linear and
-    body angular velocity of a free-flyer). To ask "at rest" or "there" of these directions only is
-    what keeps the rows independent of the contact rows. ``normals`` (3,) are of contacts that slide, by
-    name: these are held along them alone.
+    The null space of the contact Jacobian over the rates of the local coordinates (world linear and body
+    angular velocity of a free-flyer). Goals that constrain only these directions have rows that are
+    independent of the contact rows.
+
+    Args:
+        robot: the robot.
+        q: configuration (nq,).
+        contacts: names of the active contacts.
+        normals: unit normals (3,) of the surfaces of sliding contacts, by the contact's name; these contacts
+            are held along the normal alone.
     """
     if not contacts:
         return np.eye(robot.nv)
@@ -78,7 +84,7 @@ class TerminalState(NodeConstraint):
 
 
 def free_rows(context: Context, place: NodePlace, q: np.ndarray, quantity: ca.SX) -> Rows:
-    """A dimensionless quantity (nv,) vanishes in the directions that active contacts leave free at q."""
+    """Rows that make a quantity (nv,), over its unit, vanish in the directions contacts leave free at q."""
     require_configuration(context.robot.model, np.asarray(q, dtype=float), "q")
     surfaces = {name: context.slides_on(context.robot.contact(name)) for name in place.phase.contacts}
     normals = {name: surface.normal for name, surface in surfaces.items() if surface is not None}
@@ -87,7 +93,7 @@ def free_rows(context: Context, place: NodePlace, q: np.ndarray, quantity: ca.SX
 
 
 def configuration_difference(context: Context, q: np.ndarray) -> ca.SX:
-    """Local coordinates (nv,) of the context's configuration relative to q, the turn of it near the guess."""
+    """Local coordinates (nv,) relative to the configuration q, at the whole turn nearest the guess."""
     coordinates = context.coordinates
     goal = coordinates.node_from_pinocchio(q, np.zeros(coordinates.nv))
     goal = goal if context.near is None else coordinates.continued(goal, context.near)
@@ -109,7 +115,7 @@ def configuration_difference(context: Context, q: np.ndarray) -> ca.SX:
 
 @dataclass(frozen=True, kw_only=True)
 class TerminalRest(NodeConstraint):
-    """The motion ends at rest, in the directions that active contacts leave free at ``q`` (nq,)."""
+    """The motion ends at rest in the directions that active contacts leave free at ``q`` (nq,)."""
 
     q: np.ndarray
 
@@ -120,9 +126,11 @@ class TerminalRest(NodeConstraint):
 
 @dataclass(frozen=True, kw_only=True)
 class TerminalVelocity(NodeConstraint):
-    """The motion ends with velocity ``v`` (nv,) at ``q`` (nq,), in directions that contacts leave free.
+    """The motion ends with a given velocity in the directions that active contacts leave free.
 
-    Both are Pinocchio's: of a free-flyer linear and angular velocity in its own axes.
+    Args:
+        q: configuration at the end (nq,).
+        v: Pinocchio's velocity (nv,): of a free-flyer linear and angular in its own axes.
     """
 
     q: np.ndarray
@@ -140,10 +148,17 @@ HORIZONTAL = {"planar": (0, -1), "freeflyer": (0, 1)}
 
 @dataclass(frozen=True, kw_only=True)
 class TerminalPosture(NodeConstraint):
-    """The final configuration is ``q`` (nq,), moved level to where the contact ``over`` stands.
+    """The motion ends in a given posture wherever a contact has landed, without turning.
 
-    In the directions that active contacts leave free, as `TerminalState`; the robot does not turn. The base
-    is a free-flyer or planar, in axes that the world's x and y are among. Raises InputError.
+    Rows are in the directions that active contacts leave free, as of `TerminalState`. The base is a
+    free-flyer or planar, in the world's axes.
+
+    Args:
+        q: configuration (nq,); it is displaced horizontally to where the contact stands.
+        over: name of the contact.
+
+    Raises:
+        InputError: for another base.
     """
 
     q: np.ndarray

@@ -22,7 +22,8 @@ def drive_fields(
 
     Args:
         model: of the robot without them; not changed.
-        effort: limits (nu,) N m or N, or None; velocity: limits (nv,) rad/s or m/s.
+        effort: limits (nu,), N m or N, or None.
+        velocity: limits (nv,), rad/s or m/s.
         drives: one or None for each actuated row (nu), see `Robot.with_drives`.
     """
     model = pin.Model(model)
