@@ -14,27 +14,20 @@ import pinocchio as pin
 from trajopt.errors import InputError
 
 Base = Literal["freeflyer", "virtual", "planar", "fixed"]
-
-
 BASES: tuple[Base, ...] = ("freeflyer", "virtual", "planar", "fixed")
-
-
 BASE_ROWS: dict[Base, int] = {"freeflyer": 6, "virtual": 6, "planar": 3, "fixed": 0}
-
-
 BASE_COORDINATES: dict[Base, int] = {"freeflyer": 7, "virtual": 6, "planar": 4, "fixed": 0}
-
-
 # The joint that carries the base link: the last of the virtual ones.
 BASE_JOINT: dict[Base, int] = {"freeflyer": 1, "virtual": 6, "planar": 1, "fixed": 0}
-
-
 # How many entries of q, the first ones, are the position of the base.
 BASE_POSITION: dict[Base, int] = {"freeflyer": 3, "virtual": 3, "planar": 2, "fixed": 0}
-
-
 # Parsers write "no limit" as the largest double or as infinity; no robot reaches this.
 UNLIMITED = 1e20
+# Of a virtual base: the world's axes, orders of its revolute joints, prefix of its joints' names, its rows.
+AXES = "XYZ"
+ORDERS = ("ZYX", "ZXY", "YXZ", "YZX", "XYZ", "XZY")
+PREFIX = "virtual_"
+ROWS = 6
 
 
 def require_base(base: str) -> None:
@@ -67,18 +60,6 @@ def position_limits(model: pin.Model) -> tuple[np.ndarray, np.ndarray]:
     return lower, upper
 
 
-AXES = "XYZ"
-
-
-ORDERS = ("ZYX", "ZXY", "YXZ", "YZX", "XYZ", "XZY")
-
-
-PREFIX = "virtual_"
-
-
-ROWS = 6
-
-
 def virtual_order(model: pin.Model) -> str | None:
     """Order of the revolute joints of a virtual base, such as "ZYX"; None for another base."""
     if model.njoints <= ROWS:
@@ -87,7 +68,7 @@ def virtual_order(model: pin.Model) -> str | None:
     kinds = "".join(model.joints[i].shortname().removeprefix("JointModel") for i in range(1, ROWS + 1))
     order = kinds[7::2]
     serial = list(model.parents)[1 : ROWS + 1] == list(range(ROWS))
-    named = names == _joint_names(order)
+    named = names == virtual_joint_names(order)
     return order if serial and named and order in ORDERS and kinds == _kinds(order) else None
 
 
@@ -95,5 +76,6 @@ def _kinds(order: str) -> str:
     return "PXPYPZ" + "".join(f"R{axis}" for axis in order)
 
 
-def _joint_names(order: str) -> list[str]:
+def virtual_joint_names(order: str) -> list[str]:
+    """Names of the six joints of a virtual base."""
     return [f"{PREFIX}p{axis.lower()}" for axis in AXES] + [f"{PREFIX}r{axis.lower()}" for axis in order]

@@ -206,25 +206,17 @@ def gravity_vector(model: pin.Model, q: np.ndarray) -> np.ndarray:
     return -momentum_maps(model, q).centroidal[:3].T @ model.gravity.linear
 
 
+@once_per_content
 def symbolic_momentum_matrix(model: pin.Model) -> ca.Function:
     """A_G on SX, ``q -> (6, nv)``: world axes, about the centre of mass."""
-    return _symbolic_momentum_matrix(model)
-
-
-def symbolic_mass_matrix_rate(model: pin.Model) -> ca.Function:
-    """Rate of M along a motion on SX, ``(q, v) -> M'`` (nv, nv): the exact directional derivative."""
-    return _symbolic_mass_matrix_rate(model)
-
-
-@once_per_content
-def _symbolic_momentum_matrix(model: pin.Model) -> ca.Function:
     q, v = ca.SX.sym("q", model.nq), ca.SX.sym("v", model.nv)
     matrix = ca.jacobian(rigid_body.centroidal_momentum(model)(q, v), v)
     return ca.Function("momentum_matrix", [q], [matrix], ["q"], ["A"])
 
 
 @once_per_content
-def _symbolic_mass_matrix_rate(model: pin.Model) -> ca.Function:
+def symbolic_mass_matrix_rate(model: pin.Model) -> ca.Function:
+    """Rate of M along a motion on SX, ``(q, v) -> M'`` (nv, nv): the exact directional derivative."""
     q, v, t = ca.SX.sym("q", model.nq), ca.SX.sym("v", model.nv), ca.SX.sym("t")
     along = rigid_body.mass_matrix(model)(rigid_body.integrate(model)(q, t * v))
     rate = ca.Function("rate", [t, q, v], [ca.reshape(ca.jacobian(ca.vec(along), t), along.shape)])

@@ -13,7 +13,7 @@ from trajopt.errors import InputError
 from trajopt.problem.periodicity import Periodicity, UnitRotation, closing_map, landing_at_start
 from trajopt.problem.validation import (
     checked_duration_bounds,
-    read_only,
+    checked_vector,
     require_actuation,
     require_goals,
     require_modes,
@@ -98,7 +98,7 @@ class Problem:
         robot, schedule = self.robot, self.schedule
         for label, size in (("initial_q", robot.nq), ("initial_v", robot.nv)):
             what = f"{label} of problem '{self.name}'"
-            object.__setattr__(self, label, read_only(what, getattr(self, label), size))
+            object.__setattr__(self, label, checked_vector(what, getattr(self, label), size))
         for label in ("parameters", "modes", "payloads"):
             object.__setattr__(self, label, MappingProxyType(dict(getattr(self, label))))
         object.__setattr__(self, "terms", tuple(self.terms))

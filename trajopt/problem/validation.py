@@ -35,7 +35,7 @@ PLACE_SLACK = 1e-3
 SAME_PLACE = 1e-9
 
 
-def read_only(what: str, values: np.ndarray, size: int) -> np.ndarray:
+def checked_vector(what: str, values: np.ndarray, size: int) -> np.ndarray:
     """Return a read-only copy of a finite vector (size,). Raises `InputError` for anything else."""
     array = np.array(values, dtype=float)
     if array.shape != (size,) or not np.all(np.isfinite(array)):

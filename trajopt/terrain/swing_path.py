@@ -13,7 +13,7 @@ from trajopt.terrain.crossing import Crossing, Edge, crossing
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.surface import Surface
-from trajopt.terrain.swing_profile import require_clearance, smooth_step, swing_profile
+from trajopt.terrain.swing_profile import require_clearance, smooth_step
 from trajopt.terrain.terrain import Terrain
 
 # Parts of the swing's time at which the foot is as high as the top, and from which it sinks.
@@ -90,7 +90,7 @@ def _over(
     elif not isinstance(terrain, FlatGround):
         # A valley, or smooth ground: never below what is under the foot.
         position[2] = max(position[2], float(terrain.height(position[0], position[1])))
-    position[2] += OVER_CLEARANCE * clearance * swing_profile(s)
+    position[2] += OVER_CLEARANCE * clearance * 16 * s * s * (1 - s) ** 2
     return np.asarray(position)
 
 
