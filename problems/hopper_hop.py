@@ -14,7 +14,7 @@ from trajopt.errors import InputError
 from trajopt.problem.family import Choice, Family
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
-from trajopt.robot.stance.mode import Mode
+from trajopt.robot.stance.minimal_coordinates import stance_mode
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms import (
     EffortLimits,
@@ -144,8 +144,8 @@ def build(
                 "allowed: coordinates=excess, or a planar hopper that lands on its foothold",
             )
         modes = {
-            "stance": Mode.standing(own, foot, place),
-            "landing": Mode.standing(own, foot, target),
+            "stance": stance_mode(own, foot, anchor=place),
+            "landing": stance_mode(own, foot, anchor=target),
         }
     return Problem(
         name="hopper-hop",

@@ -19,11 +19,10 @@ from trajopt.errors import InputError
 from trajopt.problem.family import Parameter
 from trajopt.reduced.base_path import BaseWaypoint
 from trajopt.robot.kinematics import Posture, contact_poses, contact_positions, frame_pose, inverse_kinematics
-from trajopt.robot.legs import quadruped_legs
+from trajopt.robot.legs import leg_joints, quadruped_legs
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.terms import EffortLimits, FramesAbove, PositionLimits, Term, VelocityLimits, swing_clearance
-from trajopt.terms.frames import leg_joints
 from trajopt.terrain.terrain import Terrain
 from trajopt_library import robots
 

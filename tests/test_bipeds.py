@@ -17,7 +17,6 @@ from trajopt.robot.legs import biped_legs
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import Context, NodePlace, SwingClearance, SwingOver, swing_arcs
-from trajopt.terms.landing import corners
 from trajopt.terrain.flat import FlatGround
 from trajopt.transcription.mesh import equal_fractions
 from trajopt_library import problems, robots
@@ -153,12 +152,12 @@ def test_guess_of_a_step_up_has_the_whole_foot_before_the_edge_until_it_is_up(na
         for s in np.linspace(0.0, swing.risen, 20):
             q = problem.guess(swing.begin + s * (swing.end - swing.begin))
             pose = contact_poses(robot, q)[contact.name]
-            points = pose.translation + corners(contact) @ pose.rotation[:, :2].T
+            points = pose.translation + contact.corners @ pose.rotation[:, :2].T
             assert edge.distance(points).min() > -ROUNDING
         # From there the guess passes the edge at once: the row is not put off.
         later = problem.guess(swing.begin + (swing.risen + 0.05) * (swing.end - swing.begin))
         pose = contact_poses(robot, later)[contact.name]
-        assert edge.distance(pose.translation + corners(contact) @ pose.rotation[:, :2].T).min() < 0
+        assert edge.distance(pose.translation + contact.corners @ pose.rotation[:, :2].T).min() < 0
 
 
 # Soles in the air
@@ -174,7 +173,7 @@ def test_all_corners_of_a_swinging_sole_stay_above_the_ground(name):
     ground, contact = FlatGround(), robot.contact(right)
     arc = swing_arcs(Schedule((phase,)), (right,), height=0.04, terrain=ground)[0]
     pose = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.4, 0.2), np.array([0.1, 0.0, 0.2]))
-    points = pose.translation + corners(contact) @ pose.rotation[:, :2].T
+    points = pose.translation + contact.corners @ pose.rotation[:, :2].T
     assert np.ptp(points[:, 2]) > contact.half_length * np.sin(0.4)
     for term in (SwingClearance(height=0.04, terrain=ground), arc):
         context = Context(robot, Coordinates(robot.model), node=True)

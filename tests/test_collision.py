@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 from trajopt.errors import InputError
-from trajopt.robot.collision.distances import Axis, Box, box_distance, segment_distance
+from trajopt.robot.collision.distances import Box, SymbolicAxis, box_distance, segment_distance
 from trajopt.robot.collision.link_capsules import robot_capsules
 from trajopt.robot.collision.near import CollisionScene, separable_pairs
 from trajopt.robot.collision.shapes import (
@@ -39,12 +39,12 @@ V, W, B, R = ca.SX.sym("v", 6), ca.SX.sym("w", 6), ca.SX.sym("b", 15), ca.SX.sym
 @lru_cache
 def distance_function(kind: str) -> ca.Function:
     """(axis (6,), other, reach) -> distance minus reach, its gradient and second derivative in the axis."""
-    axis = Axis(V[:3], V[3:])
+    axis = SymbolicAxis(V[:3], V[3:])
     if kind == "box":
         box = Box(ca.reshape(B[:9], 3, 3), B[9:12], B[12:])
         other, value = B, box_distance(axis, box, R, SMOOTHING)
     else:
-        other, value = W, segment_distance(axis, Axis(W[:3], W[3:]), R, SMOOTHING)
+        other, value = W, segment_distance(axis, SymbolicAxis(W[:3], W[3:]), R, SMOOTHING)
     hessian, gradient = ca.hessian(value, V)
     return ca.Function(kind, [V, other, R], [value, gradient, hessian])
 

@@ -12,7 +12,7 @@ from robots_for_tests import JOINT_KINDS, random_state, robot
 
 from trajopt.dynamics import lagrange, rigid_body
 from trajopt.dynamics.newton_euler import joint_forces
-from trajopt.dynamics.structure import mass_matrix, symbolic_mass_matrix_rate
+from trajopt.dynamics.structure import mass_matrix_at, symbolic_mass_matrix_rate
 from trajopt.errors import UnsupportedJointError
 
 # Sums of products of order 1 to 1e3, differentiated exactly: rounding only.
@@ -45,7 +45,7 @@ def test_energies_of_the_links_are_those_of_the_mass_matrix_and_of_pinocchio(nam
     q, v, _ = random_state(model, 2)
     links, rotors = lagrange.kinetic_energies(model)(q, v)
     total = links.full().sum() + float(rotors)
-    assert_allclose(total, v @ mass_matrix(model, q) @ v / 2, **SAME)
+    assert_allclose(total, v @ mass_matrix_at(model, q) @ v / 2, **SAME)
     assert_allclose(total, float(rigid_body.kinetic_energy(model)(q, v)), **SAME)
     assert_allclose(float(rotors), model.armature @ v**2 / 2, **SAME)
     potential = value(lagrange.potential_energies(model), q).sum()

@@ -15,7 +15,7 @@ import trajopt
 from trajopt.errors import InputError
 from trajopt.robot.data import robot_file
 from trajopt.robot.robot import Robot
-from trajopt.robot.stance.mode import Mode
+from trajopt.robot.stance.minimal_coordinates import stance_mode
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import prepare
@@ -103,8 +103,8 @@ def standing_hop() -> trajopt.Problem:
     phases = hop().schedule.phases
     landing = replace(phases[2], footholds={FOOT: np.array([0.02, 0.0, 0.0])})
     modes = {
-        "stance": Mode.standing(robot, FOOT),
-        "landing": Mode.standing(robot, FOOT, landing.footholds[FOOT]),
+        "stance": stance_mode(robot, FOOT),
+        "landing": stance_mode(robot, FOOT, anchor=landing.footholds[FOOT]),
     }
     return hop(schedule=Schedule((*phases[:2], landing)), modes=modes)
 
@@ -214,7 +214,7 @@ def test_start_that_moves_the_contact_of_its_mode_is_refused():
 def test_mode_of_another_robot_is_refused():
     other = hopper(mass=30.0)
     with pytest.raises(InputError, match="mode of phase 'stance' is of another robot"):
-        replace(standing_hop(), modes={"stance": Mode.standing(other, FOOT)})
+        replace(standing_hop(), modes={"stance": stance_mode(other, FOOT)})
 
 
 def two_legs() -> trajopt.Problem:
@@ -253,7 +253,7 @@ BENT = {"HAA": 0.0, "HFE": 0.6, "KFE": -1.2}
 
 def test_other_contacts_keep_their_rows_beside_an_embedded_one():
     problem = two_legs()
-    stance = Mode.standing(problem.robot, "FL_FOOT")
+    stance = stance_mode(problem.robot, "FL_FOOT")
     minimal = replace(problem, modes={"double": stance, "single": stance})
     t = prepare(minimal, intervals=6, compile="none").transcription
     assert t.layout.n_wrench(0) == 3  # of the other foot

@@ -14,10 +14,9 @@ from numpy.testing import assert_allclose
 from trajopt.certify.check import check
 from trajopt.errors import InputError
 from trajopt.robot.kinematics import contact_positions, frame_pose
-from trajopt.robot.legs import quadruped_legs
+from trajopt.robot.legs import leg_joints, quadruped_legs
 from trajopt.solving.solving import solve
 from trajopt.terms import FrameDirection, FramesAbove
-from trajopt.terms.frames import leg_joints
 from trajopt_library import problems, robots
 from trajopt_library.problems import (
     leaping,

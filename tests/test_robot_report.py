@@ -16,8 +16,8 @@ import trajopt
 from trajopt import Robot
 from trajopt.cli.commands import main
 from trajopt.robot.inspection.faults import lowest_drawn
-from trajopt.robot.inspection.report import report
-from trajopt.robot.inspection.standing import inside, standing, standing_feet
+from trajopt.robot.inspection.report import robot_report
+from trajopt.robot.inspection.standing import inside, standing_feet, standing_posture
 from trajopt.robot.inspection.starter import guessed, starter
 from trajopt.solving.rest import rest
 from trajopt_library import robots
@@ -53,7 +53,7 @@ def changed(folder: Path, pattern: str, replacement: str) -> Robot:
 def test_forces_and_torques_at_rest_do_no_virtual_work(name: str) -> None:
     """dU = f dx + tau dq for any displacement, U and the feet's x by finite differences."""
     robot = puppy() if name == "puppy" else robots.load(name)
-    found, model = standing(robot), robot.model
+    found, model = standing_posture(robot), robot.model
     generator = np.random.default_rng(0)
     force = {}
     for foot, load in zip(found.feet, found.load, strict=True):
@@ -79,19 +79,19 @@ def test_forces_and_torques_at_rest_do_no_virtual_work(name: str) -> None:
 
 def test_loads_of_feet_have_the_centre_of_mass_as_their_middle() -> None:
     robot = robots.load("go2")
-    found = standing(robot)
-    places = np.array([c.position for c in report(robot).contacts if c.name in found.feet])
+    found = standing_posture(robot)
+    places = np.array([c.position for c in robot_report(robot).contacts if c.name in found.feet])
     middle = found.load @ places[:, :2] / found.load.sum()
     assert middle == pytest.approx(found.centre, abs=1e-6)
 
 
 def test_a_posture_whose_centre_is_not_over_the_feet_falls_over() -> None:
     robot = puppy(**{f"{leg}_pitch": 1.6 for leg in LEGS})
-    found = standing(robot)
+    found = standing_posture(robot)
     assert not found.balanced
     assert found.margin is not None
     assert found.margin < 0
-    assert any("falls over" in text for text in report(robot).warnings)
+    assert any("falls over" in text for text in robot_report(robot).warnings)
 
 
 @pytest.mark.parametrize("lean", [0.0, 0.1, 0.35])
@@ -102,7 +102,7 @@ def test_a_robot_on_soles_stands_while_its_centre_is_over_them(lean: float) -> N
     q[:7] = pin.SE3ToXYZQUAT(pin.SE3(pin.utils.rotate("y", lean), np.zeros(3)) * base)
     for side in ("left", "right"):  # soles stay level
         q[robot.model.joints[robot.model.getJointId(f"leg_{side}_5_joint")].idx_q] -= lean
-    found = standing(replace(robot, reference=q))
+    found = standing_posture(replace(robot, reference=q))
     assert found.margin is not None
     assert found.balanced == (found.margin > 0) == (lean < 0.2)
 
@@ -127,7 +127,9 @@ def test_hands_do_not_stand() -> None:
 
 def test_drawn_feet_reach_a_ball_below_their_centres() -> None:
     robot = puppy()
-    assert lowest_drawn(robot, standing(robot)) == pytest.approx({f"{leg}_foot": 0.015 for leg in LEGS})
+    assert lowest_drawn(robot, standing_posture(robot)) == pytest.approx(
+        {f"{leg}_foot": 0.015 for leg in LEGS}
+    )
 
 
 INERTIA = r'(<link name="lf_shank">.*?)<inertial>.*?</inertial>'
@@ -153,7 +155,7 @@ SHANK = r'(<link name="lf_shank">.*?<inertia) ixx="[^"]*"(.*?)iyy="[^"]*"(.*?)iz
 )
 def test_a_fault_is_warned_of(pattern: str, replacement: str, warning: str, tmp_path: Path) -> None:
     try:
-        found = report(changed(tmp_path, pattern, replacement)).warnings
+        found = robot_report(changed(tmp_path, pattern, replacement)).warnings
     except trajopt.InputError as error:
         found = (str(error),)
     assert any(re.search(warning, text) for text in found), found
@@ -161,8 +163,8 @@ def test_a_fault_is_warned_of(pattern: str, replacement: str, warning: str, tmp_
 
 def test_straight_knees_and_wrong_frames_are_warned_of() -> None:
     straight = puppy(**{f"{leg}_knee": -0.2 for leg in LEGS}, **{f"{leg}_pitch": 0.1 for leg in LEGS})
-    assert any("position limit" in text for text in report(straight).warnings)
-    shanks = report(puppy(feet="shank")).warnings
+    assert any("position limit" in text for text in robot_report(straight).warnings)
+    shanks = robot_report(puppy(feet="shank")).warnings
     assert any("are they the feet's" in text for text in shanks)
     assert any("cannot move lf_shank" in text for text in shanks)
 
@@ -170,29 +172,29 @@ def test_straight_knees_and_wrong_frames_are_warned_of() -> None:
 def test_puppy_and_most_robots_of_the_library_are_without_warnings() -> None:
     known = {"solo12": "placeholder"}
     for name in ("bolt", "go2", "hopper", "panda", "solo12", "ur5"):
-        found = report(robots.load(name)).warnings
+        found = robot_report(robots.load(name)).warnings
         assert len(found) == (name in known), (name, found)
         assert all(known[name] in text for text in found)
-    assert report(puppy()).warnings == ()
+    assert robot_report(puppy()).warnings == ()
 
 
 def test_a_straight_arm_is_warned_of() -> None:
     source = robots.load("ur5").visual
     assert source is not None
-    assert "singular" in report(guessed(source.urdf)).warnings[0]
+    assert "singular" in robot_report(guessed(source.urdf)).warnings[0]
 
 
 def test_a_first_file_builds_the_robot_that_was_guessed(tmp_path: Path) -> None:
     found = guessed(URDF)
     assert found.base == "freeflyer"
     assert {contact.frame for contact in found.contacts} == {f"{leg}_foot" for leg in LEGS}
-    assert standing(found).balanced
+    assert standing_posture(found).balanced
     path = tmp_path / "mine.py"
     path.write_text(starter(found, path), encoding="utf-8")
     built = robots.load(str(path))
     assert built.reference == pytest.approx(found.reference, abs=1e-3)
     assert robots.kind(str(path)) == "quadruped"
-    assert report(built).warnings == ()
+    assert robot_report(built).warnings == ()
 
 
 def test_feet_of_a_root_on_the_ground_are_all_found(tmp_path: Path) -> None:

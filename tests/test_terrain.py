@@ -312,7 +312,7 @@ def test_straight_ways_between_nodes_within_the_rows_cut_no_edge(terrain, count)
                 last=False,
             )
             assert term.acts_at(place)
-            rows = term._planes(term.swings[0], place)
+            rows = term.swings[0].half_spaces(place, term.height)
             assert term.rows(context, Units(hopper()), place).expression.numel() == len(rows)
             part = np.sort(generator.uniform(nodes[-1][0], end[0], 3))[1]
             point = np.array([part, start[1] + (end[1] - start[1]) * index / count, 0.0])

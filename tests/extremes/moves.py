@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.problem.problem import Problem
-from trajopt.robot.building import standing
+from trajopt.robot.building import put_on_ground
 from trajopt.robot.kinematics import contact_poses, contact_positions, frame_pose, inverse_kinematics
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
@@ -161,7 +161,7 @@ def with_joints(robot: Robot, values: dict[str, float]) -> np.ndarray:
     q = robot.reference.copy()
     for name, value in values.items():
         q[robot.model.joints[robot.model.getJointId(name)].idx_q] = value
-    return standing(robot.model, robot.base, [contact.frame for contact in robot.contacts], q)
+    return put_on_ground(robot.model, robot.base, [contact.frame for contact in robot.contacts], q)
 
 
 def lowered(robot: Robot, q: np.ndarray, depth: float) -> np.ndarray:

@@ -34,14 +34,14 @@ def robot(robot: str, base: str | None, write: Path | None, html: Path | None, a
     feet and posture are then guessed from its geometry: --write makes a .py file of that. Warnings do not
     change the exit status.
     """
-    from trajopt.robot.inspection.report import report
+    from trajopt.robot.inspection.report import robot_report
 
     check_apart([write, html], [Path(robot)])
     if html is not None:
         check_output(html)
     loaded = _loaded(robot, base, write)
     text = None if write is None else _starter(loaded, write)
-    found = report(loaded)
+    found = robot_report(loaded)
     click.echo(cli_report.to_json(found.to_dict()) if as_json else found.table())
     if write is not None and text is not None:
         write.write_text(text, encoding="utf-8")

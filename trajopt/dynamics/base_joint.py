@@ -1,4 +1,8 @@
-"""The base of a model: which joints carry it, its rows and coordinates; limits of all coordinates."""
+"""Kinds of base: how each is recognised in a model, its rows and coordinates; position limits of a model.
+
+A base is fixed, a free-flyer, planar, or virtual: six joints in series, three prismatic along x, y, z, and
+three revolute about axes in one of ``ORDERS`` (see `virtual_base`).
+"""
 
 from __future__ import annotations
 
@@ -10,36 +14,30 @@ import pinocchio as pin
 from trajopt.errors import InputError
 
 Base = Literal["freeflyer", "virtual", "planar", "fixed"]
-
-
 BASES: tuple[Base, ...] = ("freeflyer", "virtual", "planar", "fixed")
-
-
 BASE_ROWS: dict[Base, int] = {"freeflyer": 6, "virtual": 6, "planar": 3, "fixed": 0}
-
-
 BASE_COORDINATES: dict[Base, int] = {"freeflyer": 7, "virtual": 6, "planar": 4, "fixed": 0}
-
-
 # The joint that carries the base link: the last of the virtual ones.
 BASE_JOINT: dict[Base, int] = {"freeflyer": 1, "virtual": 6, "planar": 1, "fixed": 0}
-
-
 # How many entries of q, the first ones, are the position of the base.
 BASE_POSITION: dict[Base, int] = {"freeflyer": 3, "virtual": 3, "planar": 2, "fixed": 0}
-
-
 # Parsers write "no limit" as the largest double or as infinity; no robot reaches this.
 UNLIMITED = 1e20
+# Of a virtual base: the world's axes, orders of its revolute joints, prefix of its joints' names, its rows.
+AXES = "XYZ"
+ORDERS = ("ZYX", "ZXY", "YXZ", "YZX", "XYZ", "XZY")
+PREFIX = "virtual_"
+ROWS = 6
 
 
 def require_base(base: str) -> None:
+    """Raise `InputError` for a kind of base that is none of ``BASES``."""
     if base not in BASES:
         raise InputError(f"base={base!r} is unknown", "one of " + ", ".join(repr(name) for name in BASES))
 
 
 def base_of(model: pin.Model) -> Base:
-    """Return the kind of base of ``model``, read from its first joint (six of them for a virtual base)."""
+    """Kind of base of a model, read from its first joint, or its first six for a virtual base."""
     if model.njoints < 2:
         return "fixed"
     if virtual_order(model) is not None:
@@ -49,9 +47,9 @@ def base_of(model: pin.Model) -> Base:
 
 
 def position_limits(model: pin.Model) -> tuple[np.ndarray, np.ndarray]:
-    """Return lower and upper limits (nq,); coordinates without a limit get -inf and +inf.
+    """Lower and upper position limits (nq,); -inf and inf where a coordinate has none.
 
-    Quaternions and (cos, sin) pairs are coordinates on a manifold, not limited ones.
+    Quaternions and (cos, sin) pairs are coordinates of a manifold and have no limits.
     """
     lower = np.where(np.abs(model.lowerPositionLimit) > UNLIMITED, -np.inf, model.lowerPositionLimit)
     upper = np.where(np.abs(model.upperPositionLimit) > UNLIMITED, np.inf, model.upperPositionLimit)
@@ -62,27 +60,15 @@ def position_limits(model: pin.Model) -> tuple[np.ndarray, np.ndarray]:
     return lower, upper
 
 
-AXES = "XYZ"
-
-
-ORDERS = ("ZYX", "ZXY", "YXZ", "YZX", "XYZ", "XZY")
-
-
-PREFIX = "virtual_"
-
-
-ROWS = 6
-
-
 def virtual_order(model: pin.Model) -> str | None:
-    """Return the order of the revolute joints of a virtual base, or None for another base."""
+    """Order of the revolute joints of a virtual base, such as "ZYX"; None for another base."""
     if model.njoints <= ROWS:
         return None
     names = list(model.names)[1 : ROWS + 1]
     kinds = "".join(model.joints[i].shortname().removeprefix("JointModel") for i in range(1, ROWS + 1))
     order = kinds[7::2]
     serial = list(model.parents)[1 : ROWS + 1] == list(range(ROWS))
-    named = names == _joint_names(order)
+    named = names == virtual_joint_names(order)
     return order if serial and named and order in ORDERS and kinds == _kinds(order) else None
 
 
@@ -90,5 +76,6 @@ def _kinds(order: str) -> str:
     return "PXPYPZ" + "".join(f"R{axis}" for axis in order)
 
 
-def _joint_names(order: str) -> list[str]:
+def virtual_joint_names(order: str) -> list[str]:
+    """Names of the six joints of a virtual base."""
     return [f"{PREFIX}p{axis.lower()}" for axis in AXES] + [f"{PREFIX}r{axis.lower()}" for axis in order]

@@ -44,10 +44,10 @@ def sinc(square: ca.SX) -> ca.SX:
     return _smooth(square, _SINC, lambda s: ca.sin(ca.sqrt(s)) / ca.sqrt(s))
 
 
-def exp_quaternion(theta: ca.SX) -> ca.SX:
+def quaternion_of_rotation_vector(theta: ca.SX) -> ca.SX:
     """Unit quaternion (x, y, z, w) of a rotation vector (3,) of any length, in rad.
 
-    ``manifold.exp_quaternion`` is a branchless series instead, smaller, and exact only to a turn or so.
+    ``rotations.exp_quaternion`` is a branchless series instead, smaller, and exact only to a turn or so.
     """
     quarter = ca.sumsqr(theta) / 4
     half_sinc = sinc(quarter)
@@ -122,9 +122,9 @@ def _conjugate(quaternion: ca.SX) -> ca.SX:
 def _integrate_joint(kind: str, q: ca.SX, v: ca.SX) -> ca.SX:
     if kind == "FreeFlyer":
         step = ca.mtimes(rotation_matrix(q[3:]), ca.mtimes(left_jacobian(v[3:]), v[:3]))
-        return ca.vertcat(q[:3] + step, quaternion_product(q[3:], exp_quaternion(v[3:])))
+        return ca.vertcat(q[:3] + step, quaternion_product(q[3:], quaternion_of_rotation_vector(v[3:])))
     if kind == "Spherical":
-        return quaternion_product(q, exp_quaternion(v))
+        return quaternion_product(q, quaternion_of_rotation_vector(v))
     if kind == "Planar":
         step = ca.mtimes(_plane_matrix(q[2:]), ca.mtimes(_plane_jacobian(v[2]), v[:2]))
         return ca.vertcat(q[:2] + step, _rotate(q[2:], ca.vertcat(ca.cos(v[2]), ca.sin(v[2]))))
@@ -172,7 +172,7 @@ def _symbols(kinds: tuple[str, ...], index: int, name: str) -> tuple[ca.SX, list
 
 
 @lru_cache(maxsize=256)
-def integrate(kinds: tuple[str, ...]) -> ca.Function:
+def integrate_function(kinds: tuple[str, ...]) -> ca.Function:
     """``(q, v) -> q_next`` of joints of these kinds, in the order of their coordinates."""
     q, q_joints = _symbols(kinds, 0, "q")
     v, v_joints = _symbols(kinds, 1, "v")
@@ -181,7 +181,7 @@ def integrate(kinds: tuple[str, ...]) -> ca.Function:
 
 
 @lru_cache(maxsize=256)
-def difference(kinds: tuple[str, ...]) -> ca.Function:
+def difference_function(kinds: tuple[str, ...]) -> ca.Function:
     """``(q0, q1) -> v`` of joints of these kinds, in the order of their coordinates."""
     q0, starts = _symbols(kinds, 0, "q0")
     q1, ends = _symbols(kinds, 0, "q1")

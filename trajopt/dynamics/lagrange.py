@@ -42,41 +42,6 @@ class _Motion:
     rotation: ca.SX  # (9, n), column-major, to the world
 
 
-def kinetic_energies(model: pin.Model) -> ca.Function:
-    """``(q, v) -> (links (n), armature)`` in J: each joint's link, and that of all rotors."""
-    return _kinetic_energies(model)
-
-
-def potential_energies(model: pin.Model) -> ca.Function:
-    """``q -> energies (n)`` of gravity in J, of each joint's link, zero at the world's origin."""
-    return _potential_energies(model)
-
-
-def equations_of_motion(model: pin.Model) -> ca.Function:
-    """``(q, v, a) -> tau`` (nv; N, N m): ``d/dt dL/dx' - dL/dx``."""
-    return _equations_of_motion(model)
-
-
-def inertia_matrix(model: pin.Model) -> ca.Function:
-    """``q -> D`` (nv, nv): ``sum m Jv^T Jv + Jw^T R I R^T Jw + diag(armature)``."""
-    return _inertia_matrix(model)
-
-
-def coriolis_matrix(model: pin.Model) -> ca.Function:
-    """``(q, v) -> C`` (nv, nv) of the Christoffel symbols: C v are the Coriolis and centrifugal forces.
-
-    With q' = v it is ``C_kj = 1/2 sum_i (dD_kj/dq_i + dD_ki/dq_j - dD_ij/dq_k) v_i``, and D' - 2 C is skew
-    symmetric. Where v = Jr x' the same in x, less ``D Jr'``, which keeps both properties with D' the rate of
-    the matrix in v, and changes nothing in C v.
-    """
-    return _coriolis_matrix(model)
-
-
-def gravity_forces(model: pin.Model) -> ca.Function:
-    """``q -> G`` (nv; N, N m): ``dP/dx``."""
-    return _gravity_forces(model)
-
-
 def _motion(model: pin.Model) -> _Motion:
     tagged, names = model.copy(), []
     for index in range(1, model.njoints):
@@ -122,20 +87,23 @@ def _at_configuration(name: str, motion: _Motion, inputs: list[ca.SX], outputs: 
 
 
 @once_per_content
-def _kinetic_energies(model: pin.Model) -> ca.Function:
+def kinetic_energies(model: pin.Model) -> ca.Function:
+    """``(q, v) -> (links (n), armature)`` in J: each joint's link, and that of all rotors."""
     motion = _motion(model)
     energies = [_link_energies(model, motion), _armature_energy(model, motion)]
     return _at_configuration("kinetic_energies", motion, [motion.q, motion.rate], energies)
 
 
 @once_per_content
-def _potential_energies(model: pin.Model) -> ca.Function:
+def potential_energies(model: pin.Model) -> ca.Function:
+    """``q -> energies (n)`` of gravity in J, of each joint's link, zero at the world's origin."""
     motion = _motion(model)
     return _at_configuration("potential_energies", motion, [motion.q], [_potentials(model, motion)])
 
 
 @once_per_content
-def _equations_of_motion(model: pin.Model) -> ca.Function:
+def equations_of_motion(model: pin.Model) -> ca.Function:
+    """``(q, v, a) -> tau`` (nv; N, N m): ``d/dt dL/dx' - dL/dx``."""
     motion = _motion(model)
     q, x, rate, a = motion.q, motion.x, motion.rate, ca.SX.sym("a", model.nv)
     kinetic = ca.sum1(_link_energies(model, motion)) + _armature_energy(model, motion)
@@ -162,14 +130,21 @@ def _link_inertia(model: pin.Model, motion: _Motion) -> ca.SX:
 
 
 @once_per_content
-def _inertia_matrix(model: pin.Model) -> ca.Function:
+def inertia_matrix(model: pin.Model) -> ca.Function:
+    """``q -> D`` (nv, nv): ``sum m Jv^T Jv + Jw^T R I R^T Jw + diag(armature)``."""
     motion = _motion(model)
     inertia = _link_inertia(model, motion) + ca.diag(ca.DM(model.armature))
     return _at_configuration("inertia_matrix", motion, [motion.q], [inertia])
 
 
 @once_per_content
-def _coriolis_matrix(model: pin.Model) -> ca.Function:
+def coriolis_matrix(model: pin.Model) -> ca.Function:
+    """``(q, v) -> C`` (nv, nv) of the Christoffel symbols: C v are the Coriolis and centrifugal forces.
+
+    With q' = v it is ``C_kj = 1/2 sum_i (dD_kj/dq_i + dD_ki/dq_j - dD_ij/dq_k) v_i``, and D' - 2 C is skew
+    symmetric. Where v = Jr x' the same in x, less ``D Jr'``, which keeps both properties with D' the rate of
+    the matrix in v, and changes nothing in C v.
+    """
     motion = _motion(model)
     q, x, rate = motion.q, motion.x, motion.rate
     inertia = _link_inertia(model, motion)
@@ -190,7 +165,8 @@ def _right_jacobian_rate(model: pin.Model, motion: _Motion) -> ca.SX:
 
 
 @once_per_content
-def _gravity_forces(model: pin.Model) -> ca.Function:
+def gravity_forces(model: pin.Model) -> ca.Function:
+    """``q -> G`` (nv; N, N m): ``dP/dx``."""
     motion = _motion(model)
     forces = ca.gradient(ca.sum1(_potentials(model, motion)), motion.x)
     return _at_configuration("gravity_forces", motion, [motion.q], [forces])

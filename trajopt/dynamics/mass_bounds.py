@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from trajopt.dynamics.base_joint import position_limits
 from trajopt.dynamics.model_content import joint_kind
-from trajopt.dynamics.structure import mass_matrix
+from trajopt.dynamics.structure import mass_matrix_at
 from trajopt.errors import InputError
 
 # Number of sliding and turning directions of each kind of joint, by the beginning of its name.
@@ -50,7 +50,7 @@ def eigenvalue_range(model: pin.Model, postures: np.ndarray) -> EigenvalueRange:
     postures = np.asarray(postures, dtype=float)
     if postures.ndim != 2 or postures.shape[1] != model.nq or not len(postures):
         raise InputError(f"postures have shape {postures.shape}", f"shape (n, {model.nq}), n > 0")
-    values = np.array([np.linalg.eigvalsh(mass_matrix(model, q)) for q in postures])
+    values = np.array([np.linalg.eigvalsh(mass_matrix_at(model, q)) for q in postures])
     low, high = int(values[:, 0].argmin()), int(values[:, -1].argmax())
     return EigenvalueRange(
         lowest=float(values[low, 0]),

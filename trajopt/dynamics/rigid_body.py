@@ -120,7 +120,7 @@ def integrate(model: pin.Model) -> Function:
 
     Smooth at v = 0 in value and derivatives.
     """
-    return configuration_space.integrate(_kinds(model))
+    return configuration_space.integrate_function(_kinds(model))
 
 
 def difference(model: pin.Model) -> Function:
@@ -128,7 +128,7 @@ def difference(model: pin.Model) -> Function:
 
     Smooth at q0 = q1 in value and derivatives; rotations by the shorter way, so undefined at pi rad.
     """
-    return configuration_space.difference(_kinds(model))
+    return configuration_space.difference_function(_kinds(model))
 
 
 def _kinds(model: pin.Model) -> tuple[str, ...]:

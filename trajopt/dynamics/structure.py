@@ -58,7 +58,7 @@ class CompositeInertia:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Momentum:
+class MomentumMaps:
     """Momentum matrices at a configuration, and the maps between their frames.
 
     centroidal: (6, nv), A_G: linear and angular momentum in world axes about the centre of mass.
@@ -115,7 +115,7 @@ class KineticEnergy:
     quadratic_form: float
 
 
-def mass_matrix(model: pin.Model, q: np.ndarray) -> np.ndarray:
+def mass_matrix_at(model: pin.Model, q: np.ndarray) -> np.ndarray:
     """M (nv, nv) at q (nq,), symmetric, armature included."""
     require_shapes(model, q=q)
     upper = np.triu(pin.crba(model, model.createData(), q))
@@ -124,7 +124,7 @@ def mass_matrix(model: pin.Model, q: np.ndarray) -> np.ndarray:
 
 def mass_blocks(model: pin.Model, q: np.ndarray, base_joint: str | None = None) -> MassBlocks:
     """Blocks of M at q (nq,), apart for base and joints. Raises `InputError` for a wrong base or shape."""
-    matrix, rows = mass_matrix(model, q), base_joint_and_rows(model, base_joint)[1]
+    matrix, rows = mass_matrix_at(model, q), base_joint_and_rows(model, base_joint)[1]
     return MassBlocks(base=matrix[:rows, :rows], coupling=matrix[:rows, rows:], joints=matrix[rows:, rows:])
 
 
@@ -139,7 +139,7 @@ def composite_inertia(model: pin.Model, q: np.ndarray) -> CompositeInertia:
     return CompositeInertia(mass=total.mass, centre=total.lever, rotational=total.inertia)
 
 
-def momentum(model: pin.Model, q: np.ndarray, base_joint: str | None = None) -> Momentum:
+def momentum_maps(model: pin.Model, q: np.ndarray, base_joint: str | None = None) -> MomentumMaps:
     """Momentum matrices at q (nq,). Raises `InputError` for a wrong base or shape."""
     require_shapes(model, q=q)
     joint, rows = base_joint_and_rows(model, base_joint)
@@ -149,12 +149,12 @@ def momentum(model: pin.Model, q: np.ndarray, base_joint: str | None = None) -> 
     placement, centre = data.oMi[joint].copy(), pin.centerOfMass(model, data, q)
     to_base = placement.actInv(pin.SE3(np.eye(3), centre)).toDualActionMatrix()
     twist = pin.getJointJacobian(model, data, joint, pin.LOCAL)[:, :rows] if rows else np.zeros((6, 0))
-    return Momentum(
+    return MomentumMaps(
         centroidal=centroidal, base_from_centroidal=to_base, base_jacobian=twist, placement=placement
     )
 
 
-def coriolis_matrix(model: pin.Model, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+def coriolis_matrix_at(model: pin.Model, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """C (nv, nv) with ``C v`` the Coriolis and centrifugal forces and ``M' - 2 C`` skew symmetric.
 
     Pinocchio's, which is the Christoffel form. It leaves out the rate of the axes of a spherical ZYX joint,
@@ -166,7 +166,7 @@ def coriolis_matrix(model: pin.Model, q: np.ndarray, v: np.ndarray) -> np.ndarra
     return pin.computeCoriolisMatrix(model, model.createData(), q, v).copy()
 
 
-def kinetic_energy(model: pin.Model, q: np.ndarray, v: np.ndarray) -> KineticEnergy:
+def kinetic_energy_parts(model: pin.Model, q: np.ndarray, v: np.ndarray) -> KineticEnergy:
     """Kinetic energy at q (nq,), v (nv,), link by link and from M."""
     require_shapes(model, q=q, v=v)
     data = model.createData()
@@ -180,7 +180,7 @@ def kinetic_energy(model: pin.Model, q: np.ndarray, v: np.ndarray) -> KineticEne
         translation=np.array(translation),
         rotation=np.array(rotation),
         armature=float(model.armature @ v**2 / 2),
-        quadratic_form=float(v @ mass_matrix(model, q) @ v / 2),
+        quadratic_form=float(v @ mass_matrix_at(model, q) @ v / 2),
     )
 
 
@@ -191,40 +191,32 @@ def gravity_from_base_columns(model: pin.Model, q: np.ndarray, base_joint: str |
     for a free-flyer gravity in the base's axes, not the world's. Raises `InputError` if the base cannot fall
     (fixed; a plane not along gravity), and for a wrong base or shape.
     """
-    maps = momentum(model, q, base_joint)
+    maps = momentum_maps(model, q, base_joint)
     rows = maps.base_jacobian.shape[1]
     fall = np.concatenate([maps.placement.rotation.T @ model.gravity.linear, np.zeros(3)])
     rates = np.linalg.lstsq(maps.base_jacobian, fall, rcond=None)[0]
     if np.linalg.norm(maps.base_jacobian @ rates - fall) > UNREACHABLE * np.linalg.norm(fall):
         raise InputError("the base cannot fall along gravity", "a base that moves along it; gravity_vector")
-    massive = mass_matrix(model, q) - np.diag(model.armature)
+    massive = mass_matrix_at(model, q) - np.diag(model.armature)
     return -massive[:, :rows] @ rates
 
 
 def gravity_vector(model: pin.Model, q: np.ndarray) -> np.ndarray:
     """Generalised gravity (nv,) of any base: ``G = - m Jcom^T g``, the linear rows of A_G."""
-    return -momentum(model, q).centroidal[:3].T @ model.gravity.linear
-
-
-def symbolic_momentum_matrix(model: pin.Model) -> ca.Function:
-    """A_G on SX, ``q -> (6, nv)``: world axes, about the centre of mass."""
-    return _symbolic_momentum_matrix(model)
-
-
-def symbolic_mass_matrix_rate(model: pin.Model) -> ca.Function:
-    """Rate of M along a motion on SX, ``(q, v) -> M'`` (nv, nv): the exact directional derivative."""
-    return _symbolic_mass_matrix_rate(model)
+    return -momentum_maps(model, q).centroidal[:3].T @ model.gravity.linear
 
 
 @once_per_content
-def _symbolic_momentum_matrix(model: pin.Model) -> ca.Function:
+def symbolic_momentum_matrix(model: pin.Model) -> ca.Function:
+    """A_G on SX, ``q -> (6, nv)``: world axes, about the centre of mass."""
     q, v = ca.SX.sym("q", model.nq), ca.SX.sym("v", model.nv)
     matrix = ca.jacobian(rigid_body.centroidal_momentum(model)(q, v), v)
     return ca.Function("momentum_matrix", [q], [matrix], ["q"], ["A"])
 
 
 @once_per_content
-def _symbolic_mass_matrix_rate(model: pin.Model) -> ca.Function:
+def symbolic_mass_matrix_rate(model: pin.Model) -> ca.Function:
+    """Rate of M along a motion on SX, ``(q, v) -> M'`` (nv, nv): the exact directional derivative."""
     q, v, t = ca.SX.sym("q", model.nq), ca.SX.sym("v", model.nv), ca.SX.sym("t")
     along = rigid_body.mass_matrix(model)(rigid_body.integrate(model)(q, t * v))
     rate = ca.Function("rate", [t, q, v], [ca.reshape(ca.jacobian(ca.vec(along), t), along.shape)])

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics.base_joint import AXES, ORDERS, _joint_names, virtual_order
+from trajopt.dynamics.base_joint import AXES, ORDERS, virtual_joint_names, virtual_order
 from trajopt.dynamics.rerooting import Body, copy_frames, copy_rows
 from trajopt.errors import InputError
 
@@ -50,7 +50,7 @@ def virtual_model(model: pin.Model, order: str = DEFAULT_ORDER) -> pin.Model:
     new.name, new.gravity = model.name, model.gravity
     kinds = [getattr(pin, f"JointModelP{axis}") for axis in AXES]
     kinds += [getattr(pin, f"JointModelR{axis}") for axis in order]
-    for name, kind in zip(_joint_names(order), kinds, strict=True):
+    for name, kind in zip(virtual_joint_names(order), kinds, strict=True):
         placement = model.jointPlacements[1] if parent == 0 else pin.SE3.Identity()
         parent = new.addJoint(parent, kind(), placement, name)
     bodies = {1: Body(parent, pin.SE3.Identity())}

@@ -16,10 +16,10 @@ import pinocchio as pin
 from trajopt.dynamics.model_content import frame_content
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.dynamics.structure import (
-    Momentum,
+    MomentumMaps,
     base_joint_and_rows,
     composite_inertia,
-    momentum,
+    momentum_maps,
     require_shapes,
 )
 from trajopt.errors import InputError
@@ -39,7 +39,7 @@ class WholeBodyBalance:
     gravity: np.ndarray
     contacts: np.ndarray
     base_rows: np.ndarray
-    momentum: Momentum
+    momentum: MomentumMaps
 
     @property
     def missing(self) -> np.ndarray:
@@ -84,5 +84,5 @@ def whole_body_balance(
         gravity=np.concatenate([weight, np.zeros(3)]),
         contacts=contacts,
         base_rows=forces[:rows],
-        momentum=momentum(model, q, base_joint),
+        momentum=momentum_maps(model, q, base_joint),
     )

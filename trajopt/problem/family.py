@@ -22,7 +22,16 @@ _SUFFIXES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """One parameter of a family: ``lower <= value <= upper`` in ``unit``; ``default`` None means derived."""
+    """A numeric parameter of a family.
+
+    Args:
+        name: of the parameter.
+        default: None means that it is derived from others.
+        unit: of the value and its bounds.
+        lower: least value.
+        upper: largest value.
+        meaning: one line of help.
+    """
 
     name: str
     default: float | None
@@ -32,7 +41,7 @@ class Parameter:
     meaning: str
 
     def parse(self, value: object) -> float:
-        """The value as a number within range; text may carry a fitting unit, ``45deg``. Raises InputError."""
+        """The value as a number within range; text may carry a unit, as ``45deg``. Raises `InputError`."""
         allowed = f"allowed: {self.lower:g} to {self.upper:g} {self.unit}".rstrip()
         if isinstance(value, str):
             match = re.fullmatch(r"\s*([-+0-9.eE]+|[-+]?(?:nan|inf))\s*([a-zA-Z/]*)\s*", value)
@@ -67,7 +76,7 @@ class Parameter:
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """One parameter of a family that is a word out of ``choices``."""
+    """A parameter of a family that is one word out of ``choices``."""
 
     name: str
     default: str
@@ -107,11 +116,22 @@ class RobotName:
 
 @dataclass(frozen=True, kw_only=True)
 class Family:
-    """A problem family; ``build`` takes every parameter by name.
+    """A problem family.
 
-    The problem carries the parameters' values; ``build`` names only those that it derives. A family for many
-    robots names in ``robots`` those on which it is tested, the default first: it then has a parameter
-    ``robot``, which may be any other that suits it.
+    A family for several robots has a parameter ``robot``, which may be any other robot that suits it.
+
+    Args:
+        name: of the family.
+        phases: names of the phases, for tables.
+        summary: one line of help.
+        parameters: what may be chosen.
+        build: takes every parameter by name and returns the problem. The problem gets the parameters' values;
+            ``build`` states only those that it derives.
+        robot: name of the only or default robot.
+        robots: names of the robots on which the family is tested, the default first.
+
+    Raises:
+        InputError: without a robot.
     """
 
     name: str

@@ -11,7 +11,7 @@ from trajopt.schedule.targets import Target
 
 
 def goals_meta(problem: Problem) -> list[dict[str, Any]]:
-    """What ``meta["goals"]`` of the problem's solutions says: its terms' targets, then its footholds."""
+    """Goals for ``meta["goals"]`` of a problem's solutions: its terms' targets, then its footholds."""
     found = [target for term in problem.terms for target in term.targets()]
     for phase in problem.schedule.phases:
         for name, place in phase.footholds.items():

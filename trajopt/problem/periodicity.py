@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 import pinocchio as pin
+from typing_extensions import override
 
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
@@ -42,13 +43,16 @@ PAIRED = 5e-2
 class Periodicity:
     """The final state equals the initial one up to a translation, a turn and a reflection.
 
-    translation: (3,) m in the world, of the base over the whole schedule. velocity: (3,) m/s, instead: the
-        translation is velocity times the duration, which may be free.
-    turn: rad about the vertical through the start's base, to the left.
-    mirror: the final state is the mirror image of the initial one in the vertical plane through the start's
-        base along x; needs a free-flyer whose left and right sides correspond.
+    Args:
+        translation: of the base over the whole schedule (3,), m, world.
+        velocity: (3,), m/s, instead: the translation is velocity times the duration, which may be free.
+        turn: about the vertical through the start's base, to the left, rad.
+        mirror: whether the final state is the mirror image of the initial one in the vertical plane through
+            the start's base along x; needs a free-flyer whose left and right sides correspond.
 
-    Raises `InputError`.
+    Raises:
+        InputError: for both a translation and a velocity, a turn with a mirror, or numbers that are not
+            finite.
     """
 
     translation: tuple[float, float, float] | None = None
@@ -112,9 +116,11 @@ class UnitRotation(NodeConstraint):
 
     phase: str
 
+    @override
     def acts_at(self, place: NodePlace) -> bool:
         return place.phase.name == self.phase and place.index == 0
 
+    @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         count = context.coordinates.n_rotations
         norms = [ca.sumsqr(context.rotations[4 * i : 4 * i + 4]) for i in range(count)]
@@ -221,8 +227,10 @@ def _block(*parts: np.ndarray) -> np.ndarray:
 def landing_at_start(robot: Robot, schedule: Schedule, periodicity: Periodicity) -> tuple[str, ...]:
     """Contacts that begin with the first phase: their image is not in contact at the end.
 
-    Contacts that hold across the end have landed within the cycle. Raises `InputError` for one that never
-    lands: where it stands would be said by no row, or by two.
+    Contacts that hold across the end have landed within the cycle.
+
+    Raises:
+        InputError: for a contact that never lands: its place would follow from no row, or from two.
     """
     images = {contact.name: contact.name for contact in robot.contacts}
     if periodicity.mirror:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,48 +11,69 @@ import numpy as np
 
 from trajopt.errors import InputError
 from trajopt.problem.periodicity import Periodicity, UnitRotation, closing_map, landing_at_start
-from trajopt.problem.validation import require_goals, require_reach, require_start
+from trajopt.problem.validation import (
+    checked_duration_bounds,
+    checked_vector,
+    require_actuation,
+    require_goals,
+    require_modes,
+    require_no_impacts,
+    require_payloads,
+    require_periodic,
+    require_phase,
+    require_phases,
+    require_reach,
+    require_start,
+    require_terms,
+)
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.payload import Payload, loaded
 from trajopt.robot.robot import Robot
-from trajopt.robot.stance.mode import Mode
+from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
 from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.schedule.standing import require_standing
-from trajopt.terms.context_symbols import ACTUATIONS, Actuation
-from trajopt.terms.dynamics import ContactVelocity
+from trajopt.terms.context_symbols import Actuation
+from trajopt.terms.dynamics import BaseDynamics, ContactAcceleration, ContactVelocity
 from trajopt.terms.interfaces import Cost, PointConstraint, Term
 from trajopt.terms.landing import ContactLanding
-from trajopt.terms.limits import BaseDynamics, ContactAcceleration
 from trajopt.terms.node_costs import NodeCost
 from trajopt.terms.node_interfaces import NodeConstraint
 from trajopt.terms.sliding import SlidingFriction, require_sliding, sliding_surfaces
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.terrain import Ground, Terrain
 
-# Places that a problem and a mode of it name twice agree to rounding, m.
-SAME_PLACE = 1e-9
-
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
     """Everything a transcription needs, and nothing of how it is transcribed or solved.
 
-    ``initial_q`` (nq,) and ``initial_v`` (nv,) are the fixed start. ``guess`` maps a time in s to a
-    configuration (nq,): a motion made from the schedule, defined a little beyond its ends too;
-    rates follow by differences, and forces are distributed over the active contacts to carry it.
-    ``default_intervals`` and ``default_transcription`` are used when the caller names none.
+    Args:
+        name: for reports and files.
+        robot: the robot.
+        schedule: its contacts over time.
+        terrain: the ground.
+        initial_q: configuration at the start (nq,). With a ``periodicity`` the start is free, and this is the
+            reference of its rotations and says where in the world the motion is.
+        initial_v: velocity at the start (nv,).
+        terms: costs and constraints.
+        guess: time in s -> configuration (nq,), a motion that follows the schedule and is defined a little
+            beyond its ends. Rates follow by differences, contact forces by a distribution that carries it.
+        parameters: values of the family's parameters.
+        default_intervals: number of intervals where the caller states none.
+        default_transcription: transcription where the caller states none.
+        actuation: the control input: "torque"; "acceleration", where no term may depend on torques; or
+            "velocity", where configurations are the state, contacts do not slide and a free base is in static
+            balance.
+        dynamics: rows that make it a motion of this robot, default those of the actuation; a reduced model
+            brings its own.
+        modes: minimal coordinates of phases, by the phase's name.
+        periodicity: makes the final state the image of the start, which is then free.
+        duration_bounds: (lower, upper) in s of the total duration, some of whose phases are free.
+        payloads: what the robot carries in phases, by the phase's name.
 
-    ``actuation`` is what the actuators are sources of: "torque"; "acceleration", where nothing may ask
-    for torques; or "velocity", where configurations are the state, rates the input, contacts do not slide
-    and a free base is in static balance. ``dynamics`` are the rows that make it a motion of this robot, by
-    default those of the actuation; a reduced model brings its own. ``modes`` are phases, by name, in
-    minimal coordinates.
-
-    ``periodicity`` frees the start and asks the final state to be its image: ``initial_q`` is then only the
-    reference of rotations, and says where the motion is in the world. ``duration_bounds`` (lower, upper) in s
-    are of the sum of all phases, some of which are free. ``payloads`` are carried in phases, by their names.
-    Raises InputError where parts do not fit each other.
+    Raises:
+        InputError: where parts do not fit each other.
     """
 
     name: str
@@ -69,55 +89,47 @@ class Problem:
     default_transcription: str = "legendre:2"
     actuation: Actuation = "torque"
     dynamics: tuple[PointConstraint, ...] | None = None
-    modes: Mapping[str, Mode] = field(default_factory=dict)
+    modes: Mapping[str, StanceMode] = field(default_factory=dict)
     periodicity: Periodicity | None = None
     duration_bounds: tuple[float, float] | None = None
     payloads: Mapping[str, Payload] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for label, size in (("initial_q", self.robot.nq), ("initial_v", self.robot.nv)):
-            array = np.array(getattr(self, label), dtype=float)
-            if array.shape != (size,) or not np.all(np.isfinite(array)):
-                found = f"has shape {array.shape}" if array.shape != (size,) else "is not finite"
-                raise InputError(f"{label} of problem '{self.name}' {found}", f"allowed: ({size},), finite")
-            array.setflags(write=False)
-            object.__setattr__(self, label, array)
-        object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
+        robot, schedule = self.robot, self.schedule
+        for label, size in (("initial_q", robot.nq), ("initial_v", robot.nv)):
+            what = f"{label} of problem '{self.name}'"
+            object.__setattr__(self, label, checked_vector(what, getattr(self, label), size))
+        for label in ("parameters", "modes", "payloads"):
+            object.__setattr__(self, label, MappingProxyType(dict(getattr(self, label))))
         object.__setattr__(self, "terms", tuple(self.terms))
-        for term in self.terms:
-            if not isinstance(term, Term):
-                raise InputError(
-                    f"a term of problem '{self.name}' is {term!r}", "allowed: costs and constraints"
-                )
-        object.__setattr__(self, "modes", MappingProxyType(dict(self.modes)))
-        names = [phase.name for phase in self.schedule.phases]
-        self._require_actuation()
-        if len(set(names)) != len(names):
-            raise InputError(
-                f"problem '{self.name}' has two phases of one name: {', '.join(names)}",
-                "allowed: a name each",
-            )
-        for phase in self.schedule.phases:
-            for contact in phase.contacts:
-                self.robot.contact(contact)
-        self._require_modes(names)
-        self._require_impacts()
-        self.schedule.require_steady_surfaces(self.terrain, self._starts)
-        require_sliding(self.robot, self.schedule, self.actuation, tuple(self.modes))
-        require_standing(self.robot, self.schedule, self.terrain, self._starts)
-        self._require_periodicity()
-        self._require_payloads(names)
-        self._require_duration()
+        require_terms(self.name, self.terms)
+        require_actuation(robot, schedule, self.actuation, self.initial_v)
+        require_phases(self.name, robot, schedule)
+        start = self.initial_q, self.initial_v
+        require_modes(self.name, robot, schedule, self.modes, start, self.contact_place)
+        if not self.holds_contacts:
+            require_no_impacts(schedule)
+        schedule.require_steady_surfaces(self.terrain, self._starts)
+        require_sliding(robot, schedule, self.actuation, tuple(self.modes))
+        require_standing(robot, schedule, self.terrain, self._starts)
+        if self.periodicity is not None:
+            require_periodic(self.name, bool(self.modes), self.actuation)
+            closing_map(robot, self.periodicity, self.initial_q)
+            landing_at_start(robot, schedule, self.periodicity)
+        whole = () if self.dynamics is not None else schedule.names
+        require_payloads(robot, schedule, self.payloads, [name for name in whole if name not in self.modes])
+        if self.duration_bounds is not None:
+            bounds = checked_duration_bounds(self.name, schedule, self.duration_bounds)
+            object.__setattr__(self, "duration_bounds", bounds)
         for term in self.terms:
             for name in term.phases or ():
-                if name not in names:
-                    raise InputError(f"{term.name} acts in phase '{name}'", f"allowed: {', '.join(names)}")
-        first, last = names[0], names[-1]
+                require_phase(schedule, name, f"{term.name} acts in")
+        first, last = schedule.names[0], schedule.names[-1]
         limits = [rows for rows in self.point_constraints if rows.acts_in(first) and self.periodicity is None]
-        require_start(self.name, self.robot, self.initial_q, self.initial_v, limits)
-        standing = {name: self._standing(index) for index, name in enumerate(names)}
-        require_goals(self.robot, self.terms, last, standing[last])
-        require_reach(self.robot, self.terms, standing)
+        require_start(self.name, robot, *start, limits)
+        standing = {name: self._standing(index) for index, name in enumerate(schedule.names)}
+        require_goals(robot, self.terms, last, standing[last])
+        require_reach(robot, self.terms, standing)
 
     def guess_at(self, t: float) -> np.ndarray:
         """The guess (nq,) at ``t`` s. Raises InputError, which names the time, if it is no configuration."""
@@ -128,41 +140,6 @@ class Problem:
             raise InputError(f"{what} is not numeric", f"allowed: ({self.robot.nq},), finite") from None
         require_configuration(self.robot.model, q, what)
         return q
-
-    def _require_modes(self, names: list[str]) -> None:
-        """A mode is of this robot and stands where its contact is: where it was at the start, or landed."""
-        for name, mode in self.modes.items():
-            if name not in names:
-                raise InputError(f"a mode is given for phase '{name}'", f"allowed: {', '.join(names)}")
-            if mode.whole is not self.robot:
-                raise InputError(
-                    f"mode of phase '{name}' is of another robot", "allowed: modes of the problem's robot"
-                )
-            index = names.index(name)
-            contact = mode.embedded.name
-            if contact not in self.schedule.phases[index].contacts:
-                raise InputError(
-                    f"mode of phase '{name}' stands on '{contact}'", "allowed: contacts of the phase"
-                )
-            self._require_place(contact, index, mode)
-        first = self.modes.get(names[0])
-        if first is not None and first.loses(self.initial_q, self.initial_v) > SAME_PLACE:
-            raise InputError(
-                f"the start of problem '{self.name}' moves the contact on which its first mode stands",
-                "allowed: an initial_q and initial_v with that contact at rest",
-            )
-
-    def _require_place(self, contact: str, index: int, mode: Mode) -> None:
-        place = self.contact_place(contact, index)
-        if place is None:
-            begins = self.schedule.phases[self.schedule.beginning(contact, index)].name
-            raise InputError(
-                f"phase '{begins}' has no foothold for '{contact}', on which a mode stands",
-                "allowed: a foothold at which the mode stands",
-            )
-        if np.linalg.norm(place - mode.anchor) > SAME_PLACE:
-            name = self.schedule.phases[index].name
-            raise InputError(f"mode of phase '{name}' stands at {mode.anchor}", f"allowed: {place}")
 
     def contact_place(self, contact: str, phase: int) -> np.ndarray | None:
         """World position (3,) in m of an active contact of a phase, None where it may land anywhere."""
@@ -185,40 +162,6 @@ class Problem:
                 found[name] = place
         return found
 
-    def _require_impacts(self) -> None:
-        for phase in self.schedule.phases:
-            if phase.impact and not self.holds_contacts:
-                raise InputError(
-                    f"phase '{phase.name}' begins with an impact, but the dynamics hold no contacts",
-                    "allowed: impact=False for a reduced model",
-                )
-
-    def _require_periodicity(self) -> None:
-        if self.periodicity is None:
-            return
-        if self.modes or self.actuation == "velocity":
-            what = "modes" if self.modes else "a velocity source"
-            raise InputError(f"the periodic problem '{self.name}' has {what}", "allowed: neither")
-        closing_map(self.robot, self.periodicity, self.initial_q)
-        landing_at_start(self.robot, self.schedule, self.periodicity)
-
-    def _require_payloads(self, names: list[str]) -> None:
-        object.__setattr__(self, "payloads", MappingProxyType(dict(self.payloads)))
-        for name, payload in self.payloads.items():
-            if name not in names:
-                raise InputError(f"a payload is given for phase '{name}'", f"allowed: {', '.join(names)}")
-            contact = self.robot.contact(payload.contact).name
-            if contact in self.schedule.phases[names.index(name)].contacts:
-                raise InputError(
-                    f"'{contact}' carries a payload in phase '{name}' and touches the surroundings",
-                    "allowed: one of them",
-                )
-            if name in self.modes or self.dynamics is not None:
-                raise InputError(
-                    f"a payload is carried in phase '{name}' in minimal coordinates or by a reduced model",
-                    "allowed: the whole robot's dynamics",
-                )
-
     def robot_in(self, phase: str) -> Robot:
         """The robot in a phase: with what it carries there."""
         return self._loaded.get(phase, self.robot)
@@ -228,43 +171,10 @@ class Problem:
         """The robot with its payload, by phase: a model that every node and point of the phase shares."""
         return {phase: loaded(self.robot, payload) for phase, payload in self.payloads.items()}
 
-    def _require_duration(self) -> None:
-        if self.duration_bounds is None:
-            return
-        lower, upper = self.schedule.duration_range
-        try:
-            low, high = (float(bound) for bound in self.duration_bounds)
-        except (TypeError, ValueError):
-            low = high = math.nan
-        if not (0 < low <= high and high >= lower and low <= upper):
-            raise InputError(
-                f"duration_bounds of problem '{self.name}' are {self.duration_bounds} s",
-                f"allowed: (lower, upper), meeting what the phases allow, {lower:g} to {upper:g} s",
-            )
-        object.__setattr__(self, "duration_bounds", (low, high))
-
     @property
     def holds_contacts(self) -> bool:
         """Whether the dynamics hold contacts in place; a reduced model without legs does not."""
         return any(isinstance(rows, ContactAcceleration | ContactVelocity) for rows in self.motion_rows)
-
-    def _require_actuation(self) -> None:
-        if self.actuation not in ACTUATIONS:
-            raise InputError(f"actuation {self.actuation!r} is unknown", f"allowed: {', '.join(ACTUATIONS)}")
-        if self.actuation != "velocity":
-            return
-        if self.initial_v.any():
-            raise InputError(
-                "initial_v of a velocity source is not zero", "allowed: zero, it has no such state"
-            )
-        for phase in self.schedule.phases:
-            what = "has no contact" if self.robot.n_unactuated and not phase.contacts else ""
-            if what or phase.impact:
-                what = what or "begins with an impact"
-                raise InputError(
-                    f"phase '{phase.name}' {what}, which a velocity source cannot model",
-                    "allowed: phases in static balance, or actuation 'torque' or 'acceleration'",
-                )
 
     @property
     def costs(self) -> tuple[Cost, ...]:

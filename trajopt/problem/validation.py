@@ -1,8 +1,9 @@
-"""Checks before solving: a start beyond limits, goals that contacts contradict, places out of reach."""
+"""Validation of problems: parts that do not fit each other, and goals that cannot be reached."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -11,12 +12,17 @@ from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin
 from trajopt.errors import InputError
 from trajopt.robot.kinematics import contact_positions
-from trajopt.robot.reach import Place, longest_between
+from trajopt.robot.payload import Payload
+from trajopt.robot.reach import LinkPoint, longest_between
 from trajopt.robot.robot import Robot
+from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
+from trajopt.schedule.schedule import Schedule
+from trajopt.terms.context_symbols import ACTUATIONS
+from trajopt.terms.frames import FramePose
 from trajopt.terms.interfaces import PointConstraint, Term
 from trajopt.terms.limits import PositionLimits
-from trajopt.terms.terminal import FramePose, TerminalState
+from trajopt.terms.terminal import TerminalState
 
 # A start may exceed a limit by what a check allows: this part of it, at least this many rad, m, rad/s or m/s.
 LIMIT_SLACK = 1e-6
@@ -25,13 +31,175 @@ LIMIT_SLACK = 1e-6
 PLACE_SLACK = 1e-3
 
 
+# The foothold of a phase and the anchor of its mode agree to rounding, m.
+SAME_PLACE = 1e-9
+
+
+def checked_vector(what: str, values: np.ndarray, size: int) -> np.ndarray:
+    """Return a read-only copy of a finite vector (size,). Raises `InputError` for anything else."""
+    array = np.array(values, dtype=float)
+    if array.shape != (size,) or not np.all(np.isfinite(array)):
+        found = f"has shape {array.shape}" if array.shape != (size,) else "is not finite"
+        raise InputError(f"{what} {found}", f"allowed: ({size},), finite")
+    array.setflags(write=False)
+    return array
+
+
+def require_terms(problem: str, terms: Sequence[Term]) -> None:
+    """Raise `InputError` for what is neither a cost nor a constraint."""
+    for term in terms:
+        if not isinstance(term, Term):
+            raise InputError(f"a term of problem '{problem}' is {term!r}", "allowed: costs and constraints")
+
+
+def require_phase(schedule: Schedule, name: str, what: str) -> None:
+    """Raise `InputError`, beginning with ``what``, for a phase that the schedule does not have."""
+    if name not in schedule.names:
+        raise InputError(f"{what} phase '{name}'", f"allowed: {', '.join(schedule.names)}")
+
+
+def require_phases(problem: str, robot: Robot, schedule: Schedule) -> None:
+    """Raise `InputError` for two phases of one name, and contacts that the robot does not have."""
+    names = schedule.names
+    if len(set(names)) != len(names):
+        raise InputError(
+            f"problem '{problem}' has two phases of one name: {', '.join(names)}", "allowed: a name each"
+        )
+    for phase in schedule.phases:
+        for contact in phase.contacts:
+            robot.contact(contact)
+
+
+def require_actuation(robot: Robot, schedule: Schedule, actuation: str, initial_v: np.ndarray) -> None:
+    """Raise `InputError` for an unknown actuation, or a velocity source in what it cannot model."""
+    if actuation not in ACTUATIONS:
+        raise InputError(f"actuation {actuation!r} is unknown", f"allowed: {', '.join(ACTUATIONS)}")
+    if actuation != "velocity":
+        return
+    if initial_v.any():
+        raise InputError("initial_v of a velocity source is not zero", "allowed: zero, it has no such state")
+    for phase in schedule.phases:
+        falls = robot.n_unactuated and not phase.contacts
+        if falls or phase.impact:
+            what = "has no contact" if falls else "begins with an impact"
+            raise InputError(
+                f"phase '{phase.name}' {what}, which a velocity source cannot model",
+                "allowed: phases in static balance, or actuation 'torque' or 'acceleration'",
+            )
+
+
+def require_modes(
+    problem: str,
+    robot: Robot,
+    schedule: Schedule,
+    modes: Mapping[str, StanceMode],
+    start: tuple[np.ndarray, np.ndarray],
+    contact_place: Callable[[str, int], np.ndarray | None],
+) -> None:
+    """Raise `InputError` for a mode of another robot or place than its phase, or that the start contradicts.
+
+    Args:
+        problem: its name.
+        robot: of the problem.
+        schedule: of the problem.
+        modes: minimal coordinates, by the phase's name.
+        start: configuration (nq,) and velocity (nv,).
+        contact_place: contact and index of a phase -> where it stands in the world (3,), m, None if unknown.
+    """
+    for name, mode in modes.items():
+        require_phase(schedule, name, "a mode is given for")
+        if mode.floating is not robot:
+            raise InputError(
+                f"mode of phase '{name}' is of another robot", "allowed: modes of the problem's robot"
+            )
+        index, contact = schedule.names.index(name), mode.contact
+        if contact not in schedule.phases[index].contacts:
+            raise InputError(
+                f"mode of phase '{name}' stands on '{contact}'", "allowed: contacts of the phase"
+            )
+        place = contact_place(contact, index)
+        if place is None:
+            begins = schedule.names[schedule.beginning(contact, index)]
+            raise InputError(
+                f"phase '{begins}' has no foothold for '{contact}', on which a mode stands",
+                "allowed: a foothold at which the mode stands",
+            )
+        if np.linalg.norm(place - mode.anchor) > SAME_PLACE:
+            raise InputError(f"mode of phase '{name}' stands at {mode.anchor}", f"allowed: {place}")
+    first = modes.get(schedule.names[0])
+    if first is not None and first.loss(*start) > SAME_PLACE:
+        raise InputError(
+            f"the start of problem '{problem}' moves the contact on which its first mode stands",
+            "allowed: an initial_q and initial_v with that contact at rest",
+        )
+
+
+def require_no_impacts(schedule: Schedule) -> None:
+    """Raise `InputError` for a phase that begins with an impact, of dynamics that hold no contacts."""
+    for phase in schedule.phases:
+        if phase.impact:
+            raise InputError(
+                f"phase '{phase.name}' begins with an impact, but the dynamics hold no contacts",
+                "allowed: impact=False for a reduced model",
+            )
+
+
+def require_periodic(problem: str, has_modes: bool, actuation: str) -> None:
+    """Raise `InputError` for a periodic problem in minimal coordinates or of a velocity source."""
+    if has_modes or actuation == "velocity":
+        what = "modes" if has_modes else "a velocity source"
+        raise InputError(f"the periodic problem '{problem}' has {what}", "allowed: neither")
+
+
+def require_payloads(
+    robot: Robot, schedule: Schedule, payloads: Mapping[str, Payload], whole: Sequence[str]
+) -> None:
+    """Raise `InputError` for a payload on a contact in use, or in a phase without the whole robot's dynamics.
+
+    ``whole`` are the names of the phases that have them.
+    """
+    for name, payload in payloads.items():
+        require_phase(schedule, name, "a payload is given for")
+        contact = robot.contact(payload.contact).name
+        if contact in schedule.phases[schedule.names.index(name)].contacts:
+            raise InputError(
+                f"'{contact}' carries a payload in phase '{name}' and touches the surroundings",
+                "allowed: one of them",
+            )
+        if name not in whole:
+            raise InputError(
+                f"a payload is carried in phase '{name}' in minimal coordinates or by a reduced model",
+                "allowed: the whole robot's dynamics",
+            )
+
+
+def checked_duration_bounds(
+    problem: str, schedule: Schedule, bounds: tuple[float, float]
+) -> tuple[float, float]:
+    """Return bounds of the total duration, s, as numbers. Raises `InputError` where the phases miss them."""
+    lower, upper = schedule.duration_range
+    try:
+        low, high = (float(bound) for bound in bounds)
+    except (TypeError, ValueError):
+        low = high = math.nan
+    if not (0 < low <= high and high >= lower and low <= upper):
+        raise InputError(
+            f"duration_bounds of problem '{problem}' are {bounds} s",
+            f"allowed: (lower, upper), meeting what the phases allow, {lower:g} to {upper:g} s",
+        )
+    return low, high
+
+
 def require_start(
     problem: str, robot: Robot, q: np.ndarray, v: np.ndarray, rows: Sequence[PointConstraint]
 ) -> None:
     """Raise `InputError` for a start that is no configuration, or beyond limits that the problem states.
 
     Args:
-        problem: its name. q (nq,), v (nv,): the start.
+        problem: its name.
+        robot: of the problem.
+        q: configuration at the start (nq,).
+        v: velocity at the start (nv,).
         rows: constraints of the first phase; none for a free start, whose limits are rows of the problem.
     """
     require_configuration(robot.model, q, f"initial_q of problem '{problem}'")
@@ -84,8 +252,8 @@ def require_goals(
 ) -> None:
     """Raise `InputError` for a final configuration that has contacts elsewhere than where they stand.
 
-    Goals are asked for in the directions that contacts leave free: what contradicts the contacts would be
-    left out without a word. ``phase`` is the last one, ``standing`` are the places (3,) m of its contacts.
+    Goals constrain only the directions that contacts leave free: a goal that contradicts the contacts would
+    be dropped silently. ``phase`` is the last one, ``standing`` are the places (3,) m of its contacts.
     """
     for term in terms:
         if not isinstance(term, TerminalState):
@@ -114,7 +282,7 @@ def require_reach(
     last = list(standing)[-1]
     poses = [term for term in terms if isinstance(term, FramePose) and term.position is not None]
     for phase, places in standing.items():
-        feet = {name: Place.of_frame(robot.model, robot.contact(name).frame) for name in places}
+        feet = {name: LinkPoint.of_frame(robot.model, robot.contact(name).frame) for name in places}
         for one, other in combinations(places, 2):
             what = f"contacts '{one}' and '{other}' stand in phase '{phase}'"
             _require_near(robot, what, (feet[one], feet[other]), places[one] - places[other])
@@ -124,9 +292,9 @@ def require_reach(
 
 
 def _require_pose(
-    robot: Robot, term: FramePose, places: Mapping[str, np.ndarray], feet: Mapping[str, Place]
+    robot: Robot, term: FramePose, places: Mapping[str, np.ndarray], feet: Mapping[str, LinkPoint]
 ) -> None:
-    frame, goal = Place.of_frame(robot.model, term.frame), np.array(term.position, dtype=float)
+    frame, goal = LinkPoint.of_frame(robot.model, term.frame), np.array(term.position, dtype=float)
     for name, place in places.items():
         what = f"{term.name} has '{term.frame}' and contact '{name}'"
         _require_near(robot, what, (feet[name], frame), goal - place)
@@ -135,7 +303,7 @@ def _require_pose(
     _require_near(robot, what, (root, frame), goal - root.point)
 
 
-def _require_near(robot: Robot, what: str, ends: tuple[Place, Place], apart: np.ndarray) -> None:
+def _require_near(robot: Robot, what: str, ends: tuple[LinkPoint, LinkPoint], apart: np.ndarray) -> None:
     longest, distance = longest_between(robot.model, *ends), float(np.linalg.norm(apart))
     if distance > longest + PLACE_SLACK * robot.length:
         raise InputError(

@@ -30,9 +30,10 @@ from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms.context import Context
 from trajopt.terms.costs import AccelerationCost, TimeCost, VelocityCost, WrenchCost
+from trajopt.terms.frames import FrameHeight, FramePose, FrameVelocity
 from trajopt.terms.friction import ContactConstraint, NormalForce
 from trajopt.terms.interfaces import PointConstraint, Rows, Term
-from trajopt.terms.terminal import FrameHeight, FramePose, FrameVelocity, TerminalRest, TerminalState
+from trajopt.terms.terminal import TerminalRest, TerminalState
 
 # Frame at the origin of the free-flyer, in its axes.
 BODY = "single_rigid_body"

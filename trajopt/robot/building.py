@@ -102,14 +102,14 @@ def locked_model(model: pin.Model, joints: Sequence[str], reference: np.ndarray)
     return pin.buildReducedModel(model, [model.getJointId(name) for name in joints], reference)
 
 
-def velocity_limit(model: pin.Model, base: Base) -> np.ndarray:
+def velocity_limit_of(model: pin.Model, base: Base) -> np.ndarray:
     """Return the velocity limit (nv,), infinite where there is none and at the base."""
     limit = np.where(np.abs(model.upperVelocityLimit) > UNLIMITED, np.inf, np.abs(model.upperVelocityLimit))
     limit[: BASE_ROWS[base]] = np.inf
     return limit
 
 
-def unactuated_rows(model: pin.Model, base: Base, passive: Sequence[str]) -> int:
+def count_unactuated_rows(model: pin.Model, base: Base, passive: Sequence[str]) -> int:
     """Return the number of rows of the base and the ``passive`` joints, which must come first in v."""
     rows, names = BASE_ROWS[base], list(model.names)
     leading = [joint for joint in list(model.joints)[1:] if joint.idx_v >= rows]
@@ -124,7 +124,7 @@ def unactuated_rows(model: pin.Model, base: Base, passive: Sequence[str]) -> int
     return rows + sum(joint.nv for joint in leading[: len(passive)])
 
 
-def effort_limit(model: pin.Model, unactuated: int) -> np.ndarray | None:
+def effort_limit_of(model: pin.Model, unactuated: int) -> np.ndarray | None:
     """Return the effort limit (nu,) on the joint side, or None if no actuated row has one."""
     effort = model.upperEffortLimit[unactuated:]
     limit = np.where(np.abs(effort) > UNLIMITED, np.inf, np.abs(effort))
@@ -156,7 +156,7 @@ def reference_posture(
         q = np.concatenate([pin.neutral(model)[: BASE_COORDINATES[base]], given])
     else:
         q = _named_posture(model, posture or {})
-    return standing(model, base, frames, q)
+    return put_on_ground(model, base, frames, q)
 
 
 def _named_posture(model: pin.Model, values: Mapping[str, float]) -> np.ndarray:
@@ -173,7 +173,7 @@ def _named_posture(model: pin.Model, values: Mapping[str, float]) -> np.ndarray:
     return q
 
 
-def standing(model: pin.Model, base: Base, frames: Sequence[str], q: np.ndarray) -> np.ndarray:
+def put_on_ground(model: pin.Model, base: Base, frames: Sequence[str], q: np.ndarray) -> np.ndarray:
     """Return ``q`` with the base moved up or down until the lowest of ``frames`` is at height 0."""
     if base == "fixed" or not frames:
         return q

@@ -16,16 +16,13 @@ if TYPE_CHECKING:
 GROUP = "trajopt.problems"
 
 
-GROUP = "trajopt.problems"
-
-
 def robot(name: str) -> Robot:
     """The robot of that name, or of a ``.py`` file that builds one.
 
     A package's module may offer ``robot(name) -> Robot``, which raises InputError for a name that it does not
     know: so does this where none of them knows it. A package that cannot be loaded is passed over.
     """
-    found = _asked("robot", name)
+    found = _from_packages("robot", name)
     if found is None:
         raise InputError(f"robot '{name}' is unknown", "an installed package that offers robots")
     return cast("Robot", found)
@@ -37,16 +34,16 @@ def robot_kind(name: str) -> str | None:
     A package's module may offer ``robot_kind(name) -> str``, which raises InputError for a name that it does
     not know: so does this where none of them knows it. A package that cannot be loaded is passed over.
     """
-    found = _asked("robot_kind", name)
+    found = _from_packages("robot_kind", name)
     return None if found is None else str(found)
 
 
-def _asked(question: str, name: str) -> object:
+def _from_packages(function: str, name: str) -> object:
     """The first answer of a package that has a function of that name; None where none has one."""
     unknown: InputError | None = None
     for entry in entry_points(group=GROUP):
         try:
-            offered = getattr(entry.load(), question, None)
+            offered = getattr(entry.load(), function, None)
         except VersionMismatchError:
             raise
         except Exception:  # `families` warns of it

@@ -16,13 +16,20 @@ ContactKind = Literal["point", "surface"]
 
 @dataclass(frozen=True, kw_only=True)
 class Contact:
-    """A place where the robot may touch its surroundings.
+    """A place where the robot may touch its surroundings: a point, or a sole.
 
-    ``frame`` is a frame of the model. A ``point`` transmits a force (3 rows). A ``surface`` is
-    a rectangular sole in the x-y plane of its frame, centred at the frame's origin, of
-    ``half_length`` (along x) and ``half_width`` (along y) in m, and transmits force and moment
-    (6 rows). ``name`` defaults to the frame's name. ``rows`` are the entries of (force, moment), world axes,
-    that it transmits: a `Robot` in a plane keeps those within it. Raises `InputError`.
+    Args:
+        frame: name of a frame of the model.
+        name: default the frame's name.
+        kind: "point" transmits a force (3 rows); "surface" is a rectangular sole in the x-y plane of its
+            frame, centred at the frame's origin, and transmits force and moment (6 rows).
+        half_length: of a sole along x, m.
+        half_width: of a sole along y, m.
+        rows: entries of (force, moment) in world axes that it transmits, default all; a `Robot` in a plane
+            keeps those within it.
+
+    Raises:
+        InputError: for an unknown kind, a sole without size or a point with one, and unknown rows.
     """
 
     frame: str
@@ -59,6 +66,13 @@ class Contact:
     def transmits_all(self) -> bool:
         """Whether no row of its kind is left out, so that its axes may be turned."""
         return self.dimension == (3 if self.kind == "point" else 6)
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Points (n, 2) along its frame's x and y, m: the origin of a point, the four corners of a sole."""
+        if self.kind == "point":
+            return np.zeros((1, 2))
+        return np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [self.half_length, self.half_width]
 
     def within_plane(self, normal: int) -> Contact:
         """The same contact of a robot that cannot leave the plane across the world's axis ``normal``."""

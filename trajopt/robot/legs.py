@@ -5,6 +5,7 @@ Forward is the base's x axis and left its y axis, as in all descriptions that fo
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -21,6 +22,11 @@ from trajopt.robot.robot import Robot
 LIFTED = 0.1
 # Feet nearer to each other along an axis than this part of the robot's length are not told apart on it.
 APART = 0.02
+
+# A joint nearer to the one before it than this part of the robot's length is at the same place.
+SAME_JOINT = 0.25
+# A frame is at a joint if it is this near to it, m.
+SAME_PLACE = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,3 +110,28 @@ def _halves(
             f"allowed: more than {APART * robot.length:.3g} m apart, x forward and y to the left of the base",
         )
     return {name: feet[name] for name in ordered[:half]}, {name: feet[name] for name in ordered[half:]}
+
+
+def leg_joints(robot: Robot) -> tuple[str, ...]:
+    """Frames at the joints of the legs: hips and knees, the root of each limb and every joint a link further.
+
+    Of joints close to each other the inner one counts. Each joint is named by the first frame at its place
+    whose name no other frame has; a joint without such a frame is left out.
+    """
+    model, data = robot.model, robot.model.createData()
+    pin.forwardKinematics(model, data, robot.reference)
+    named = Counter(frame.name for frame in model.frames)
+    found = []
+    for joint in range(2, model.njoints):
+        parent = model.parents[joint]
+        apart = np.linalg.norm(data.oMi[joint].translation - data.oMi[parent].translation)
+        if parent != 1 and apart <= SAME_JOINT * robot.length:
+            continue
+        found += [
+            frame.name
+            for frame in model.frames
+            if frame.parentJoint == joint
+            and named[frame.name] == 1
+            and np.abs(frame.placement.translation).max() < SAME_PLACE
+        ][:1]
+    return tuple(found)

@@ -15,28 +15,28 @@ TURNING = ("RX", "RY", "RZ", "RUBX", "RUBY", "RUBZ", "RevoluteUnaligned", "Revol
 
 
 @dataclass(frozen=True)
-class Place:
+class LinkPoint:
     """A point (3,) m in the axes of a joint; of joint 0 in the world's."""
 
     joint: int
     point: np.ndarray
 
     @classmethod
-    def of_frame(cls, model: pin.Model, frame: str) -> Place:
+    def of_frame(cls, model: pin.Model, frame: str) -> LinkPoint:
         """The origin of a frame. Raises `InputError` that lists close names."""
         frame_content(model, frame)
         found = model.frames[model.getFrameId(frame)]
         return cls(int(found.parentJoint), np.array(found.placement.translation))
 
-    def root(self, model: pin.Model) -> Place:
+    def root(self, model: pin.Model) -> LinkPoint:
         """Where the first joint on the way to it hangs, in the world."""
         way = _to_root(model, self.joint)
         if len(way) == 1:
             return self
-        return Place(0, np.array(model.jointPlacements[way[-2]].translation))
+        return LinkPoint(0, np.array(model.jointPlacements[way[-2]].translation))
 
 
-def longest_between(model: pin.Model, one: Place, other: Place) -> float:
+def longest_between(model: pin.Model, one: LinkPoint, other: LinkPoint) -> float:
     """Upper bound on the distance in m between two places, over all configurations; inf where there is none.
 
     The sum of the lengths from joint to joint on the way from one to the other; joints that slide have no
@@ -55,7 +55,7 @@ def _to_root(model: pin.Model, joint: int) -> list[int]:
     return path
 
 
-def _climb(model: pin.Model, place: Place, top: int) -> tuple[np.ndarray, float]:
+def _climb(model: pin.Model, place: LinkPoint, top: int) -> tuple[np.ndarray, float]:
     """Point of the body ``top`` at which the branch of a place hangs, and the length from there to it."""
     joint, point, length = place.joint, place.point, 0.0
     while joint != top:

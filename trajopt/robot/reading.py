@@ -99,6 +99,7 @@ def read_mjcf(path: str | Path, base: Base | None) -> pin.Model:
 
 
 def existing_file(path: str | Path, kind: str) -> Path:
+    """Return the absolute path of a file. Raises `InputError` if it does not exist."""
     source = Path(path).expanduser().absolute()
     if not source.is_file():
         raise InputError(f"{kind} file {source} does not exist")

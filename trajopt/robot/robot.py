@@ -18,7 +18,7 @@ from trajopt.dynamics.virtual_base import DEFAULT_ORDER, from_free_flyer, virtua
 from trajopt.errors import InputError
 from trajopt.robot import building
 from trajopt.robot.actuators.drive import Drive
-from trajopt.robot.actuators.on_robot import actuated_row_limit, driven, drives_by_row, require_drives
+from trajopt.robot.actuators.on_robot import actuated_row_limit, drive_fields, drives_by_row, require_drives
 from trajopt.robot.contact import Contact, require_frame
 from trajopt.robot.data import VisualSource, package_directories
 from trajopt.robot.reading import read_mjcf, read_urdf
@@ -70,7 +70,7 @@ class Robot:
             )
         object.__setattr__(self, "contacts", building.within_plane(self.model, tuple(self.contacts)))
         object.__setattr__(self, "passive", tuple(self.passive))
-        building.unactuated_rows(self.model, self.base, self.passive)
+        building.count_unactuated_rows(self.model, self.base, self.passive)
         shapes = {
             "reference": self.nq,
             "velocity_limit": self.nv,
@@ -114,7 +114,7 @@ class Robot:
     @property
     def n_unactuated(self) -> int:
         """Number of rows without actuator, which come first: the base's 6, 3 or 0, then passive joints."""
-        return building.unactuated_rows(self.model, self.base, self.passive)
+        return building.count_unactuated_rows(self.model, self.base, self.passive)
 
     @property
     def nu(self) -> int:
@@ -194,7 +194,7 @@ class Robot:
         of several degrees of freedom.
         """
         chosen = drives_by_row(self.name, self.model, self.drives or (None,) * self.nu, drives)
-        return replace(self, **driven(self.model, self.effort_limit, self.velocity_limit, chosen))
+        return replace(self, **drive_fields(self.model, self.effort_limit, self.velocity_limit, chosen))
 
     def with_virtual_base(self, order: str = DEFAULT_ORDER) -> Robot:
         """Return this free-flyer robot with six virtual joints as its base: x, y, z, then three angles.
@@ -292,8 +292,10 @@ class Robot:
             reference=building.reference_posture(
                 model, kind, [contact.frame for contact in named], reference
             ),
-            effort_limit=building.effort_limit(model, building.unactuated_rows(model, kind, passive)),
-            velocity_limit=building.velocity_limit(model, kind),
+            effort_limit=building.effort_limit_of(
+                model, building.count_unactuated_rows(model, kind, passive)
+            ),
+            velocity_limit=building.velocity_limit_of(model, kind),
             position_lower=lower,
             position_upper=upper,
             visual=visual,

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from trajopt.errors import InputError
-from trajopt.schedule.gaits import SHORTEST, SIMULTANEOUS, Gait, Support, phases_of
+from trajopt.schedule.gaits import SHORTEST, SIMULTANEOUS, Gait, SupportPhase, phases_of
 from trajopt.schedule.schedule import Phase
 
 
@@ -35,12 +35,22 @@ def transition(
     rest: float | None = None,
     start: str | None = None,
 ) -> tuple[Phase, ...]:
-    """Phases of ``cycles`` periods of ``period`` s that begin with a stance, end with one, or both.
+    """Phases of some periods of a gait that begin with a stance, end with one, or both.
 
-    stand: duration in s of standing on all feet before the first is lifted; None begins within the gait, at
-    a touchdown (see `Gait.supports` for ``start``). rest: the same at the end, after the last has landed;
-    None ends at the touchdown that ends a period. These phases are named "stand" and "rest", others as by
-    `Gait.phases`. Raises `InputError`.
+    The stances are named "stand" and "rest", other phases as by `Gait.phases`.
+
+    Args:
+        gait: the gait.
+        period: s.
+        cycles: number of periods.
+        stand: duration of standing on all feet before the first is lifted, s; None begins within the gait, at
+            a touchdown.
+        rest: duration of standing after the last foot has landed, s; None ends at the touchdown that ends a
+            period.
+        start: foot whose touchdown begins the period, see `Gait.supports`.
+
+    Raises:
+        InputError: for numbers out of range, or feet that are never lifted.
     """
     if cycles != int(cycles) or cycles < 1:
         raise InputError(f"{cycles} cycles of gait '{gait.name}'", "allowed: a whole number, 1 or more")
@@ -101,7 +111,7 @@ def _to_standing(stances: list[_Stances], end: float) -> tuple[list[_Stances], f
     return found, last
 
 
-def _supports(stances: list[_Stances], window: tuple[float, float]) -> list[Support]:
+def _supports(stances: list[_Stances], window: tuple[float, float]) -> list[SupportPhase]:
     """Supports within a window of time, in periods."""
     inside = sorted(
         time
@@ -117,5 +127,5 @@ def _supports(stances: list[_Stances], window: tuple[float, float]) -> list[Supp
     found = []
     for now, then in pairwise(merged):
         feet = tuple(own.foot for own in stances if own.stands((now + then) / 2))
-        found.append(Support(now, then - now, feet))
+        found.append(SupportPhase(now, then - now, feet))
     return found

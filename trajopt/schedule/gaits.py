@@ -30,7 +30,7 @@ SUPPORTS = ("flight", "single", "double", "triple", "quadruple")
 
 
 @dataclass(frozen=True)
-class Support:
+class SupportPhase:
     """A part of a gait's period with a constant set of feet on the ground; both are parts of the period."""
 
     begin: float
@@ -42,9 +42,14 @@ class Support:
 class Gait:
     """A periodic pattern of stances.
 
-    ``offsets``: touchdown of every foot as a part of the period, taken modulo 1. ``duty``: stance of every
-    foot as a part of the period, one number for all or one by foot; 1 never lifts the foot.
-    Raises `InputError`.
+    Args:
+        name: of the gait.
+        duty: stance of every foot as a part of the period, one number for all or one by foot; 1 never lifts
+            it.
+        offsets: touchdown of every foot as a part of the period, taken modulo 1.
+
+    Raises:
+        InputError: for duty factors out of range, or other feet than those of the offsets.
     """
 
     name: str
@@ -106,11 +111,15 @@ class Gait:
         since = (fraction - self.offsets[foot] + SIMULTANEOUS) % 1.0
         return self.duty_of(foot) == 1 or since < self.duty_of(foot)
 
-    def supports(self, start: str | None = None) -> tuple[Support, ...]:
+    def supports(self, start: str | None = None) -> tuple[SupportPhase, ...]:
         """The supports of one period, from a touchdown on.
 
-        start: foot whose touchdown begins the period; default the one with the least offset of those that
-        are ever lifted. Raises `InputError` for supports that are too short, or a foot that is never lifted.
+        Args:
+            start: foot whose touchdown begins the period; default the one with the least offset of those that
+                are ever lifted.
+
+        Raises:
+            InputError: for supports that are too short, or a foot that is never lifted.
         """
         begin = self.offsets[self.first(start)]
         events = self._events(begin)
@@ -123,7 +132,7 @@ class Gait:
                     f"gait '{self.name}' has a support of {then - now:.2g} of its period",
                     f"allowed: at least {SHORTEST:g}",
                 )
-            found.append(Support(now, then - now, feet))
+            found.append(SupportPhase(now, then - now, feet))
         return tuple(found)
 
     def first(self, start: str | None = None) -> str:
@@ -162,11 +171,18 @@ class Gait:
         start: str | None = None,
         duration_bounds: tuple[float, float] | None = None,
     ) -> tuple[Phase, ...]:
-        """Phases of some periods of ``period`` s, from a touchdown on.
+        """Phases of some periods, from a touchdown on.
 
-        Names count the supports of a kind: double_1, flight_1, double_2, ... cycles: number of periods.
-        start: foot whose touchdown begins the schedule, see `supports`. duration_bounds: parts of its
-        nominal duration between which every phase's is free. Raises `InputError`.
+        Names count the supports of a kind: double_1, flight_1, double_2, ...
+
+        Args:
+            period: s.
+            cycles: number of periods.
+            start: foot whose touchdown begins the schedule, see `supports`.
+            duration_bounds: free durations of the phases as parts of the nominal ones (lower, upper).
+
+        Raises:
+            InputError: for numbers out of range, or a foot that is never lifted.
         """
         if cycles != int(cycles) or cycles < 1:
             raise InputError(f"{cycles} cycles of gait '{self.name}'", "allowed: a whole number, 1 or more")
@@ -180,10 +196,16 @@ class Gait:
         start: str | None = None,
         duration_bounds: tuple[float, float] | None = None,
     ) -> tuple[Phase, ...]:
-        """Phases of the first half of a period of ``period`` s; the other half is their mirror image.
+        """Phases of the first half of a period; the other half is their mirror image.
 
-        mirror: the foot on the other side, for every foot. Otherwise as `phases`. Raises `InputError` for
-        a gait that is not symmetric.
+        Args:
+            period: s.
+            mirror: the foot on the other side, for every foot.
+            start: foot whose touchdown begins the schedule, see `supports`.
+            duration_bounds: free durations of the phases as parts of the nominal ones (lower, upper).
+
+        Raises:
+            InputError: for a gait that is not symmetric.
         """
         if not set(self.feet) <= set(mirror) or not self.is_symmetric(mirror):
             raise InputError(
@@ -211,8 +233,18 @@ def _number(value: float, what: str) -> float:
 
 
 def phases_of(
-    supports: Iterable[Support], period: float, bounds: tuple[float, float] | None
+    supports: Iterable[SupportPhase], period: float, bounds: tuple[float, float] | None
 ) -> tuple[Phase, ...]:
+    """Phases that follow each other as given.
+
+    Args:
+        supports: the feet on the ground and the part of the period of each.
+        period: s.
+        bounds: free durations as parts of the nominal ones (lower, upper), None for fixed ones.
+
+    Raises:
+        InputError: for a period that is not positive, or bounds without 1 between them.
+    """
     if not (math.isfinite(period) and period > 0):
         raise InputError(f"period of a gait is {period:g} s", "allowed: finite and > 0")
     lower, upper = (1.0, 1.0) if bounds is None else bounds

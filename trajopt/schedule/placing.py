@@ -17,9 +17,16 @@ def placed_on(schedule: Schedule, terrain: Terrain, *, free: bool = False) -> Sc
     """The schedule with every foothold moved vertically onto the ground.
 
     On piecewise terrain a contact also gets the patch under its foothold, and keeps the patch's margin from
-    edges; ``free`` leaves the foothold out, so that the contact may land anywhere on that face (on other
-    ground: anywhere). Contacts with a surface or patch of their own stay as they are. Raises `InputError` for
-    a foothold over a hole.
+    edges. Contacts with a surface or patch of their own stay as they are.
+
+    Args:
+        schedule: with footholds.
+        terrain: the ground.
+        free: whether footholds are left out, so that contacts land anywhere on the faces under them (on other
+            ground: anywhere).
+
+    Raises:
+        InputError: for a foothold over a hole.
     """
     return Schedule(tuple(_placed(phase, terrain, free) for phase in schedule.phases))
 

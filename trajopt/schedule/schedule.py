@@ -23,13 +23,23 @@ Motion = Callable[[float], np.ndarray]
 class Phase:
     """A stretch of motion with a constant set of active contacts.
 
-    ``duration`` in s; ``contacts`` are names of the robot's contacts; ``footholds`` optionally gives
-    the world position (3,) in m at which a contact that begins with this phase must land (without
-    it the contact only has to touch the terrain). ``duration_bounds`` (lower, upper) in s makes the
-    duration free; ``duration`` is then its guess. ``impact``: contacts that begin with the phase land
-    by a rigid impact, in which velocities jump, instead of at zero velocity. ``surfaces`` are what active
-    contacts touch instead of the problem's terrain: a wall, a step, a handrail. ``patches`` are bounded
-    faces: a contact that begins with the phase lands anywhere on its patch, and stays there while it holds.
+    Args:
+        name: of the phase.
+        duration: s; with ``duration_bounds`` its guess.
+        contacts: names of the active contacts.
+        footholds: world positions (3,), m, at which contacts that begin with this phase land, by the
+            contact's name. Without one a contact only has to touch the terrain.
+        duration_bounds: (lower, upper) in s, which make the duration free.
+        impact: whether contacts that begin with the phase land by a rigid impact, in which velocities jump,
+            instead of at zero velocity.
+        surfaces: what active contacts touch instead of the terrain, a wall, a step, a handrail, by their
+            names.
+        patches: bounded faces, by the contact's name: a contact that begins with the phase lands anywhere on
+            its patch, and stays there while it holds.
+
+    Raises:
+        InputError: for durations that are not positive, and contacts, footholds, surfaces or patches that do
+            not fit each other.
     """
 
     name: str
@@ -169,6 +179,11 @@ class Schedule:
                 )
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the phases."""
+        return tuple(phase.name for phase in self.phases)
+
+    @property
     def duration(self) -> float:
         """Total nominal duration in s."""
         return sum(phase.duration for phase in self.phases)
@@ -192,10 +207,15 @@ class Schedule:
         terrain: Terrain,
         starts: Mapping[str, np.ndarray] = MappingProxyType({}),
     ) -> Ground:
-        """What an active contact of phase ``index`` touches: what the phase names, or what it landed on.
+        """What an active contact touches: what the phase names, or what it landed on.
 
-        A patch, or the terrain under a foothold, holds as long as the contact does. ``starts`` (3,) m are
-        where contacts stand at the start, by name: ground for those that have neither.
+        A patch, or the terrain under a foothold, holds as long as the contact does.
+
+        Args:
+            index: of the phase.
+            contact: its name.
+            terrain: the ground.
+            starts: where contacts stand at the start (3,), m, by name, for those without any of these.
         """
         own = self.phases[index].own_surface(contact)
         if own is not None:

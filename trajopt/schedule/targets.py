@@ -1,7 +1,7 @@
-"""Targets: what a problem asks of places and postures at moments, told in a solution's meta.
+"""Targets: goals of places and postures at single moments, as recorded in a solution's meta.
 
-Terms say which they hold by `Term.targets`; footholds of the schedule are targets too. `meta["goals"]` is a
-list of {frame, position, rotation, q, phase}, each null where nothing is asked.
+Terms state theirs by `Term.targets`; footholds of the schedule are targets too. ``meta["goals"]`` is a list
+of {frame, position, rotation, q, phase}, each null where there is none.
 """
 
 from __future__ import annotations
@@ -21,11 +21,17 @@ KEYS = ("frame", "position", "rotation", "q", "phase")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Target:
-    """Where a frame or the whole robot has to be at one moment.
+    """A goal for a frame or the whole robot at one moment.
 
-    frame: of the model, with ``position`` (3,) m and ``rotation`` (3, 3) in the world, either or both; or
-    without a frame ``q`` (nq,), a configuration. phase: its name, where it begins; None: the end of the
-    schedule. Raises `InputError` for shapes that are not these.
+    Args:
+        frame: name of a frame, which has a position, a rotation or both; None for a configuration.
+        position: of the frame in the world (3,), m.
+        rotation: of the frame in the world (3, 3).
+        q: configuration (nq,), without a frame.
+        phase: name of the phase at whose beginning the goal holds; None for the end of the schedule.
+
+    Raises:
+        InputError: for other shapes, or nothing stated.
     """
 
     frame: str | None = None

@@ -14,7 +14,7 @@ from trajopt.certify.report import PENETRATION
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.link_capsules import robot_capsules
-from trajopt.robot.collision.near import CollisionScene, Pair, separable_pairs
+from trajopt.robot.collision.near import CollisionScene, ShapePair, separable_pairs
 from trajopt.robot.collision.shapes import LinkCapsule, Obstacle
 from trajopt.schedule.schedule import Schedule
 from trajopt.solution.clearance import refined_configurations
@@ -86,7 +86,7 @@ def _require_clear_start(problem: Problem, scene: CollisionScene, margin: float)
         )
 
 
-def missed_pairs(problem: Problem, solution: Solution) -> dict[str, tuple[Pair, ...]]:
+def missed_pairs(problem: Problem, solution: Solution) -> dict[str, tuple[ShapePair, ...]]:
     """By phase, pairs without a row that come nearer than the margin in a solution, by Coal."""
     missed = {}
     for phase, rows in zip(problem.schedule.phases, solution.phases, strict=True):
@@ -128,7 +128,7 @@ def _least(problem: Problem, solution: Solution) -> float:
     )
 
 
-def _again(problem: Problem, solution: Solution, missed: Mapping[str, tuple[Pair, ...]]) -> Problem:
+def _again(problem: Problem, solution: Solution, missed: Mapping[str, tuple[ShapePair, ...]]) -> Problem:
     """The problem with rows for missed pairs, and with a solution's motion and durations as its guess."""
     terms = tuple(_with_pairs(t, missed) if isinstance(t, Clearance) else t for t in problem.terms)
     phases = tuple(
@@ -140,6 +140,6 @@ def _again(problem: Problem, solution: Solution, missed: Mapping[str, tuple[Pair
     return replace(problem, terms=terms, schedule=Schedule(phases), guess=solution.interpolate)
 
 
-def _with_pairs(term: Clearance, missed: Mapping[str, tuple[Pair, ...]]) -> Clearance:
+def _with_pairs(term: Clearance, missed: Mapping[str, tuple[ShapePair, ...]]) -> Clearance:
     new = [pair for phase, pairs in missed.items() if term.acts_in(phase) for pair in pairs]
     return replace(term, pairs=(*term.pairs, *new))

@@ -162,8 +162,8 @@ def _interval(
     mode = layout.modes.get(layout.schedule.phases[phase].name)
     if mode is not None:
         still = np.zeros_like(full[1])
-        reaction = mode.lifted(full[0], still, still)[3] if layout.order == 1 else mode.lifted(*full)[3]
-        full = list(mode.lifted(*full)[:3])
+        reaction = mode.ground_reaction(*((full[0], still, still) if layout.order == 1 else full))
+        full = mode.lifted(*full)
         names = [contact.name for contact in layout.robot.contacts]
         f[:, names.index(mode.embedded.name), :3] = reaction[1:-1] - f[:, :, :3].sum(axis=1)
     points = [part[1:-1] for part in full]

@@ -119,9 +119,9 @@ def _by_phase(layout: Layout, unknowns: np.ndarray, nodes: list[tuple[int, int]]
     for phase in dict.fromkeys(phase for _, phase in nodes):
         form, own = layout.form_of(phase), [node for node, of in nodes if of == phase]
         states = form.state(np.array([unknowns[layout.node(node)] for node in own]))
-        q, v = form.coordinates.node_to_pinocchio(states)
+        q, _ = form.coordinates.node_to_pinocchio(states)
         mode = layout.modes.get(layout.schedule.phases[phase].name)
-        found.append(q if mode is None else mode.lifted(q, np.zeros_like(v), np.zeros_like(v))[0])
+        found.append(q if mode is None else mode.lifted(q)[0])
     return np.vstack(found)
 
 

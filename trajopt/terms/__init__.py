@@ -4,15 +4,15 @@ Dynamics: `BaseDynamics`, `ContactAcceleration`, `ContactVelocity`, `ImpactDynam
 Limits: `PositionLimits`, `VelocityLimits`, `EffortLimits`, `DriveLimits`.
 Contact forces: `FrictionCone`, `FrictionPyramid`, `NormalForce`, `SoleCone`, `SoleLimits`, `SlidingFriction`.
 Running costs: `AccelerationCost`, `VelocityCost`, `PostureCost`, `TorqueCost`, `MotorTorqueCost`,
-    `WrenchCost`, `PowerCost`, `TrackingCost`, `TimeCost`, `ImpulseCost` at impacts.
+    `WrenchCost`, `PowerCost`, `TrackingCost`, `TimeCost`; `ImpulseCost` at impacts.
 Constraints at nodes: `ContactLanding`; `FramePose`, `FrameHeight`, `FrameVelocity`, `FrameDirection`,
     `FramesAbove`; `TerminalState`, `TerminalRest`, `TerminalVelocity`, `TerminalPosture`.
-Swings: `SwingClearance` over flat or smooth ground, `SwingArc` of gaits, `SwingOver` edges; `swing_arcs` and
-    `swing_clearance` make them for whole schedules.
+Swings: `SwingClearance` within phases and `SwingArc` across phases, over flat or smooth ground; `SwingOver`
+    ground with edges; `swing_arcs` and `swing_clearance` make them for a whole schedule.
 Costs at nodes: `FrameHeightCost`, `DistanceCost`.
 Obstacles: `Clearance`.
 Goals as terms: `goal_terms`, `effort_costs`.
-Interfaces for terms of your own: `Term`, `Cost`, `PointConstraint`, `NodeConstraint`, `NodeCost`, with
+Interfaces for own terms: `Term`, `Cost`, `PointConstraint`, `NodeConstraint`, `NodeCost`, with
     `Context`, `NodePlace` and `Rows`.
 """
 

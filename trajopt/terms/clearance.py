@@ -9,10 +9,11 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.errors import InputError
-from trajopt.robot.collision.distances import Axis, Box, box_distance, segment_distance
-from trajopt.robot.collision.near import CollisionScene, Pair
+from trajopt.robot.collision.distances import Box, SymbolicAxis, box_distance, segment_distance
+from trajopt.robot.collision.near import CollisionScene, ShapePair
 from trajopt.robot.collision.shapes import BoxObstacle, LinkCapsule, Obstacle
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
@@ -24,17 +25,23 @@ SMOOTHING = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Clearance(PointConstraint):
-    """Pairs of a scene keep at least ``margin`` m apart, at every collocation point.
+    """Pairs of a collision scene keep a distance at every collocation point.
 
-    ``scene`` says all that is there (a check of the solution measures all of it); ``pairs`` are those that
-    become rows, one each: the ones that can come near. Distances are smooth and on the safe side, see
-    `distances`: a pair that meets its row is ``margin`` apart, and one that is ``margin`` and 2e-3 of the
-    robot's length apart meets its row. Obstacles and margin are parameters: to move them compiles nothing.
-    Raises InputError.
+    Distances are smooth and on the safe side, see `distances`: a pair that meets its row is ``margin`` apart,
+    and one that is ``margin`` and 2e-3 of the robot's length apart meets its row. Obstacles and margin are
+    parameters: moving them compiles nothing.
+
+    Args:
+        scene: all capsules and obstacles; a check of the solution measures all of it.
+        pairs: the pairs that become rows, one each: those that can come near.
+        margin: least distance, m.
+
+    Raises:
+        InputError: for a negative margin or a pair that the scene does not have.
     """
 
     scene: CollisionScene
-    pairs: tuple[Pair, ...]
+    pairs: tuple[ShapePair, ...]
     margin: float = 0.0
 
     def __post_init__(self) -> None:
@@ -46,6 +53,7 @@ class Clearance(PointConstraint):
         if unknown:
             raise InputError(f"the scene has no pair {unknown[0]}", "allowed: pairs of the scene")
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         if not self.pairs:
             return None
@@ -76,26 +84,27 @@ class _Placed:
             parts = (obstacle.turn, obstacle.position, obstacle.sides / 2)
             self.box = Box(*(context.parameter(part) for part in parts))
         else:
-            self.axis = Axis(*(context.parameter(end) for end in obstacle.axis))
+            self.axis = SymbolicAxis(*(context.parameter(end) for end in obstacle.axis))
             self.radius = context.parameter(obstacle.radius)
 
-    def beyond(self, axis: Axis, reach: ca.SX, smoothing: float) -> ca.SX:
+    def beyond(self, axis: SymbolicAxis, reach: ca.SX, smoothing: float) -> ca.SX:
         """Smooth distance of ``axis`` from the obstacle minus ``reach`` m."""
         if self.box is not None:
             return box_distance(axis, self.box, reach, smoothing)
         return segment_distance(axis, self.axis, self.radius + reach, smoothing)
 
 
-def _axis(context: Context, capsule: LinkCapsule) -> Axis:
+def _axis(context: Context, capsule: LinkCapsule) -> SymbolicAxis:
     frame = context.frame(capsule.frame)
     ends = (frame.position + ca.mtimes(frame.rotation, ca.DM(end)) for end in (capsule.start, capsule.end))
-    return Axis(*ends)
+    return SymbolicAxis(*ends)
 
 
 def collision_scene(terms: Sequence[Term]) -> CollisionScene | None:
-    """What a motion under these terms must stay clear of; None where none of them is a `Clearance`.
+    """Collision scene of the terms, None where none of them is a `Clearance`.
 
-    Raises InputError where there are several scenes.
+    Raises:
+        InputError: where there are several scenes.
     """
     scenes = [term.scene for term in terms if isinstance(term, Clearance)]
     if any(scene is not scenes[0] for scene in scenes):
@@ -104,6 +113,6 @@ def collision_scene(terms: Sequence[Term]) -> CollisionScene | None:
 
 
 def collision_meta(terms: Sequence[Term]) -> dict[str, Any]:
-    """What a solution's meta says of obstacles; nothing where there are none."""
+    """Description of the collision scene for a solution's meta; empty where there is none."""
     scene = collision_scene(terms)
     return {} if scene is None else {"collision": scene.describe()}

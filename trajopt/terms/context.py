@@ -1,8 +1,8 @@
 """What a term sees at one point: symbols of the state, and of the robot's functions of it.
 
-Terms are written in two layers. The robot's functions (generalised forces, contact placements,
-velocities, accelerations) are *symbols* here; their graph is joined, and differentiated, once for
-all terms in ``stage_functions``. So a term stays a small expression.
+Terms are written in two layers. The robot's functions (generalised forces, contact placements, velocities,
+accelerations) are *symbols* here; their graph is joined, and differentiated, once for all terms in
+`trajopt.transcription.stage_functions`. So a term stays a small expression.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from trajopt.errors import InputError
 from trajopt.robot.actuators.on_robot import drive_torque
 from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
-from trajopt.robot.stance.mode import Mode
+from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
 from trajopt.terms.context_symbols import Actuation, FrameSymbols, Place
 from trajopt.terrain.surface import Surface
@@ -27,17 +27,28 @@ from trajopt.terrain.terrain import Ground
 
 
 class Context:
-    """Symbols of one point, node or impact.
+    """Symbols of one collocation point, node or impact.
 
     At a collocation point the inputs ``z`` are (rotations, xi, xi', xi'', wrenches, clock); at a node they
-    are its unknowns; at an impact (rotations, xi, rates before, jump of the rates, impulses, clock). Entries
+    are its variables; at an impact (rotations, xi, rates before, jump of the rates, impulses, clock). Entries
     that a problem does not have (the clock of a fixed duration, xi'' of a velocity source) are left out.
-    ``xi`` (nv) are local coordinates (see ``manifold``), ``dxi``, ``ddxi`` their derivatives in true
-    time, ``q``, ``v``, ``a`` Pinocchio's; wrenches act on the robot, world axes at the contact frame's
-    origin, N and N m (impulses in N s and N m s).
+    ``xi`` (nv) are local coordinates (see `trajopt.dynamics.manifold`), ``dxi``, ``ddxi`` their derivatives
+    in true time; ``q``, ``v``, ``a`` are Pinocchio's. Wrenches act on the robot, in world axes at the contact
+    frame's origin, N and N m (impulses N s and N m s).
 
-    ``clocks`` are the number of clocks in a node and the index of the own one (None in nominal time).
-    ``near`` (n_node,) is a state of the coordinates whose whole turns goals continue; None counts none.
+    Args:
+        robot: in the coordinates of this place.
+        coordinates: of the robot.
+        contacts: active ones with unknown wrenches.
+        node: short for ``place=Place.NODE``.
+        place: what the symbols are of, default a collocation point.
+        clocks: number of clocks in a node, and the index of this phase's (None in nominal time).
+        actuation: the control input.
+        surfaces: what every active contact touches, by its name.
+        mode: minimal coordinates of the phase, None for the whole robot's.
+        kept_rows: rows of each contact's motion that are independent of the others', by its name; default
+            all.
+        near: a node's state (n_node,) whose whole turns goals continue; None counts none.
     """
 
     def __init__(
@@ -51,7 +62,7 @@ class Context:
         clocks: tuple[int, int | None] = (0, None),
         actuation: Actuation = "torque",
         surfaces: Mapping[str, Ground] = MappingProxyType({}),
-        mode: Mode | None = None,
+        mode: StanceMode | None = None,
         kept_rows: Mapping[str, tuple[int, ...]] = MappingProxyType({}),
         near: np.ndarray | None = None,
     ) -> None:
@@ -118,18 +129,18 @@ class Context:
         return self._highest
 
     @property
-    def pressing(self) -> tuple[Contact, ...]:
-        """Active contacts with a wrench: unknown, or the reaction where coordinates embed the contact."""
+    def loaded_contacts(self) -> tuple[Contact, ...]:
+        """Active contacts with a wrench: a variable, or the reaction of an embedded contact."""
         if self._mode is None or self.place is not Place.POINT:
             return self.contacts
         return (*self.contacts, self._mode.embedded)
 
     def contact(self, name: str) -> Contact:
-        """The contact of that name, of this phase's coordinates or embedded in them. Raises InputError."""
-        for contact in self.pressing:
+        """The contact of that name, of this place's coordinates or embedded in them. Raises `InputError`."""
+        for contact in self.loaded_contacts:
             if contact.name == name:
                 return contact
-        return (self._mode.whole if self._mode else self.robot).contact(name)
+        return (self._mode.floating if self._mode else self.robot).contact(name)
 
     def actuated(self, values: np.ndarray) -> np.ndarray:
         """Values of the whole robot's actuated rows (nu,) in the order of this context's torques."""
@@ -143,15 +154,15 @@ class Context:
 
     def posture(self, q: np.ndarray) -> np.ndarray:
         """A configuration of the whole robot in the coordinates of this context (nq,). Raises InputError."""
-        given, whole = np.array(q, dtype=float), self.robot if self._mode is None else self._mode.whole
+        given, whole = np.array(q, dtype=float), self.robot if self._mode is None else self._mode.floating
         if given.shape != (whole.nq,):
             raise InputError(f"a term's posture has shape {given.shape}", f"allowed: ({whole.nq},)")
         require_configuration(whole.model, given, "a term's posture")
-        return given if self._mode is None else self._mode.dropped(given, *np.zeros((2, whole.nv)))[0]
+        return given if self._mode is None else self._mode.dropped(given)[0]
 
     @cached_property
     def wrenches(self) -> dict[str, ca.SX]:
-        """Wrench of every pressing contact: 3 or 6 entries, world axes, N and N m; none at a node."""
+        """Wrench of every loaded contact: 3 or 6 entries, world axes, N and N m; none at a node."""
         if self.place is Place.NODE:
             return {}
         full = {contact.name: self._full_wrench(contact) for contact in self.contacts}
@@ -173,7 +184,7 @@ class Context:
         return full
 
     def held_rows(self, contact: Contact) -> tuple[int, ...]:
-        """Rows of an active contact's motion that no other's rows say already (see ``redundancy``)."""
+        """Rows of an active contact's motion that do not depend on other contacts' (see ``redundancy``)."""
         if self.slides_on(contact) is not None:
             return contact.rows
         return self._kept_rows.get(contact.name, contact.rows)
@@ -214,7 +225,7 @@ class Context:
 
     @property
     def moving(self) -> bool:
-        """Whether the dynamics feel velocities: not in the statics of a velocity source, nor at an impact."""
+        """Whether velocities enter the dynamics: not for a velocity source, nor at an impact."""
         return self.actuation != "velocity" and self.place is not Place.IMPACT
 
     @property
@@ -250,7 +261,7 @@ class Context:
         return self._frames[name]
 
     def parameter(self, value: np.ndarray | float) -> ca.SX:
-        """A symbol whose numeric ``value`` may change without building or compiling anything anew."""
+        """A symbol whose numeric ``value`` may change without anything being compiled again."""
         array = np.atleast_1d(np.asarray(value, dtype=float))
         if not np.all(np.isfinite(array)):
             raise InputError(f"a term's parameter is {array}", "allowed: finite numbers")
@@ -262,21 +273,23 @@ class Context:
         return symbol
 
     def square(self, residual: ca.SX, weight: ca.SX) -> None:
-        """Tell Gauss-Newton of a cost: its curvature is that of sum weight residual^2, weights held fixed.
+        """Record a least-squares part of a cost for Gauss-Newton: its weights are held fixed.
 
-        residual: (n,); weight: one, or (n,), and nowhere negative.
+        Args:
+            residual: (n,).
+            weight: one number or (n,), nowhere negative.
         """
         self._squares.append((residual, weight * ca.SX.ones(residual.numel())))
 
     @property
     def squares(self) -> tuple[ca.SX, ca.SX]:
-        """Residuals (n,) and weights (n,) of all costs here; a point's are of the rate in nominal time."""
+        """Residuals (n,) and weights (n,) of all costs here; at a point, of the rate in nominal time."""
         rate = self.clock if self.place is Place.POINT else ca.SX(1)
         residuals = ca.vertcat(ca.SX(0, 1), *[residual for residual, _ in self._squares])
         return residuals, rate * ca.vertcat(ca.SX(0, 1), *[weight for _, weight in self._squares])
 
     def varying(self, value: Callable[[float], np.ndarray], size: int) -> ca.SX:
-        """A parameter (size,) whose value depends on nominal time, s, from the schedule's start."""
+        """A parameter (size,) whose value is a function of nominal time, s, from the schedule's start."""
         symbol = ca.SX.sym(f"p{len(self._parameters)}", size)
         self._parameters.append(symbol)
         self._values.append(value)
@@ -303,8 +316,8 @@ class Context:
     def contact_acceleration(self, contact: Contact) -> ca.SX:
         """Classical acceleration of an active contact (held rows), in axes that may be turned.
 
-        The axes are the base link's for a free-flyer, the world's otherwise: enough for a row that
-        asks it to vanish, and cheaper, since no orientation enters.
+        The axes are the base link's for a free-flyer, the world's otherwise. That is enough for rows that
+        vanish, and cheaper, since no orientation enters.
         """
         if contact not in self._accelerations:
             self._accelerations[contact] = ca.SX.sym(f"a_{contact.name}", len(self.held_rows(contact)))
@@ -312,17 +325,17 @@ class Context:
 
     @property
     def uses_dynamics(self) -> bool:
-        """Whether a term asked for generalised forces."""
+        """Whether a term has used generalised forces."""
         return self._generalized_forces is not None
 
     @property
     def used_accelerations(self) -> tuple[Contact, ...]:
-        """Contacts whose acceleration a term asked for."""
+        """Contacts whose acceleration a term has used."""
         return tuple(self._accelerations)
 
     @property
     def frames(self) -> Mapping[str, FrameSymbols]:
-        """Frames that terms asked for, in order of first use."""
+        """Frames that terms have used, in order of first use."""
         return self._frames
 
     def wrench_column(self) -> ca.SX:
@@ -330,12 +343,12 @@ class Context:
         return ca.vertcat(*[self.wrenches[contact.name] for contact in self.contacts])
 
     def dynamics_symbols(self) -> ca.SX:
-        """Generalised forces and contact accelerations that terms asked for, in one column."""
+        """Generalised forces and contact accelerations that terms have used, in one column."""
         forces = [self.generalized_forces] if self.uses_dynamics else []
         return ca.vertcat(*forces, *self._accelerations.values())
 
     def frame_symbols(self) -> ca.SX:
-        """Symbols of the frames that terms asked for, in one column."""
+        """Symbols of the frames that terms have used, in one column."""
         return ca.vertcat(*[frame.stacked() for frame in self._frames.values()])
 
     @property

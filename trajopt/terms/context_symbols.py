@@ -1,4 +1,4 @@
-"""Where terms are evaluated, what drives the joints, and the symbols of a frame."""
+"""Where terms are evaluated, the kinds of control input, and the symbols of a frame."""
 
 from __future__ import annotations
 

@@ -1,11 +1,13 @@
-"""Running costs at collocation points."""
+"""Running costs at collocation points, and the cost of impulses at impacts."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
@@ -16,16 +18,23 @@ from trajopt.terms.interfaces import Cost
 class TorqueCost(Cost):
     """Joint torques over weight times length."""
 
+    @override
     def residual(self, context: Context, units: Units) -> ca.SX:
         return context.torque / units.torque
 
 
 @dataclass(frozen=True, kw_only=True)
 class AccelerationCost(Cost):
-    """Second derivatives of the local coordinates over g and g / length; of the actuated ``joints_only``."""
+    """Second derivatives of the local coordinates over g and g / length.
+
+    Args:
+        weight: dimensionless.
+        joints_only: whether the unactuated rows are left out.
+    """
 
     joints_only: bool = False
 
+    @override
     def residual(self, context: Context, units: Units) -> ca.SX:
         first = context.robot.n_unactuated if self.joints_only else 0
         return (context.ddxi / units.acceleration)[first:]
@@ -33,10 +42,16 @@ class AccelerationCost(Cost):
 
 @dataclass(frozen=True, kw_only=True)
 class VelocityCost(Cost):
-    """Rates of the local coordinates over sqrt(g length) and sqrt(g / length); of the ``joints_only``."""
+    """Rates of the local coordinates over sqrt(g length) and sqrt(g / length).
+
+    Args:
+        weight: dimensionless.
+        joints_only: whether the unactuated rows are left out.
+    """
 
     joints_only: bool = False
 
+    @override
     def residual(self, context: Context, units: Units) -> ca.SX:
         first = context.robot.n_unactuated if self.joints_only else 0
         return (context.dxi / units.velocity)[first:]
@@ -44,10 +59,11 @@ class VelocityCost(Cost):
 
 @dataclass(frozen=True, kw_only=True)
 class PostureCost(Cost):
-    """Actuated joints' distance from a posture ``q`` (nq,); default: the robot's reference."""
+    """Distance of the actuated joints from a posture ``q`` (nq,), default the robot's reference."""
 
     q: np.ndarray | None = None
 
+    @override
     def residual(self, context: Context, units: Units) -> ca.SX:
         robot, coordinates = context.robot, context.coordinates
         q = robot.reference if self.q is None else context.posture(self.q)
@@ -64,14 +80,36 @@ class PostureCost(Cost):
 class WrenchCost(Cost):
     """Contact forces over weight, moments over weight times length; zero in flight."""
 
+    @override
     def residual(self, context: Context, units: Units) -> ca.SX:
-        parts = [w / units.wrench[: w.numel()] for w in context.wrenches.values()]
-        return ca.vertcat(*parts) if parts else ca.SX(0, 1)
+        return _scaled_wrenches(context, units)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TimeCost(Cost):
     """Time itself, over sqrt(l / g): with free durations, minimum time."""
 
+    @override
     def residual(self, context: Context, units: Units) -> ca.SX:
         return ca.SX(1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImpulseCost(Cost):
+    """Impulses over weight times sqrt(l / g), once at every impact.
+
+    It makes landings soft, and determines the impulses of redundant contacts.
+    """
+
+    acts_at_points: ClassVar[bool] = False
+    acts_at_impacts: ClassVar[bool] = True
+
+    @override
+    def residual(self, context: Context, units: Units) -> ca.SX:
+        return _scaled_wrenches(context, units)
+
+
+def _scaled_wrenches(context: Context, units: Units) -> ca.SX:
+    """All contact wrenches (or impulses) in one column, over their units."""
+    parts = [w / units.wrench[: w.numel()] for w in context.wrenches.values()]
+    return ca.vertcat(ca.SX(0, 1), *parts)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.errors import InputError
 from trajopt.robot.actuators.drive import Drive
@@ -28,17 +29,18 @@ def _driven_rows(robot: Robot) -> list[tuple[int, Drive]]:
 
 @dataclass(frozen=True, kw_only=True)
 class DriveLimits(PointConstraint):
-    """Voltage and current of every drive within their limits; in the place of `EffortLimits`.
+    """Voltage and current of every drive stay within their limits; replaces `EffortLimits`.
 
     For a joint with a drive, on the motor side and dimensionless,
 
         |tau_m / stall_torque + omega_m / no_load_speed| <= 1        |tau_m / torque_limit| <= 1
 
-    with tau_m the motor torque, of the torque the drive delivers (friction included). For a joint without
-    one, the robot's effort limit. Do not impose `EffortLimits` as well: the same row would come twice.
-    Rows that cannot bind are left out, by the measure of `Units`; ``check`` verifies them.
+    with tau_m the motor torque of what the drive delivers (friction included); for a joint without one, the
+    robot's effort limit. Beside `EffortLimits` the same row would come twice. Rows that cannot bind are left
+    out, by the measure of `Units`; the check verifies them.
     """
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         robot = context.robot
         driven = dict(_driven_rows(robot))
@@ -78,12 +80,13 @@ def _voltage_is_tighter(drive: Drive) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class MotorTorqueCost(Cost):
-    """Motor torques over their limits, or over stall torques without: the share of copper losses.
+    """Motor torques over their limits, or over stall torques without a limit: the share of copper losses.
 
-    The losses of a motor are R (tau_m / k_t)^2, so the mean square is the mean part of the losses at the
-    limit. A motor with neither limit is measured in weight times length over its gear ratio.
+    The losses of a motor are R (tau_m / k_t)^2, so the mean square is the mean fraction of the losses at the
+    limit. The torque of a motor with neither limit is measured in weight times length over its gear ratio.
     """
 
+    @override
     def residual(self, context: Context, units: Units) -> ca.SX:
         driven = _driven_rows(context.robot)
         torque = ca.vertcat(*[context.torque[row] for row, _ in driven])

@@ -1,22 +1,56 @@
-"""Rows of the motion itself: contacts that must not slide, and what an impact does to velocities."""
+"""The dynamics as constraints: balance of the base, contacts that stay in place, and impacts."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import Cost, PointConstraint, Rows
+from trajopt.terms.interfaces import PointConstraint, Rows
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseDynamics(PointConstraint):
+    """The unactuated rows of the dynamics vanish: the Newton-Euler equations of the whole body."""
+
+    @override
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        n = context.robot.n_unactuated
+        if n == 0:
+            return None
+        return Rows.create(context.base_rows, 0, 0, units.generalized_force[:n])
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactAcceleration(PointConstraint):
+    """Active contacts do not accelerate: J a + J' v = 0, linear and for a sole angular, world axes.
+
+    A sliding contact does not accelerate along the normal of its surface.
+    """
+
+    @override
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        parts, scales = [], []
+        for contact in context.contacts:
+            acceleration, surface = context.contact_acceleration(contact), context.slides_on(contact)
+            if surface is not None:
+                parts.append(ca.mtimes(context.parameter(surface.normal).T, acceleration))
+                scales.append(units.contact_acceleration[0])
+                continue
+            parts.append(acceleration)
+            scales += units.contact_acceleration[list(context.held_rows(contact))].tolist()
+        return Rows.create(ca.vertcat(*parts), 0, 0, np.array(scales)) if parts else None
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactVelocity(PointConstraint):
-    """Active contacts do not move, J v = 0: what a velocity source needs in place of accelerations."""
+    """Active contacts do not move, J v = 0: for velocity sources, in place of `ContactAcceleration`."""
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         parts, scales = [], []
         for contact in context.contacts:
@@ -27,23 +61,13 @@ class ContactVelocity(PointConstraint):
 
 @dataclass(frozen=True, kw_only=True)
 class ImpactDynamics(PointConstraint):
-    """M (v+ - v-) = J^T Lambda: contacts alone change velocities, joint torques stay finite.
+    """A rigid impact, M (v+ - v-) = J^T Lambda: only contact impulses change velocities.
 
-    All rows, base and joints; with J v+ = 0, which the landing asks for at the node after the impact, it is
-    the rigid inelastic impact (Featherstone, "Rigid Body Dynamics Algorithms", 2008, sec. 11.7).
+    All rows, base and joints: joint torques stay finite and have no impulse. Together with J v+ = 0, which
+    `ContactLanding` imposes at the node after the impact, the impact is inelastic (Featherstone, "Rigid Body
+    Dynamics Algorithms", 2008, sec. 11.7).
     """
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows:
         return Rows.create(context.generalized_forces, 0, 0, units.generalized_force)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImpulseCost(Cost):
-    """Impulses over weight times sqrt(l / g), once at every impact: soft landings, and none undetermined."""
-
-    acts_at_points: ClassVar[bool] = False
-    acts_at_impacts: ClassVar[bool] = True
-
-    def residual(self, context: Context, units: Units) -> ca.SX:
-        parts = [w / units.wrench[: w.numel()] for w in context.wrenches.values()]
-        return ca.vertcat(*parts) if parts else ca.SX(0, 1)

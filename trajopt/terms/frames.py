@@ -1,58 +1,146 @@
-"""Constraints of frames at nodes: links that stay above a height, and where an axis points at a moment."""
+"""Constraints on frames at nodes: pose, velocity, height, and the direction of an axis."""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import pinocchio as pin
+from typing_extensions import override
 
+from trajopt.dynamics.rotations import rotation_error
 from trajopt.errors import InputError
-from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
+from trajopt.robot.validation import UNIT_SLACK
+from trajopt.schedule.targets import Target
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Rows
 from trajopt.terms.node_interfaces import NodeConstraint, NodePlace, nearest_node
 
-# A joint nearer to the one before it than this part of the robot's length is at the same place.
-SAME_JOINT = 0.25
-# A frame is at a joint if it is this near to it, m.
-SAME_PLACE = 1e-9
 
+@dataclass(frozen=True, kw_only=True)
+class FrameHeight(NodeConstraint):
+    """A frame is at least ``height`` high at one moment of a phase.
 
-def leg_joints(robot: Robot) -> tuple[str, ...]:
-    """Frames at the joints that bound the trunk and the legs: the root of each limb, and every one a link on.
-
-    Of a quadruped the hips (of two that are close to each other the inner one) and the knees. The first frame
-    at the joint's place whose name no other frame has; a joint without any is left out.
+    Args:
+        frame: name of the frame.
+        height: height of its origin in the world, m.
+        phase: name of the phase.
+        fraction: of the phase's duration; the row is at the nearest of the phase's own nodes. The last node
+            of a phase belongs to the next one, except at the end of the schedule.
+        below: whether the frame is at most that high instead.
     """
-    model, data = robot.model, robot.model.createData()
-    pin.forwardKinematics(model, data, robot.reference)
-    named = Counter(frame.name for frame in model.frames)
-    found = []
-    for joint in range(2, model.njoints):
-        parent = model.parents[joint]
-        apart = np.linalg.norm(data.oMi[joint].translation - data.oMi[parent].translation)
-        if parent != 1 and apart <= SAME_JOINT * robot.length:
-            continue
-        found += [
-            frame.name
-            for frame in model.frames
-            if frame.parentJoint == joint
-            and named[frame.name] == 1
-            and np.abs(frame.placement.translation).max() < SAME_PLACE
-        ][:1]
-    return tuple(found)
+
+    frame: str
+    height: float
+    phase: str
+    fraction: float = 0.5
+    below: bool = False
+
+    @override
+    def acts_at(self, place: NodePlace) -> bool:
+        return place.phase.name == self.phase and place.index == nearest_node(place, self.fraction)
+
+    @override
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        bounds = (-np.inf, self.height) if self.below else (self.height, np.inf)
+        return Rows.create(context.frame(self.frame).position[2], *bounds, units.length)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FramePose(NodeConstraint):
+    """A frame has a given position, orientation or both at one moment.
+
+    Args:
+        frame: name of the frame.
+        position: of its origin in the world (3,), m; None leaves it free.
+        rotation: its axes in the world (3, 3); None leaves it free.
+        phase: the phase at whose beginning the pose is reached, a waypoint; default: the schedule's end.
+
+    Raises:
+        InputError: for a position or rotation of another shape, or that is none.
+    """
+
+    frame: str
+    position: np.ndarray | None = None
+    rotation: np.ndarray | None = None
+    phase: str | None = None
+
+    def __post_init__(self) -> None:
+        position = np.zeros(3) if self.position is None else np.asarray(self.position, dtype=float)
+        if position.shape != (3,) or not np.all(np.isfinite(position)):
+            raise InputError(f"position of {self.name} is {position}", "allowed: 3 finite numbers, m, world")
+        turn = np.eye(3) if self.rotation is None else np.asarray(self.rotation, dtype=float)
+        known = turn.shape == (3, 3) and bool(np.all(np.isfinite(turn)))
+        if not known or not np.allclose(turn.T @ turn, np.eye(3), rtol=0, atol=UNIT_SLACK):
+            raise InputError(f"rotation of {self.name} is {turn.tolist()}", "allowed: (3, 3), orthonormal")
+        if np.linalg.det(turn) < 0:
+            raise InputError(f"rotation of {self.name} is a reflection", "allowed: determinant 1")
+
+    @override
+    def acts_at(self, place: NodePlace) -> bool:
+        return _is_waypoint(place, self.phase)
+
+    @override
+    def targets(self) -> tuple[Target, ...]:
+        if self.position is None and self.rotation is None:
+            return ()
+        target = Target(frame=self.frame, position=self.position, rotation=self.rotation, phase=self.phase)
+        return (target,)
+
+    @override
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        frame = context.frame(self.frame)
+        expressions, targets, scales = [], [], []
+        if self.position is not None:
+            expressions.append(frame.position)
+            targets.append(np.asarray(self.position, dtype=float))
+            scales.append(np.full(3, units.length))
+        if self.rotation is not None:
+            expressions.append(rotation_error(context.parameter(self.rotation), frame.rotation))
+            targets.append(np.zeros(3))
+            scales.append(np.ones(3))
+        bound = np.concatenate(targets)
+        return Rows.create(ca.vertcat(*expressions), bound, bound, np.concatenate(scales))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameVelocity(NodeConstraint):
+    """A frame has a given velocity at one moment.
+
+    Args:
+        frame: name of the frame.
+        velocity: linear (m/s) and angular (rad/s) in world axes (6,).
+        phase: the phase at whose beginning the frame moves like this; default: the schedule's end.
+    """
+
+    frame: str
+    velocity: np.ndarray
+    phase: str | None = None
+
+    @override
+    def acts_at(self, place: NodePlace) -> bool:
+        return _is_waypoint(place, self.phase)
+
+    @override
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        return Rows.create(context.frame(self.frame).velocity, self.velocity, self.velocity, units.twist)
+
+
+def _is_waypoint(place: NodePlace, phase: str | None) -> bool:
+    """Whether a node is the first of the phase, or without a phase the last of the schedule."""
+    return place.last if phase is None else place.phase.name == phase and place.index == 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class FramesAbove(NodeConstraint):
-    """Origins of ``frames`` at least ``height`` m high in the world at all nodes of ``phases`` but the start.
+    """Frames stay above a height at all nodes of ``phases`` except the start of a phase.
 
-    A node between two phases belongs to the later one.
+    Args:
+        frames: names of the frames.
+        height: least height of their origins in the world, m.
+        phases: names of the phases, default all; a node between two phases belongs to the later one.
     """
 
     frames: tuple[str, ...]
@@ -65,10 +153,12 @@ class FramesAbove(NodeConstraint):
                 "allowed: frames, and a finite height",
             )
 
+    @override
     def acts_at(self, place: NodePlace) -> bool:
         own = place.index < place.count or place.last
         return own and place.index > 0 and self.acts_in(place.phase.name)
 
+    @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         heights = [context.frame(frame).position[2] for frame in self.frames]
         return Rows.create(ca.vertcat(*heights), self.height, np.inf, units.length)
@@ -76,11 +166,20 @@ class FramesAbove(NodeConstraint):
 
 @dataclass(frozen=True, kw_only=True)
 class FrameDirection(NodeConstraint):
-    """An axis of a frame points within ``angle`` rad of a ``direction`` at the node nearest to ``fraction``.
+    """An axis of a frame points near a direction at one moment; the row is the cosine of the angle.
 
-    ``axis`` (3,) in the frame and ``direction`` (3,) in the world, made unit vectors; of the phase ``phase``
-    (of its own nodes: the last one of all but the last phase belongs to the next). The row is their cosine.
-    Halfway through a somersault the base's z axis points down. Raises `InputError`.
+    For example, halfway through a somersault the base's z axis points down.
+
+    Args:
+        frame: name of the frame.
+        axis: axis in the frame (3,), normalised.
+        direction: direction in the world (3,), normalised.
+        angle: largest angle between them, rad, between 0 and pi.
+        phase: name of the phase.
+        fraction: of the phase's duration, as of `FrameHeight`.
+
+    Raises:
+        InputError: for vectors without direction, and numbers out of range.
     """
 
     frame: str
@@ -102,9 +201,11 @@ class FrameDirection(NodeConstraint):
             raise InputError(f"fraction of {self.name} is {self.fraction:g}", "allowed: 0 to 1")
         object.__setattr__(self, "phases", (self.phase,))
 
+    @override
     def acts_at(self, place: NodePlace) -> bool:
         return place.phase.name == self.phase and place.index == nearest_node(place, self.fraction)
 
+    @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         axis, direction = (context.parameter(np.array(v)) for v in (self.axis, self.direction))
         cosine = ca.dot(direction, ca.mtimes(context.frame(self.frame).rotation, axis))

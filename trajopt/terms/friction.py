@@ -1,4 +1,4 @@
-"""Constraints on contact wrenches: friction, pressure and the cones of soles, each on its own surface."""
+"""Constraints on contact wrenches: friction, normal force and the cones of soles, each on its own surface."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.errors import InputError
 from trajopt.robot.contact import Contact
@@ -26,12 +27,17 @@ APEX = 1e-2
 
 @dataclass(frozen=True, kw_only=True)
 class ContactConstraint(PointConstraint):
-    """A constraint on the wrenches of unilateral contacts.
+    """A constraint on the wrenches of unilateral contacts, and at an impact on their impulses.
 
-    ``friction`` overrides the coefficient of the surfaces that the contacts touch; ``contacts`` restricts
-    the term to these names (default: all). Contacts on bilateral surfaces have no rows: a grasp holds; nor
-    have those that slide, whose force follows a law (`trajopt.terms.sliding`).
-    At an impact it holds for the impulses. Raises InputError.
+    Contacts on bilateral surfaces have no rows (a grasp holds), nor have sliding ones, whose force follows a
+    law (`trajopt.terms.sliding`).
+
+    Args:
+        friction: coefficient in place of that of the surfaces.
+        contacts: names of the contacts, default all.
+
+    Raises:
+        InputError: for a coefficient that is negative or not finite.
     """
 
     acts_at_impacts: ClassVar[bool] = True
@@ -43,10 +49,10 @@ class ContactConstraint(PointConstraint):
         if self.friction is not None and not (math.isfinite(self.friction) and self.friction >= 0):
             raise InputError(f"friction of {self.name} is {self.friction:g}", "allowed: finite and >= 0")
 
-    def _pressed(self, context: Context) -> Iterator[Contact]:
+    def _unilateral_contacts(self, context: Context) -> Iterator[Contact]:
         """Active contacts that the term is about."""
         chosen = None if self.contacts is None else [context.contact(name) for name in self.contacts]
-        for contact in context.pressing:
+        for contact in context.loaded_contacts:
             if context.slides_on(contact) is not None or context.surface(contact).bilateral:
                 continue
             if chosen is None or contact in chosen:
@@ -115,13 +121,14 @@ class _ConeRows:
 class FrictionPyramid(ContactConstraint):
     """Unilateral force inside a pyramid inscribed in the Coulomb cone: |f_1|, |f_2| <= mu f_n / sqrt 2.
 
-    Its sides stand along the surface's tangents 1 and 2, the world's x and y on level ground. Without
-    friction f_1 = f_2 = 0.
+    Its sides lie along the surface's tangents 1 and 2, the world's x and y on level ground. Without friction
+    f_1 = f_2 = 0.
     """
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         found = _ConeRows()
-        for contact in self._pressed(context):
+        for contact in self._unilateral_contacts(context):
             friction, f = self._friction(context, contact), ca.vertsplit(surface_force(context, contact))
             found.at_least_zero([f[2]], units.force)
             if friction == 0.0:
@@ -135,17 +142,18 @@ class FrictionPyramid(ContactConstraint):
 
 @dataclass(frozen=True, kw_only=True)
 class FrictionCone(ContactConstraint):
-    """Unilateral force inside the smooth exact Coulomb cone: f_1^2 + f_2^2 <= (mu f_n)^2, f_n >= 0.
+    """Unilateral force inside the exact Coulomb cone: f_1^2 + f_2^2 <= (mu f_n)^2, f_n >= 0.
 
-    The squared form has no kink at the apex, but a solver's tolerance on it is the square of a force: it
-    lets small forces slip. The row is (N^2 - f_1^2 - f_2^2) / sqrt(N^2 + d^2) with N = mu f_n, forces over
-    the weight and d = `APEX`: the same set, and away from the apex about twice the distance from the cone's
-    side. Without friction f_1 = f_2 = 0.
+    The squared form is smooth at the apex, but a solver's tolerance on it is the square of a force, which
+    lets small forces slip. The row is therefore (N^2 - f_1^2 - f_2^2) / sqrt(N^2 + d^2) with N = mu f_n,
+    forces over the weight and d = `APEX`: the same set, and away from the apex about twice the distance from
+    the cone's side. Without friction f_1 = f_2 = 0.
     """
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         found = _ConeRows()
-        for contact in self._pressed(context):
+        for contact in self._unilateral_contacts(context):
             friction = self._friction(context, contact)
             f = ca.vertsplit(surface_force(context, contact) / units.force)
             found.at_least_zero([f[2]], 1.0)
@@ -162,13 +170,14 @@ class FrictionCone(ContactConstraint):
 class SoleLimits(ContactConstraint):
     """Centre of pressure of surface contacts inside the sole, and yaw moment within a box.
 
-    |m_x| <= half_width f_n, |m_y| <= half_length f_n in the sole's axes, and the yaw moment within
-    mu f_n times the mean half size, whatever the other components are: `SoleCone` is exact.
+    |m_x| <= half_width f_n and |m_y| <= half_length f_n in the sole's axes, and the yaw moment within mu f_n
+    times the mean half size, whatever the other components are: `SoleCone` is exact.
     """
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         found = _ConeRows()
-        for contact in self._pressed(context):
+        for contact in self._unilateral_contacts(context):
             if contact.kind == "surface":
                 friction = self._friction(context, contact)
                 rotation = context.frame(contact.frame).rotation
@@ -187,16 +196,17 @@ class SoleLimits(ContactConstraint):
 
 @dataclass(frozen=True, kw_only=True)
 class SoleCone(ContactConstraint):
-    """Wrench of each sole inside the cone of all that its surface can transmit, 16 rows.
+    """Wrench of each sole inside the exact contact wrench cone, 16 rows.
 
     Friction, centre of pressure and yaw moment together, see `sole.yaw_rows` (Caron, Pham, Nakamura, ICRA
     2015), for a pyramid along the sole's axes that is inscribed in the Coulomb cone, coefficient mu / sqrt 2.
-    Complete for soles: no other friction term is needed for them. Point contacts have no rows.
+    Soles need no other friction term; point contacts have no rows.
     """
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         found = _ConeRows()
-        for contact in self._pressed(context):
+        for contact in self._unilateral_contacts(context):
             if contact.kind == "surface":
                 friction = self._friction(context, contact)
                 to_sole, wrench = context.frame(contact.frame).rotation.T, context.wrenches[contact.name]
@@ -216,10 +226,16 @@ class SoleCone(ContactConstraint):
 
 @dataclass(frozen=True, kw_only=True)
 class NormalForce(PointConstraint):
-    """Force of one contact along its surface's normal between ``lower`` and ``upper``, N (None: free).
+    """Normal force of one contact within bounds, where the contact is active.
 
-    Positive is the surface pushing the robot away; negative, on bilateral surfaces, is holding it. Acts
-    where the contact is active. Raises InputError.
+    Args:
+        contact: its name.
+        lower: N, None for no bound. Positive is the surface pushing the robot away; negative, on bilateral
+            surfaces, is holding it.
+        upper: N, None for no bound.
+
+    Raises:
+        InputError: without a bound, or for lower > upper.
     """
 
     contact: str
@@ -240,8 +256,9 @@ class NormalForce(PointConstraint):
             math.inf if self.upper is None else self.upper,
         )
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         contact = context.contact(self.contact)
-        if contact not in context.pressing:
+        if contact not in context.loaded_contacts:
             return None
         return Rows.create(surface_force(context, contact)[2], *self._bounds(), units.force)

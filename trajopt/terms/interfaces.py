@@ -1,11 +1,11 @@
 """Costs and constraints: a name, a small function, bounds, a scale, and where it acts.
 
-Costs are dimensionless: each is the mean square of a quantity over its natural unit (weight m g,
-length l of the robot, and what follows from them), so that a weight means the same on any robot;
-the running cost is their integral over time in units of sqrt(l/g).
+Costs are dimensionless: each is the mean square of a quantity over its natural unit (weight m g, length l of
+the robot, and what follows from them), so that a weight means the same on any robot; the running cost is
+their integral over time in units of sqrt(l/g).
 
-A term acts in the phases it names (``phases=None``: in all). Constraint rows are divided by their
-natural unit before the solver sees them.
+A term acts in the phases it names (``phases=None``: in all). Constraint rows are divided by their natural
+unit before the solver sees them.
 """
 
 from __future__ import annotations
@@ -27,9 +27,12 @@ from trajopt.terms.context import Context
 
 @dataclass(frozen=True, kw_only=True)
 class Term:
-    """What costs and constraints share: the phases in which they act, and where.
+    """What costs and constraints share.
 
-    A term about contact forces may act on the impulses of an impact that begins one of its phases too.
+    A term about contact forces may also act on the impulses of an impact with which one of its phases begins.
+
+    Args:
+        phases: names of the phases in which it acts, default all.
     """
 
     acts_at_points: ClassVar[bool] = True
@@ -48,13 +51,20 @@ class Term:
         return self.phases is None or phase in self.phases
 
     def targets(self) -> tuple[Target, ...]:
-        """Places and postures that the term asks for at a moment, for pictures; default: none."""
+        """Goals of the term at single moments, to be drawn; default: none."""
         return ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cost(Term, ABC):
-    """A running cost at collocation points; ``weight`` is dimensionless, finite and >= 0."""
+    """A running cost at collocation points.
+
+    Args:
+        weight: dimensionless, finite and >= 0.
+
+    Raises:
+        InputError: for another weight.
+    """
 
     weight: float
 
@@ -87,9 +97,16 @@ class Rows:
 
     @classmethod
     def create(cls, expression: ca.SX, lower: object, upper: object, unit: object) -> Rows:
-        """Rows with scalars broadcast to the expression's length. Raises InputError for what bounds nothing.
+        """Rows with scalars broadcast to the expression's length.
 
-        Bounds are numbers, or infinite on the side that is free; the lower ones are not above the upper ones.
+        Args:
+            expression: the rows (n,).
+            lower: bounds, -inf where there is none, not above ``upper``.
+            upper: bounds, inf where there is none.
+            unit: natural unit of each row.
+
+        Raises:
+            InputError: for bounds that are NaN, or above each other.
         """
         n = expression.numel()
         low, high, size = (

@@ -1,4 +1,4 @@
-"""Constraints of feet and ground at nodes: where a contact lands, how high a foot swings."""
+"""Constraints at touchdown: where a contact lands, and that it does not move."""
 
 from __future__ import annotations
 
@@ -6,18 +6,16 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
-from trajopt.errors import InputError
 from trajopt.robot.contact import Contact
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Rows
 from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
-from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.patch import Patch
-from trajopt.terrain.smooth import CurvedSurface, SmoothTerrain
+from trajopt.terrain.smooth import CurvedSurface
 from trajopt.terrain.surface import Surface
-from trajopt.terrain.swing_profile import swing_profile
 from trajopt.terrain.terrain import Ground, Terrain
 
 # An edge asks nothing of a robot in a plane when its normal's part in that plane is below this.
@@ -36,9 +34,14 @@ def along_normal(context: Context, surface: Surface, columns: ca.SX) -> ca.SX:
 class ContactLanding(NodeConstraint):
     """New contacts of a phase lie on their surface, patch or foothold and do not move.
 
-    The surface is the phase's for that contact, else the terrain; a sole lies flat on it. On a patch a point
-    keeps the margin from every edge, and so do the four corners of a sole. Contacts that are ``held`` through
-    an impact do not move after it either.
+    The surface is what the phase names for the contact, else the terrain; a sole lies flat on it. On a patch
+    a point keeps the margin from every edge, and so do the four corners of a sole.
+
+    Args:
+        phase: name of the phase, at whose first node the rows are.
+        contacts: names of the new contacts.
+        terrain: the ground.
+        held: names of contacts that hold through an impact and do not move after it either.
     """
 
     phase: str
@@ -46,9 +49,11 @@ class ContactLanding(NodeConstraint):
     terrain: Terrain
     held: tuple[str, ...] = ()
 
+    @override
     def acts_at(self, place: NodePlace) -> bool:
         return place.phase.name == self.phase and place.index == 0
 
+    @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         parts: list[Rows] = []
         for name in self.contacts:
@@ -117,14 +122,7 @@ def contact_points(context: Context, contact: Contact) -> list[ca.SX]:
     frame = context.frame(contact.frame)
     if contact.kind == "point":
         return [frame.position]
-    return [frame.position + ca.mtimes(frame.rotation[:, :2], corner) for corner in corners(contact)]
-
-
-def corners(contact: Contact) -> np.ndarray:
-    """Where a contact touches, (n, 2) along its frame's x and y, m: its point, or its sole's four corners."""
-    if contact.kind == "point":
-        return np.zeros((1, 2))
-    return np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [contact.half_length, contact.half_width]
+    return [frame.position + ca.mtimes(frame.rotation[:, :2], corner) for corner in contact.corners]
 
 
 def _tilting_axes(contact: Contact, held: tuple[int, ...]) -> list[int]:
@@ -132,40 +130,3 @@ def _tilting_axes(contact: Contact, held: tuple[int, ...]) -> list[int]:
     if contact.dimension == 6:
         return [0, 1][: sum(row > 2 for row in held)]
     return [0 if row == 4 else 1 for row in held if row in (3, 4)]
-
-
-@dataclass(frozen=True, kw_only=True)
-class SwingClearance(NodeConstraint):
-    """Contacts that do not touch, of soles all four corners, stay above the terrain at nodes inside a phase.
-
-    The least distance from flat ground, or height over smooth ground, is ``height`` times `swing_profile`
-    of the fraction of the phase, m. Piecewise ground has edges: see `trajopt.terms.swing_over`.
-    """
-
-    height: float
-    terrain: FlatGround | SmoothTerrain
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.height) and self.height >= 0):
-            raise InputError(f"swing clearance is {self.height:g} m", "allowed: finite and >= 0")
-        if not isinstance(self.terrain, FlatGround | SmoothTerrain):
-            raise InputError(
-                "SwingClearance over piecewise ground, where feet would cut edges between nodes",
-                "allowed: flat or smooth ground; swing_clearance() of trajopt.terms.swing_over for both",
-            )
-
-    def acts_at(self, place: NodePlace) -> bool:
-        return 0 < place.index < place.count and self.acts_in(place.phase.name)
-
-    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
-        swing = [c for c in context.robot.contacts if c.name not in place.phase.contacts]
-        least = self.height * swing_profile(place.fraction)
-        ground = self.terrain.surface
-        positions = [point for contact in swing for point in contact_points(context, contact)]
-        if isinstance(ground, CurvedSurface):
-            heights = [ground.symbolic_gap(position, context.parameter) for position in positions]
-        else:
-            # Over the ground, not the origin: solvers relax a bound in proportion to its size.
-            level = context.parameter(ground.height) if ground.height else ca.SX(0)
-            heights = [along_normal(context, ground, p) - level for p in positions]
-        return Rows.create(ca.vertcat(*heights), least, np.inf, units.length)

@@ -1,4 +1,4 @@
-"""Constraints at collocation points: limits and the dynamics themselves."""
+"""Limits of joint torques, rates and positions at collocation points (and nodes)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
@@ -18,7 +19,14 @@ from trajopt.terms.interfaces import PointConstraint, Rows
 
 @dataclass(frozen=True, kw_only=True)
 class EffortLimits(PointConstraint):
-    """Joint torques within ``limit`` (nu,) N m, joint side; default: the robot's limits."""
+    """Joint torques within limits.
+
+    Args:
+        limit: (nu,) on the joint side, N m or N; default the robot's limits.
+
+    Raises:
+        InputError: for limits that are negative or NaN.
+    """
 
     limit: np.ndarray | None = None
 
@@ -28,6 +36,7 @@ class EffortLimits(PointConstraint):
             wrong = given[~(given >= 0)][0]
             raise InputError(f"limit of {self.name} holds {wrong:g}", "allowed: numbers >= 0, or inf, N m")
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         limit = context.robot.effort_limit if self.limit is None else context.actuated(self.limit)
         if limit is None:
@@ -38,6 +47,7 @@ class EffortLimits(PointConstraint):
         torque = ca.vertcat(*[context.torque[int(i)] for i in bound])
         return Rows.create(torque, -limit[bound], limit[bound], units.torque)
 
+    @override
     def limits(self, robot: Robot) -> dict[str, np.ndarray]:
         return {} if self.limit is None else {"effort_limit": np.asarray(self.limit, dtype=float)}
 
@@ -53,6 +63,7 @@ class VelocityLimits(PointConstraint):
         limit[: robot.n_unactuated] = np.inf
         return limit
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         limit = self._limits(context.robot)
         bound = np.flatnonzero(np.isfinite(limit))
@@ -61,6 +72,7 @@ class VelocityLimits(PointConstraint):
         rates = ca.vertcat(*[context.dxi[int(i)] for i in bound])
         return Rows.create(rates, -limit[bound], limit[bound], units.velocity[bound])
 
+    @override
     def node_bounds(self, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         limit, free = self._limits(robot), np.full(robot.nv, np.inf)
         return -free, free, -limit, limit
@@ -70,8 +82,8 @@ class VelocityLimits(PointConstraint):
 class PositionLimits(PointConstraint):
     """Joint positions within the robot's limits, at points and nodes.
 
-    A limit more than a full turn (2 pi) away from the reference posture is not imposed: no useful
-    motion winds a joint that far, and ``check`` still verifies it.
+    A limit more than a full turn (2 pi) away from the reference posture is not imposed: no useful motion
+    winds a joint that far. The check verifies it all the same.
     """
 
     def _limits(self, robot: Robot, context: Context) -> tuple[np.ndarray, np.ndarray]:
@@ -85,6 +97,7 @@ class PositionLimits(PointConstraint):
             upper[joint.v] = np.where(near_upper, robot.position_upper[joint.q], np.inf)
         return lower, upper
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         lower, upper = self._limits(context.robot, context)
         bound = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
@@ -93,38 +106,8 @@ class PositionLimits(PointConstraint):
         positions = ca.vertcat(*[context.xi[int(i)] for i in bound])
         return Rows.create(positions, lower[bound], upper[bound], units.position[bound])
 
+    @override
     def node_bounds(self, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         lower, upper = self._limits(robot, Context(robot, Coordinates(robot.model), (), node=True))
         free = np.full(robot.nv, np.inf)
         return lower, upper, -free, free
-
-
-@dataclass(frozen=True, kw_only=True)
-class BaseDynamics(PointConstraint):
-    """Unactuated rows of the dynamics vanish: nobody pushes the base (Newton-Euler of the whole body)."""
-
-    def rows(self, context: Context, units: Units) -> Rows | None:
-        n = context.robot.n_unactuated
-        if n == 0:
-            return None
-        return Rows.create(context.base_rows, 0, 0, units.generalized_force[:n])
-
-
-@dataclass(frozen=True, kw_only=True)
-class ContactAcceleration(PointConstraint):
-    """Active contacts do not accelerate: J a + Jdot v = 0, linear (and for a sole angular), world axes.
-
-    One that slides does not along the normal of its surface.
-    """
-
-    def rows(self, context: Context, units: Units) -> Rows | None:
-        parts, scales = [], []
-        for contact in context.contacts:
-            acceleration, surface = context.contact_acceleration(contact), context.slides_on(contact)
-            if surface is not None:
-                parts.append(ca.mtimes(context.parameter(surface.normal).T, acceleration))
-                scales.append(units.contact_acceleration[0])
-                continue
-            parts.append(acceleration)
-            scales += units.contact_acceleration[list(context.held_rows(contact))].tolist()
-        return Rows.create(ca.vertcat(*parts), 0, 0, np.array(scales)) if parts else None

@@ -1,7 +1,7 @@
-"""Costs at single nodes: how high a frame is at some moment, how far it has come at the end.
+"""Costs at single nodes: how high a frame is at one moment, how far it is at the end.
 
-They are linear in the quantity, over its natural unit, and what is to be large has a minus sign: with a
-weight of one a rise by the robot's length is worth as much as torques of weight times length for sqrt(l/g).
+They are linear in a quantity over its natural unit, with a minus sign for what is to be large: with a weight
+of one, a rise by the robot's length is worth as much as torques of weight times length for sqrt(l/g).
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import ClassVar
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.errors import InputError
 from trajopt.robot.units import Units
@@ -39,7 +40,7 @@ class NodeCost(Term, ABC):
 
     @abstractmethod
     def quantity(self, context: Context, units: Units, place: NodePlace) -> ca.SX:
-        """What the weight multiplies, a number over its unit; only parameters may depend on ``place``."""
+        """Quantity over its unit, to be weighted; only parameter values may depend on ``place``."""
 
     def value(self, context: Context, units: Units, place: NodePlace) -> ca.SX:
         """Cost at one node."""
@@ -48,9 +49,16 @@ class NodeCost(Term, ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class FrameHeightCost(NodeCost):
-    """Minus the height of a frame over the robot's length, at the node nearest to ``fraction`` of a phase.
+    """Minus the height of a frame over the robot's length at one moment: as high as possible.
 
-    As high as possible: of a ballistic flight the middle. Of the phase's own nodes, as `FrameHeight`.
+    Args:
+        weight: dimensionless.
+        frame: name of the frame.
+        phase: name of the phase.
+        fraction: of the phase's duration, as of `FrameHeight`; the middle is the apex of a ballistic flight.
+
+    Raises:
+        InputError: for a fraction outside 0 to 1.
     """
 
     frame: str
@@ -63,18 +71,26 @@ class FrameHeightCost(NodeCost):
             raise InputError(f"fraction of {self.name} is {self.fraction:g}", "allowed: 0 to 1")
         object.__setattr__(self, "phases", (self.phase,))
 
+    @override
     def acts_at(self, place: NodePlace) -> bool:
         return place.phase.name == self.phase and place.index == nearest_node(place, self.fraction)
 
+    @override
     def quantity(self, context: Context, units: Units, place: NodePlace) -> ca.SX:
         return -context.frame(self.frame).position[2] / units.length
 
 
 @dataclass(frozen=True, kw_only=True)
 class DistanceCost(NodeCost):
-    """Minus a frame's way along ``direction`` (3,), world, over the robot's length, at the schedule's end.
+    """Minus a frame's coordinate along a direction over the robot's length at the end: as far as possible.
 
-    As far as possible. The direction is made a unit vector. Raises InputError if it has none.
+    Args:
+        weight: dimensionless.
+        frame: name of the frame.
+        direction: in the world (3,), normalised.
+
+    Raises:
+        InputError: for a vector without direction.
     """
 
     frame: str
@@ -90,6 +106,7 @@ class DistanceCost(NodeCost):
             )
         object.__setattr__(self, "direction", tuple((direction / size).tolist()))
 
+    @override
     def quantity(self, context: Context, units: Units, place: NodePlace) -> ca.SX:
         direction = context.parameter(np.array(self.direction))
         return -ca.dot(direction, context.frame(self.frame).position) / units.length

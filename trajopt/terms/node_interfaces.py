@@ -1,4 +1,4 @@
-"""What terms at nodes share: the place of a node within its phase, and the constraint's interface."""
+"""Constraints at nodes: their interface, and where a node lies in its phase."""
 
 from __future__ import annotations
 
@@ -18,9 +18,14 @@ SAME_FRACTION = 1e-9
 
 @dataclass(frozen=True)
 class NodePlace:
-    """A node of a phase with nodes at ``fractions`` of its duration; ``last`` of the whole schedule.
+    """A node of a phase.
 
-    ``ends_schedule``: the phase is the last one.
+    Args:
+        phase: the phase.
+        index: of the node among those of the phase.
+        fractions: of the phase's duration, of all its nodes.
+        last: whether the node is the last of the schedule.
+        ends_schedule: whether the phase is the last.
     """
 
     phase: Phase
@@ -60,7 +65,7 @@ class NodeConstraint(Term, ABC):
 
 
 def nearest_node(place: NodePlace, fraction: float) -> int:
-    """Index of a phase's own node nearest to ``fraction``: a last node is the next phase's."""
+    """Index of the phase's own node nearest to a fraction of it; its last node is the next phase's."""
     distances = np.abs(np.array(place.fractions) - fraction)
     nearest = int(np.flatnonzero(distances <= distances.min() + SAME_FRACTION)[0])
     return nearest if place.ends_schedule else min(nearest, place.count - 1)

@@ -4,13 +4,13 @@
     time        duration of phases that are free
     height      a frame as high as possible, in the middle of a phase
     distance    a frame as far as possible along a direction, at the end
-    transport   energy over weight and way: the cost of transport
+    transport   energy over weight and distance: the cost of transport
     smooth      accelerations, squared
     track       distance from a reference motion
 
-What a goal leaves undetermined is decided by the costs of `effort`, a hundredth of them; a tenth beside time,
-height and distance, which have no curvature of their own: without it torques only jump from limit to limit,
-and a robot without torque limits could jump to any height.
+What a goal leaves undetermined is decided by a hundredth of the costs of `effort`; by a tenth beside time,
+height and distance, which have no curvature of their own: without it torques jump from limit to limit, and a
+robot without torque limits could jump to any height.
 """
 
 from __future__ import annotations
@@ -42,10 +42,13 @@ REST, REST_OF_LINEAR = 1e-2, 1e-1
 def effort_costs(
     *, acceleration: float = 1e-2, velocity: float = 1e-2, posture: float = 1e-1, joints_only: bool = False
 ) -> tuple[Cost, ...]:
-    """Torques, and little for all else, so that no direction of a motion is left without a price.
+    """Costs of effort: torques, and small weights on everything else, so that the optimum is unique.
 
-    acceleration, velocity, posture: weights beside torques' one. joints_only: leave accelerations and rates
-    of the base out.
+    Args:
+        acceleration: weight of accelerations beside the torques' one.
+        velocity: weight of rates.
+        posture: weight of the distance from the reference posture.
+        joints_only: whether accelerations and rates of the base are left out.
     """
     return (
         TorqueCost(weight=1.0),
@@ -69,13 +72,22 @@ def goal_terms(
     effort: Sequence[Cost] | None = None,
     rest: float | None = None,
 ) -> tuple[Term, ...]:
-    """Cost terms of a goal out of ``GOALS``, with the rest that makes its motion unique.
+    """Cost terms of a goal out of ``GOALS``, with costs of effort that make its motion unique.
 
-    frame: for "height" and "distance". phase: for "height", by default the longest without contacts.
-    direction: (3,) world, for "distance". travel: m, for "transport", the way that the motion has to go.
-    reference: q(t) (nq,), for "track". effort: costs of effort, by default `effort_costs()`.
-    rest: part of them beside another goal, by default ``REST`` or ``REST_OF_LINEAR``.
-    Raises InputError for an unknown goal, and for one whose argument is missing or without effect.
+    Args:
+        goal: name of the goal.
+        robot: the robot.
+        schedule: its contacts over time.
+        frame: name of a frame, for "height" and "distance".
+        phase: name of a phase, for "height"; default the longest without contacts.
+        direction: in the world (3,), for "distance".
+        travel: distance that the motion has to cover, m, for "transport".
+        reference: q(t) (nq,), for "track".
+        effort: costs of effort, default `effort_costs()`.
+        rest: their factor beside another goal, default ``REST`` or ``REST_OF_LINEAR``.
+
+    Raises:
+        InputError: for an unknown goal, or one without its argument.
     """
     effort = tuple(effort_costs() if effort is None else effort)
     if goal == "effort":

@@ -1,13 +1,13 @@
-"""What drives draw: mechanical power of the joints, heat in the windings, energy and cost of transport.
+"""Power drawn by drives: mechanical power of the joints, heat in the windings, energy and cost of transport.
 
-A joint's mechanical power is p = tau rate, tau what its drive delivers (with joint friction). Of power that
-flows back a part ``recovered`` counts: 1 all of it (a lossless battery), 0 none, and -1 means that braking
-costs as much as driving, |p|, as in most figures of cost of transport:
+The mechanical power of a joint is p = tau rate, where tau is what its drive delivers (with joint friction). A
+part ``recovered`` of the power that flows back counts: 1 all of it (a lossless battery), 0 none, and -1 means
+that braking costs as much as driving, |p|, as in most figures of cost of transport:
 
     drawn(p) = (1 + recovered) / 2 p + (1 - recovered) / 2 |p|
 
-Windings heat by R i^2 (three phases in amplitudes: 3/2 R i^2), which a drive's voltage line tells: with
-stall torque k_t V / R and no-load speed V / k_e it is tau_m^2 no_load_speed / stall_torque.
+Windings heat by R i^2 (three phases in amplitudes: 3/2 R i^2). In terms of a drive's voltage line, with stall
+torque k_t V / R and no-load speed V / k_e, this is tau_m^2 no_load_speed / stall_torque.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.errors import InputError
 from trajopt.robot.actuators.drive import Drive
@@ -43,16 +44,26 @@ def _heat(drive: Drive) -> float:
 
 
 def require_recovered(recovered: float) -> None:
+    """Raise `InputError` for a recovered part of power outside -1 to 1."""
     if not -1 <= recovered <= 1:
         raise InputError(f"recovered part of power is {recovered:g}", "allowed: -1 to 1")
 
 
 @dataclass(frozen=True, kw_only=True)
 class PowerCost(Cost):
-    """Power that all joints draw over weight times sqrt(g length); integrated it is energy / (weight length).
+    """Power drawn by all joints over weight times sqrt(g length); integrated, energy / (weight length).
 
-    ``recovered`` part of the power that flows back, -1 to 1, see `power`; ``smoothing`` > 0 in natural units
-    of power, sqrt(p^2 + smoothing^2) - smoothing in place of |p|. Drives with a voltage line add their heat.
+    The powers of the joints are added, without a mean of squares: energies add up. Drives with a voltage line
+    add their heat. Gauss-Newton keeps the curvature of |p| as a function of p, and that of the heat in the
+    torques.
+
+    Args:
+        weight: dimensionless.
+        recovered: part of the power that flows back, -1 to 1, see this module.
+        smoothing: > 0 in natural units of power: sqrt(p^2 + smoothing^2) - smoothing replaces |p|.
+
+    Raises:
+        InputError: for numbers out of range.
     """
 
     recovered: float = -1.0
@@ -64,17 +75,14 @@ class PowerCost(Cost):
         if not (math.isfinite(self.smoothing) and self.smoothing > 0):
             raise InputError(f"smoothing of {self.name} is {self.smoothing:g}", "allowed: finite and > 0")
 
+    @override
     def residual(self, context: Context, units: Units) -> ca.SX:
-        """Power of each joint (nu,), and then the heat of each drive, over the unit of power."""
         drawn = self._drawn(*self._power(context, units))
         heat = self._heat(context, units)
         return drawn if heat is None else ca.vertcat(drawn, heat * context.torque**2)
 
+    @override
     def value(self, context: Context, units: Units) -> ca.SX:
-        """Weighted sum over the joints: no mean of squares, energies add up.
-
-        Gauss-Newton keeps the curvature of |p| as a function of p, and that of the heat in the torques.
-        """
         weight = context.parameter(self.weight)
         power, rounded = self._power(context, units)
         bend = (1 - self.recovered) / 2 * self.smoothing**2 / rounded**3

@@ -1,13 +1,13 @@
-"""Sliding contacts: a point that is held along its surface's normal alone, with Coulomb friction against it.
+"""Sliding contacts: points held along their surface's normal alone, with Coulomb friction against the motion.
 
 A contact on a `Surface` with a ``slip_speed`` v_s may move within the surface. The force f of the surface on
 it follows from its normal part f_n >= 0 and its velocity v_t within the surface,
 
     f = f_n (n - mu v_t / sqrt(|v_t|^2 + v_s^2))
 
-which is Coulomb's law for speeds far above v_s, smooth where the contact stops or turns round: at v_s the
-friction is 1 / sqrt 2 of what it is at speed (the regularisation of Andersson, Soederberg and Bjoerklund,
-Tribology International 40, 2007, without their static peak). A contact that sticks is one without slip speed.
+which is Coulomb's law for speeds far above v_s, and smooth where the contact stops or turns round: at v_s the
+friction is 1 / sqrt 2 of what it is at high speed (the regularisation of Andersson, Soederberg and
+Bjoerklund, Tribology International 40, 2007, without their static peak). A contact without slip speed sticks.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
@@ -33,7 +34,14 @@ def sliding_surfaces(phase: Phase) -> dict[str, Surface]:
 
 
 def require_sliding(robot: Robot, schedule: Schedule, actuation: str, modes: tuple[str, ...]) -> None:
-    """Raise `InputError` where a contact slides that cannot. ``modes``: phases in minimal coordinates."""
+    """Raise `InputError` where a contact slides that cannot.
+
+    Args:
+        robot: the robot.
+        schedule: its contacts over time.
+        actuation: of the problem.
+        modes: names of the phases in minimal coordinates.
+    """
     for phase, after in zip(schedule.phases, (*schedule.phases[1:], None), strict=True):
         for name in sliding_surfaces(phase):
             contact, allowed = robot.contact(name), ""
@@ -51,12 +59,13 @@ def require_sliding(robot: Robot, schedule: Schedule, actuation: str, modes: tup
 
 @dataclass(frozen=True, kw_only=True)
 class SlidingFriction(PointConstraint):
-    """Force of every sliding contact: pressing, and its tangential part opposite to the sliding.
+    """Friction law of this module at every sliding contact: the force pushes and opposes the motion.
 
-    The law at the top of this file, as rows over the weight. Part of the motion itself where a schedule has
-    such contacts, see `Problem.motion_rows`.
+    Rows are over the weight. Part of the dynamics where a schedule has such contacts, see
+    `Problem.motion_rows`.
     """
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         law, pressing = [], []
         for contact in context.contacts:

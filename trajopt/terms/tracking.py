@@ -1,4 +1,4 @@
-"""Following a reference motion: its cost, and references from solutions and from key frames."""
+"""Tracking of a reference motion: the cost, and references from key frames."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Literal, get_args
 import casadi as ca
 import numpy as np
 import pinocchio as pin
+from typing_extensions import override
 
 from trajopt.dynamics.manifold import Joint
 from trajopt.dynamics.rotations import quaternion_product
@@ -29,12 +30,19 @@ NORMALIZED = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class TrackingCost(Cost):
-    """Distance of the configuration from a ``reference`` q(t) (nq,): of the joints, the base, or all.
+    """Distance of the configuration from a reference motion.
 
-    Angles in rad, lengths over the robot's; of an angle that counts no turns 2 sin(angle / 2), of a rotation
-    2 sin(angle / 2) along its axis: smooth, and the same whichever sign a quaternion has. ``t`` is nominal
-    time, s, from the schedule's start: where durations are free the reference stretches with its phase.
-    Its values are parameters: another reference compiles nothing. Raises InputError.
+    Angles in rad, lengths over the robot's; 2 sin(angle / 2) of an angle that counts no turns, and along its
+    axis of a rotation: smooth, and independent of a quaternion's sign.
+
+    Args:
+        weight: dimensionless.
+        reference: q(t) (nq,) of nominal time, s, from the schedule's start: where durations are free the
+            reference stretches with its phase. Its values are parameters: another one compiles nothing.
+        part: "all" coordinates, those of the "joints" or of the "base".
+
+    Raises:
+        InputError: for another part.
     """
 
     reference: Motion
@@ -45,6 +53,7 @@ class TrackingCost(Cost):
         if self.part not in PARTS:
             raise InputError(f"part of {self.name} is {self.part!r}", f"allowed: {', '.join(PARTS)}")
 
+    @override
     def residual(self, context: Context, units: Units) -> ca.SX:
         coordinates = context.coordinates
         n4 = 4 * coordinates.n_rotations
@@ -81,10 +90,16 @@ def _distance(context: Context, joint: Joint, goal: ca.SX, quaternion: ca.SX | N
 
 
 def key_frames(robot: Robot, times: Sequence[float], configurations: np.ndarray) -> Motion:
-    """A motion through ``configurations`` (n, nq) at ``times`` (n,) s: geodesics between, still beyond.
+    """A motion through key frames: geodesics between them, at rest before the first and after the last.
 
-    Two make a straight line, many a clip of motion capture. Raises `InputError` for times that do not rise,
-    configurations of another size, and rotations that are no unit quaternions.
+    Args:
+        robot: the robot.
+        times: of the key frames (n,), s, rising.
+        configurations: at these times (n, nq).
+
+    Raises:
+        InputError: for times that do not rise, configurations of another size, and rotations that are not
+            unit.
     """
     at, rows = np.array(times, dtype=float), np.atleast_2d(np.array(configurations, dtype=float))
     if at.ndim != 1 or len(at) < 2 or not np.all(np.isfinite(at)) or np.any(np.diff(at) <= 0):

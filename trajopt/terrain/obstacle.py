@@ -12,14 +12,14 @@ from trajopt.errors import InputError
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import UP, Surface
 
-Point = Sequence[float] | np.ndarray
+PlanePoint = Sequence[float] | np.ndarray
 
 
 @dataclass(frozen=True)
 class ObstacleAxes:
     """Where an obstacle stands: its origin (x, y) m and direction rad, and what its faces share."""
 
-    at: Point
+    at: PlanePoint
     yaw: float
     friction: float
     margin: float
@@ -40,6 +40,13 @@ class ObstacleAxes:
             normal = np.array(UP)
         surface = Surface(point=points[0], normal=normal, friction=self.friction)
         return Patch(surface=surface, vertices=points, margin=self.margin, name=name)
+
+    def rectangle(
+        self, name: str, x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]
+    ) -> Patch:
+        """A face over a rectangle in the obstacle's own axes, whose height goes from z[0] at x[0] to z[1]."""
+        corners = [(x[0], y[0], z[0]), (x[1], y[0], z[1]), (x[1], y[1], z[1]), (x[0], y[1], z[0])]
+        return self.face(name, corners)
 
 
 def require_lengths(**lengths: float) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.terrain.obstacle import ObstacleAxes, Point, require_lengths
+from trajopt.terrain.obstacle import ObstacleAxes, PlanePoint, require_lengths
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import UP, Surface
 
@@ -126,7 +126,7 @@ class PiecewiseTerrain:
         run: float,
         *,
         width: float = 2 * REACH,
-        at: Point = (0.0, 0.0),
+        at: PlanePoint = (0.0, 0.0),
         yaw: float = 0.0,
         friction: float = 0.7,
         margin: float = 0.0,
@@ -144,13 +144,8 @@ class PiecewiseTerrain:
         edges = [-REACH, *(run * np.arange(len(levels))), run * (len(levels) - 1) + REACH]
         names = ["before", *(f"step{i}" for i in range(1, len(levels))), "beyond"]
         strips = zip(names, edges[:-1], edges[1:], [0.0, *levels], strict=True)
-        half = width / 2
-        return cls(
-            faces=tuple(
-                place.face(name, [(a, -half, z), (b, -half, z), (b, half, z), (a, half, z)])
-                for name, a, b, z in strips
-            )
-        )
+        side = (-width / 2, width / 2)
+        return cls(faces=tuple(place.rectangle(name, (a, b), side, (z, z)) for name, a, b, z in strips))
 
     @classmethod
     def stairs(
@@ -160,7 +155,7 @@ class PiecewiseTerrain:
         steps: int,
         width: float = 2 * REACH,
         *,
-        at: Point = (0.0, 0.0),
+        at: PlanePoint = (0.0, 0.0),
         yaw: float = 0.0,
         friction: float = 0.7,
         margin: float = 0.0,
@@ -179,7 +174,7 @@ class PiecewiseTerrain:
         height: float,
         length: float,
         width: float,
-        at: Point = (0.0, 0.0),
+        at: PlanePoint = (0.0, 0.0),
         *,
         yaw: float = 0.0,
         friction: float = 0.7,
@@ -194,19 +189,15 @@ class PiecewiseTerrain:
         if not math.isfinite(height):
             raise InputError(f"height of a box is {height!r} m", "allowed: finite")
         place, a, b = ObstacleAxes(at, yaw, friction, margin), length / 2, width / 2
-        ends = {
-            "before": (-REACH, -a, -REACH, REACH, 0.0),
-            "box": (-a, a, -b, b, height),
-            "beyond": (a, REACH, -REACH, REACH, 0.0),
-            "left": (-REACH, REACH, b, REACH, 0.0),
-            "right": (-REACH, REACH, -REACH, -b, 0.0),
-        }
-        return cls(
-            faces=tuple(
-                place.face(name, [(x0, y0, z), (x1, y0, z), (x1, y1, z), (x0, y1, z)])
-                for name, (x0, x1, y0, y1, z) in ends.items()
-            )
+        far, ground = (-REACH, REACH), (0.0, 0.0)
+        faces = (
+            place.rectangle("before", (-REACH, -a), far, ground),
+            place.rectangle("box", (-a, a), (-b, b), (height, height)),
+            place.rectangle("beyond", (a, REACH), far, ground),
+            place.rectangle("left", far, (b, REACH), ground),
+            place.rectangle("right", far, (-REACH, -b), ground),
         )
+        return cls(faces=faces)
 
     @classmethod
     def gap(
@@ -214,7 +205,7 @@ class PiecewiseTerrain:
         width: float,
         *,
         height: float = 0.0,
-        at: Point = (0.0, 0.0),
+        at: PlanePoint = (0.0, 0.0),
         yaw: float = 0.0,
         friction: float = 0.7,
         margin: float = 0.0,
@@ -225,13 +216,12 @@ class PiecewiseTerrain:
         """
         require_lengths(width=width)
         place = ObstacleAxes(at, yaw, friction, margin)
-        strips = {"before": (-REACH, 0.0, 0.0), "beyond": (width, width + REACH, height)}
-        return cls(
-            faces=tuple(
-                place.face(name, [(a, -REACH, z), (b, -REACH, z), (b, REACH, z), (a, REACH, z)])
-                for name, (a, b, z) in strips.items()
-            )
+        side = (-REACH, REACH)
+        faces = (
+            place.rectangle("before", (-REACH, 0.0), side, (0.0, 0.0)),
+            place.rectangle("beyond", (width, width + REACH), side, (height, height)),
         )
+        return cls(faces=faces)
 
     @classmethod
     def slope(
@@ -240,26 +230,25 @@ class PiecewiseTerrain:
         length: float,
         *,
         width: float = 2 * REACH,
-        at: Point = (0.0, 0.0),
+        at: PlanePoint = (0.0, 0.0),
         yaw: float = 0.0,
         friction: float = 0.7,
         margin: float = 0.0,
     ) -> PiecewiseTerrain:
         """A ``slope`` that rises by ``rise`` m over ``length`` m, from ``at`` (x, y) m, between two flats."""
         require_lengths(length=length, width=width)
-        place, half = ObstacleAxes(at, yaw, friction, margin), width / 2
-        edges = [(-REACH, 0.0), (0.0, 0.0), (length, rise), (length + REACH, rise)]
-        faces = []
-        for name, (a, low), (b, high) in zip(("before", "slope", "beyond"), edges, edges[1:], strict=False):
-            faces.append(
-                place.face(name, [(a, -half, low), (b, -half, high), (b, half, high), (a, half, low)])
-            )
-        return cls(faces=tuple(faces))
+        place, side = ObstacleAxes(at, yaw, friction, margin), (-width / 2, width / 2)
+        faces = (
+            place.rectangle("before", (-REACH, 0.0), side, (0.0, 0.0)),
+            place.rectangle("slope", (0.0, length), side, (0.0, rise)),
+            place.rectangle("beyond", (length, length + REACH), side, (rise, rise)),
+        )
+        return cls(faces=faces)
 
     @classmethod
     def stepping_stones(
         cls,
-        centres: Sequence[Point] | np.ndarray,
+        centres: Sequence[PlanePoint] | np.ndarray,
         size: float | tuple[float, float],
         heights: float | Sequence[float] = 0.0,
         *,

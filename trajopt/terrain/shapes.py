@@ -10,6 +10,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.errors import InputError
 
@@ -69,12 +70,15 @@ class Incline(Shape):
     slope_x: float = 0.0
     slope_y: float = 0.0
 
+    @override
     def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         return self.level + self.slope_x * x + self.slope_y * y
 
+    @override
     def gradient(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return self.slope_x + 0 * x, self.slope_y + 0 * y
 
+    @override
     def symbolic(self, x: ca.SX, y: ca.SX, parameter: ParameterOf) -> ca.SX:
         p = parameter(np.array([self.level, self.slope_x, self.slope_y]))
         return p[0] + p[1] * x + p[2] * y
@@ -88,14 +92,17 @@ class Bump(Shape):
     radius: float
     centre: tuple[float, float] = (0.0, 0.0)
 
+    @override
     def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         squared = (x - self.centre[0]) ** 2 + (y - self.centre[1]) ** 2
         return np.asarray(self.rise * np.exp(-squared / (2 * self.radius**2)))
 
+    @override
     def gradient(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         part = -self.height(x, y) / self.radius**2
         return part * (x - self.centre[0]), part * (y - self.centre[1])
 
+    @override
     def symbolic(self, x: ca.SX, y: ca.SX, parameter: ParameterOf) -> ca.SX:
         p = parameter(np.array([self.rise, self.radius, *self.centre]))
         return p[0] * ca.exp(-((x - p[2]) ** 2 + (y - p[3]) ** 2) / (2 * p[1] ** 2))
@@ -126,12 +133,15 @@ class Ramp(_Along):
     rise: float
     length: float
 
+    @override
     def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         return np.asarray(self.rise / 2 * (1 + np.tanh(2 * self._along(x, y) / self.length)))
 
+    @override
     def gradient(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return self._turned(self.rise / self.length / np.cosh(2 * self._along(x, y) / self.length) ** 2)
 
+    @override
     def symbolic(self, x: ca.SX, y: ca.SX, parameter: ParameterOf) -> ca.SX:
         p = parameter(np.array([self.rise, self.length]))
         return p[0] / 2 * (1 + ca.tanh(2 * self._along_symbols(x, y, parameter) / p[1]))
@@ -144,13 +154,16 @@ class Wave(_Along):
     amplitude: float
     wavelength: float
 
+    @override
     def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         return np.asarray(self.amplitude * np.sin(math.tau * self._along(x, y) / self.wavelength))
 
+    @override
     def gradient(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         number = math.tau / self.wavelength
         return self._turned(self.amplitude * number * np.cos(number * self._along(x, y)))
 
+    @override
     def symbolic(self, x: ca.SX, y: ca.SX, parameter: ParameterOf) -> ca.SX:
         p = parameter(np.array([self.amplitude, self.wavelength]))
         return p[0] * ca.sin(math.tau * self._along_symbols(x, y, parameter) / p[1])

@@ -9,12 +9,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from trajopt.errors import InputError
 from trajopt.terrain.crossing import Crossing, Edge, crossing
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.surface import Surface
-from trajopt.terrain.swing_profile import smooth_step
+from trajopt.terrain.swing_profile import require_clearance, smooth_step
 from trajopt.terrain.terrain import Terrain
 
 # Parts of the swing's time at which the foot is as high as the top, and from which it sinks.
@@ -40,8 +39,7 @@ def swing_path(terrain: Terrain, clearance: float, reach: float = 0.0) -> SwingP
     an arc that is ``clearance`` m over smooth or flat ground and over edges. ``reach``: how far the foot
     extends before and behind its position, m, half a sole's length. For `legged_guess`.
     """
-    if not (np.isfinite(clearance) and clearance >= 0):
-        raise InputError(f"swing clearance is {clearance:g} m", "allowed: finite and >= 0")
+    require_clearance(clearance)
 
     @lru_cache(maxsize=KEPT)
     def between(start: tuple[float, ...], end: tuple[float, ...]) -> Crossing:

@@ -1,14 +1,24 @@
-"""How high a swing is asked to be, as a part of its clearance, over the course of the swing."""
+"""Profiles over the course of a swing: the least height as a part of the clearance, and a smooth step."""
 
 from __future__ import annotations
+
+import math
+
+from trajopt.errors import InputError
+
+
+def require_clearance(clearance: float) -> None:
+    """Raise `InputError` for a swing clearance, m, that is negative or not finite."""
+    if not (math.isfinite(clearance) and clearance >= 0):
+        raise InputError(f"swing clearance is {clearance:g} m", "allowed: finite and >= 0")
 
 
 def swing_profile(s: float) -> float:
     """16 s^2 (1 - s)^2 at the part ``s`` of a swing: one in mid swing, zero and flat at its ends.
 
-    Flat, because a foot begins and ends its swing at rest: a profile that rises at once, such as 4 s (1 - s),
-    asks at the first node after the lift-off for a height in proportion to the step, which takes an
-    acceleration in inverse proportion to it, so that the optimum has no limit as meshes get finer.
+    Flat, because a foot begins and ends its swing at rest: with a profile of finite slope there, such as
+    4 s (1 - s), the height at the first node after lift-off is proportional to the step, and the acceleration
+    that it takes inversely proportional: the optimum would have no limit as meshes get finer.
     """
     return 16.0 * s * s * (1.0 - s) ** 2
 

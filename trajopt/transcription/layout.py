@@ -17,7 +17,7 @@ import numpy as np
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
-from trajopt.robot.stance.mode import Mode
+from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms.node_interfaces import NodePlace
 from trajopt.transcription.mesh import Mesh
@@ -47,7 +47,7 @@ class Layout:
     schedule: Schedule
     mesh: Mesh
     order: int = 2
-    modes: Mapping[str, Mode] = field(default_factory=dict)
+    modes: Mapping[str, StanceMode] = field(default_factory=dict)
     closed: bool = False
 
     @cached_property
@@ -197,7 +197,9 @@ class Layout:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return a state (q, v, a) of the whole robot in the coordinates of a node."""
         mode = next((mode for mode in self.modes.values() if mode.robot is form.robot), None)
-        return (q, v, a) if mode is None else mode.dropped(q, v, a)
+        if mode is not None:
+            q, v, a, _ = mode.dropped(q, v, a)
+        return q, v, a
 
     def place(self, k: int) -> NodePlace | None:
         """Phase and fraction of node k, None where it repeats another; between phases it is the later's."""

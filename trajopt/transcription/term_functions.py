@@ -123,7 +123,8 @@ class TermFunctions:
         whole = after.robot is self.problem.robot
         mode = next(m for m in self.problem.modes.values() if m.robot is (before if whole else after).robot)
         still = ca.SX.zeros(before.coordinates.nv)
-        q, v, _ = (mode.lift if whole else mode.drop)(context.q, context.v, still)
+        state = (context.q, context.v, still)
+        q, v, *_ = mode.lift(*state, mode.anchor) if whole else mode.drop(*state)
         shared = {joint.name: context.xi[joint.v] for joint in before.coordinates.joints if joint.is_counted}
         return after.coordinates.symbolic_node(q, v, shared)
 

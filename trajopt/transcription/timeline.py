@@ -20,7 +20,7 @@ import numpy as np
 
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.robot.robot import Robot
-from trajopt.robot.stance.mode import Mode
+from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.schedule.schedule import Schedule
 from trajopt.transcription.mesh import Mesh
 
@@ -115,7 +115,7 @@ class Timeline:
 
 class _Builder:
     def __init__(
-        self, robot: Robot, schedule: Schedule, modes: Mapping[str, Mode], order: int, closed: bool
+        self, robot: Robot, schedule: Schedule, modes: Mapping[str, StanceMode], order: int, closed: bool
     ) -> None:
         self.schedule, self.order, self.closed = schedule, order, closed
         self.whole = (robot, Coordinates(robot.model))
@@ -189,7 +189,7 @@ class _Builder:
 def timeline(
     robot: Robot,
     schedule: Schedule,
-    modes: Mapping[str, Mode],
+    modes: Mapping[str, StanceMode],
     mesh: Mesh,
     order: int,
     closed: bool = False,

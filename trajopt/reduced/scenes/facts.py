@@ -13,8 +13,8 @@ from trajopt.reduced.scenes.report import EXACT, OFFER, Decision
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.terms.friction import ContactConstraint
-from trajopt.terms.landing import SwingClearance
 from trajopt.terms.limits import EffortLimits, PositionLimits, VelocityLimits
+from trajopt.terms.swing import SwingClearance
 from trajopt.transcription.mesh import Mesh
 
 Grid = tuple[str | None, int | None]

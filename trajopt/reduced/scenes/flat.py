@@ -14,8 +14,10 @@ from trajopt.reduced.scenes.lock import locked, out_of_plane
 from trajopt.reduced.scenes.reduction import Reduction
 from trajopt.reduced.scenes.task import TASK
 from trajopt.reduced.scenes.terminal import HalfEnd
-from trajopt.terms.landing import ContactLanding, SwingClearance
-from trajopt.terms.terminal import FrameHeight, TerminalState
+from trajopt.terms.frames import FrameHeight
+from trajopt.terms.landing import ContactLanding
+from trajopt.terms.swing import SwingClearance
+from trajopt.terms.terminal import TerminalState
 
 # Terms about frames that ask for nothing across the plane; landings on footholds are looked at apart.
 ALONG_PLANE = (ContactLanding, FrameHeight, SwingClearance)

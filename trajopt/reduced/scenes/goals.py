@@ -19,11 +19,12 @@ from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.terms.costs import AccelerationCost, PostureCost, TorqueCost, VelocityCost, WrenchCost
 from trajopt.terms.drives import DriveLimits
+from trajopt.terms.frames import FramePose
 from trajopt.terms.friction import FrictionCone, SoleCone
 from trajopt.terms.interfaces import Term
-from trajopt.terms.landing import SwingClearance
 from trajopt.terms.limits import EffortLimits, PositionLimits, VelocityLimits
-from trajopt.terms.terminal import FramePose, TerminalRest, TerminalState
+from trajopt.terms.swing import SwingClearance
+from trajopt.terms.terminal import TerminalRest, TerminalState
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import SAME_PLANE
 

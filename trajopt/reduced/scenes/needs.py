@@ -12,12 +12,19 @@ from trajopt.problem.problem import Problem
 from trajopt.reduced.scenes.asked import Asked, Reader
 from trajopt.robot.robot import Robot
 from trajopt.terms.context_symbols import Place
-from trajopt.terms.costs import AccelerationCost, PostureCost, TimeCost, TorqueCost, VelocityCost, WrenchCost
+from trajopt.terms.costs import (
+    AccelerationCost,
+    ImpulseCost,
+    PostureCost,
+    TimeCost,
+    TorqueCost,
+    VelocityCost,
+    WrenchCost,
+)
 from trajopt.terms.drives import DriveLimits, MotorTorqueCost
-from trajopt.terms.dynamics import ImpulseCost
 from trajopt.terms.interfaces import Term
-from trajopt.terms.landing import SwingClearance
 from trajopt.terms.limits import EffortLimits, PositionLimits, VelocityLimits
+from trajopt.terms.swing import SwingClearance
 from trajopt.terms.terminal import TerminalRest, TerminalState
 
 # Costs that only smooth or economise, and limits: a joint that rests at its start meets them.

@@ -21,20 +21,15 @@ from trajopt.reduced.scenes.terminal import HalfEnd
 from trajopt.reduced.scenes.view import WholeNodeCost, WholeNodeRows, WholePointRows, whole_cost
 from trajopt.schedule.schedule import Motion, Phase, Schedule
 from trajopt.terms.drives import DriveLimits
-from trajopt.terms.dynamics import ContactVelocity, ImpactDynamics
+from trajopt.terms.dynamics import BaseDynamics, ContactAcceleration, ContactVelocity, ImpactDynamics
+from trajopt.terms.frames import FrameHeight, FramePose, FrameVelocity
 from trajopt.terms.friction import ContactConstraint, NormalForce
 from trajopt.terms.interfaces import Cost, PointConstraint, Term
-from trajopt.terms.landing import SwingClearance
-from trajopt.terms.limits import (
-    BaseDynamics,
-    ContactAcceleration,
-    EffortLimits,
-    PositionLimits,
-    VelocityLimits,
-)
+from trajopt.terms.limits import EffortLimits, PositionLimits, VelocityLimits
 from trajopt.terms.node_costs import NodeCost
 from trajopt.terms.node_interfaces import NodeConstraint
-from trajopt.terms.terminal import FrameHeight, FramePose, FrameVelocity, TerminalRest, TerminalState
+from trajopt.terms.swing import SwingClearance
+from trajopt.terms.terminal import TerminalRest, TerminalState
 
 Value = TypeVar("Value")
 

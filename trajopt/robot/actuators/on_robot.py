@@ -15,14 +15,15 @@ from trajopt.robot.actuators.drive import Drive
 Drives = tuple[Drive | None, ...]
 
 
-def driven(
+def drive_fields(
     model: pin.Model, effort: np.ndarray | None, velocity: np.ndarray, drives: Drives
 ) -> dict[str, Any]:
     """Return the fields of a robot that drives change: model, effort_limit, velocity_limit and drives.
 
     Args:
         model: of the robot without them; not changed.
-        effort: limits (nu,) N m or N, or None; velocity: limits (nv,) rad/s or m/s.
+        effort: limits (nu,), N m or N, or None.
+        velocity: limits (nv,), rad/s or m/s.
         drives: one or None for each actuated row (nu), see `Robot.with_drives`.
     """
     model = pin.Model(model)

@@ -33,14 +33,14 @@ CROSSING = 1e-6
 
 
 @dataclass(frozen=True)
-class Axis:
+class SymbolicAxis:
     """A segment between ``start`` and ``end`` (3,), world, m, as expressions."""
 
     start: ca.SX
     end: ca.SX
 
 
-def segment_distance(first: Axis, second: Axis, reach: ca.SX, smoothing: float) -> ca.SX:
+def segment_distance(first: SymbolicAxis, second: SymbolicAxis, reach: ca.SX, smoothing: float) -> ca.SX:
     """Distance of two axes minus ``reach`` (sum of radii and margin, m, > 0), at most that; smooth.
 
     The minimum over s, t of |P(s) - Q(t)|^2 + k ((s - 1/2)^2 + (t - 1/2)^2), k = 4 reach smoothing:
@@ -58,7 +58,7 @@ def segment_distance(first: Axis, second: Axis, reach: ca.SX, smoothing: float) 
     return ca.sqrt(apart + floor) - ca.sqrt(reach**2 + k / 2 + floor)
 
 
-def box_distance(axis: Axis, box: Box, reach: ca.SX, smoothing: float) -> ca.SX:
+def box_distance(axis: SymbolicAxis, box: Box, reach: ca.SX, smoothing: float) -> ca.SX:
     """Distance of an axis from a box minus ``reach`` (radius and margin, m, > 0), at most that; smooth.
 
     The minimum over s of f = rounded(P(s)) + 4 k (s - 1/2)^2, minus k, with k the smoothing (see `_rounded`).

@@ -22,7 +22,7 @@ from trajopt.robot.collision.shapes import (
 )
 
 # Two capsules, or a capsule and an obstacle, by their names.
-Pair = tuple[str, str]
+ShapePair = tuple[str, str]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,7 +36,7 @@ class CollisionScene:
     model: pin.Model
     capsules: tuple[LinkCapsule, ...]
     obstacles: tuple[Obstacle, ...] = ()
-    self_pairs: tuple[Pair, ...] = ()
+    self_pairs: tuple[ShapePair, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("capsules", "obstacles"):
@@ -52,7 +52,7 @@ class CollisionScene:
                 raise InputError(f"a pair of capsules is {pair}", f"two of: {', '.join(names)}")
 
     @property
-    def pairs(self) -> tuple[Pair, ...]:
+    def pairs(self) -> tuple[ShapePair, ...]:
         """All pairs, in the order of ``distances``."""
         outer = [(c.name, o.name) for c in self.capsules for o in self.obstacles]
         return (*outer, *self.self_pairs)
@@ -91,7 +91,7 @@ class CollisionScene:
             least = np.minimum(least, self.distances(q))
         return least
 
-    def near(self, configurations: Iterable[np.ndarray], within: float) -> tuple[Pair, ...]:
+    def near(self, configurations: Iterable[np.ndarray], within: float) -> tuple[ShapePair, ...]:
         """Pairs that come closer than ``within`` m at one of the configurations (nq,)."""
         least = self.least_distances(configurations)
         return tuple(pair for pair, distance in zip(self.pairs, least, strict=True) if distance < within)
@@ -111,7 +111,7 @@ def _added(geometry: pin.GeometryModel, name: str, joint: int, placement: pin.SE
 
 def separable_pairs(
     model: pin.Model, capsules: Sequence[LinkCapsule], q: np.ndarray, margin: float
-) -> tuple[Pair, ...]:
+) -> tuple[ShapePair, ...]:
     """Pairs of capsules that can be kept apart by ``margin`` m: those that are so at ``q`` (nq,).
 
     Left out are two capsules of one link, of links that a joint joins, and those that overlap at ``q``,

@@ -12,7 +12,7 @@ from trajopt.dynamics.base_joint import BASE_JOINT
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
 from trajopt.robot.building import reach
-from trajopt.robot.inspection.standing import Standing
+from trajopt.robot.inspection.standing import StandingPosture
 from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.legs import biped_legs, quadruped_legs
 from trajopt.robot.mirror import find_mirror
@@ -38,10 +38,10 @@ DIGITS = 6
 # Names that are listed before the rest is counted.
 LISTED = 4
 
-Sayings = Iterator[str]
+_Lines = Iterator[str]
 
 
-def warnings_of(robot: Robot, standing: Standing) -> tuple[str, ...]:
+def find_faults(robot: Robot, standing: StandingPosture) -> tuple[str, ...]:
     """One line for each fault, the worst first: bodies, limits, reference posture, feet, left and right."""
     legged = robot.base != "fixed"
     found = [*_bodies(robot), *_limits(robot), *_reference(robot, standing)]
@@ -58,7 +58,7 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(names[:LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
-def _bodies(robot: Robot) -> Sayings:
+def _bodies(robot: Robot) -> _Lines:
     model = robot.model
     extent = max(reach(model), robot.length)
     data = model.createData()
@@ -85,7 +85,7 @@ def _bodies(robot: Robot) -> Sayings:
         yield f"inertias of bodies larger than the robot are moved by {listed(large)}: in kg m^2?"
 
 
-def _limits(robot: Robot) -> Sayings:
+def _limits(robot: Robot) -> _Lines:
     units, model, first = Units(robot), robot.model, robot.n_unactuated
     effort = np.full(robot.nu, np.inf) if robot.effort_limit is None else robot.effort_limit
     velocity = robot.velocity_limit[first:]
@@ -111,13 +111,13 @@ def _limits(robot: Robot) -> Sayings:
         yield from _named(values, is_fault, what)
 
 
-def _named(values: dict[str, np.ndarray], is_fault: Callable[[np.ndarray], np.ndarray], what: str) -> Sayings:
+def _named(values: dict[str, np.ndarray], is_fault: Callable[[np.ndarray], np.ndarray], what: str) -> _Lines:
     names = [name for name, value in values.items() if np.any(is_fault(value))]
     if names:
         yield f"{what} {'all joints' if len(names) == len(values) > 1 else listed(names)}"
 
 
-def _reference(robot: Robot, standing: Standing) -> Sayings:
+def _reference(robot: Robot, standing: StandingPosture) -> _Lines:
     q, near = robot.reference, []
     for joint in list(robot.model.joints)[1:]:
         if joint.idx_v < robot.n_unactuated or joint.nq != joint.nv:
@@ -143,7 +143,7 @@ def _reference(robot: Robot, standing: Standing) -> Sayings:
         )
 
 
-def _feet(robot: Robot, standing: Standing) -> Sayings:
+def _feet(robot: Robot, standing: StandingPosture) -> _Lines:
     if not robot.contacts:
         yield "no contacts: contacts=[...] of Robot.from_urdf names the frames of the feet"
         return
@@ -168,7 +168,7 @@ def _feet(robot: Robot, standing: Standing) -> Sayings:
     yield from _drawn_feet(robot, standing)
 
 
-def _legs(robot: Robot, standing: Standing) -> Sayings:
+def _legs(robot: Robot, standing: StandingPosture) -> _Lines:
     stiff = []
     for name in standing.feet:
         contact = robot.contact(name)
@@ -187,7 +187,7 @@ def _legs(robot: Robot, standing: Standing) -> Sayings:
         )
 
 
-def _tool(robot: Robot) -> Sayings:
+def _tool(robot: Robot) -> _Lines:
     """An arm with six joints and more that cannot move or turn its last frame in some direction."""
     if robot.nv < 6:
         return
@@ -199,7 +199,7 @@ def _tool(robot: Robot) -> Sayings:
         yield f"the reference posture is singular, '{frame}' is stuck in some direction: bend the arm"
 
 
-def _drawn_feet(robot: Robot, standing: Standing) -> Sayings:
+def _drawn_feet(robot: Robot, standing: StandingPosture) -> _Lines:
     """Contact frames far above the lowest drawn point of their body: an ankle or a knee, no sole."""
     below = lowest_drawn(robot, standing)
     names = [name for name, depth in below.items() if depth > SUNK * robot.length]
@@ -208,10 +208,10 @@ def _drawn_feet(robot: Robot, standing: Standing) -> Sayings:
         yield f"drawn feet reach {worst:.3g} m below the frames of {listed(names)}: are they the feet's?"
 
 
-def lowest_drawn(robot: Robot, standing: Standing) -> dict[str, float]:
+def lowest_drawn(robot: Robot, standing: StandingPosture) -> dict[str, float]:
     """How far what is drawn of a foot's body reaches below its contact frame, m; empty without meshes."""
     try:
-        geometry = shapes_of(robot)
+        geometry = drawn_shapes(robot)
     except InputError:
         return {}
     if geometry is None:
@@ -233,7 +233,7 @@ def lowest_drawn(robot: Robot, standing: Standing) -> dict[str, float]:
 
 
 @lru_cache(maxsize=1)
-def shapes_of(robot: Robot) -> pin.GeometryModel | None:
+def drawn_shapes(robot: Robot) -> pin.GeometryModel | None:
     """What a robot is drawn with, None where nothing says so. Raises `InputError` for a missing file."""
     return None if robot.visual is None else robot.visual.geometry(robot.model)
 
@@ -256,7 +256,7 @@ def _lowest(shape: object, place: pin.SE3, scale: np.ndarray) -> float:
     return float("inf")
 
 
-def _sides(robot: Robot) -> Sayings:
+def _sides(robot: Robot) -> _Lines:
     try:
         mirror = find_mirror(robot)
     except InputError as error:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.robot.inspection.faults import listed, lowest_drawn, shapes_of, warnings_of
-from trajopt.robot.inspection.standing import standing
+from trajopt.robot.inspection.faults import drawn_shapes, find_faults, listed, lowest_drawn
+from trajopt.robot.inspection.standing import standing_posture
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 
@@ -83,9 +83,9 @@ _JOINT_TITLES = ("joint", "kind", "reference", "position limits", "velocity", "e
 _CONTACT_TITLES = ("contact", "frame", "kind", "x", "y", "z", "load")
 
 
-def report(robot: Robot) -> RobotReport:
+def robot_report(robot: Robot) -> RobotReport:
     """Return figures, notes and warnings of a robot. Computed with numeric Pinocchio; nothing is solved."""
-    rest = standing(robot)
+    rest = standing_posture(robot)
     loads = dict(zip(rest.feet, rest.load, strict=True)) if len(rest.load) == len(rest.feet) else {}
     places = contact_positions(robot, robot.reference)
     return RobotReport(
@@ -109,7 +109,7 @@ def report(robot: Robot) -> RobotReport:
             for contact in robot.contacts
         ),
         notes=_notes(robot),
-        warnings=warnings_of(robot, rest),
+        warnings=find_faults(robot, rest),
     )
 
 
@@ -147,7 +147,7 @@ def _joints(robot: Robot, torque: np.ndarray) -> tuple[JointFacts, ...]:
 def _notes(robot: Robot) -> tuple[str, ...]:
     notes = []
     if robot.base != "fixed" and robot.contacts:
-        rest = standing(robot)
+        rest = standing_posture(robot)
         lifted = [contact.name for contact in robot.contacts if contact.name not in rest.feet]
         if lifted:
             notes.append(f"off the ground in the reference posture: {listed(lifted)}")
@@ -169,7 +169,7 @@ def _notes(robot: Robot) -> tuple[str, ...]:
         notes.append("no description with meshes: a replay draws a skeleton")
         return tuple(notes)
     try:
-        shapes = shapes_of(robot)
+        shapes = drawn_shapes(robot)
         count = 0 if shapes is None else shapes.ngeoms
         notes.append(f"{count} shapes to draw" if count else "nothing to draw: a replay draws a skeleton")
     except InputError as error:

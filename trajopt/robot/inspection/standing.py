@@ -27,7 +27,7 @@ BALANCED = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Standing:
+class StandingPosture:
     """The reference posture at rest.
 
     feet: contacts that stand. load: (nf,) vertical force of each in N. effort: (nu,) torques, N m or N.
@@ -59,7 +59,7 @@ def standing_feet(robot: Robot) -> tuple[Contact, ...]:
     return tuple(c for c in robot.contacts if poses[c.name].translation[2] - lowest < within)
 
 
-def standing(robot: Robot) -> Standing:
+def standing_posture(robot: Robot) -> StandingPosture:
     """Return what the reference posture takes at rest, on a level ground under the feet."""
     feet = standing_feet(robot)
     zero = np.zeros(robot.nv)
@@ -75,13 +75,13 @@ def standing(robot: Robot) -> Standing:
     left = weight_force - jacobian.T @ wrench
     vertical = np.array([axis == 2 for contact in feet for axis in contact.rows], dtype=bool)
     centre = pin.centerOfMass(robot.model, robot.model.createData(), robot.reference)[:2]
-    return Standing(
+    return StandingPosture(
         feet=tuple(contact.name for contact in feet),
         load=wrench[vertical],
         effort=left[own:],
         unbalanced=float(np.abs(left[:own] / scales).max(initial=0.0)),
         centre=centre,
-        margin=inside(corners(robot, feet), centre),
+        margin=inside(support_points(robot, feet), centre),
     )
 
 
@@ -96,7 +96,7 @@ def _pushes(robot: Robot, feet: tuple[Contact, ...]) -> tuple[np.ndarray, np.nda
         axes = list(contact.rows)
         block, up = np.eye(len(axes)), np.array(axes) == 2
         if contact.kind == "surface":
-            arms = _corners_of(contact) @ poses[contact.name].rotation.T
+            arms = contact.corners @ poses[contact.name].rotation[:, :2].T
             block = np.hstack([np.vstack([np.eye(3), pin.skew(arm)])[axes] for arm in arms])
             up = np.tile([False, False, True], len(arms))
         blocks.append(block)
@@ -115,19 +115,11 @@ def _least_forces(wanted: np.ndarray, carried: np.ndarray, pushing: np.ndarray) 
     return np.asarray(found.x)
 
 
-def _corners_of(contact: Contact) -> np.ndarray:
-    """Corners (4, 3) of a sole in its frame, m; the origin of a point (1, 3)."""
-    if contact.kind != "surface":
-        return np.zeros((1, 3))
-    signs = np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
-    return signs * [contact.half_length, contact.half_width, 0.0]
-
-
-def corners(robot: Robot, feet: tuple[Contact, ...]) -> np.ndarray:
+def support_points(robot: Robot, feet: tuple[Contact, ...]) -> np.ndarray:
     """Points (k, 2) on which feet stand, world, m: the origins of points, the four corners of soles."""
     poses = contact_poses(robot, robot.reference)
-    points = [poses[c.name].act(corner)[:2] for c in feet for corner in _corners_of(c)]
-    return np.array(points).reshape(-1, 2)
+    points = [poses[c.name].translation + c.corners @ poses[c.name].rotation[:, :2].T for c in feet]
+    return np.vstack([np.zeros((0, 3)), *points])[:, :2]
 
 
 def inside(points: np.ndarray, place: np.ndarray) -> float | None:

@@ -34,19 +34,20 @@ from trajopt.robot.stance.stance_maps import drop_map, lift_map, symbols
 # Sines of angles between the axes of joints that move in one plane: rounding of description files.
 PARALLEL = 1e-6
 
-Triple = tuple[np.ndarray, np.ndarray, np.ndarray]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StanceMode:
-    """A floating or planar robot on one point contact, in minimal coordinates.
+    """A floating or planar robot on one point contact, in minimal coordinates; made by `stance_mode`.
 
-    floating: the robot of excess coordinates. contact: name of the contact it stands on.
-    robot: the fixed-base robot; its first joint ``passive`` is the ankle, at ``anchor`` (3,) m in the world.
+    The contact is embedded in the coordinates instead of constrained by rows. A ``foothold`` (3,) is where it
+    is in the world, m. The model is rooted at ``anchor``; another foothold displaces the floating robot and
+    changes nothing else (a planar robot is not displaced out of its plane).
 
-    A ``foothold`` (3,) is where the contact is in the world, m. The model is rooted at ``anchor``; another
-    foothold displaces the floating robot and changes nothing else (a planar robot is not displaced out of
-    its plane).
+    Args:
+        floating: the whole robot.
+        contact: name of the contact it stands on.
+        robot: the fixed-base robot of the stance, with the other contacts; its first joint is the ankle.
+        anchor: where the ankle is in the world (3,), m.
     """
 
     floating: Robot
@@ -55,9 +56,9 @@ class StanceMode:
     anchor: np.ndarray
 
     @property
-    def passive(self) -> str:
-        """Name of the ankle: the joint at the contact point."""
-        return self.robot.passive[0]
+    def embedded(self) -> Contact:
+        """The contact that these coordinates hold in place."""
+        return self.floating.contact(self.contact)
 
     @cached_property
     def lift(self) -> ca.Function:
@@ -72,18 +73,18 @@ class StanceMode:
         The ankle of a planar robot jumps by a turn where the base's pitch passes half a turn; rows of a
         transition are smooth when written with ``lift``.
         """
-        return drop_map(self.robot.model, self.floating, self.floating.contact(self.contact).frame)
+        return drop_map(self.robot.model, self.floating, self.embedded.frame)
 
     @cached_property
     def reaction(self) -> ca.Function:
-        """``(q, v, a) -> f`` (3,) N on the robot, world axes: ``f = sum_i m_i (a_i - g)``."""
+        """``(q, v, a) -> f`` (3,) N of all contacts on the robot, world axes: ``f = sum_i m_i (a_i - g)``."""
         model = self.robot.model
         q, v, a = symbols(model)
         _, rate = rigid_body.centroidal_momentum_rate(model)(q, v, a)
         force = rate[:3] - self.robot.mass * ca.DM(model.gravity.linear)
         return ca.Function("reaction", [q, v, a], [force], ["q", "v", "a"], ["f"])
 
-    @property
+    @cached_property
     def torque_rows(self) -> np.ndarray:
         """Rows (nu,) of the floating robot's torques in the order of the stance robot's."""
         rows = [joint_slices(self.floating.model, name)[1] for name in list(self.robot.model.names)[2:]]
@@ -95,34 +96,57 @@ class StanceMode:
         v: ArrayLike | None = None,
         a: ArrayLike | None = None,
         foothold: ArrayLike | None = None,
-    ) -> Triple:
-        """Numeric `lift`; ``v`` and ``a`` default to zero, ``foothold`` to the anchor."""
-        still = np.zeros(self.robot.nv)
-        at = self.anchor if foothold is None else foothold
-        lifted = self.lift(*(still if x is None else np.asarray(x) for x in (q, v, a)), np.asarray(at))
-        return _vector(lifted[0]), _vector(lifted[1]), _vector(lifted[2])
+    ) -> list[np.ndarray]:
+        """Numeric `lift` of one state or of rows (n, ...) of states: q, v and a of the floating robot.
+
+        ``v`` and ``a`` default to zero, ``foothold`` to the anchor.
+        """
+        at = self.anchor if foothold is None else np.asarray(foothold)
+        return _evaluated(self.lift, self.robot.nv, (q, v, a), at)
 
     def dropped(
         self, q: ArrayLike, v: ArrayLike | None = None, a: ArrayLike | None = None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Numeric `drop`; ``v`` and ``a`` default to zero."""
-        still = np.zeros(self.floating.nv)
-        dropped = self.drop(*(still if x is None else np.asarray(x) for x in (q, v, a)))
-        return _vector(dropped[0]), _vector(dropped[1]), _vector(dropped[2]), _vector(dropped[3])
+    ) -> list[np.ndarray]:
+        """Numeric `drop` of one state or of rows (n, ...) of states: q, v, a of the stance and foothold.
+
+        ``v`` and ``a`` default to zero.
+        """
+        return _evaluated(self.drop, self.floating.nv, (q, v, a))
 
     def ground_reaction(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> np.ndarray:
-        """Numeric `reaction` (3,) N."""
-        return _vector(self.reaction(np.asarray(q), np.asarray(v), np.asarray(a)))
+        """Numeric `reaction` (3,) N of one state, or (n, 3) of rows of states."""
+        return _evaluated(self.reaction, self.robot.nv, (q, v, a))[0]
+
+    def loss(self, q: np.ndarray, v: np.ndarray) -> float:
+        """Largest entry (m, rad; m/s, rad/s) of what of a state of the floating robot is lost by `drop`."""
+        back_q, back_v, _ = self.lifted(*self.dropped(q, v)[:3])
+        apart = pin.difference(self.floating.model, q, back_q)
+        return float(max(np.abs(apart).max(), np.abs(back_v - v).max()))
+
+
+def _evaluated(
+    function: ca.Function, nv: int, state: tuple[ArrayLike | None, ...], *constants: np.ndarray
+) -> list[np.ndarray]:
+    """Outputs of a function of (q, v, a) and constants for one state, or for rows of states."""
+    q = np.asarray(state[0], dtype=float)
+    zero = np.zeros((*q.shape[:-1], nv))
+    arrays = [zero if part is None else np.asarray(part, dtype=float) for part in state]
+    outputs = function.call([ca.DM(array.T) for array in (*arrays, *constants)])
+    return [np.array(output).T.reshape(*q.shape[:-1], -1) for output in outputs]
 
 
 def stance_mode(robot: Robot, contact: str, *, anchor: ArrayLike | None = None) -> StanceMode:
-    """Return the stance mode of ``robot`` on its point contact of that name.
+    """Return the minimal coordinates of ``robot`` while it stands on one point contact.
 
-    anchor: (3,) m, where the fixed-base robot stands; default the contact's place in the reference posture.
+    Args:
+        robot: a robot with a floating or planar base.
+        contact: name of the contact.
+        anchor: where the contact stands in the world (3,), m; default its place in the reference posture.
 
-    Raises `InputError` for a base other than "freeflyer" or "planar", a sole, a contact that does not hang
-    on the base, or a planar robot whose joints from base to contact leave the plane; and
-    `UnsupportedJointError` for a joint on the way of more than one degree of freedom.
+    Raises:
+        InputError: for a base other than "freeflyer" or "planar", a sole, a contact that does not hang on the
+            base, or a planar robot whose joints from base to contact leave the plane.
+        UnsupportedJointError: for a joint on the way with more than one degree of freedom.
     """
     if robot.base not in ("freeflyer", "planar"):
         raise InputError(f"robot '{robot.name}' has base={robot.base!r}", "'freeflyer' or 'planar'")
@@ -190,7 +214,3 @@ def _stance_robot(robot: Robot, contact: Contact, anchor: np.ndarray) -> Robot:
     )
     mode = StanceMode(floating=robot, contact=contact.name, robot=standing, anchor=anchor)
     return replace(standing, reference=mode.dropped(robot.reference)[0])
-
-
-def _vector(value: ca.DM) -> np.ndarray:
-    return np.array(value).ravel()

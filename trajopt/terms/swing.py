@@ -1,0 +1,238 @@
+"""Swing clearance: contacts in the air stay above the ground, at nodes.
+
+The least height follows `swing_profile` over the swing: zero and flat where the foot leaves and lands. Over
+flat and smooth ground a swing is one phase (`SwingClearance`), or spans several (`SwingArc`). Over piecewise
+ground (`SwingOver`) a foot that has to pass an edge stays on its side of it until it is as high as the ground
+behind, and, going down, keeps that height until it has passed. At one node at least both hold, so between any
+two nodes one of them holds at both ends: no interval cuts the edge. All of these rows are linear in the
+foot's position. The terms for all swings of a schedule: `trajopt.terms.swing_planning`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from typing_extensions import override
+
+from trajopt.errors import InputError
+from trajopt.robot.units import Units
+from trajopt.terms.context import Context
+from trajopt.terms.interfaces import Rows
+from trajopt.terms.landing import along_normal, contact_points
+from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
+from trajopt.terrain.crossing import Crossing
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.smooth import CurvedSurface, SmoothTerrain
+from trajopt.terrain.surface import UP, Surface
+from trajopt.terrain.swing_profile import require_clearance, swing_profile
+from trajopt.terrain.terrain import Ground
+
+LEVEL = np.array(UP)
+# Rounding of times of nodes, as a part of a swing.
+SAME_TIME = 1e-9
+
+
+def _heights(context: Context, ground: Ground, points: Iterable[ca.SX]) -> list[ca.SX]:
+    """Heights of points (3,): vertical over smooth ground, else along the normal from the world's origin."""
+    if isinstance(ground, CurvedSurface):
+        return [ground.symbolic_gap(point, context.parameter) for point in points]
+    return [along_normal(context, ground, point) for point in points]
+
+
+def _acts_at(place: NodePlace, between_phases: bool) -> bool:
+    """Whether a node is the first of its phase, or else one inside it."""
+    return place.index == 0 if between_phases else 0 < place.index < place.count
+
+
+@dataclass(frozen=True, kw_only=True)
+class SwingClearance(NodeConstraint):
+    """Contacts that are inactive in a phase stay above the terrain at the nodes inside the phase.
+
+    The least distance from flat ground, or height over smooth ground, is ``height`` (m) times `swing_profile`
+    of the fraction of the phase; it holds for all four corners of a sole. Piecewise ground has edges, for
+    which there is `SwingOver`. Raises `InputError`.
+    """
+
+    height: float
+    terrain: FlatGround | SmoothTerrain
+
+    def __post_init__(self) -> None:
+        require_clearance(self.height)
+        if not isinstance(self.terrain, FlatGround | SmoothTerrain):
+            raise InputError(
+                "SwingClearance over piecewise ground, where feet would cut edges between nodes",
+                "allowed: flat or smooth ground; swing_clearance() of trajopt.terms for any",
+            )
+
+    @override
+    def acts_at(self, place: NodePlace) -> bool:
+        return _acts_at(place, between_phases=False) and self.acts_in(place.phase.name)
+
+    @override
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        swinging = [c for c in context.robot.contacts if c.name not in place.phase.contacts]
+        points = [point for contact in swinging for point in contact_points(context, contact)]
+        ground = self.terrain.surface
+        heights = ca.vertcat(*_heights(context, ground, points))
+        if isinstance(ground, Surface) and ground.height:
+            # Over the ground, not the origin: solvers relax a bound in proportion to its size.
+            heights -= context.parameter(ground.height)
+        least = self.height * swing_profile(place.fraction)
+        return Rows.create(heights, least, np.inf, units.length)
+
+
+@dataclass(frozen=True)
+class SwingPart:
+    """The part of a contact's swing in one phase: fractions of the swing where the phase begins and ends."""
+
+    contact: str
+    begin: float
+    end: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SwingArc(NodeConstraint):
+    """Swinging contacts stay above flat or smooth ground over swings that may span several phases.
+
+    Heights are those of `SwingClearance`, over the fraction of the whole swing. Nothing is imposed where a
+    swing begins and ends: the contact's stance says where it is. `swing_arcs` makes these terms.
+
+    Args:
+        height: least height in mid swing, m.
+        terrain: the ground.
+        parts: the swings in each phase, by the phase's name.
+        between_phases: whether the term acts where the phases begin, for the contacts that are in the air
+            before it too, or at the nodes inside the phases.
+    """
+
+    height: float
+    terrain: FlatGround | SmoothTerrain
+    parts: Mapping[str, tuple[SwingPart, ...]]
+    between_phases: bool = False
+
+    def __post_init__(self) -> None:
+        require_clearance(self.height)
+
+    def _acting(self, phase: str) -> list[SwingPart]:
+        return [part for part in self.parts.get(phase, ()) if part.begin > 0 or not self.between_phases]
+
+    @override
+    def acts_at(self, place: NodePlace) -> bool:
+        return _acts_at(place, self.between_phases) and bool(self._acting(place.phase.name))
+
+    @override
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        ground, heights, least = self.terrain.surface, [], []
+        level = ground.height if isinstance(ground, Surface) else 0.0
+        for part in self._acting(place.phase.name):
+            points = contact_points(context, context.robot.contact(part.contact))
+            s = part.begin + place.fraction * (part.end - part.begin)
+            heights += _heights(context, ground, points)
+            least += [level + self.height * swing_profile(s)] * len(points)
+        return Rows.create(ca.vertcat(*heights), np.array(least), np.inf, units.length)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SwingCrossing:
+    """One swing of a contact over piecewise ground.
+
+    Args:
+        contact: its name.
+        begin: nominal time of the lift-off, s.
+        end: nominal time of the touchdown, s.
+        parts: (begin, duration) of the phases of the swing, s, by their names.
+        ground: what lies between the two footholds.
+        risen: fraction of the swing at which the foot is at the top, before the first edge.
+        sinking: fraction up to which it stays there, behind the last edge.
+    """
+
+    contact: str
+    begin: float
+    end: float
+    parts: dict[str, tuple[float, float]]
+    ground: Crossing
+    risen: float
+    sinking: float
+
+    def fraction(self, place: NodePlace) -> tuple[float, float]:
+        """Fraction of the swing at a node, and that of one interval there."""
+        begin, duration = self.parts[place.phase.name]
+        whole = self.end - self.begin
+        return (begin + place.fraction * duration - self.begin) / whole, duration * place.step / whole
+
+    def half_spaces(self, place: NodePlace, height: float) -> list[tuple[np.ndarray, float]]:
+        """Normals (3,) and offsets (m) of the one or two half-spaces in which the foot is at a node.
+
+        Args:
+            place: the node.
+            height: clearance in mid swing, m.
+        """
+        ground, (s, step) = self.ground, self.fraction(place)
+        lift = height * swing_profile(s)
+        if ground.top is None:
+            planes = [ground.first] if ground.first.same_plane(ground.last) else [ground.first, ground.last]
+            return [_above(plane, lift) for plane in planes]
+        half = step / 2 + SAME_TIME
+        risen = min(max(self.risen, step), 1 - step)
+        sinking = min(max(self.sinking, step), 1 - step)
+        if ground.rise is not None and s < risen - half:
+            first = _above(ground.first, lift)
+        elif ground.fall is not None and s > sinking + half:
+            first = _above(ground.last, lift)
+        else:
+            first = (LEVEL, ground.top + lift)
+        if ground.rise is not None and s <= risen + half:
+            return [first, (ground.rise.normal, ground.rise.offset)]
+        if ground.fall is not None and s >= sinking - half:
+            return [first, (ground.fall.normal, ground.fall.offset)]
+        # All nodes of a swing have as many rows: this one is never active beside the first.
+        return [first, (LEVEL, ground.top - height)]
+
+
+def _above(plane: Surface, lift: float) -> tuple[np.ndarray, float]:
+    """Half-space at least ``lift`` m over a plane, measured vertically."""
+    upward = float(plane.normal[2])
+    return plane.normal / upward, plane.height / upward + lift
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SwingOver(NodeConstraint):
+    """Feet stay above piecewise ground over their swings, and cut no edge between the nodes.
+
+    The clearance follows `swing_profile`; it holds for all four corners of a sole. `swing_clearance` makes
+    these terms.
+
+    Args:
+        height: clearance in mid swing, m.
+        swings: all swings.
+        between_phases: whether the term acts where one phase of a swing goes over into the next, or at the
+            nodes inside the phases.
+    """
+
+    height: float
+    swings: tuple[SwingCrossing, ...]
+    between_phases: bool = False
+
+    def _acting(self, place: NodePlace) -> Iterator[SwingCrossing]:
+        for swing in self.swings:
+            inside = place.phase.name in swing.parts
+            if inside and (place.index > 0 or next(iter(swing.parts)) != place.phase.name):
+                yield swing
+
+    @override
+    def acts_at(self, place: NodePlace) -> bool:
+        return _acts_at(place, self.between_phases) and any(True for _ in self._acting(place))
+
+    @override
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        expressions, bounds = [], []
+        for swing in self._acting(place):
+            points = contact_points(context, context.robot.contact(swing.contact))
+            for normal, least in swing.half_spaces(place, self.height):
+                direction = context.parameter(normal)
+                expressions += [ca.dot(direction, point) for point in points]
+                bounds += [least] * len(points)
+        return Rows.create(ca.vertcat(*expressions), np.array(bounds), np.inf, units.length)

@@ -1,0 +1,208 @@
+"""Swing terms of a whole schedule: which contacts swing when, and over what."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from trajopt.robot.kinematics import contact_poses, contact_positions
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Motion, Phase, Schedule
+from trajopt.terms.interfaces import Term
+from trajopt.terms.swing import LEVEL, SwingArc, SwingClearance, SwingCrossing, SwingOver, SwingPart
+from trajopt.terrain.crossing import Crossing, Edge, crossing
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.piecewise import PiecewiseTerrain
+from trajopt.terrain.smooth import SmoothTerrain
+from trajopt.terrain.surface import Surface
+from trajopt.terrain.swing_path import crossing_of
+from trajopt.terrain.swing_profile import require_clearance
+from trajopt.terrain.terrain import Ground, Terrain
+
+# Distance kept from an edge in units of the clearance, and at most this part of what there is at lift-off.
+FROM_EDGE, OF_WAY = 0.5, 0.5
+# Samples of the guess's swing in which it is seen to pass an edge.
+SAMPLES = 101
+
+
+def swing_clearance(
+    robot: Robot, schedule: Schedule, terrain: Terrain, *, height: float, guess: Motion
+) -> tuple[Term, ...]:
+    """Terms that keep swinging contacts above any terrain: `SwingClearance`, or `SwingOver` with edges.
+
+    On piecewise ground contacts that do not touch again, or have not touched before, are left out.
+
+    Args:
+        robot: the robot.
+        schedule: who is in contact when.
+        terrain: the ground.
+        height: clearance in mid swing, m.
+        guess: motion t -> q (nq,). On piecewise ground it says from where to where each contact swings,
+            where no foothold does, and when it passes edges.
+
+    Raises:
+        InputError: for a clearance that is negative or not finite.
+    """
+    if not isinstance(terrain, PiecewiseTerrain):
+        return (SwingClearance(height=height, terrain=terrain),)
+    require_clearance(height)
+    swings = tuple(_swings(robot, schedule, terrain, height, guess))
+    terms = [SwingOver(height=height, swings=swings)] if swings else []
+    if any(len(swing.parts) > 1 for swing in swings):
+        terms.append(SwingOver(height=height, swings=swings, between_phases=True))
+    return tuple(terms)
+
+
+def _swings(
+    robot: Robot, schedule: Schedule, terrain: PiecewiseTerrain, height: float, guess: Motion
+) -> Iterator[SwingCrossing]:
+    times = np.concatenate([[0.0], np.cumsum([phase.duration for phase in schedule.phases])])
+    for contact in robot.contacts:
+        on = [contact.name in phase.contacts for phase in schedule.phases]
+        for last in range(1, len(on)):
+            if not on[last] or on[last - 1] or not any(on[:last]):
+                continue
+            first = max(i for i in range(last) if on[i]) + 1
+            span = (float(times[first]), float(times[last]))
+            track = _track(robot, contact.name, guess, span)
+            starts = contact_positions(robot, guess(0.0))
+            middles = track.mean(axis=1)
+            places = [
+                _foothold(schedule, first - 1, contact.name, terrain, starts, middles[0]),
+                _foothold(schedule, last, contact.name, terrain, starts, middles[-1]),
+            ]
+            for end, (place, _) in zip((0, -1), places, strict=True):
+                track[end] += place - middles[end]
+            parts = {
+                schedule.phases[i].name: (float(times[i]), schedule.phases[i].duration)
+                for i in range(first, last)
+            }
+            yield _swing(contact.name, span, parts, terrain, places, track, height)
+
+
+def _track(robot: Robot, name: str, guess: Motion, span: tuple[float, float]) -> np.ndarray:
+    """Points (n, m, 3) of a contact along the guess of its swing, m: one, or a sole's four corners."""
+    poses = (contact_poses(robot, guess(float(t)))[name] for t in np.linspace(*span, SAMPLES))
+    points = robot.contact(name).corners
+    return np.array([pose.translation + points @ pose.rotation[:, :2].T for pose in poses])
+
+
+def _foothold(
+    schedule: Schedule,
+    index: int,
+    name: str,
+    terrain: PiecewiseTerrain,
+    starts: dict[str, np.ndarray],
+    guessed: np.ndarray,
+) -> tuple[np.ndarray, Surface]:
+    """Where a contact of a phase stands, as far as is known, and the plane there."""
+    ground: Ground = schedule.surface(index, name, terrain, starts)
+    begins = schedule.beginning(name, index)
+    place = schedule.phases[begins].footholds.get(name, guessed)
+    plane = ground.plane_at(place)
+    place = place - float(plane.distance(place)) / plane.normal[2] * LEVEL if plane.normal[2] > 0 else place
+    patch = schedule.patch(index, name)
+    return (place if patch is None else patch.nearest(place)), plane
+
+
+def _swing(
+    name: str,
+    span: tuple[float, float],
+    parts: dict[str, tuple[float, float]],
+    terrain: PiecewiseTerrain,
+    places: list[tuple[np.ndarray, Surface]],
+    track: np.ndarray,
+    height: float,
+) -> SwingCrossing:
+    (start, first), (end, last) = places
+    upward = first.normal[2] > 0 and last.normal[2] > 0
+    found = crossing(terrain, start, end, first, last) if upward else crossing_of(terrain, start, end)
+    rise, fall = _kept_from(found.rise, track[0], height), _kept_from(found.fall, track[-1], height)
+    ground = Crossing(first=found.first, last=found.last, top=found.top, rise=rise, fall=fall)
+    fractions = np.linspace(0.0, 1.0, len(track))
+    risen = 0.0 if rise is None else float(fractions[_last_before(rise.distance(track))])
+    sinking = 1.0 if fall is None else float(1.0 - fractions[_last_before(fall.distance(track[::-1]))])
+    return SwingCrossing(
+        contact=name,
+        begin=span[0],
+        end=span[1],
+        parts=parts,
+        ground=ground,
+        risen=min(risen, sinking),
+        sinking=max(risen, sinking),
+    )
+
+
+def _kept_from(edge: Edge | None, points: np.ndarray, height: float) -> Edge | None:
+    """The edge with a distance to keep from it, less than all of the foot has at its end of the swing."""
+    if edge is None:
+        return None
+    keep = min(FROM_EDGE * height, OF_WAY * max(float(edge.distance(points).min()), 0.0))
+    return Edge(normal=edge.normal, offset=edge.offset + keep, part=edge.part)
+
+
+def _last_before(distances: np.ndarray) -> int:
+    """Last sample up to which all points of a track have stayed on the free side; ``distances`` (n, m)."""
+    beyond = np.flatnonzero(distances.min(axis=1) < 0)
+    return int(max(beyond[0] - 1, 0)) if len(beyond) else len(distances) - 1
+
+
+def swing_arcs(
+    schedule: Schedule,
+    contacts: tuple[str, ...],
+    *,
+    height: float,
+    terrain: FlatGround | SmoothTerrain,
+    next_name: Mapping[str, str] | None = None,
+) -> tuple[SwingArc, SwingArc]:
+    """Terms for the swings of contacts, which may span phases: inside the phases and between them.
+
+    Args:
+        schedule: who is in contact when.
+        contacts: names of the contacts.
+        height: clearance in mid swing, m.
+        terrain: flat or smooth ground.
+        next_name: for a periodic schedule, the contact whose motion each contact continues after the end:
+            itself, or for half a cycle the one on the other side. Swings then continue from the end to the
+            beginning. None: the schedule begins and ends once.
+
+    Raises:
+        InputError: for a clearance that is negative or not finite.
+    """
+    parts = _swing_parts(schedule.phases, contacts, next_name)
+    arc = SwingArc(height=height, terrain=terrain, parts=parts)
+    return arc, replace(arc, between_phases=True)
+
+
+def _swing_parts(
+    phases: tuple[Phase, ...], contacts: tuple[str, ...], next_name: Mapping[str, str] | None
+) -> dict[str, tuple[SwingPart, ...]]:
+    found: dict[str, list[SwingPart]] = {phase.name: [] for phase in phases}
+    previous = {} if next_name is None else {after: before for before, after in next_name.items()}
+    for name in contacts:
+        for i, phase in enumerate(phases):
+            if name in phase.contacts:
+                continue
+            before = _time_in_air(phases[:i][::-1], name)
+            if before is None:
+                before = sum(p.duration for p in phases[:i])
+                before += 0.0 if not previous else (_time_in_air(phases[::-1], previous[name]) or 0.0)
+            after = _time_in_air(phases[i + 1 :], name)
+            if after is None:
+                after = sum(p.duration for p in phases[i + 1 :])
+                after += 0.0 if next_name is None else (_time_in_air(phases, next_name[name]) or 0.0)
+            total = before + phase.duration + after
+            found[phase.name].append(SwingPart(name, before / total, (before + phase.duration) / total))
+    return {name: tuple(parts) for name, parts in found.items()}
+
+
+def _time_in_air(phases: tuple[Phase, ...], name: str) -> float | None:
+    """Time in s from the first of these phases until the contact stands; None where it never does."""
+    time = 0.0
+    for phase in phases:
+        if name in phase.contacts:
+            return time
+        time += phase.duration
+    return None
