@@ -1,15 +1,21 @@
-"""What the command line is given: NAME=VALUE settings, solver options, the place of the output."""
+"""What the command line is given: numbers, NAME=VALUE settings, options that several commands share."""
 
 from __future__ import annotations
 
+import importlib
 import re
-from collections.abc import Sequence
-from typing import Any
+import threading
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from trajopt.errors import InputError
 
+if TYPE_CHECKING:
+    from trajopt.problem.problem import Problem
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
 _INTEGER = re.compile(r"[-+]?[0-9]+", re.ASCII)
 # Solvers count with C's int.
 LARGEST_INTEGER = 2**31 - 1
@@ -34,11 +40,83 @@ class WholeNumber(click.ParamType):
         return number
 
 
-# Solvers count with C's int.
 COUNT = WholeNumber(0, LARGEST_INTEGER)
 # A finer grid takes tens of gigabytes before anything is solved; a problem knows its coarsest.
 GRID = WholeNumber(-LARGEST_INTEGER, 100_000)
 THREADS = WholeNumber(1, 1024)
+
+
+def option_group(*options: Callable[[_Command], _Command]) -> Callable[[_Command], _Command]:
+    """Return a decorator that adds several options to a command, in the order in which they are listed."""
+
+    def decorate(command: _Command) -> _Command:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorate
+
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+grid_options = option_group(
+    click.option(
+        "--transcription", metavar="NAME", help="Scheme, e.g. legendre:2.  [default: the problem's]"
+    ),
+    click.option(
+        "--intervals", type=GRID, metavar="N", help="Over the whole schedule.  [default: the problem's]"
+    ),
+    click.option(
+        "--solver", default="ipopt", metavar="NAME", show_default=True, help="ipopt, fatrop or sqp."
+    ),
+)
+tolerance_option = click.option(
+    "--tol", "tolerance", type=float, default=1e-6, metavar="TOL", show_default=True, help="Tolerance."
+)
+function_options = option_group(
+    click.option(
+        "--compile", default="quick", metavar="LEVEL", show_default=True, help="none, quick or fast."
+    ),
+    click.option("--threads", type=THREADS, default=1, metavar="N", show_default=True, help="For functions."),
+)
+solver_options = option_group(
+    click.option(
+        "--max-iterations",
+        type=COUNT,
+        default=500,
+        metavar="N",
+        show_default=True,
+        help="Iteration limit of a solve.",
+    ),
+    click.option(
+        "--max-time",
+        type=float,
+        default=600.0,
+        metavar="S",
+        show_default=True,
+        help="Time limit of a solve, s.",
+    ),
+    function_options,
+    click.option(
+        "--solver-option",
+        "solver_options",
+        multiple=True,
+        metavar="NAME=VALUE",
+        help="The solver's own option.",
+    ),
+)
+
+
+def chosen_problem(name: str, settings: Sequence[str]) -> Problem:
+    """Build the problem of that name with repeated ``--set NAME=VALUE``; raises `InputError`."""
+    from trajopt.problem.catalogue import families
+    from trajopt.problem.family import choose
+
+    return choose(families(), name).load(values_of(settings, "--set"))
+
+
+def import_in_background(module: str) -> None:
+    """Let a module that takes long to load do so while the solver holds no Python lock."""
+    threading.Thread(target=importlib.import_module, args=(module,), daemon=True).start()
 
 
 def values_of(settings: Sequence[str], option: str) -> dict[str, str]:

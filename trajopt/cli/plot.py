@@ -9,7 +9,7 @@ import click
 from trajopt.solution.output import check_apart
 
 
-@click.command()
+@click.command("plot")
 @click.argument("files", nargs=-1, required=True, type=Path, metavar="FILE...")
 @click.option(
     "-o", "--output", required=True, type=Path, metavar="OUT", help="Ends with .png, .svg, .pdf or .html."
@@ -24,7 +24,9 @@ from trajopt.solution.output import check_apart
     help="summary, limits, joints, drives, forces, soles, base, momentum, clearance or accuracy.  "
     "[default: summary for .png and .svg, else all]",
 )
-def plot(files: tuple[Path, ...], output: Path, labels: tuple[str, ...], pages: tuple[str, ...]) -> None:
+def plot_command(
+    files: tuple[Path, ...], output: Path, labels: tuple[str, ...], pages: tuple[str, ...]
+) -> None:
     """Plot the solution in FILE; several FILEs of one robot are overlaid.
 
     Pages about what the robot does not have (contacts, drives, a base that moves) are left out.

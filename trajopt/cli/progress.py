@@ -11,8 +11,6 @@ from contextlib import ExitStack, contextmanager
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
 
-from trajopt.solving.iterate import GRACE
-
 if TYPE_CHECKING:
     from trajopt.solving.iterate import Watch
 
@@ -91,6 +89,8 @@ class Deadline:
 
     def start(self) -> None:
         """Start the clock, once, when the solver starts."""
+        from trajopt.solving.iterate import GRACE
+
         if self._timer is None and self._max_time + GRACE < threading.TIMEOUT_MAX:
             self._timer = threading.Timer(self._max_time + GRACE, self._end)
             self._timer.daemon = True

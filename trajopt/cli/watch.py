@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from trajopt.solution.solution import Solution
     from trajopt.view.watching.viewer import Viewer
 
-Command = TypeVar("Command", bound=Callable[..., Any])
+_Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
-def watch_options(command: Command) -> Command:
+def watch_options(command: _Command) -> _Command:
     """``--watch`` and ``--log``."""
     for option in reversed(
         (
@@ -29,8 +29,8 @@ def watch_options(command: Command) -> Command:
     return command
 
 
-def opened(watch: bool) -> Viewer | None:
-    """A viewer if one is asked for, its place said on stderr; a browser is opened from a terminal alone."""
+def open_viewer(watch: bool) -> Viewer | None:
+    """Start a viewer if ``watch``, print its address on stderr; a browser opens only from a terminal."""
     if not watch:
         return None
     from trajopt.view.replay.live import where
@@ -41,8 +41,8 @@ def opened(watch: bool) -> Viewer | None:
     return viewer
 
 
-def kept(viewer: Viewer | None, solution: Solution | None) -> None:
-    """Show the solution; at a terminal until Ctrl-C, else end the viewer: a script must not hang."""
+def show_until_interrupted(viewer: Viewer | None, solution: Solution | None) -> None:
+    """Show the solution until Ctrl-C; without a terminal end the viewer: a script must not hang."""
     if viewer is None:
         return
     try:
