@@ -29,7 +29,7 @@ from trajopt.view.plotting import style
 from trajopt.view.plotting.figure import figure_of
 from trajopt.view.plotting.joints import limbs_of
 from trajopt.view.plotting.summary import PAGES, pages_of
-from trajopt.view.plotting.topics_contacts import stances
+from trajopt.view.plotting.topics_contacts import stance_spans
 from trajopt.view.plotting.track import Track, tracks_of
 from trajopt.view.plotting.writing import report
 from trajopt_library import robots
@@ -186,10 +186,10 @@ def test_contact_force_lines_are_the_files_forces() -> None:
 
 def test_stances_are_where_contacts_are_active_whatever_the_phases() -> None:
     solution = jump()
-    assert_allclose(stances(track_of(solution), 0), [[0.0, 0.3], [0.5, 0.8]], atol=ROUNDING)
+    assert_allclose(stance_spans(track_of(solution), 0), [[0.0, 0.3], [0.5, 0.8]], atol=ROUNDING)
     active = solution.active.copy()
     active[solution.interval == 0] = False  # as a simulation may find: contacts come and go within a phase
-    changed = stances(track_of(replace(solution, active=active)), 0)
+    changed = stance_spans(track_of(replace(solution, active=active)), 0)
     assert_allclose(changed[0], [solution.interval_t[0, 1], 0.3], atol=ROUNDING)
     force = lines(drawn(solution, "forces"), "force:foot")["normal"][0]
     assert not ((force > 0.3) & (force < 0.5)).any()

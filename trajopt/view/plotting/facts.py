@@ -15,7 +15,7 @@ from trajopt.view.plotting.track import Track
 
 
 @dataclass(frozen=True, kw_only=True)
-class Section:
+class FigureTable:
     """A table: ``title``, and ``rows`` of a name, a value for each solution, a unit and what is allowed.
 
     ``beyond`` are the (row, solution) whose value is beyond that.
@@ -26,21 +26,21 @@ class Section:
     beyond: frozenset[tuple[int, int]] = frozenset()
 
 
-def sections(tracks: Sequence[Track]) -> tuple[Section, ...]:
+def sections(tracks: Sequence[Track]) -> tuple[FigureTable, ...]:
     """Facts, check and accuracy of the solutions; a figure that cannot be had is left empty."""
     return tuple(
         section for section in (_facts(tracks), _check(tracks), _accuracy(tracks)) if section is not None
     )
 
 
-def _facts(tracks: Sequence[Track]) -> Section:
+def _facts(tracks: Sequence[Track]) -> FigureTable:
     named = [_facts_of(track) for track in tracks]
     rows = []
     for name in named[0]:
         values = tuple(facts[name][0] for facts in named)
         if any(values):
             rows.append((name, values, named[0][name][1], ""))
-    return Section(title="solution", rows=tuple(rows))
+    return FigureTable(title="solution", rows=tuple(rows))
 
 
 def _facts_of(track: Track) -> dict[str, tuple[str, str]]:
@@ -92,7 +92,7 @@ def _tried(compute: Callable[[], float]) -> float | None:
         return None
 
 
-def _check(tracks: Sequence[Track]) -> Section | None:
+def _check(tracks: Sequence[Track]) -> FigureTable | None:
     reports = [track.report for track in tracks]
     if not any(reports):
         return None
@@ -110,10 +110,10 @@ def _check(tracks: Sequence[Track]) -> Section | None:
         beyond |= {(len(rows), i) for i, failed in enumerate(failures) if name in failed}
         texts = tuple("" if value is None else f"{value:.3g}" for value in values)
         rows.append((figure.text, texts, figure.unit, allowed))
-    return Section(title="check, by numeric Pinocchio alone", rows=tuple(rows), beyond=frozenset(beyond))
+    return FigureTable(title="check, by numeric Pinocchio alone", rows=tuple(rows), beyond=frozenset(beyond))
 
 
-def _accuracy(tracks: Sequence[Track]) -> Section | None:
+def _accuracy(tracks: Sequence[Track]) -> FigureTable | None:
     found = [track.accuracy for track in tracks]
     if not any(found):
         return None
@@ -122,4 +122,4 @@ def _accuracy(tracks: Sequence[Track]) -> Section | None:
         values = [None if one is None else getattr(one, name) for one in found]
         if any(value is not None for value in values):
             rows.append((text, tuple("" if value is None else f"{value:.3g}" for value in values), unit, ""))
-    return Section(title="accuracy between points and in open loop", rows=tuple(rows))
+    return FigureTable(title="accuracy between points and in open loop", rows=tuple(rows))

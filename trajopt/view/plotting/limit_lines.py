@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajopt.view.plotting import style
-from trajopt.view.plotting.draw import LIMIT_DASHES, fit, room
+from trajopt.view.plotting.draw import LIMIT, fit, room
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,10 +55,10 @@ def limit_lines(axes: Axes, found: Sequence[Limit], least: float = 0.0) -> None:
     if not shared:
         for limit in found:
             for value in limit.near:
-                axes.axhline(value, color=limit.colour, linewidth=0.8, linestyle=LIMIT_DASHES, zorder=2)
+                axes.axhline(value, **{**LIMIT, "color": limit.colour}, zorder=2)
         return
     bottom, top = axes.get_ylim()
     for value in set(near):
-        axes.axhline(value, color=style.BLACK, linewidth=0.8, linestyle=LIMIT_DASHES, zorder=2)
+        axes.axhline(value, **LIMIT, zorder=2)
         side = bottom if value == found[0].lower else top
         axes.axhspan(*sorted((value, side)), facecolor="none", edgecolor=style.GREY, hatch="////", lw=0)

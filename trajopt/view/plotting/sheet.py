@@ -50,8 +50,8 @@ def png_sheet(figures: Sequence[Figure]) -> bytes:
     return buffer.getvalue()
 
 
-def svg_sheet(drawn: Sequence[str], figures: Sequence[Figure]) -> str:
-    """Drawings of one width below one another as one SVG file."""
+def svg_sheet(figures: Sequence[Figure]) -> str:
+    """Draw figures of one width below one another as one SVG file."""
     heights = [figure.get_size_inches()[1] * POINTS_AN_INCH for figure in figures]
     width, total = style.WIDTH * POINTS_AN_INCH, sum(heights)
     head = '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
@@ -59,8 +59,8 @@ def svg_sheet(drawn: Sequence[str], figures: Sequence[Figure]) -> str:
         f'{head} width="{width:g}pt" height="{total:g}pt" viewBox="0 0 {width:g} {total:g}" version="1.1">'
     ]
     at = 0.0
-    for number, (text, height) in enumerate(zip(drawn, heights, strict=True)):
-        parts.append(f'<g transform="translate(0 {at:g})">{with_own_names(text, number)}</g>')
+    for number, (figure, height) in enumerate(zip(figures, heights, strict=True)):
+        parts.append(f'<g transform="translate(0 {at:g})">{with_own_names(svg_of(figure), number)}</g>')
         at += height
     return "\n".join([*parts, "</svg>", ""])
 

@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import touched
+from trajopt.view.phases import phase_spans
 from trajopt.view.replay.arrows import draw_arrows, weight_arrow_of
 from trajopt.view.replay.balance import balance_of
 from trajopt.view.replay.balance_marks import draw_balance
@@ -131,7 +132,7 @@ def _facts(
         "start": float(motion.t[0]),
         "speed": motion.speed,
         "duration": (motion.n_frames - 1) / motion.frame_rate,
-        "phases": _phases(runs[0].solution),
+        "phases": [vars(span) for span in phase_spans(runs[0].solution)],
         "layers": layers,
         "runs": [
             {"label": run.label, "colour": f"#{run.colour:06x}", "root": run.root, "base": run.base_path}
@@ -141,16 +142,3 @@ def _facts(
         "box": box.tolist(),
         "travels": follows,
     }
-
-
-def _phases(solution: Solution) -> list[dict[str, Any]]:
-    """Name, start and end (s) of every phase; numbered where the solution has no names."""
-    names = solution.meta.get("phase_names") or []
-    found = []
-    for rows in solution.phases:
-        index = int(solution.phase[rows.start])
-        name = str(names[index]) if index < len(names) else f"phase {index + 1}"
-        found.append(
-            {"name": name, "start": float(solution.t[rows.start]), "end": float(solution.t[rows.stop - 1])}
-        )
-    return found
