@@ -15,7 +15,7 @@ import click
 
 from trajopt import solve
 from trajopt.certify.accuracy.measures import measure
-from trajopt.cli.input import values_of
+from trajopt.cli.input import parse_settings
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.solving.refine import Refinement, phase_errors, refine, tolerance_for
@@ -95,7 +95,7 @@ def _line(name: str, solution: Solution, error: float, iterations: int, seconds:
 @click.option("--compile", default="quick", show_default=True, help="none, quick or fast.")
 def main(problem: str, settings: tuple[str, ...], targets: tuple[float, ...], compile: str) -> None:
     """Print, for each target, what uniform and refined meshes need."""
-    built = problems.load(problem, **values_of(settings, "--set"))
+    built = problems.load(problem, **parse_settings(settings, "--set"))
     uniforms = Uniforms(built, compile)
     for target in targets:
         click.echo(f"{problem}, error of at most {target:g} m")

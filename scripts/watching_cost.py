@@ -20,7 +20,7 @@ from pathlib import Path
 from trajopt.solving.iterate import Iterate, Watch
 from trajopt.solving.solving import DEFAULT_SOLVER, Prepared, prepare, solve_prepared
 from trajopt.view.watching.history import History
-from trajopt.view.watching.record import Table
+from trajopt.view.watching.record import IterationTable
 from trajopt.view.watching.viewer import Viewer
 from trajopt_library import problems
 
@@ -45,7 +45,7 @@ def opened(mode: str, folder: Path, stack: ExitStack) -> Watch | None:
     makers: dict[str, Callable[[], Watch | None]] = {
         "alone": lambda: None,
         "panel": lambda: History().add,
-        "log": lambda: stack.enter_context(Table(folder / "log.csv")),
+        "log": lambda: stack.enter_context(IterationTable(folder / "log.csv")),
         "viewer": lambda: stack.enter_context(Viewer()),
     }
     return makers[mode]()

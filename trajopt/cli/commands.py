@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import click
+from typing_extensions import override
 
 from trajopt import __version__
 from trajopt.errors import TrajoptError
@@ -46,22 +47,22 @@ COMMANDS = {
 class CommandLine(click.Group):
     """A group that imports commands by name and answers bad input with one line and exit status 2."""
 
+    @override
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names of the commands, sorted."""
         return sorted(COMMANDS)
 
+    @override
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import and return the command of that name, None for an unknown one."""
         if cmd_name not in COMMANDS:
             return None
         module, _, function = COMMANDS[cmd_name].partition(":")
         command: click.Command = getattr(importlib.import_module(module), function)
         return command
 
+    @override
     def main(  # type: ignore[override]
         self, args: Sequence[str] | None = None, prog_name: str | None = None, **extra: Any
     ) -> None:
-        """Run and leave with the exit status."""
         extra["standalone_mode"] = False
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of libraries, about their own future
@@ -82,20 +83,20 @@ class CommandLine(click.Group):
         except OSError as error:
             return _refuse(f"{error.filename or 'input or output'}: {error.strerror or error}")
 
+    @override
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command; an unknown one is refused with those that are known."""
         if args[0] not in COMMANDS:
             known = ", ".join(self.list_commands(ctx))
             raise click.UsageError(f"no command '{args[0]}', allowed: {known}", ctx)
         return super().resolve_command(ctx, args)
 
+    @override
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; Ctrl-C ends it with one line instead of click's empty one."""
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt:
+        except KeyboardInterrupt:  # click itself would print an empty line
             click.echo("trajopt: cancelled", err=True)
             return CANCELLED
 

@@ -10,13 +10,14 @@ import click
 
 from trajopt.cli.input import (
     WholeNumber,
+    default_option,
     grid_options,
     import_in_background,
     json_option,
     options_of,
+    parse_settings,
     solver_options,
     tolerance_option,
-    values_of,
 )
 from trajopt.cli.progress import stdout_to_stderr, watched
 from trajopt.cli.report import console, plain_table, to_json
@@ -42,9 +43,7 @@ VARY_FORM = "allowed: NAME=START:STOP:COUNT, such as distance=0.2:0.4:5"
 @click.option("--vary", required=True, metavar="NAME=START:STOP:COUNT", help="The parameter and its values.")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="Another parameter.")
 @click.option("--compare", is_flag=True, help="Solve every value from its default guess, too.")
-@click.option(
-    "--max-halvings", type=HALVINGS, default=4, metavar="N", show_default=True, help="Of a step that fails."
-)
+@default_option("--max-halvings", 4, "N", "Of a step that fails.", kind=HALVINGS)
 @click.option("--start", type=Path, metavar="FILE", help="Solution file to start the first value from.")
 @click.option(
     "--output-dir", type=Path, metavar="DIR", help="Folder for the solution files.  [default: none]"
@@ -75,7 +74,7 @@ def continue_command(
     from trajopt.problem.family import choose
     from trajopt.solving.warm_start import solution_of
 
-    family, fixed = choose(families(), problem), values_of(settings, "--set")
+    family, fixed = choose(families(), problem), parse_settings(settings, "--set")
     name, values = parse_vary(family, vary, fixed)
 
     def load(value: float) -> Problem:

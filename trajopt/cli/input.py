@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from typing_extensions import override
 
 from trajopt.errors import InputError
 
@@ -29,8 +30,8 @@ class WholeNumber(click.ParamType):
     def __init__(self, least: int, most: int) -> None:
         self.least, self.most = least, most
 
+    @override
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """The number; anything else is a usage error."""
         try:
             number = int(value)
         except ValueError:
@@ -44,6 +45,20 @@ COUNT = WholeNumber(0, LARGEST_INTEGER)
 # A finer grid takes tens of gigabytes before anything is solved; a problem knows its coarsest.
 GRID = WholeNumber(-LARGEST_INTEGER, 100_000)
 THREADS = WholeNumber(1, 1024)
+
+
+def default_option(
+    name: str,
+    default: Any,
+    metavar: str,
+    help: str,
+    *,
+    to: str | None = None,
+    kind: click.ParamType | None = None,
+) -> Callable[[_Command], _Command]:
+    """Return an option with a default that its help shows; ``to`` names its argument of the command."""
+    names = (name,) if to is None else (name, to)
+    return click.option(*names, default=default, type=kind, metavar=metavar, show_default=True, help=help)
 
 
 def option_group(*options: Callable[[_Command], _Command]) -> Callable[[_Command], _Command]:
@@ -65,43 +80,19 @@ grid_options = option_group(
     click.option(
         "--intervals", type=GRID, metavar="N", help="Over the whole schedule.  [default: the problem's]"
     ),
-    click.option(
-        "--solver", default="ipopt", metavar="NAME", show_default=True, help="ipopt, fatrop or sqp."
-    ),
+    default_option("--solver", "ipopt", "NAME", "ipopt, fatrop or sqp."),
 )
-tolerance_option = click.option(
-    "--tol", "tolerance", type=float, default=1e-6, metavar="TOL", show_default=True, help="Tolerance."
-)
+tolerance_option = default_option("--tol", 1e-6, "TOL", "Tolerance.", to="tolerance")
 function_options = option_group(
-    click.option(
-        "--compile", default="quick", metavar="LEVEL", show_default=True, help="none, quick or fast."
-    ),
-    click.option("--threads", type=THREADS, default=1, metavar="N", show_default=True, help="For functions."),
+    default_option("--compile", "quick", "LEVEL", "none, quick or fast."),
+    default_option("--threads", 1, "N", "For functions.", kind=THREADS),
 )
 solver_options = option_group(
-    click.option(
-        "--max-iterations",
-        type=COUNT,
-        default=500,
-        metavar="N",
-        show_default=True,
-        help="Iteration limit of a solve.",
-    ),
-    click.option(
-        "--max-time",
-        type=float,
-        default=600.0,
-        metavar="S",
-        show_default=True,
-        help="Time limit of a solve, s.",
-    ),
+    default_option("--max-iterations", 500, "N", "Iteration limit of a solve.", kind=COUNT),
+    default_option("--max-time", 600.0, "S", "Time limit of a solve, s."),
     function_options,
     click.option(
-        "--solver-option",
-        "solver_options",
-        multiple=True,
-        metavar="NAME=VALUE",
-        help="The solver's own option.",
+        "--solver-option", "solver_options", multiple=True, metavar="NAME=VALUE", help="The solver's own."
     ),
 )
 
@@ -111,7 +102,7 @@ def chosen_problem(name: str, settings: Sequence[str]) -> Problem:
     from trajopt.problem.catalogue import families
     from trajopt.problem.family import choose
 
-    return choose(families(), name).load(values_of(settings, "--set"))
+    return choose(families(), name).load(parse_settings(settings, "--set"))
 
 
 def import_in_background(module: str) -> None:
@@ -119,7 +110,7 @@ def import_in_background(module: str) -> None:
     threading.Thread(target=importlib.import_module, args=(module,), daemon=True).start()
 
 
-def values_of(settings: Sequence[str], option: str) -> dict[str, str]:
+def parse_settings(settings: Sequence[str], option: str) -> dict[str, str]:
     """Values by name of repeated NAME=VALUE; raises `InputError` for another form or a name given twice."""
     values: dict[str, str] = {}
     for setting in settings:
@@ -135,7 +126,7 @@ def values_of(settings: Sequence[str], option: str) -> dict[str, str]:
 
 def options_of(settings: Sequence[str]) -> dict[str, str | int | float]:
     """Solver options by name, as whole numbers, numbers or words; raises `InputError`."""
-    values = values_of(settings, "--solver-option")
+    values = parse_settings(settings, "--solver-option")
     return {name: _option(name, text.strip()) for name, text in values.items()}
 
 

@@ -31,10 +31,10 @@ def plot_command(
 
     Pages about what the robot does not have (contacts, drives, a base that moves) are left out.
     """
-    from trajopt.view.plotting.writing import report
+    from trajopt.view.plotting.writing import write_plots
 
     check_apart([output], files)
     names = [name.strip() for given in pages for name in given.split(",") if name.strip()]
-    plotted = report(list(files), output, labels=labels or None, pages=names or None)
+    plotted = write_plots(list(files), output, labels=labels or None, pages=names or None)
     shown = ", ".join(dict.fromkeys(plotted.pages))
     click.echo(f"{plotted.path}: {shown}, {plotted.size / 1e6:.2f} MB")

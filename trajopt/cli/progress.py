@@ -109,7 +109,7 @@ class Deadline:
         )
 
 
-class Control:
+class SolveControl:
     """The progress callback of `trajopt.solve` that stops on Ctrl-C, and starts the deadline's clock."""
 
     def __init__(self, interruption: Interruption, deadline: Deadline) -> None:
@@ -135,21 +135,21 @@ def watched(
     written, and KeyboardInterrupt at the end if Ctrl-C came before the solver started.
     """
     from trajopt.solving.iterate import combined
-    from trajopt.view.watching.panel import Panel
-    from trajopt.view.watching.record import Lines, Table
+    from trajopt.view.watching.panel import ConvergencePanel
+    from trajopt.view.watching.record import IterationLines, IterationTable
 
     deadline = Deadline(max_time)
     with ExitStack() as stack:
-        table = stack.enter_context(Table(log)) if log not in (None, LINES) else None
+        table = stack.enter_context(IterationTable(log)) if log not in (None, LINES) else None
         interruption = stack.enter_context(Interruption())
         shown = (
-            Lines(sys.stderr, title)
+            IterationLines(sys.stderr, title)
             if log == LINES
-            else stack.enter_context(Panel(title, lambda: interruption.requested))
+            else stack.enter_context(ConvergencePanel(title, lambda: interruption.requested))
         )
         try:
             yield {
-                "progress": Control(interruption, deadline),
+                "progress": SolveControl(interruption, deadline),
                 "watch": combined(shown, table, viewer),
             }
         except Exception:

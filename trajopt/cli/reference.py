@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from trajopt.cli.input import chosen_problem, function_options, json_option
+from trajopt.cli.input import chosen_problem, default_option, function_options, json_option
 from trajopt.cli.report import to_json
 from trajopt.solution.output import check_output
 
@@ -20,22 +20,12 @@ NOT_REACHED = 1
 @click.command("reference")
 @click.argument("problem")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A parameter, e.g. yaw=45deg.")
-@click.option(
-    "--transcription", "scheme", default="legendre:3", metavar="NAME", show_default=True, help="Scheme."
-)
-@click.option("--solver", default="ipopt", metavar="NAME", show_default=True, help="As of `solve`.")
-@click.option(
-    "--tol", "tolerance", type=float, default=1e-9, metavar="TOL", show_default=True, help="Tolerance."
-)
-@click.option(
-    "--objective", type=float, default=1e-5, metavar="PART", show_default=True, help="Agreement, relative."
-)
-@click.option(
-    "--distance", type=float, default=1e-3, metavar="PART", show_default=True, help="Agreement, of the reach."
-)
-@click.option(
-    "--max-time", type=float, default=600.0, metavar="S", show_default=True, help="Time limit in s."
-)
+@default_option("--transcription", "legendre:3", "NAME", "Scheme.", to="scheme")
+@default_option("--solver", "ipopt", "NAME", "As of `solve`.")
+@default_option("--tol", 1e-9, "TOL", "Tolerance.", to="tolerance")
+@default_option("--objective", 1e-5, "PART", "Agreement, relative.")
+@default_option("--distance", 1e-3, "PART", "Agreement, of the reach.")
+@default_option("--max-time", 600.0, "S", "Time limit in s.")
 @function_options
 @click.option(
     "-o", "--output", type=Path, metavar="FILE", help="Solution file.  [default: PROBLEM-reference.npz]"

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import click
+from typing_extensions import override
 
-from trajopt.cli.input import WholeNumber
+from trajopt.cli.input import WholeNumber, default_option
 from trajopt.solution.output import check_apart
 
 # Digits of a side: more are too many pixels in any case.
@@ -24,10 +25,10 @@ class PictureSize(click.ParamType):
 
     name = "size"
 
+    @override
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[int, int]:
-        """Width and height; anything else is a usage error."""
         found = _SIZE.fullmatch(str(value).strip())
         if found is None:
             self.fail(f"'{value}' is no size; allowed: WIDTHxHEIGHT in pixels, as in 1280x720", param, ctx)
@@ -41,7 +42,7 @@ class PictureSize(click.ParamType):
     "--size", type=PictureSize(), metavar="WxH", help="Pixels.  [default: 1280x720, a .gif 640x360]"
 )
 @click.option("--fps", type=float, metavar="F", help="Pictures a second.  [default: 30, a .gif 25]")
-@click.option("--speed", type=float, default=1.0, metavar="S", show_default=True, help="1 is real time.")
+@default_option("--speed", 1.0, "S", "1 is real time.")
 @click.option("--camera", metavar="NAME", help="overview, follow, side, front or top.")
 @click.option("--from", "start", type=float, metavar="S", help="Start there, s of the solution.")
 @click.option("--to", "end", type=float, metavar="S", help="End there, s of the solution.")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from trajopt.cli.input import default_option
 from trajopt.solution.output import check_apart, check_output
 
 
@@ -14,7 +15,7 @@ from trajopt.solution.output import check_apart, check_output
 @click.argument("files", nargs=-1, required=True, type=Path, metavar="FILE...")
 @click.option("--html", type=Path, metavar="OUT", help="Write one self-contained page instead.")
 @click.option("--no-open", is_flag=True, help="Do not open a browser.")
-@click.option("--speed", type=float, default=1.0, metavar="S", show_default=True, help="1 is real time.")
+@default_option("--speed", 1.0, "S", "1 is real time.")
 @click.option("--side-by-side", is_flag=True, help="Several files beside each other, not overlaid.")
 @click.option("--label", "labels", multiple=True, metavar="NAME", help="Name of a file, one for each.")
 def replay_command(

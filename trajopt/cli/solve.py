@@ -12,6 +12,7 @@ from trajopt.cli.diagnose import diagnose_option, diagnosis_of
 from trajopt.cli.input import (
     COUNT,
     chosen_problem,
+    default_option,
     grid_options,
     import_in_background,
     json_option,
@@ -38,23 +39,10 @@ NOT_REACHED = 1
 @click.argument("problem")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A parameter, e.g. yaw=45deg.")
 @grid_options
-@click.option(
-    "--hessian",
-    default="exact",
-    metavar="NAME",
-    show_default=True,
-    help="exact, gauss-newton or limited-memory.",
-)
+@default_option("--hessian", "exact", "NAME", "exact, gauss-newton or limited-memory.")
 @tolerance_option
-@click.option("--seed", type=COUNT, default=0, metavar="K", show_default=True, help="Seed of --perturb.")
-@click.option(
-    "--perturb",
-    type=float,
-    default=0.0,
-    metavar="SIGMA",
-    show_default=True,
-    help="Noise on the guess, scaled units.",
-)
+@default_option("--seed", 0, "K", "Seed of --perturb.", kind=COUNT)
+@default_option("--perturb", 0.0, "SIGMA", "Noise on the guess, scaled units.")
 @solver_options
 @click.option("--smallest", is_flag=True, help="Solve only what the scene requires, for the whole robot.")
 @click.option("--explain", is_flag=True, help="The same; first say what is modelled, left out, and why.")

@@ -33,11 +33,11 @@ def open_viewer(watch: bool) -> Viewer | None:
     """Start a viewer if ``watch``, print its address on stderr; a browser opens only from a terminal."""
     if not watch:
         return None
-    from trajopt.view.replay.live import where
+    from trajopt.view.replay.live import server_address_text
     from trajopt.view.watching.viewer import Viewer
 
     viewer = Viewer(open_browser=_at_terminal())
-    click.echo(where(viewer.url), err=True)
+    click.echo(server_address_text(viewer.url), err=True)
     return viewer
 
 

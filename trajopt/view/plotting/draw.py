@@ -10,7 +10,7 @@ import numpy as np
 
 from trajopt.view.plotting import style
 from trajopt.view.plotting.page import LegendEntry, PlotPanel, PlotRow, Tracks
-from trajopt.view.plotting.track import Quantity, Track
+from trajopt.view.plotting.track import MotionQuantity, Track
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,7 +37,7 @@ class Curve:
     """
 
     label: str
-    values: Quantity
+    values: MotionQuantity
     number: int = 0
     marked: bool = True
     dots: bool = True
@@ -71,7 +71,7 @@ def marker_look(colour: str) -> dict[str, Any]:
     return {"markersize": 3.4, "markerfacecolor": "white", "markeredgewidth": 0.7, "markeredgecolor": colour}
 
 
-def column(values: Quantity, i: int) -> Quantity:
+def column(values: MotionQuantity, i: int) -> MotionQuantity:
     """Return column ``i`` (K,) of a quantity (K, n)."""
     return lambda motion: np.asarray(values(motion)[:, i])
 
@@ -127,14 +127,14 @@ def _curve(axes: Axes, track: Track, curve: Curve, solution: int, marked: int) -
         linewidth=curve.width,
         linestyle=style.line_style(solution),
         marker=curve.marker if named else "",
-        markevery=marks(t, y, curve.number, marked) if named else None,
+        markevery=marker_samples(t, y, curve.number, marked) if named else None,
         zorder=3 - 0.1 * solution,
         label=f"{curve.label}/{track.label}",
         **marker_look(curve.colour),
     )
 
 
-def marks(t: np.ndarray, y: np.ndarray, number: int, count: int) -> list[int]:
+def marker_samples(t: np.ndarray, y: np.ndarray, number: int, count: int) -> list[int]:
     """Return the samples that carry a marker: even in time, each curve's between those of the others."""
     start, end = t[0], t[-1]
     wanted = start + (end - start) * (np.arange(MARKS) + (number % count + 0.5) / count) / MARKS
@@ -154,11 +154,11 @@ def fit(axes: Axes, *, zero: bool = False, least: float = 0.0) -> tuple[float, f
         return 0.0, 0.0
     low, high = float(values.min()), float(values.max())
     bottom, top = (min(low, 0.0), max(high, 0.0)) if zero else (low, high)
-    room(axes, bottom, top, least)
+    set_range(axes, bottom, top, least)
     return low, high
 
 
-def fit_at_zero(axes: Axes, **look: Any) -> None:
+def fit_with_zero_line(axes: Axes, **look: Any) -> None:
     """Fit the vertical axis with zero in it, and mark zero by a line."""
     fit(axes, zero=True)
     axes.axhline(0.0, **look)
@@ -167,14 +167,14 @@ def fit_at_zero(axes: Axes, **look: Any) -> None:
 def share_axis(axes: Axes) -> None:
     """Fit shares of a limit: from 0 to the limit, which is marked, and to what lies beyond it, hatched."""
     _, high = fit(axes, zero=True)
-    room(axes, 0.0, max(SHOWN, high))
+    set_range(axes, 0.0, max(SHOWN, high))
     axes.axhline(1.0, **LIMIT)
     axes.axhspan(1.0, axes.get_ylim()[1], facecolor="none", edgecolor=style.GREY, hatch="////", lw=0)
     if high <= SHOWN:
         axes.set_yticks([0.0, 0.25, 0.5, 0.75, 1.0])
 
 
-def room(axes: Axes, bottom: float, top: float, least: float = 0.0) -> None:
+def set_range(axes: Axes, bottom: float, top: float, least: float = 0.0) -> None:
     """Set the vertical axis to a range with a margin, and to at least a span of its own size."""
     from matplotlib.ticker import MaxNLocator
 

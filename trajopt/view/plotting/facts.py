@@ -13,6 +13,16 @@ from trajopt.certify.report import FIGURES, Tolerances
 from trajopt.errors import TrajoptError
 from trajopt.view.plotting.track import Track
 
+# Units of those facts that have one.
+UNITS = {
+    "largest violation": "scaled",
+    "phases": "s",
+    "duration": "s",
+    "time of the solver": "s",
+    "energy drawn by joints": "J",
+    "cost of transport": "1",
+}
+
 
 @dataclass(frozen=True, kw_only=True)
 class FigureTable:
@@ -35,45 +45,33 @@ def sections(tracks: Sequence[Track]) -> tuple[FigureTable, ...]:
 
 def _facts(tracks: Sequence[Track]) -> FigureTable:
     named = [_facts_of(track) for track in tracks]
-    rows = []
-    for name in named[0]:
-        values = tuple(facts[name][0] for facts in named)
-        if any(values):
-            rows.append((name, values, named[0][name][1], ""))
-    return FigureTable(title="solution", rows=tuple(rows))
+    rows = [(name, tuple(facts[name] for facts in named), UNITS.get(name, ""), "") for name in named[0]]
+    return FigureTable(title="solution", rows=tuple(row for row in rows if any(row[1])))
 
 
-def _facts_of(track: Track) -> dict[str, tuple[str, str]]:
+def _facts_of(track: Track) -> dict[str, str]:
     meta, plan = track.meta, track.solution
-    moving = track.is_finite
-    transport = _tried(lambda: cost_of_transport(plan)) if moving else None
+    drawn = _tried(lambda: energy(plan)) if track.is_finite else None
+    transport = _tried(lambda: cost_of_transport(plan)) if track.is_finite else None
+    solved = "solved" if meta["success"] else "NOT SOLVED"
     return {
-        "problem": (str(meta["problem"]), ""),
-        "robot": (str(meta["robot"]), ""),
-        "parameters": (", ".join(f"{key} {_value(entry)}" for key, entry in meta["parameters"].items()), ""),
-        "status": (
-            f"{'solved' if meta['success'] else 'NOT SOLVED'}: {str(meta['status']).replace('_', ' ')}",
-            "",
-        ),
-        "advice": ("" if meta["success"] else str(meta.get("advice", "")), ""),
-        "solver": (f"{meta['solver']}, tolerance {meta['tolerance']:g}", ""),
-        "iterations": (str(meta["iterations"]), ""),
-        "objective": (_value(meta["objective"]), ""),
-        "largest violation": (_value(meta.get("max_violation")), "scaled"),
-        "variables, constraints": (
-            f"{meta.get('variables', '')}, {meta.get('constraints', '')}".strip(", "),
-            "",
-        ),
-        "transcription": (f"{meta['transcription']}, {plan.n_intervals} intervals", ""),
-        "phases": (", ".join(f"{phase.name} {phase.end - phase.start:.3g}" for phase in track.phases), "s"),
-        "duration": (f"{plan.t[-1] - plan.t[0]:.4g}", "s"),
-        "time of the solver": (_value(meta["wall_time_s"]), "s"),
-        "energy drawn by joints": (_value(_tried(lambda: energy(plan)) if moving else None), "J"),
-        "cost of transport": (
-            _value(transport if transport is not None and np.isfinite(transport) else None),
-            "1",
-        ),
-        "versions": (", ".join(f"{key} {entry}" for key, entry in meta["versions"].items()), ""),
+        "problem": str(meta["problem"]),
+        "robot": str(meta["robot"]),
+        "parameters": ", ".join(f"{key} {_value(entry)}" for key, entry in meta["parameters"].items()),
+        "status": f"{solved}: {str(meta['status']).replace('_', ' ')}",
+        "advice": "" if meta["success"] else str(meta.get("advice", "")),
+        "solver": f"{meta['solver']}, tolerance {meta['tolerance']:g}",
+        "iterations": str(meta["iterations"]),
+        "objective": _value(meta["objective"]),
+        "largest violation": _value(meta.get("max_violation")),
+        "variables, constraints": f"{meta.get('variables', '')}, {meta.get('constraints', '')}".strip(", "),
+        "transcription": f"{meta['transcription']}, {plan.n_intervals} intervals",
+        "phases": ", ".join(f"{phase.name} {phase.end - phase.start:.3g}" for phase in track.phases),
+        "duration": f"{plan.t[-1] - plan.t[0]:.4g}",
+        "time of the solver": _value(meta["wall_time_s"]),
+        "energy drawn by joints": _value(drawn),
+        "cost of transport": _value(transport if transport is not None and np.isfinite(transport) else None),
+        "versions": ", ".join(f"{key} {entry}" for key, entry in meta["versions"].items()),
     }
 
 

@@ -9,7 +9,7 @@ from trajopt.versions import installed_version
 from trajopt.view.plotting.facts import FigureTable
 from trajopt.view.plotting.heading import failures_of, state_of, title_of
 from trajopt.view.plotting.page import PlotPage, Tracks
-from trajopt.view.plotting.sheet import with_own_names
+from trajopt.view.plotting.sheet import with_unique_ids
 
 STYLE = """
 :root { color-scheme: light; }
@@ -46,7 +46,7 @@ def html_page(
     tables = [_table(section, [track.label for track in tracks]) for section in sections]
     further = '<a href="#figures">check and accuracy</a>' if tables[1:] else ""
     figures = [
-        f'<figure id="{anchor}" aria-label="{escape(text)}">{with_own_names(svg, number)}</figure>'
+        f'<figure id="{anchor}" aria-label="{escape(text)}">{with_unique_ids(svg, number)}</figure>'
         for number, ((anchor, text), (_, svg)) in enumerate(zip(anchors, drawings, strict=True))
     ]
     return "\n".join(

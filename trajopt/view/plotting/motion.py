@@ -21,9 +21,8 @@ from trajopt.robot.sole import centre_of_pressure
 from trajopt.solution.descriptions import scene_of_meta
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import Touched, touched
+from trajopt.view.replay.motion import LEAST_PRESSURE
 
-# A sole pressed with less than this part of the weight has no meaningful centre of pressure.
-LEAST_PRESSURE = 1e-3
 # From model, data, q and v to numbers.
 _State = Callable[[pin.Model, pin.Data, np.ndarray, np.ndarray], np.ndarray]
 YAW_PITCH_ROLL = "ZYX"

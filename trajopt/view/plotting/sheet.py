@@ -29,7 +29,7 @@ def svg_of(figure: Figure) -> str:
     with mpl.rc_context({"svg.fonttype": style.RC["svg.fonttype"], "svg.hashsalt": style.RC["svg.hashsalt"]}):
         FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
     text = buffer.getvalue()
-    return shortened(text[text.index("<svg") :])
+    return shorten_svg(text[text.index("<svg") :])
 
 
 def picture(figure: Figure) -> np.ndarray:
@@ -60,12 +60,12 @@ def svg_sheet(figures: Sequence[Figure]) -> str:
     ]
     at = 0.0
     for number, (figure, height) in enumerate(zip(figures, heights, strict=True)):
-        parts.append(f'<g transform="translate(0 {at:g})">{with_own_names(svg_of(figure), number)}</g>')
+        parts.append(f'<g transform="translate(0 {at:g})">{with_unique_ids(svg_of(figure), number)}</g>')
         at += height
     return "\n".join([*parts, "</svg>", ""])
 
 
-def shortened(svg: str) -> str:
+def shorten_svg(svg: str) -> str:
     """The drawing with coordinates of paths and marks cut to a hundredth of a point."""
     svg = RUN.sub(_dots, svg)
     places = re.compile(r'(?<=[ "])(?:d|x|y|points)="[^"]*"')
@@ -82,7 +82,7 @@ def _dots(run: re.Match[str]) -> str:
     return f'<path d="{path}" style="{look}"/>\n'
 
 
-def with_own_names(svg: str, number: int) -> str:
+def with_unique_ids(svg: str, number: int) -> str:
     """The drawing with names of elements that no other drawing of the same file has."""
     named = re.sub(r'\bid="([^"]+)"', rf'id="p{number}-\1"', svg)
     named = re.sub(r'(xlink:href|href)="#([^"]+)"', rf'\1="#p{number}-\2"', named)

@@ -16,7 +16,7 @@ from trajopt.view.plotting import draw, style
 from trajopt.view.plotting.draw import Curve
 from trajopt.view.plotting.motion import MotionQuantities
 from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, page_of
-from trajopt.view.plotting.track import Quantity, Track
+from trajopt.view.plotting.track import MotionQuantity, Track
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -138,7 +138,7 @@ def violation_row(tracks: Tracks) -> PlotRow | None:
 
 
 def _log_row(
-    tracks: Tracks, named: Mapping[str, Quantity], name: str, title: str, ylabel: str
+    tracks: Tracks, named: Mapping[str, MotionQuantity], name: str, title: str, ylabel: str
 ) -> PlotRow | None:
     shown = plans(tracks)
     if not shown:
@@ -153,7 +153,7 @@ def _log_row(
     return PlotRow(title=title if drawn else f"{title}: none", panels=(panel,), legend=legend, height=height)
 
 
-def _floored(values: Quantity, motion: MotionQuantities) -> np.ndarray:
+def _floored(values: MotionQuantity, motion: MotionQuantities) -> np.ndarray:
     """Values above `FLOOR`, NaN below it."""
     found = values(motion)
     return np.where(found > FLOOR, found, np.nan)

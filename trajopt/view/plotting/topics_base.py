@@ -14,14 +14,14 @@ from trajopt.view.plotting.joints import JointAxis
 from trajopt.view.plotting.motion import MotionQuantities
 from trajopt.view.plotting.page import PlotPage, PlotRow, Tracks, page_of
 from trajopt.view.plotting.topics_joints import limbs
-from trajopt.view.plotting.track import Quantity
+from trajopt.view.plotting.track import MotionQuantity
 
 # A component that moves less than this (SI units) on a robot in a plane lies across it.
 STILL = 1e-9
 LEAST_SPAN = 1e-6
 WORLD = ("x", "y", "z")
 # By name: title, label of the axis, components, values (K, 3), and whether the axis holds zero.
-VECTORS: dict[str, tuple[str, str, Sequence[str], Quantity, bool]] = {
+VECTORS: dict[str, tuple[str, str, Sequence[str], MotionQuantity, bool]] = {
     "base position": ("base position, world", "p [m]", WORLD, lambda m: m.base_position, False),
     "base orientation": (
         "base orientation, R = Rz(yaw) Ry(pitch) Rx(roll)",
@@ -107,7 +107,7 @@ def power_row(tracks: Tracks) -> PlotRow | None:
         for i, (name, axes) in enumerate(groups.items())
     ]
     title = f"mechanical power of the {'drives' if tracks[0].dense.drives else 'joints'}"
-    scale = partial(draw.fit_at_zero, color=style.GREY, linewidth=0.5)
+    scale = partial(draw.fit_with_zero_line, color=style.GREY, linewidth=0.5)
     return draw.curve_row("power", title, "power P [W]", [total, *parts], scale)
 
 
@@ -127,7 +127,7 @@ def clearance_row(tracks: Tracks) -> PlotRow | None:
     ]
     title = "least distance of the links' capsules"
     return draw.curve_row(
-        "clearance", title, "distance d [m]", curves, partial(draw.fit_at_zero, **draw.LIMIT)
+        "clearance", title, "distance d [m]", curves, partial(draw.fit_with_zero_line, **draw.LIMIT)
     )
 
 

@@ -13,7 +13,7 @@ from trajopt.view.plotting import draw, style
 from trajopt.view.plotting.draw import Curve
 from trajopt.view.plotting.page import LEFT, LegendEntry, PlotPage, PlotPanel, PlotRow, Tracks, page_of
 from trajopt.view.plotting.time_axis import impact_times
-from trajopt.view.plotting.track import Quantity, Track
+from trajopt.view.plotting.track import MotionQuantity, Track
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,7 +89,7 @@ def cone_row(tracks: Tracks) -> PlotRow:
     return draw.curve_row("cone", "share of the friction cone", ylabel, curves, draw.share_axis)
 
 
-def contact_curves(tracks: Tracks, values: Quantity) -> list[Curve]:
+def contact_curves(tracks: Tracks, values: MotionQuantity) -> list[Curve]:
     """Return a curve for each contact: ``values`` (K, nc) of a motion."""
     frames = tracks[0].solution.contact_frames
     return [

@@ -77,7 +77,7 @@ def _pressure_share(motion: MotionQuantities, axis: int, half: np.ndarray) -> np
 
 def _fit_sole(axes: Axes) -> None:
     low, high = draw.fit(axes)
-    draw.room(axes, min(-1.0, low), max(1.0, high))
+    draw.set_range(axes, min(-1.0, low), max(1.0, high))
     for edge in (-1.0, 1.0):
         axes.axhline(edge, **draw.LIMIT)
 

@@ -30,7 +30,7 @@ MOST, LEAST = 11, 2
 JUMP = 0.005
 
 # Values (K, ...) of a motion's samples.
-Quantity = Callable[[MotionQuantities], np.ndarray]
+MotionQuantity = Callable[[MotionQuantities], np.ndarray]
 _Result = TypeVar("_Result")
 
 
@@ -108,7 +108,7 @@ class Track:
         except (TrajoptError, ArithmeticError, ValueError):
             return None
 
-    def curve(self, values: Quantity) -> tuple[np.ndarray, np.ndarray]:
+    def curve(self, values: MotionQuantity) -> tuple[np.ndarray, np.ndarray]:
         """Times and values of the interpolated motion, with NaN between where it jumps.
 
         ``values`` gives (K,) of a motion. Within an interval the curve is its polynomial; a quantity that
@@ -118,7 +118,7 @@ class Track:
         jumps = self._jumps(y)
         return np.insert(self.dense.t, jumps, self.dense.t[jumps]), np.insert(y, jumps, np.nan)
 
-    def pair(self, horizontal: Quantity, vertical: Quantity) -> tuple[np.ndarray, np.ndarray]:
+    def pair(self, horizontal: MotionQuantity, vertical: MotionQuantity) -> tuple[np.ndarray, np.ndarray]:
         """Two quantities along the interpolated motion, with NaN between where either of them jumps."""
         x, y = (np.asarray(values(self.dense), dtype=float) for values in (horizontal, vertical))
         jumps = np.union1d(self._jumps(x), self._jumps(y))
@@ -132,7 +132,7 @@ class Track:
         with np.errstate(invalid="ignore"):
             return starts[np.abs(values[starts] - values[starts - 1]) > JUMP * span]
 
-    def at_points(self, values: Quantity) -> tuple[np.ndarray, np.ndarray]:
+    def at_points(self, values: MotionQuantity) -> tuple[np.ndarray, np.ndarray]:
         """Times and values at the collocation points."""
         rows = self.points.solution.collocation
         return self.points.t[rows], np.asarray(values(self.points), dtype=float)[rows]

@@ -41,7 +41,7 @@ class Plotted:
     pages: tuple[str, ...]
 
 
-def report(
+def write_plots(
     solutions: Solution | str | Path | Sequence[Solution | str | Path],
     target: str | Path,
     *,
@@ -50,14 +50,17 @@ def report(
 ) -> Plotted:
     """Plot one solution, or several of one robot overlaid, to ``target``.
 
-    solutions: or files of solutions; the first is drawn with full lines, shaded phases and points.
-    target: ends with .png, .svg (one sheet; default the summary page), .pdf (A4 pages) or .html (one file
-        that needs no network; both with all pages).
-    labels: a name for each solution. pages: names of `summary.PAGES`; pages about what the robot does not
-        have are left out.
+    Args:
+        solutions: Solutions or their files; the first is drawn with full lines, shaded phases and points.
+        target: Ends with .png, .svg (one sheet; default the summary page), .pdf (A4 pages) or .html (one
+            file that needs no network; both with all pages).
+        labels: A name for each solution.
+        pages: Names of `summary.PAGES`; pages about what the robot does not have are left out.
 
-    Raises `InputError` for another ending, a place that cannot be written, an unknown page, solutions of
-    several robots, `SolutionFileError` for a file.
+    Raises:
+        InputError: For another ending, a place that cannot be written, an unknown page, or solutions of
+            several robots.
+        SolutionFileError: For a file that cannot be read.
     """
     place = Path(target).expanduser()
     ending = place.suffix.lower()
