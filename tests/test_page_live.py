@@ -27,7 +27,7 @@ WAIT = 10.0  # s within which a process ends on a busy machine
 SPHERE = "trajopt.viewer.scene_tree.find(['meshcat', 'added']).object.children.length"
 KILLED = """
 import sys, time
-from trajopt.replay import replay
+from trajopt.view.replay.show import replay
 from trajopt.solution import Solution
 shown = replay(Solution.load(sys.argv[1]), open_browser=False)
 print(shown.window.server_proc.pid, flush=True)
