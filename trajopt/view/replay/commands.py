@@ -13,8 +13,8 @@ from trajopt.view.replay.thinning import (
     COLOUR_ERROR,
     POSITION_ERROR,
     ROUNDING,
-    key_frames,
     rounded,
+    thin_key_frames,
 )
 
 # msgpack extension of a Float32Array, as Meshcat's viewer decodes it.
@@ -67,11 +67,11 @@ class Animation:
     def add(self, node: Any, name: str, kind: str, values: np.ndarray) -> None:
         """Animate property ``name``, of three.js type ``kind``, of ``node``: a row of ``values`` a frame.
 
-        Vectors, quaternions and colours are interpolated between the frames that `key_frames` keeps, within
-        its errors; a boolean holds until the next.
+        Vectors, quaternions and colours are interpolated between the frames that `thin_key_frames` keeps,
+        within its errors; a boolean holds until the next.
         """
         rows, error = np.asarray(values).reshape(self._n_frames, -1), self._error[kind]
-        kept = key_frames(rows, kind, error * (1 - ROUNDING))
+        kept = thin_key_frames(rows, kind, error * (1 - ROUNDING))
         if kind == "boolean":
             packed: Any = rows[kept].ravel().astype(bool).tolist()
         else:

@@ -16,7 +16,7 @@ FINER = 8.0
 ROUNDING = 2.0 / FINER
 
 
-def key_frames(values: np.ndarray, kind: str, error: float) -> np.ndarray:
+def thin_key_frames(values: np.ndarray, kind: str, error: float) -> np.ndarray:
     """Indices (k,) of the frames of ``values`` (n, d) to keep, the first and the last always among them.
 
     Between those kept a linear track ("vector3", "color") stays within ``error`` of every frame left out, a
