@@ -26,7 +26,7 @@ import trajopt
 from trajopt.errors import InputError, TrajoptError
 from trajopt.problem.catalogue import families
 from trajopt.solution.solution import Solution
-from trajopt.view.replay.browser import EXECUTABLE_VARIABLE, chromium, find_chromium, opened
+from trajopt.view.replay.browser import EXECUTABLE_VARIABLE, chromium, find_chromium, open_page
 from trajopt.view.replay.robot import joint_path
 from trajopt.view.replay.show import replay
 from trajopt_library import robots
@@ -275,7 +275,7 @@ def kill_chromium(others: set[int]) -> None:
 
 def test_crashed_browser_is_one_line_and_leaves_no_process(pages):
     before = set(descendants())
-    with opened(pages["jump"].html, SIZE) as view:
+    with open_page(pages["jump"].html, SIZE) as view:
         kill_chromium(before)
         with pytest.raises(TrajoptError) as raised:
             view.png()
@@ -285,6 +285,6 @@ def test_crashed_browser_is_one_line_and_leaves_no_process(pages):
 
 def test_browser_ends_with_the_exception_that_leaves_it(pages):
     before = descendants()
-    with pytest.raises(KeyboardInterrupt), opened(pages["jump"].html, SIZE):
+    with pytest.raises(KeyboardInterrupt), open_page(pages["jump"].html, SIZE):
         raise KeyboardInterrupt
     assert descendants().keys() <= before.keys()

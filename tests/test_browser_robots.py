@@ -21,7 +21,7 @@ from browser_for_tests import (
 
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
-from trajopt.view.replay import collada
+from trajopt.view.replay.collada import ColladaError, read_collada
 from trajopt.view.replay.robot import joint_path
 from trajopt.view.replay.show import replay
 from trajopt_library import robots
@@ -140,8 +140,8 @@ def expect_parts(view, robot: Robot, solution: Solution) -> None:
 
 def expect_colours(view, path: str, part: pin.GeometryObject) -> None:
     try:
-        mesh = collada.read(part.meshPath, np.asarray(part.meshColor)[:3])
-    except collada.ColladaError:
+        mesh = read_collada(part.meshPath, np.asarray(part.meshColor)[:3])
+    except ColladaError:
         return
     used = np.unique(mesh.triangles)
     expected = {int(r) << 16 | int(g) << 8 | int(b) for r, g, b in np.round(255 * mesh.colours[used])}

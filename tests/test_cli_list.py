@@ -7,12 +7,13 @@ import json
 import pytest
 from click.testing import CliRunner
 
-from trajopt.cli.commands import list_problems, main
+from trajopt.cli.commands import COMMANDS
+from trajopt.cli.list import list_command
 from trajopt.errors import InputError
 
 
 def _listed(*arguments: str) -> list[str]:
-    result = CliRunner().invoke(list_problems, [*arguments, "--json"])
+    result = CliRunner().invoke(list_command, [*arguments, "--json"])
     assert result.exit_code == 0, result.output
     return [entry["name"] for entry in json.loads(result.output)["problems"]]
 
@@ -28,7 +29,7 @@ def test_a_robot_chooses_the_problems_it_is_tested_on() -> None:
 
 
 def test_brief_is_one_table_of_names_robots_and_summaries() -> None:
-    result = CliRunner().invoke(list_problems, ["arm-reach", "--brief"])
+    result = CliRunner().invoke(list_command, ["arm-reach", "--brief"])
     assert "panda" in result.output
     assert "parameter" not in result.output
 
@@ -37,7 +38,7 @@ def test_brief_is_one_table_of_names_robots_and_summaries() -> None:
     ("arguments", "says"), [(["no-such*"], "'no-such*' is unknown"), (["--robot", "nao"], "'nao' is unknown")]
 )
 def test_unknown_names_are_refused_with_what_is_known(arguments: list[str], says: str) -> None:
-    result = CliRunner().invoke(list_problems, arguments)
+    result = CliRunner().invoke(list_command, arguments)
     assert isinstance(result.exception, InputError)
     assert says in str(result.exception)
-    assert "list" in main.commands
+    assert "list" in COMMANDS

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from trajopt.robot.data import robot_file
-from trajopt.view.replay import collada
+from trajopt.view.replay.collada import ColladaError, read_collada
 
 UR5 = sorted(robot_file("ur_description/meshes/ur5/visual").glob("*.dae"))
 SINGLE_PRECISION = 1e-6  # of lengths below a metre
@@ -45,25 +45,25 @@ def area(vertices, triangles):
 @pytest.mark.parametrize("path", UR5, ids=lambda path: path.stem)
 def test_vertices_are_those_that_pinocchio_loads(path):
     # not its triangles: coal 3.0.3 mixes up the indices of a geometry with several materials
-    ours = collada.read(path).vertices
+    ours = read_collada(path).vertices
     theirs = np.asarray(coal.MeshLoader().load(str(path), np.ones(3)).vertices())
     assert cKDTree(ours).query(theirs)[0].max() < SINGLE_PRECISION
     assert cKDTree(theirs).query(ours)[0].max() < SINGLE_PRECISION
 
 
 def test_parts_of_one_geometry_keep_their_own_colours():
-    mesh = collada.read(next(path for path in UR5 if path.stem == "shoulder"))
+    mesh = read_collada(next(path for path in UR5 if path.stem == "shoulder"))
     stated = [[0.064, 0.064, 0.064], [0.1784, 0.1784, 0.1784], [0.3136, 0.4344, 0.512]]
     np.testing.assert_allclose(np.unique(mesh.colours, axis=0), stated, atol=SINGLE_PRECISION)
 
 
 def test_normals_are_unit():
-    mesh = collada.read(UR5[0])
+    mesh = read_collada(UR5[0])
     np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-5)
 
 
 def test_polygon_is_cut_into_triangles_and_coloured_by_its_material(tmp_path):
-    mesh = collada.read(square(tmp_path))
+    mesh = read_collada(square(tmp_path))
     assert len(mesh.triangles) == 2
     assert area(mesh.vertices, mesh.triangles) == pytest.approx(1.0)
     np.testing.assert_array_equal(np.unique(mesh.colours, axis=0), [[1, 0, 0]])
@@ -71,13 +71,13 @@ def test_polygon_is_cut_into_triangles_and_coloured_by_its_material(tmp_path):
 
 
 def test_part_without_material_takes_the_given_colour(tmp_path):
-    mesh = collada.read(square(tmp_path, bound=""), plain=np.array([0.0, 0.5, 1.0]))
+    mesh = read_collada(square(tmp_path, bound=""), plain=np.array([0.0, 0.5, 1.0]))
     np.testing.assert_array_equal(np.unique(mesh.colours, axis=0), [[0, 0.5, 1]])
 
 
 def test_transformations_of_a_node_apply_in_their_order(tmp_path):
     steps = "<translate>1 2 3</translate><rotate>1 0 0 90</rotate><scale>2 2 -2</scale>"
-    mesh = collada.read(square(tmp_path, steps))
+    mesh = read_collada(square(tmp_path, steps))
     np.testing.assert_allclose(mesh.vertices.min(axis=0), [1, 2, 3], atol=SINGLE_PRECISION)
     np.testing.assert_allclose(mesh.vertices.max(axis=0), [3, 2, 5], atol=SINGLE_PRECISION)
     corners = mesh.vertices[mesh.triangles[0]].astype(float)
@@ -91,5 +91,5 @@ def test_transformations_of_a_node_apply_in_their_order(tmp_path):
 def test_damaged_file_is_refused_with_its_name(tmp_path, damage):
     path = square(tmp_path)
     path.write_text(damage(path.read_text()))
-    with pytest.raises(collada.ColladaError, match=r"square\.dae"):
-        collada.read(path)
+    with pytest.raises(ColladaError, match=r"square\.dae"):
+        read_collada(path)

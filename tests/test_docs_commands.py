@@ -8,6 +8,7 @@ import re
 import shlex
 from pathlib import Path
 
+import click
 import pytest
 
 from scripts.measure.__main__ import main as measure
@@ -36,8 +37,8 @@ def commands(document: Path) -> list[list[str]]:
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_commands_and_their_options_exist(document: Path) -> None:
     for words in commands(document):
-        assert words[0] in main.commands, " ".join(words)
-        command = main.commands[words[0]]
+        command = main.get_command(click.Context(main), words[0])
+        assert command is not None, " ".join(words)
         options = {name for option in command.params for name in (*option.opts, *option.secondary_opts)}
         given = {word.split("=")[0] for word in words[1:] if re.match(r"--?[a-zA-Z]", word)}
         assert given <= options | {"--help", "-h"}, " ".join(words)

@@ -24,7 +24,7 @@ from trajopt.view.replay.show import replay
 SPHERE = "trajopt.viewer.scene_tree.find(['meshcat', 'added']).object.children.length"
 KILLED = """
 import sys, time
-from trajopt.replay import replay
+from trajopt.view.replay.show import replay
 from trajopt.solution import Solution
 shown = replay(Solution.load(sys.argv[1]), open_browser=False)
 print(shown.window.server_proc.pid, flush=True)
@@ -114,9 +114,9 @@ def test_browser_is_opened_only_where_there_is_a_screen(shown, monkeypatch):
 
 def test_over_ssh_it_is_said_how_to_reach_the_server(monkeypatch):
     monkeypatch.delenv("SSH_CONNECTION", raising=False)
-    assert live.where("http://127.0.0.1:7001/") == "replay at http://127.0.0.1:7001/"
+    assert live.server_address_text("http://127.0.0.1:7001/") == "replay at http://127.0.0.1:7001/"
     monkeypatch.setenv("SSH_CONNECTION", "1 2 3 4")
-    assert "ssh -L 7001:127.0.0.1:7001" in live.where("http://127.0.0.1:7001/")
+    assert "ssh -L 7001:127.0.0.1:7001" in live.server_address_text("http://127.0.0.1:7001/")
 
 
 def test_page_shows_the_scene_and_what_a_script_adds_and_says_when_the_server_ends(hop):

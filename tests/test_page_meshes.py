@@ -11,7 +11,7 @@ import umsgpack
 from page_meshes import array_of, restored
 from scipy.spatial import ConvexHull
 
-from trajopt.view.replay.meshes import LEVELS, compacted
+from trajopt.view.replay.meshes import LEVELS, compact_geometry
 
 HALF_STEP = 0.5 / LEVELS
 SINGLE_PRECISION = 1e-7  # of the step and the corner that are added up
@@ -56,7 +56,7 @@ def index_of(mesh: dict) -> np.ndarray:
 def test_triangles_of_a_file_come_back_in_order_within_half_a_step_along_each_axis(ball):
     points, triangles = ball
     points = points * [1.0, 0.2, 3.0] + [0.0, 5.0, -1.0]
-    mesh = restored(compacted(stl(points[triangles].astype(np.float32))))
+    mesh = restored(compact_geometry(stl(points[triangles].astype(np.float32))))
     corners = array_of(mesh, "position")[index_of(mesh)].reshape(-1, 3, 3)
     error = np.abs(corners - points[triangles]).max(axis=(0, 1))
     allowed = HALF_STEP * np.ptp(points, axis=0) + SINGLE_PRECISION * np.abs(points).max(axis=0)
@@ -69,7 +69,7 @@ def test_normals_come_back_within_a_degree_and_colours_exactly(ball):
     rng = np.random.default_rng(SEED)
     palette = rng.integers(0, 256, size=(5, 3))
     colours = palette[rng.integers(0, 5, size=len(points))]
-    mesh = restored(compacted(coloured(points, triangles, points, colours)))
+    mesh = restored(compact_geometry(coloured(points, triangles, points, colours)))
     order = np.argsort(index_of(mesh), kind="stable")  # any corner of each vertex tells which one it was
     vertex = np.empty(len(points), dtype=int)
     vertex[index_of(mesh)[order]] = triangles.ravel()[order]
@@ -86,7 +86,7 @@ def test_file_that_draws_every_face_flat_loses_its_normals_and_keeps_its_shape(b
     flat /= np.linalg.norm(flat, axis=1, keepdims=True)
     index = np.arange(len(corners)).reshape(-1, 3)
     grey = np.full((len(corners), 3), 128)
-    packed = compacted(coloured(corners, index, np.repeat(flat, 3, axis=0), grey))
+    packed = compact_geometry(coloured(corners, index, np.repeat(flat, 3, axis=0), grey))
     assert "normal" not in packed
     assert packed["vertices"] == len(points)
 
@@ -95,14 +95,14 @@ def test_triangle_that_shrinks_to_a_line_is_left_out(ball):
     points, triangles = ball
     corners = points[triangles]
     thin = np.array([[[0.1, 0, 0], [0.1 + 1e-7, 0, 0], [0.5, 0, 0]]])
-    mesh = restored(compacted(stl(np.concatenate([corners, thin]).astype(np.float32))))
+    mesh = restored(compact_geometry(stl(np.concatenate([corners, thin]).astype(np.float32))))
     assert len(index_of(mesh)) == triangles.size
 
 
 def test_flat_mesh_has_no_step_across_itself(ball):
     points, triangles = ball
     flat = points * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.25]
-    mesh = restored(compacted(stl(flat[triangles].astype(np.float32))))
+    mesh = restored(compact_geometry(stl(flat[triangles].astype(np.float32))))
     np.testing.assert_array_equal(array_of(mesh, "position")[:, 2], np.float32(0.25))
 
 
@@ -118,4 +118,4 @@ def test_flat_mesh_has_no_step_across_itself(ball):
     ],
 )
 def test_what_is_small_text_damaged_or_no_mesh_is_left_to_the_viewer(geometry):
-    assert compacted(geometry) is None
+    assert compact_geometry(geometry) is None

@@ -29,9 +29,9 @@ from trajopt.view.plotting import style
 from trajopt.view.plotting.figure import figure_of
 from trajopt.view.plotting.joints import limbs_of
 from trajopt.view.plotting.summary import PAGES, pages_of
-from trajopt.view.plotting.topics_contacts import stances
+from trajopt.view.plotting.topics_contacts import stance_spans
 from trajopt.view.plotting.track import Track, tracks_of
-from trajopt.view.plotting.writing import report
+from trajopt.view.plotting.writing import write_plots
 from trajopt_library import robots
 
 # Two computations of the same numbers differ by rounding.
@@ -186,10 +186,10 @@ def test_contact_force_lines_are_the_files_forces() -> None:
 
 def test_stances_are_where_contacts_are_active_whatever_the_phases() -> None:
     solution = jump()
-    assert_allclose(stances(track_of(solution), 0), [[0.0, 0.3], [0.5, 0.8]], atol=ROUNDING)
+    assert_allclose(stance_spans(track_of(solution), 0), [[0.0, 0.3], [0.5, 0.8]], atol=ROUNDING)
     active = solution.active.copy()
     active[solution.interval == 0] = False  # as a simulation may find: contacts come and go within a phase
-    changed = stances(track_of(replace(solution, active=active)), 0)
+    changed = stance_spans(track_of(replace(solution, active=active)), 0)
     assert_allclose(changed[0], [solution.interval_t[0, 1], 0.3], atol=ROUNDING)
     force = lines(drawn(solution, "forces"), "force:foot")["normal"][0]
     assert not ((force > 0.3) & (force < 0.5)).any()
@@ -379,14 +379,14 @@ def test_an_iterate_that_is_not_finite_is_plotted_as_far_as_it_goes(tmp_path: Pa
     said = " ".join(text.get_text() for text in figure.texts)
     assert "NOT SOLVED" in said
     assert "NOT FINITE" in said
-    assert report(broken, tmp_path / "broken.html").size > 0
+    assert write_plots(broken, tmp_path / "broken.html").size > 0
 
 
 @pytest.mark.parametrize("actuation", ["torque", "velocity", "acceleration"])
 def test_one_interval_and_one_joint_are_enough(tmp_path: Path, actuation: str) -> None:
     robot = one_joint_arm()
     solution = sampled(robot, [arm_motion(robot)], 1, actuation=actuation)
-    assert report(solution, tmp_path / "one.png", pages=list(PAGES)).size > 0
+    assert write_plots(solution, tmp_path / "one.png", pages=list(PAGES)).size > 0
 
 
 def test_a_robot_in_a_plane_shows_what_moves_in_it(tmp_path: Path) -> None:
@@ -414,7 +414,7 @@ def test_solutions_are_overlaid_with_a_line_of_their_own() -> None:
 def test_every_ending_is_written_and_html_needs_no_network(tmp_path: Path) -> None:
     solution, heads = arm(), {".png": b"\x89PNG", ".svg": b"<svg", ".pdf": b"%PDF", ".html": b"<!doctype"}
     for ending, head in heads.items():
-        plotted = report(solution, tmp_path / f"arm{ending}", pages=["summary", "joints"])
+        plotted = write_plots(solution, tmp_path / f"arm{ending}", pages=["summary", "joints"])
         content = plotted.path.read_bytes()
         assert content.startswith(head)
         assert plotted.size == len(content)
@@ -428,21 +428,21 @@ def test_every_ending_is_written_and_html_needs_no_network(tmp_path: Path) -> No
 
 
 def test_pdf_pages_are_a4(tmp_path: Path) -> None:
-    content = report(arm(), tmp_path / "arm.pdf", pages=["joints"]).path.read_bytes()
+    content = write_plots(arm(), tmp_path / "arm.pdf", pages=["joints"]).path.read_bytes()
     assert b"/MediaBox [ 0 0 595.44 841.68 ]" in content
 
 
 def test_bad_input_is_one_line(tmp_path: Path) -> None:
     solution, place = arm(), tmp_path / "a.png"
     cases = [
-        (lambda: report(solution, tmp_path / "a.gif"), "'.gif'"),
-        (lambda: report(solution, tmp_path / "none" / "a.png"), "does not exist"),
-        (lambda: report(tmp_path / "none.npz", place), "does not exist"),
-        (lambda: report(solution, place, pages=["forces"]), "allowed: summary"),
-        (lambda: report(solution, place, pages=["force"]), "'force' is unknown"),
-        (lambda: report([solution, solution], place, labels=["one"]), "1 labels for 2 solutions"),
-        (lambda: report([], place), "no solution"),
-        (lambda: report([solution, jump()], place), "one robot"),
+        (lambda: write_plots(solution, tmp_path / "a.gif"), "'.gif'"),
+        (lambda: write_plots(solution, tmp_path / "none" / "a.png"), "does not exist"),
+        (lambda: write_plots(tmp_path / "none.npz", place), "does not exist"),
+        (lambda: write_plots(solution, place, pages=["forces"]), "allowed: summary"),
+        (lambda: write_plots(solution, place, pages=["force"]), "'force' is unknown"),
+        (lambda: write_plots([solution, solution], place, labels=["one"]), "1 labels for 2 solutions"),
+        (lambda: write_plots([], place), "no solution"),
+        (lambda: write_plots([solution, jump()], place), "one robot"),
     ]
     for call, words in cases:
         with pytest.raises(InputError, match=words) as caught:

@@ -23,14 +23,15 @@ from trajopt.solvers.drivers import SOLVERS
 from trajopt.solving.iterate import Iterate, combined
 from trajopt.solving.ladder import solve_ladder
 from trajopt.view.watching.history import FIGURES, History
-from trajopt.view.watching.panel import lines
-from trajopt.view.watching.record import COLUMNS, Lines, Table
+from trajopt.view.watching.panel import panel_lines
+from trajopt.view.watching.record import COLUMNS, IterationLines, IterationTable
 from trajopt.view.watching.sparkline import ASCII, BLOCKS, MISSING, sparkline
 
 STUCK = """
 import time
-from trajopt import progress
-progress.GRACE = 0.1
+from trajopt.cli import progress
+from trajopt.solving import iterate
+iterate.GRACE = 0.1
 with progress.watched("stuck", 0.1) as told:
     told["progress"]({"iteration": 0})
     time.sleep(30.0)
@@ -100,7 +101,7 @@ def test_no_line_of_a_panel_is_wider_than_the_terminal(width: int):
 
     def watch(iterate: Iterate) -> None:
         history.add(iterate)
-        shown.append(lines(history, "a long title that wraps", width))
+        shown.append(panel_lines(history, "a long title that wraps", width))
 
     seen_by(watch, max_iterations=4)
     assert max(cell_len(line) for panel in shown for line in panel) <= width
@@ -108,7 +109,7 @@ def test_no_line_of_a_panel_is_wider_than_the_terminal(width: int):
 
 def test_a_panel_tells_solve_iteration_figures_and_history():
     history = History()
-    assert lines(history, "hop", 100) == ["hop: building and compiling"]
+    assert panel_lines(history, "hop", 100) == ["hop: building and compiling"]
     figures: list[dict[str, float]] = []
 
     def watch(iterate: Iterate) -> None:
@@ -117,7 +118,7 @@ def test_a_panel_tells_solve_iteration_figures_and_history():
             figures.append(dict(iterate.figures))
 
     seen_by(watch, label="rung 2 of 3")
-    head, solve_line, objective, primal, dual, step = lines(history, "hop", 100)
+    head, solve_line, objective, primal, dual, step = panel_lines(history, "hop", 100)
     last = figures[-1]
     assert head.startswith(f"hop: solved, iteration {last['iteration']:.0f}, ")
     assert solve_line.startswith("rung 2 of 3, legendre:1, ")
@@ -132,7 +133,7 @@ def test_a_panel_tells_solve_iteration_figures_and_history():
 def test_a_panel_of_ascii_has_ascii_alone():
     history = History()
     seen_by(history.add)
-    text = "".join(lines(history, "hop", 100, plain=True))
+    text = "".join(panel_lines(history, "hop", 100, plain=True))
     assert text.isascii()
     assert ASCII[0] in text
 
@@ -153,7 +154,7 @@ def row(**figures: float) -> dict[str, float]:
 def test_trouble_is_told_in_words(figures: dict[str, float], words: str):
     history = History(number=1, rows=[row(), row(**figures)])
     assert words in " ".join(history.troubles())
-    assert words in lines(history, "hop", 200)[-1]
+    assert words in panel_lines(history, "hop", 200)[-1]
 
 
 def test_a_step_without_trouble_has_no_words():
@@ -189,7 +190,7 @@ def test_every_solve_of_a_ladder_says_which_it_is():
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_table_has_every_iteration_as_the_progress_was_told_it(solver: str, tmp_path: Path):
     told: list[dict[str, float]] = []
-    with Table(tmp_path / "log.csv") as table:
+    with IterationTable(tmp_path / "log.csv") as table:
         seen_by(table, solver=solver, progress=lambda figures: told.append(figures) is None, label="a, b")
     rows = list(csv.DictReader((tmp_path / "log.csv").open()))
     assert tuple(rows[0]) == COLUMNS
@@ -204,13 +205,13 @@ def test_a_table_has_every_iteration_as_the_progress_was_told_it(solver: str, tm
 
 def test_a_table_that_cannot_be_written_is_refused_in_one_line(tmp_path: Path):
     with pytest.raises(InputError, match="cannot write") as caught:
-        Table(tmp_path / "none" / "log.csv")
+        IterationTable(tmp_path / "none" / "log.csv")
     assert "\n" not in str(caught.value)
 
 
 def test_lines_have_one_iteration_each(capsys: pytest.CaptureFixture[str]):
     told: list[float] = []
-    seen_by(Lines(sys.stderr, "hop"), progress=lambda f: told.append(f["iteration"]) is None)
+    seen_by(IterationLines(sys.stderr, "hop"), progress=lambda f: told.append(f["iteration"]) is None)
     found = capsys.readouterr().err.splitlines()
     assert found[0].startswith("hop: legendre:1")
     assert found[-1].startswith("hop: solved, ")
@@ -252,8 +253,8 @@ def test_figures_alone_never_ask_the_solver_for_its_unknowns(tmp_path: Path):
         told(replace(iterate, read=read))
 
     history = History()
-    with Table(tmp_path / "log.csv") as table:
-        told = combined(table, history.add, lambda iterate: lines(history, "hop", 80) and None)
+    with IterationTable(tmp_path / "log.csv") as table:
+        told = combined(table, history.add, lambda iterate: panel_lines(history, "hop", 80) and None)
         seen_by(refuse)
     assert history.rows
     assert asked == []

@@ -23,9 +23,9 @@ from trajopt.cli.commands import main
 from trajopt.errors import InputError, TrajoptError
 from trajopt.solution.solution import Solution
 from trajopt.view.replay import video
-from trajopt.view.replay.browser import opened
+from trajopt.view.replay.browser import open_page
 from trajopt.view.replay.render import render
-from trajopt.view.replay.shots import GAP, MOST_PICTURES, Shots, telling_moment
+from trajopt.view.replay.shots import GAP, MOST_PICTURES, Shots, representative_time
 from trajopt.view.replay.show import replay
 from trajopt_library import robots
 
@@ -147,10 +147,10 @@ def test_times_of_a_video_are_even_and_end_with_the_motion():
 def test_telling_moment_is_the_middle_of_the_first_flight_after_a_contact():
     robot = robots.load("ur5")
     arm = sampled(robot, [arm_motion(robot, duration=0.8)], 4)
-    assert telling_moment(arm) == pytest.approx(0.4)
+    assert representative_time(arm) == pytest.approx(0.4)
     hop = in_motion(robots.load("hopper"))
     stance, flight = hop.phases
-    assert telling_moment(hop) == pytest.approx((hop.t[flight.start] + hop.t[flight.stop - 1]) / 2)
+    assert representative_time(hop) == pytest.approx((hop.t[flight.start] + hop.t[flight.stop - 1]) / 2)
     assert hop.active[stance.start].any()
 
 
@@ -254,7 +254,7 @@ def test_pictures_of_a_video_are_those_of_the_page(chromium_is_here, hop, hop_fi
     frames = frames_of(out, (160, 96))
     assert len(frames) == 6
     replay(hop, html=page)
-    with opened(page, (160, 96), "t=0&bare") as view:
+    with open_page(page, (160, 96), "t=0&bare") as view:
         view.camera("side")
         for k in (0, 2, 5):
             view.seek(0.2 + 0.1 * k)

@@ -21,8 +21,10 @@ from trajopt.errors import InputError
 from trajopt.robot.data import robot_file
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
-from trajopt.view.replay import collada
-from trajopt.view.replay.motion import motion_of
+from trajopt.view.replay import robot as drawn_robot
+from trajopt.view.replay import visuals
+from trajopt.view.replay.collada import ColladaError
+from trajopt.view.replay.motion import replay_motion
 from trajopt.view.replay.robot import joint_path
 from trajopt.view.replay.scene import build_scene
 from trajopt.view.replay.show import replay, serve
@@ -130,7 +132,7 @@ def test_animation_has_sixty_frames_a_second_of_playback(jump, tmp_path, speed, 
 
 def test_every_joint_is_placed_as_by_forward_kinematics_within_the_stated_error(page, jump):
     tracks, model = tracks_of(scene_of(page)), jump.model
-    data, extent = model.createData(), build_scene([jump], [motion_of(jump)]).facts["size"]
+    data, extent = model.createData(), build_scene([jump], [replay_motion(jump)]).facts["size"]
     # thinned, and then rounded to a multiple of an eighth of the error
     allowed = POSITION_ERROR * extent * (1 + np.sqrt(3) / 16) + SINGLE_PRECISION
     for row, time in enumerate(np.linspace(0, LIFT + FLIGHT, 31)):
@@ -145,7 +147,7 @@ def test_every_joint_is_placed_as_by_forward_kinematics_within_the_stated_error(
 
 def test_arrows_are_proportional_to_force_over_weight_and_hidden_in_flight(page, jump):
     tracks = tracks_of(scene_of(page))
-    motion = motion_of(jump)
+    motion = replay_motion(jump)
     flying = ~motion.active.any(axis=1)
     assert 0 < flying.sum() < len(flying)
     lengths, forces = [], []
@@ -186,9 +188,10 @@ def test_arm_is_drawn_whole_and_in_the_colours_of_its_files(arm, tmp_path):
 
 def test_collada_file_that_cannot_be_read_is_drawn_from_pinocchios_mesh(arm, tmp_path, monkeypatch):
     def refuse(path: str, plain: np.ndarray) -> None:
-        raise collada.ColladaError("skins are not read")
+        raise ColladaError("skins are not read")
 
-    monkeypatch.setattr(collada, "read", refuse)
+    monkeypatch.setattr(drawn_robot, "read_collada", refuse)
+    monkeypatch.setattr(visuals, "read_collada", refuse)
     assert replay(arm, html=tmp_path / "arm.html").note == ""
     objects = objects_of(scene_of((tmp_path / "arm.html").read_text()))
     assert sum(path.startswith("robot/") for path in objects) == 7

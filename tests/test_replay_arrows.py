@@ -17,7 +17,7 @@ from trajopt.robot.data import data_share, robot_file
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import Surface
-from trajopt.view.replay.motion import FLASH, motion_of
+from trajopt.view.replay.motion import FLASH, replay_motion
 
 INTERVALS, FOOT = 3, "FL_FOOT"
 ROUNDING = 1e-12
@@ -46,7 +46,7 @@ def test_force_of_a_sole_starts_at_its_centre_of_pressure_unless_it_is_held(held
     base = standing(robot, STANCE)
     stance = replace(base, q=lambda t: q, f=lambda t: wrench[None])
     board = Surface(point=place.translation, normal=place.rotation[:, 2], bilateral=held)
-    motion = motion_of(on_surface(sampled(robot, [stance], INTERVALS), {frame: board}))
+    motion = replay_motion(on_surface(sampled(robot, [stance], INTERVALS), {frame: board}))
     start = place.translation if held else place.act(offset)
     assert_allclose(motion.pressed[:, 0], np.tile(start, (motion.n_frames, 1)), atol=1e-9)
 
@@ -62,7 +62,7 @@ def struck(bones) -> Solution:
 @pytest.mark.parametrize("speed", [1.0, 0.2, 20.0])
 def test_impulse_flashes_after_its_impact(struck, tmp_path, speed):
     tracks = tracks_of(shown(struck, tmp_path, speed=speed))
-    motion = motion_of(struck, speed)
+    motion = replay_motion(struck, speed)
     impact, frame = STANCE + FLIGHT, motion.t[1] - motion.t[0]
     for foot in struck.contact_frames[:2]:
         times = motion.t[tracks[f"impulses/{foot}", "visible"][:, 0].astype(bool)]
@@ -73,7 +73,7 @@ def test_impulse_flashes_after_its_impact(struck, tmp_path, speed):
 
 
 def test_impulses_and_forces_are_drawn_to_the_scales_in_the_caption(struck, tmp_path):
-    tracks, motion = tracks_of(shown(struck, tmp_path)), motion_of(struck)
+    tracks, motion = tracks_of(shown(struck, tmp_path)), replay_motion(struck)
     text = (tmp_path / "page.html").read_text()
     weight_arrow = float(re.search(r"forces: ([0-9.]+) m is the weight", text).group(1))
     assert f"impulses: {weight_arrow:.2f} m is {motion.weight * FLASH:.2f} N s" in text

@@ -26,7 +26,7 @@ from trajopt.solution.touched import touched_surfaces
 from trajopt.terrain.surface import Surface
 from trajopt.view.replay.balance import Balance, balance_of, on_ground, outer_wrenches
 from trajopt.view.replay.balance_marks import SUPPORT_LIFT
-from trajopt.view.replay.motion import motion_of
+from trajopt.view.replay.motion import replay_motion
 from trajopt.view.replay.scene import build_scene
 from trajopt_library import robots
 
@@ -51,13 +51,13 @@ def rising() -> Solution:
 
 
 def balance(solution: Solution) -> Balance:
-    motion = motion_of(solution)
+    motion = replay_motion(solution)
     return balance_of(solution, motion, touched_surfaces(solution, motion.feet, motion.phase))
 
 
 def centre_of_pressure(solution: Solution) -> np.ndarray:
     """Of the contact forces in the plane z = 0, from their definition: (n, 2) at the frames."""
-    motion = motion_of(solution)
+    motion = replay_motion(solution)
     place, force = motion.feet, motion.force
     turned = place[..., :2] * force[..., 2:] - place[..., 2:] * force[..., :2]
     return turned.sum(axis=1) / force[..., 2:].sum(axis=1)
@@ -74,7 +74,7 @@ def test_momentum_changes_by_the_contact_forces(rising):
     force, moment = outer_wrenches(rising)
     samples = sample_quantities(rising)
     forces = rising.f[..., :3]
-    weight = motion_of(rising).weight
+    weight = replay_motion(rising).weight
     turning = np.cross(samples.position, forces).sum(axis=1)
     assert_allclose(force, forces.sum(axis=1), atol=INTEGRATED * weight)
     assert_allclose(moment, turning, atol=INTEGRATED * weight)
@@ -96,21 +96,21 @@ def test_zero_moment_point_of_a_robot_at_rest_is_below_its_centre_of_mass(name):
     assert_allclose(found.below[:, :2], found.com[:, :2], atol=EXACT)
     # the contact forces of such a stance are a least-squares solution: they balance if they can
     balanced = np.linalg.norm(
-        motion_of(resting).force.sum(axis=1)[0] + robot.mass * robot.model.gravity.linear
+        replay_motion(resting).force.sum(axis=1)[0] + robot.mass * robot.model.gravity.linear
     )
     assert balanced < 1e-6 * robot.weight
     assert_allclose(found.zmp[:, :2], found.com[:, :2], atol=EXACT)
 
 
 def test_zero_moment_point_is_hidden_in_flight(bones, tmp_path):
-    tracks, motion = tracks_of(shown(bones, tmp_path)), motion_of(bones)
+    tracks, motion = tracks_of(shown(bones, tmp_path)), replay_motion(bones)
     np.testing.assert_array_equal(tracks["zmp/mark", "visible"][:, 0], motion.active.any(axis=1))
 
 
 def test_centre_of_mass_includes_what_is_carried(bones):
     body = {"frame": "FL_FOOT", "mass": 0.4, "centre": [0.1, 0.0, 0.05], "inertia": np.zeros((3, 3)).tolist()}
     loaded = with_meta(bones, payloads=[{**body, "phases": [1]}])
-    motion, model = motion_of(bones), bones.model
+    motion, model = replay_motion(bones), bones.model
     heavy = loaded_model(model, "FL_FOOT", pin.Inertia(0.4, np.array(body["centre"]), np.zeros((3, 3))))
     for row, com in enumerate(balance(loaded).com):
         carrying = heavy if motion.phase[row] == 1 else model
@@ -119,7 +119,7 @@ def test_centre_of_mass_includes_what_is_carried(bones):
 
 
 def test_support_is_the_hull_of_the_feet_on_the_drawn_ground_while_they_stand(bones, tmp_path):
-    scene, motion = shown(bones, tmp_path), motion_of(bones)
+    scene, motion = shown(bones, tmp_path), replay_motion(bones)
     tracks, size = tracks_of(scene), build_scene([bones], [motion]).facts["size"]
     # both stances are the same: one mark, seen in both
     shown_at = tracks["support/stance0", "visible"][:, 0]
@@ -167,7 +167,7 @@ def sizes_of(robot) -> list:  # type: ignore[no-untyped-def]
 def test_contacts_on_different_planes_have_a_level_virtual_plane_through_their_mean(bones):
     wall = Surface(point=np.zeros(3), normal=np.array([-0.6, 0.0, 0.8]))
     found = balance(on_surface(bones, {"FL_FOOT": wall}, {}, {"FL_FOOT": wall}))
-    plane, feet = found.supports[0].plane, motion_of(bones).feet[0]
+    plane, feet = found.supports[0].plane, replay_motion(bones).feet[0]
     assert_allclose(plane.normal, UP)
     assert_allclose(plane.point, feet.mean(axis=0), atol=EXACT)
     assert_allclose(found.zmp[0, 2], feet[:, 2].mean(), atol=EXACT)
@@ -176,7 +176,7 @@ def test_contacts_on_different_planes_have_a_level_virtual_plane_through_their_m
 def test_wall_is_no_support_of_feet_on_the_ground(bones):
     wall = Surface(point=np.zeros(3), normal=np.array([-1.0, 0.0, 0.0]))
     leaning = balance(on_surface(bones, {"FL_FOOT": wall})).supports[0]
-    feet = motion_of(bones).feet[0]
+    feet = replay_motion(bones).feet[0]
     own = [name != "FL_FOOT" for name in bones.contact_frames]
     assert len(leaning.hull) == 3
     assert_allclose(sorted(leaning.hull[:, 0]), sorted(feet[own, 0]), atol=EXACT)
@@ -188,7 +188,7 @@ def test_two_feet_support_along_a_segment_and_one_at_a_point(bones):
         active = bones.active.copy()
         active[:, count:] = False
         found = balance(replace(bones, active=active))
-        feet = motion_of(bones).feet[0][:count]
+        feet = replay_motion(bones).feet[0][:count]
         assert_allclose(np.sort(found.supports[0].hull, axis=0), np.sort(feet, axis=0), atol=EXACT)
 
 
@@ -210,7 +210,7 @@ def test_plumb_line_reaches_from_the_drawn_ground_to_the_centre_of_mass(rising, 
     assert_allclose(foot[:, 2], ground, atol=2e-3)  # of the grid, which lies above the plane
     top = foot + length[:, None] * UP
     data = rising.model.createData()
-    com = [pin.centerOfMass(rising.model, data, q) for q in motion_of(rising).q]
+    com = [pin.centerOfMass(rising.model, data, q) for q in replay_motion(rising).q]
     assert_allclose(top, com, atol=2 * THINNED)
     assert_allclose(tracks["com/ball", "position"], com, atol=THINNED)
 

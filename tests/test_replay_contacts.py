@@ -17,7 +17,7 @@ from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import Surface
 from trajopt.view.replay.cones import COLOURS, SIDE
-from trajopt.view.replay.motion import motion_of
+from trajopt.view.replay.motion import replay_motion
 from trajopt.view.replay.parts import colour_array
 from trajopt.view.replay.scene import build_scene
 
@@ -46,7 +46,7 @@ def pushed(solution: Solution, force: np.ndarray) -> Solution:
 
 
 def test_cone_stands_where_the_force_acts_as_wide_as_friction_and_hides_in_flight(bones, tmp_path):
-    tracks, motion = tracks_of(shown(bones, tmp_path)), motion_of(bones)
+    tracks, motion = tracks_of(shown(bones, tmp_path)), replay_motion(bones)
     size = build_scene([bones], [motion]).facts["size"]
     for contact, frame in enumerate(bones.contact_frames):
         visible = tracks[f"cones/{frame}", "visible"][:, 0]
@@ -62,11 +62,11 @@ def test_cone_stands_where_the_force_acts_as_wide_as_friction_and_hides_in_fligh
 def test_cone_of_a_phase_has_that_surfaces_friction_and_normal(bones, tmp_path):
     wall = Surface(point=np.zeros(3), normal=np.array([-0.6, 0.0, 0.8]), friction=0.3)
     tracks = tracks_of(shown(on_surface(bones, {FOOT: wall}, {}, {}), tmp_path))
-    first = motion_of(bones).phase == 0
+    first = replay_motion(bones).phase == 0
     scale, axes = tracks[f"cones/{FOOT}", "scale"], axes_of(tracks[f"cones/{FOOT}", "quaternion"])
     assert_allclose(scale[first, 0] / scale[first, 2], 0.3, atol=TURNED)
     assert_allclose(axes[first], np.tile(wall.normal, (first.sum(), 1)), atol=TURNED)
-    last = motion_of(bones).phase == 2
+    last = replay_motion(bones).phase == 2
     assert_allclose(scale[last, 0] / scale[last, 2], FRICTION, atol=TURNED)
     assert_allclose(axes[last], np.tile([0.0, 0.0, 1.0], (last.sum(), 1)), atol=TURNED)
 

@@ -17,10 +17,10 @@ from trajopt.schedule.targets import Target
 from trajopt.solution.solution import Solution
 from trajopt.terms import FramePose, TerminalState
 from trajopt.view.replay.copies import MOST_GHOSTS, ghost_frames
-from trajopt.view.replay.motion import motion_of, motions_of
+from trajopt.view.replay.motion import replay_motion, replay_motions
 from trajopt.view.replay.robot import joint_path
 from trajopt.view.replay.runs import GAP
-from trajopt.view.replay.scene import Scene, build_scene
+from trajopt.view.replay.scene import ReplayScene, build_scene
 from trajopt.view.replay.show import replay
 from trajopt_library import robots
 
@@ -53,8 +53,8 @@ def moving(solution: Solution, way: float) -> Solution:
     return replace(solution, q=q)
 
 
-def scene(solutions: list[Solution], **options: object) -> Scene:
-    return build_scene(solutions, motions_of(solutions), **options)
+def scene(solutions: list[Solution], **options: object) -> ReplayScene:
+    return build_scene(solutions, replay_motions(solutions), **options)
 
 
 def page_of(solutions: list[Solution], tmp_path, **options: object) -> dict:
@@ -68,7 +68,7 @@ def page_of(solutions: list[Solution], tmp_path, **options: object) -> dict:
 def test_each_solution_is_drawn_below_its_own_root_and_moves_as_alone(bones, arm, tmp_path):
     both = tracks_of(page_of([bones, arm], tmp_path))
     for number, solution in enumerate((bones, arm)):
-        motion = motions_of([bones, arm])[number]
+        motion = replay_motions([bones, arm])[number]
         for joint in range(1, solution.model.njoints):
             got = both[f"run{number}/{joint_path(solution.model, joint)}", "position"]
             assert_allclose(got, motion.joints[:, joint, :3, 3], atol=2 * THINNED)
@@ -76,7 +76,7 @@ def test_each_solution_is_drawn_below_its_own_root_and_moves_as_alone(bones, arm
 
 def test_clock_is_shared_and_what_has_ended_stays(bones):
     late = replace(bones, t=bones.t + 0.2, interval_t=bones.interval_t + 0.2)
-    first, second = motions_of([moving(bones, 1.0), moving(late, 1.0)])
+    first, second = replay_motions([moving(bones, 1.0), moving(late, 1.0)])
     assert first.t[0] == bones.t[0]
     assert first.t[-1] == pytest.approx(late.t[-1])
     np.testing.assert_array_equal(first.t, second.t)
@@ -144,7 +144,7 @@ def test_unknown_layout_and_nothing_to_show_are_refused(bones):
     with pytest.raises(InputError, match="stacked"):
         scene([bones], layout="stacked")
     with pytest.raises(InputError, match="nothing"):
-        motions_of([])
+        replay_motions([])
 
 
 def test_facts_tell_phases_layers_and_where_the_base_is(bones):
@@ -176,7 +176,7 @@ def test_facts_say_whether_a_camera_should_follow(bones, way, travels):
 
 def test_ghosts_stand_as_the_robot_does_where_phases_change(bones, tmp_path):
     far = moving(bones, 2.0)
-    page, motion = shown(far, tmp_path), motion_of(far)
+    page, motion = shown(far, tmp_path), replay_motion(far)
     frames = ghost_frames(motion, 0.4)
     changes = [0, *(np.flatnonzero(np.diff(motion.phase)) + 1), motion.n_frames - 1]
     assert frames == changes
@@ -191,18 +191,18 @@ def test_ghosts_stand_as_the_robot_does_where_phases_change(bones, tmp_path):
 def test_ghosts_are_few_spread_and_different(bones):
     far = moving(bones, 10.0)
     phase = np.repeat(np.arange(far.n_intervals), [len(rows) for rows in far.intervals])
-    motion = motion_of(replace(far, phase=phase))
+    motion = replay_motion(replace(far, phase=phase))
     frames = ghost_frames(motion, 0.4)
     assert len(frames) == MOST_GHOSTS
     assert {0, motion.n_frames - 1} <= set(frames)
-    assert ghost_frames(motion_of(bones), 0.4) == [0]  # it ends as it began
+    assert ghost_frames(replay_motion(bones), 0.4) == [0]  # it ends as it began
 
 
 def test_one_more_ghost_costs_the_page_little(hop, tmp_path):
     sizes = []
     for way in (0.0, 3.0):
         sizes.append(replay(moving(hop, way), html=tmp_path / "page.html").size)
-    more = len(ghost_frames(motion_of(moving(hop, 3.0)), 0.5)) - 1
+    more = len(ghost_frames(replay_motion(moving(hop, 3.0)), 0.5)) - 1
     assert more >= 2
     assert sizes[1] - sizes[0] < more * GHOST_COST + 40e3  # and the tracks of a base that moves
 
@@ -277,7 +277,7 @@ def test_carried_body_waits_is_carried_and_stays(bones, tmp_path):
     far = moving(bones, 1.0)
     entry = {"frame": "FL_FOOT", "mass": 0.3, "centre": [0.0, 0.0, 0.1], "inertia": np.zeros((3, 3)).tolist()}
     page = shown(with_meta(far, payloads=[{**entry, "phases": [1]}]), tmp_path)
-    track, motion = tracks_of(page)["payloads/body0", "position"], motion_of(far)
+    track, motion = tracks_of(page)["payloads/body0", "position"], replay_motion(far)
     carried = np.flatnonzero(motion.phase == 1)
     foot = motion.feet[:, 0]
     assert_allclose(track[carried], foot[carried], atol=THINNED)

@@ -9,8 +9,15 @@ from numpy.testing import assert_array_equal
 from replay_pages import hopping, key_frames_of, shown
 from scipy.spatial.transform import Rotation, Slerp
 
-from trajopt.view.replay.commands import Recorder, Tracks
-from trajopt.view.replay.thinning import ANGLE_ERROR, FINER, POSITION_ERROR, held, kept_frames, rounded
+from trajopt.view.replay.commands import Animation, Recorder
+from trajopt.view.replay.thinning import (
+    ANGLE_ERROR,
+    FINER,
+    POSITION_ERROR,
+    hold_while_hidden,
+    rounded,
+    thin_key_frames,
+)
 from trajopt.view.replay.turns import turns_to
 
 ERROR = 1e-3
@@ -25,7 +32,7 @@ def smooth(n: int, columns: int) -> np.ndarray:
 @pytest.mark.parametrize("n", [2, 3, 17, 100, 1000])
 def test_linear_track_stays_within_its_error_with_fewer_frames(n):
     values = smooth(n, 3)
-    kept = kept_frames(values, "vector3", ERROR)
+    kept = thin_key_frames(values, "vector3", ERROR)
     between = np.column_stack([np.interp(np.arange(n), kept, column[kept]) for column in values.T])
     assert np.linalg.norm(between - values, axis=1).max() <= ERROR + ROUNDING
     assert kept[0] == 0
@@ -38,7 +45,7 @@ def test_turning_track_stays_within_its_angle():
     vectors = smooth(400, 3)
     values = Rotation.from_rotvec(vectors).as_quat()
     values[::3] *= -1  # the same rotations
-    kept = kept_frames(values, "quaternion", ANGLE_ERROR)
+    kept = thin_key_frames(values, "quaternion", ANGLE_ERROR)
     between = Slerp(kept, Rotation.from_quat(values[kept]))(np.arange(400))
     error = (between.inv() * Rotation.from_rotvec(vectors)).magnitude()
     assert error.max() <= ANGLE_ERROR + ROUNDING
@@ -47,7 +54,7 @@ def test_turning_track_stays_within_its_angle():
 
 def test_tracks_as_written_stay_within_their_stated_errors():
     rotation = Rotation.from_rotvec(smooth(400, 3))
-    tracks, node = Tracks(400, 60.0, 1.0), meshcat.Visualizer(window=Recorder())["robot"]
+    tracks, node = Animation(400, 60.0, 1.0), meshcat.Visualizer(window=Recorder())["robot"]
     tracks.add(node, "position", "vector3", smooth(400, 3))
     tracks.add(node, "quaternion", "quaternion", rotation.as_quat())
     position, turn = tracks.command().message["animations"][0]["clip"]["tracks"]
@@ -61,15 +68,15 @@ def test_tracks_as_written_stay_within_their_stated_errors():
 
 def test_still_track_keeps_its_ends_and_a_jump_both_its_sides():
     still = np.ones((50, 3))
-    assert_array_equal(kept_frames(still, "vector3", ERROR), [0, 49])
+    assert_array_equal(thin_key_frames(still, "vector3", ERROR), [0, 49])
     still[20:] += 1.0
-    kept = kept_frames(still, "vector3", ERROR)
+    kept = thin_key_frames(still, "vector3", ERROR)
     assert {0, 19, 20, 49} <= set(kept.tolist())
 
 
 def test_boolean_track_keeps_its_changes():
     shown_at = np.array([[True]] * 5 + [[False]] * 3 + [[True]] * 4)
-    assert_array_equal(kept_frames(shown_at, "boolean", 0.0), [0, 5, 8, 11])
+    assert_array_equal(thin_key_frames(shown_at, "boolean", 0.0), [0, 5, 8, 11])
 
 
 def test_rounding_is_far_below_the_error_and_to_few_bits():
@@ -83,8 +90,8 @@ def test_rounding_is_far_below_the_error_and_to_few_bits():
 def test_hidden_frames_hold_what_was_last_seen():
     values = np.arange(6.0)[:, None]
     seen = np.array([False, True, True, False, False, True])
-    assert_array_equal(held(values, seen)[:, 0], [1, 1, 2, 2, 2, 5])
-    assert_array_equal(held(values, np.zeros(6, dtype=bool))[:, 0], np.zeros(6))
+    assert_array_equal(hold_while_hidden(values, seen)[:, 0], [1, 1, 2, 2, 2, 5])
+    assert_array_equal(hold_while_hidden(values, np.zeros(6, dtype=bool))[:, 0], np.zeros(6))
 
 
 def test_turns_take_the_vertical_to_any_direction():

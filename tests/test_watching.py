@@ -26,7 +26,7 @@ from trajopt.solvers.drivers import SOLVERS
 from trajopt.solving.iterate import Iterate
 from trajopt.view.replay.thinning import ANGLE_ERROR, POSITION_ERROR
 from trajopt.view.watching.drawing import HEAVY, PATHS, POSES, IterateScene, Picture
-from trajopt.view.watching.motion import LEAST_POSES, MOST_POSES, Motion
+from trajopt.view.watching.motion import LEAST_POSES, MOST_POSES, IterateMotion
 from trajopt.view.watching.viewer import Viewer
 from trajopt_library import problems
 
@@ -274,7 +274,7 @@ def test_a_rotation_that_is_not_normalised_is_drawn_normalised():
 def test_a_motion_of_one_node_is_a_pose():
     robot = hopper()
     q = pin.neutral(robot.model)
-    motion = Motion(
+    motion = IterateMotion(
         model=robot.model,
         t=np.zeros(1),
         q=q[None],

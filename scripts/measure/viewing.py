@@ -19,7 +19,7 @@ from trajopt.solving.solving import Prepared, prepare, solve_prepared
 from trajopt.view.replay.browser import chromium
 from trajopt.view.replay.show import replay
 from trajopt.view.watching.history import History
-from trajopt.view.watching.record import Table
+from trajopt.view.watching.record import IterationTable
 from trajopt.view.watching.viewer import Viewer
 from trajopt_library import problems
 
@@ -96,7 +96,7 @@ def watching(problem: str, repeat: int, solver: str) -> None:
 MODES: dict[str, Callable[[Path, ExitStack], Watch | None]] = {
     "alone": lambda folder, stack: None,
     "panel": lambda folder, stack: History().add,
-    "log": lambda folder, stack: stack.enter_context(Table(folder / "log.csv")),
+    "log": lambda folder, stack: stack.enter_context(IterationTable(folder / "log.csv")),
     "viewer": lambda folder, stack: stack.enter_context(Viewer()),
 }
 

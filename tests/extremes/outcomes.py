@@ -28,7 +28,7 @@ import numpy as np
 
 from trajopt.certify.check import check
 from trajopt.certify.report import CheckReport, Tolerances
-from trajopt.cli.report import solve_dict, summary, to_json
+from trajopt.cli.report import solve_dict, solve_summary, to_json
 from trajopt.errors import InputError, SolutionFileError, TrajoptError
 from trajopt.problem.problem import Problem
 from trajopt.solution.arrays import OTHERS, SAMPLED
@@ -162,7 +162,7 @@ def _require_sound(solution: Solution, report: CheckReport | None) -> None:
     """What holds of every solution, solved or not: JSON without NaN, a status with advice, the same file."""
     meta = solution.meta
     json.dumps(json.loads(to_json(meta)), allow_nan=False)
-    printed = summary(solution, report, None, [])
+    printed = solve_summary(solution, report, None, [])
     for text in (to_json(solve_dict(solution, report, None)), printed, to_json(meta)):
         _require(re.search(r"\bnan\b", text, re.IGNORECASE) is None, f"NaN is passed on: {text}")
     status = Status[meta["status"].upper()]

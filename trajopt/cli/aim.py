@@ -25,7 +25,7 @@ WITHOUT = ("ladder", "compare")
 UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0}
 NAMES = {"tolerance": "tol"}
 
-Command = TypeVar("Command", bound=Callable[..., Any])
+_Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
 class Seconds(click.ParamType):
@@ -46,7 +46,7 @@ class Seconds(click.ParamType):
         return found
 
 
-def aim_options(command: Command) -> Command:
+def aim_options(command: _Command) -> _Command:
     """The options ``--accuracy``, ``--budget`` and ``--front`` of a solve."""
     for option in reversed(
         (

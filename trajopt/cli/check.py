@@ -6,37 +6,38 @@ from pathlib import Path
 
 import click
 
-from trajopt.cli import report as cli_report
+from trajopt.cli.input import json_option
+from trajopt.cli.report import to_json
 
 NOT_REACHED = 1
 
 
-@click.command()
+@click.command("check")
 @click.argument("file", type=Path)
 @click.option("--accuracy", is_flag=True, help="Also integrate the whole motion, and look between points.")
 @click.option(
     "--reference", type=Path, metavar="FILE", help="The same, and compare with a converged solution."
 )
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def check(file: Path, accuracy: bool, reference: Path | None, as_json: bool) -> int:
+@json_option
+def check_command(file: Path, accuracy: bool, reference: Path | None, as_json: bool) -> int:
     """Recompute all figures of FILE with numeric Pinocchio alone.
 
     With --accuracy also the error of the planned torques integrated over intervals, phases and the whole
     motion, and what is left of dynamics and constraints between the collocation points. Exit status 1 when
     a figure is beyond its tolerance; those of accuracy have none.
     """
-    from trajopt.certify.check import check as run
+    from trajopt.certify.check import check
     from trajopt.solution.solution import Solution
 
     plan = Solution.load(file)
-    report = run(plan)
+    report = check(plan)
     shown, text = report.to_dict(), report.table()
     if accuracy or reference is not None:
         from trajopt.certify.accuracy.measures import measure
         from trajopt.certify.accuracy.table import accuracy_table
 
-        found = measure(plan, reference)
-        shown["accuracy"] = found.to_dict()
-        text = f"{text}\n\n{accuracy_table(found)}"
-    click.echo(cli_report.to_json(shown) if as_json else text)
+        accuracy_figures = measure(plan, reference)
+        shown["accuracy"] = accuracy_figures.to_dict()
+        text = f"{text}\n\n{accuracy_table(accuracy_figures)}"
+    click.echo(to_json(shown) if as_json else text)
     return 0 if report.ok else NOT_REACHED

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-import importlib
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
-from rich.table import Table
 
-from trajopt.cli.input import COUNT, GRID, THREADS, WholeNumber, options_of, values_of
+from trajopt.cli.input import (
+    WholeNumber,
+    default_option,
+    grid_options,
+    import_in_background,
+    json_option,
+    options_of,
+    parse_settings,
+    solver_options,
+    tolerance_option,
+)
 from trajopt.cli.progress import stdout_to_stderr, watched
-from trajopt.cli.report import to_json
+from trajopt.cli.report import console, plain_table, to_json
 from trajopt.cli.warm import cost
-from trajopt.cli.watch import kept, opened, watch_options
+from trajopt.cli.watch import open_viewer, show_until_interrupted, watch_options
 from trajopt.errors import InputError
 from trajopt.solution.output import check_output
 
@@ -28,8 +34,6 @@ if TYPE_CHECKING:
 
 NOT_REACHED = 1
 MOST_VALUES = 1000
-# Columns of a table that goes to a file or a pipe, which tells no width.
-PIPE_WIDTH = 120
 HALVINGS = WholeNumber(0, 20)
 VARY_FORM = "allowed: NAME=START:STOP:COUNT, such as distance=0.2:0.4:5"
 
@@ -38,30 +42,18 @@ VARY_FORM = "allowed: NAME=START:STOP:COUNT, such as distance=0.2:0.4:5"
 @click.argument("problem")
 @click.option("--vary", required=True, metavar="NAME=START:STOP:COUNT", help="The parameter and its values.")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="Another parameter.")
-@click.option("--compare", is_flag=True, help="Solve every value from its own guess, too.")
-@click.option(
-    "--max-halvings", type=HALVINGS, default=4, metavar="N", show_default=True, help="Of a step that fails."
-)
+@click.option("--compare", is_flag=True, help="Solve every value from its default guess, too.")
+@default_option("--max-halvings", 4, "N", "Of a step that fails.", kind=HALVINGS)
 @click.option("--start", type=Path, metavar="FILE", help="Solution file to start the first value from.")
 @click.option(
     "--output-dir", type=Path, metavar="DIR", help="Folder for the solution files.  [default: none]"
 )
-@click.option("--transcription", metavar="NAME", help="Scheme.  [default: the problem's]")
-@click.option("--intervals", type=GRID, metavar="N", help="Over the schedule.  [default: the problem's]")
-@click.option("--solver", default="ipopt", metavar="NAME", show_default=True, help="ipopt, fatrop or sqp.")
-@click.option("--tol", "tolerance", type=float, default=1e-6, metavar="TOL", show_default=True)
-@click.option(
-    "--max-iterations", type=COUNT, default=500, metavar="N", show_default=True, help="Of each solve."
-)
-@click.option("--max-time", type=float, default=600.0, metavar="S", show_default=True, help="Of each solve.")
-@click.option("--compile", default="quick", metavar="LEVEL", show_default=True, help="none, quick or fast.")
-@click.option("--threads", type=THREADS, default=1, metavar="N", show_default=True, help="For functions.")
-@click.option(
-    "--solver-option", "solver_options", multiple=True, metavar="NAME=VALUE", help="The solver's own."
-)
+@grid_options
+@tolerance_option
+@solver_options
 @watch_options
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def continue_(
+@json_option
+def continue_command(
     problem: str,
     vary: str,
     settings: tuple[str, ...],
@@ -75,29 +67,32 @@ def continue_(
 ) -> int:
     """Solve PROBLEM for a sequence of values of a parameter, each from the last solution.
 
-    A step that fails is halved. With --compare every value is solved from its own guess, too, and the time
-    saved is shown. Exit status 0 when every value is solved, 1 when not.
+    A step that fails is halved. With --compare every value is solved from its default guess, too, and
+    the time saved is shown. Exit status 0 when every value is solved, 1 when not.
     """
     from trajopt.problem.catalogue import families
     from trajopt.problem.family import choose
     from trajopt.solution.input import solution_of
 
-    family, fixed = choose(families(), problem), values_of(settings, "--set")
+    family, fixed = choose(families(), problem), parse_settings(settings, "--set")
     name, values = parse_vary(family, vary, fixed)
-    load = _loader(family, name, fixed)
+
+    def load(value: float) -> Problem:
+        return family.load({**fixed, name: value})
+
     load(values[0]), load(values[-1])  # refused before anything is solved
     folder = None if output_dir is None else _folder(output_dir, problem)
     known = None if start is None else solution_of(start)
     arguments |= {"options": options_of(solver_options), "start": known}
-    threading.Thread(target=importlib.import_module, args=("scipy.integrate",), daemon=True).start()
-    viewer = opened(watch)
+    import_in_background("scipy.integrate")
+    viewer = open_viewer(watch)
     found = _continued(problem, load, values, arguments, log, viewer)
     files = {} if folder is None else _saved(found, folder, f"{problem}-{name}")
     if as_json:
         click.echo(to_json({"problem": problem, "parameter": name, "files": files, **found.to_dict()}))
     else:
         _print(found, problem, name, files)
-    kept(viewer, found.steps[-1].solution)
+    show_until_interrupted(viewer, found.steps[-1].solution)
     return 0 if found.success else NOT_REACHED
 
 
@@ -121,10 +116,6 @@ def parse_vary(family: Family, text: str, fixed: dict[str, str]) -> tuple[str, l
         raise InputError(f"--vary '{text}' starts where it ends", VARY_FORM)
     steps = int(count) - 1
     return name, [first + (last - first) * (i / steps) for i in range(steps)] + [last]
-
-
-def _loader(family: Family, name: str, fixed: dict[str, str]) -> Callable[[float], Problem]:
-    return lambda value: family.load({**fixed, name: value})
 
 
 def _continued(
@@ -162,35 +153,32 @@ def _saved(found: Continuation, folder: Path, stem: str) -> dict[str, str]:
 
 
 def _print(found: Continuation, problem: str, name: str, files: dict[str, str]) -> None:
-    console = Console(highlight=False, markup=False)
-    if not console.is_terminal:
-        console.width = PIPE_WIDTH
-    table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0))
+    shown = console()
     compared = any(step.cold is not None for step in found.steps)
-    titles = (name, "from", "status", "iterations", "time s", "objective")
-    for title in (*titles, *(("cold iterations", "cold time s") if compared else ())):
-        table.add_column(title, justify="right", no_wrap=True)
-    for step in found.steps:
-        table.add_row(*_row(step, compared))
-    console.print(f"{problem}: {len(found.solutions)} of {len(set(found.values))} values solved")
-    console.print(table)
+    titles: tuple[str, ...] = (name, "from", "status", "iterations", "time s", "objective")
+    titles += ("cold iterations", "cold time s") if compared else ()
+    rows = [_row(step, compared) for step in found.steps]
+    shown.print(f"{problem}: {len(found.solutions)} of {len(set(found.values))} values solved")
+    shown.print(plain_table(titles, rows, justify="right", no_wrap=True))
     totals = found.to_dict()
-    console.print(f"in all {cost(totals['total'])}")
+    shown.print(f"in all {cost(totals['total'])}")
     if compared:
         saved = totals["saved"]
-        console.print(
-            f"from own guesses {cost(totals['cold'])}; saved {saved['iterations']} iterations, "
+        shown.print(
+            f"from default guesses {cost(totals['cold'])}; saved {saved['iterations']} iterations, "
             f"{saved['wall_time_s']:.2f} s"
         )
     for file in files.values():
-        console.print(file, soft_wrap=True)
+        shown.print(file, soft_wrap=True)
 
 
 def _row(step: Step, compared: bool) -> list[str]:
     meta = step.solution.meta
-    begun = "own guess" if not meta["warm_start"] else "file" if step.origin is None else f"{step.origin:g}"
+    origin = (
+        "default guess" if not meta["warm_start"] else "file" if step.origin is None else f"{step.origin:g}"
+    )
     objective = "" if meta["objective"] is None else f"{meta['objective']:.5g}"
-    row = [f"{step.value:g}", begun, meta["status"].replace("_", " "), str(meta["iterations"])]
+    row = [f"{step.value:g}", origin, meta["status"].replace("_", " "), str(meta["iterations"])]
     row += [f"{meta['wall_time_s']:.2f}", objective]
     if compared:
         cold = None if step.cold is None else step.cold.meta

@@ -1,15 +1,22 @@
-"""What the command line is given: NAME=VALUE settings, solver options, the place of the output."""
+"""What the command line is given: numbers, NAME=VALUE settings, options that several commands share."""
 
 from __future__ import annotations
 
+import importlib
 import re
-from collections.abc import Sequence
-from typing import Any
+import threading
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from typing_extensions import override
 
 from trajopt.errors import InputError
 
+if TYPE_CHECKING:
+    from trajopt.problem.problem import Problem
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
 _INTEGER = re.compile(r"[-+]?[0-9]+", re.ASCII)
 # Solvers count with C's int.
 LARGEST_INTEGER = 2**31 - 1
@@ -23,8 +30,8 @@ class WholeNumber(click.ParamType):
     def __init__(self, least: int, most: int) -> None:
         self.least, self.most = least, most
 
+    @override
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """The number; anything else is a usage error."""
         try:
             number = int(value)
         except ValueError:
@@ -34,14 +41,76 @@ class WholeNumber(click.ParamType):
         return number
 
 
-# Solvers count with C's int.
 COUNT = WholeNumber(0, LARGEST_INTEGER)
 # A finer grid takes tens of gigabytes before anything is solved; a problem knows its coarsest.
 GRID = WholeNumber(-LARGEST_INTEGER, 100_000)
 THREADS = WholeNumber(1, 1024)
 
 
-def values_of(settings: Sequence[str], option: str) -> dict[str, str]:
+def default_option(
+    name: str,
+    default: Any,
+    metavar: str,
+    help: str,
+    *,
+    to: str | None = None,
+    kind: click.ParamType | None = None,
+) -> Callable[[_Command], _Command]:
+    """Return an option with a default that its help shows; ``to`` names its argument of the command."""
+    names = (name,) if to is None else (name, to)
+    return click.option(*names, default=default, type=kind, metavar=metavar, show_default=True, help=help)
+
+
+def option_group(*options: Callable[[_Command], _Command]) -> Callable[[_Command], _Command]:
+    """Return a decorator that adds several options to a command, in the order in which they are listed."""
+
+    def decorate(command: _Command) -> _Command:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorate
+
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+grid_options = option_group(
+    click.option(
+        "--transcription", metavar="NAME", help="Scheme, e.g. legendre:2.  [default: the problem's]"
+    ),
+    click.option(
+        "--intervals", type=GRID, metavar="N", help="Over the whole schedule.  [default: the problem's]"
+    ),
+    default_option("--solver", "ipopt", "NAME", "ipopt, fatrop or sqp."),
+)
+tolerance_option = default_option("--tol", 1e-6, "TOL", "Tolerance.", to="tolerance")
+function_options = option_group(
+    default_option("--compile", "quick", "LEVEL", "none, quick or fast."),
+    default_option("--threads", 1, "N", "For functions.", kind=THREADS),
+)
+solver_options = option_group(
+    default_option("--max-iterations", 500, "N", "Iteration limit of a solve.", kind=COUNT),
+    default_option("--max-time", 600.0, "S", "Time limit of a solve, s."),
+    function_options,
+    click.option(
+        "--solver-option", "solver_options", multiple=True, metavar="NAME=VALUE", help="The solver's own."
+    ),
+)
+
+
+def chosen_problem(name: str, settings: Sequence[str]) -> Problem:
+    """Build the problem of that name with repeated ``--set NAME=VALUE``; raises `InputError`."""
+    from trajopt.problem.catalogue import families
+    from trajopt.problem.family import choose
+
+    return choose(families(), name).load(parse_settings(settings, "--set"))
+
+
+def import_in_background(module: str) -> None:
+    """Let a module that takes long to load do so while the solver holds no Python lock."""
+    threading.Thread(target=importlib.import_module, args=(module,), daemon=True).start()
+
+
+def parse_settings(settings: Sequence[str], option: str) -> dict[str, str]:
     """Values by name of repeated NAME=VALUE; raises `InputError` for another form or a name given twice."""
     values: dict[str, str] = {}
     for setting in settings:
@@ -57,7 +126,7 @@ def values_of(settings: Sequence[str], option: str) -> dict[str, str]:
 
 def options_of(settings: Sequence[str]) -> dict[str, str | int | float]:
     """Solver options by name, as whole numbers, numbers or words; raises `InputError`."""
-    values = values_of(settings, "--solver-option")
+    values = parse_settings(settings, "--solver-option")
     return {name: _option(name, text.strip()) for name, text in values.items()}
 
 

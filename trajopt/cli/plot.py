@@ -9,7 +9,7 @@ import click
 from trajopt.solution.output import check_apart
 
 
-@click.command()
+@click.command("plot")
 @click.argument("files", nargs=-1, required=True, type=Path, metavar="FILE...")
 @click.option(
     "-o", "--output", required=True, type=Path, metavar="OUT", help="Ends with .png, .svg, .pdf or .html."
@@ -24,15 +24,17 @@ from trajopt.solution.output import check_apart
     help="summary, limits, joints, drives, forces, soles, base, momentum, clearance or accuracy.  "
     "[default: summary for .png and .svg, else all]",
 )
-def plot(files: tuple[Path, ...], output: Path, labels: tuple[str, ...], pages: tuple[str, ...]) -> None:
+def plot_command(
+    files: tuple[Path, ...], output: Path, labels: tuple[str, ...], pages: tuple[str, ...]
+) -> None:
     """Plot the solution in FILE; several FILEs of one robot are overlaid.
 
     Pages about what the robot does not have (contacts, drives, a base that moves) are left out.
     """
-    from trajopt.view.plotting.writing import report
+    from trajopt.view.plotting.writing import write_plots
 
     check_apart([output], files)
     names = [name.strip() for given in pages for name in given.split(",") if name.strip()]
-    plotted = report(list(files), output, labels=labels or None, pages=names or None)
+    plotted = write_plots(list(files), output, labels=labels or None, pages=names or None)
     shown = ", ".join(dict.fromkeys(plotted.pages))
     click.echo(f"{plotted.path}: {shown}, {plotted.size / 1e6:.2f} MB")

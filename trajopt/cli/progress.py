@@ -9,8 +9,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
-from trajopt.solving.interruption import Interruption, end_at_once, interruptible
-from trajopt.solving.iterate import GRACE
+from trajopt.solving.interruption import GRACE, Interruption, end_at_once, interruptible
 
 if TYPE_CHECKING:
     from trajopt.solving.iterate import Watch
@@ -37,6 +36,7 @@ class Deadline:
 
     def start(self) -> None:
         """Start the clock, once, when the solver starts."""
+
         if self._timer is None and self._max_time + GRACE < threading.TIMEOUT_MAX:
             self._timer = threading.Timer(self._max_time + GRACE, self._end)
             self._timer.daemon = True
@@ -55,7 +55,7 @@ class Deadline:
         )
 
 
-class Control:
+class SolveControl:
     """The progress callback of `trajopt.solve` that stops on Ctrl-C, and starts the deadline's clock.
 
     From the first iteration on a press raises nothing: it stops the solver at its iterate.
@@ -98,8 +98,8 @@ def watched(
     written, and KeyboardInterrupt at the end if Ctrl-C came before the solver started.
     """
     from trajopt.solving.iterate import combined
-    from trajopt.view.watching.panel import Panel
-    from trajopt.view.watching.record import Lines, Table
+    from trajopt.view.watching.panel import ConvergencePanel
+    from trajopt.view.watching.record import IterationLines, IterationTable
 
     deadline = Deadline(max_time)
     with ExitStack() as stack:
@@ -107,12 +107,12 @@ def watched(
         stack.enter_context(interruption.recording())
         interruption.note = LOST
         stack.callback(setattr, interruption, "note", "")
-        control = Control(interruption, deadline)
-        table = stack.enter_context(Table(log)) if log not in (None, LINES) else None
+        control = SolveControl(interruption, deadline)
+        table = stack.enter_context(IterationTable(log)) if log not in (None, LINES) else None
         shown = (
-            Lines(sys.stderr, title)
+            IterationLines(sys.stderr, title)
             if log == LINES
-            else stack.enter_context(Panel(title, lambda: control.stopping))
+            else stack.enter_context(ConvergencePanel(title, lambda: control.stopping))
         )
         try:
             with interruption.raising():

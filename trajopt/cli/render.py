@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import click
+from typing_extensions import override
 
-from trajopt.cli.input import WholeNumber
+from trajopt.cli.input import WholeNumber, default_option
 from trajopt.solution.output import check_apart
 
 # Digits of a side: more are too many pixels in any case.
@@ -19,27 +20,29 @@ _SIZE = re.compile(r"([0-9]{1,6})[xX×]([0-9]{1,6})", re.ASCII)
 ANY_COUNT = WholeNumber(0, 10**6)
 
 
-class Size(click.ParamType):
+class PictureSize(click.ParamType):
     """Pixels as in 1280x720."""
 
     name = "size"
 
+    @override
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[int, int]:
-        """Width and height; anything else is a usage error."""
         found = _SIZE.fullmatch(str(value).strip())
         if found is None:
             self.fail(f"'{value}' is no size; allowed: WIDTHxHEIGHT in pixels, as in 1280x720", param, ctx)
         return int(found[1]), int(found[2])
 
 
-@click.command()
+@click.command("render")
 @click.argument("files", nargs=-1, required=True, type=Path, metavar="FILE...")
 @click.option("-o", "--output", required=True, type=Path, metavar="OUT", help="A .mp4, .gif or .png file.")
-@click.option("--size", type=Size(), metavar="WxH", help="Pixels.  [default: 1280x720, a .gif 640x360]")
+@click.option(
+    "--size", type=PictureSize(), metavar="WxH", help="Pixels.  [default: 1280x720, a .gif 640x360]"
+)
 @click.option("--fps", type=float, metavar="F", help="Pictures a second.  [default: 30, a .gif 25]")
-@click.option("--speed", type=float, default=1.0, metavar="S", show_default=True, help="1 is real time.")
+@default_option("--speed", 1.0, "S", "1 is real time.")
 @click.option("--camera", metavar="NAME", help="overview, follow, side, front or top.")
 @click.option("--from", "start", type=float, metavar="S", help="Start there, s of the solution.")
 @click.option("--to", "end", type=float, metavar="S", help="End there, s of the solution.")
@@ -50,7 +53,7 @@ class Size(click.ParamType):
 @click.option("--show", "shown", multiple=True, metavar="LAYER", help="Show a layer; may be repeated.")
 @click.option("--side-by-side", is_flag=True, help="Several files beside each other, not overlaid.")
 @click.option("--label", "labels", multiple=True, metavar="NAME", help="Name of a file, one for each.")
-def render(
+def render_command(
     files: tuple[Path, ...],
     output: Path,
     no_caption: bool,
@@ -60,12 +63,12 @@ def render(
 ) -> None:
     """Write the replay of FILE, or of several, to a video, an animated GIF or a picture."""
     from trajopt.solution.solution import Solution
-    from trajopt.view.replay.render import render as write
+    from trajopt.view.replay.render import render
 
     check_apart([output], files)
     solutions = [Solution.load(file) for file in files]
     with _progress(f"{output.name}") as shown:
-        done = write(
+        done = render(
             solutions,
             output,
             layout="side-by-side" if side_by_side else "overlaid",

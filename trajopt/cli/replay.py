@@ -7,18 +7,19 @@ from pathlib import Path
 
 import click
 
+from trajopt.cli.input import default_option
 from trajopt.solution.output import check_apart, check_output
 from trajopt.solving.interruption import interruptible
 
 
-@click.command()
+@click.command("replay")
 @click.argument("files", nargs=-1, required=True, type=Path, metavar="FILE...")
 @click.option("--html", type=Path, metavar="OUT", help="Write one self-contained page instead.")
 @click.option("--no-open", is_flag=True, help="Do not open a browser.")
-@click.option("--speed", type=float, default=1.0, metavar="S", show_default=True, help="1 is real time.")
+@default_option("--speed", 1.0, "S", "1 is real time.")
 @click.option("--side-by-side", is_flag=True, help="Several files beside each other, not overlaid.")
 @click.option("--label", "labels", multiple=True, metavar="NAME", help="Name of a file, one for each.")
-def replay(
+def replay_command(
     files: tuple[Path, ...],
     html: Path | None,
     no_open: bool,
@@ -28,13 +29,12 @@ def replay(
 ) -> None:
     """Show FILE, or several in one picture, in Meshcat until Ctrl-C, or write them to a page."""
     from trajopt.solution.solution import Solution
-    from trajopt.view.replay.show import replay as show
-    from trajopt.view.replay.show import serve
+    from trajopt.view.replay.show import replay, serve
 
     check_apart([html], files)
     if html is not None:
         check_output(html)
-    shown = show(
+    shown = replay(
         [Solution.load(file) for file in files],
         html=html,
         open_browser=not no_open,

@@ -1,23 +1,23 @@
-"""What the command line prints: JSON objects, the list of problems, the summary of a solve."""
+"""What the command line prints: JSON objects, tables, the summary of a solve."""
 
 from __future__ import annotations
 
 import json
 import math
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.table import Table
-
-from trajopt.transcription.violations import describe_block
-
 if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
     from trajopt.certify.report import CheckReport
-    from trajopt.problem.family import Choice, Family, Parameter, RobotName
     from trajopt.solution.solution import Solution
 
+# Columns of a table that goes to a file or a pipe, which has no width.
+PIPE_WIDTH = 120
 # Keys of a solution's meta that the JSON of a solve repeats as they are.
 FROM_META = (
     "problem",
@@ -73,7 +73,7 @@ def _finite(value: object) -> object:
 
 
 def solve_dict(solution: Solution, report: CheckReport | None, file: Path | None) -> dict[str, Any]:
-    """The JSON of a solve; ``accuracy`` and ``file`` are null where they could not be had."""
+    """Return the JSON of a solve; ``accuracy`` and ``file`` are null where there are none."""
     from trajopt.certify.energy import cost_of_transport, energy
 
     meta = solution.meta
@@ -87,69 +87,32 @@ def solve_dict(solution: Solution, report: CheckReport | None, file: Path | None
     }
 
 
-def list_dict(families: Mapping[str, Family]) -> dict[str, Any]:
-    """The JSON of a list: problems with robot, phases and parameters."""
-    return {
-        "problems": [
-            {
-                "name": family.name,
-                "robot": family.robot,
-                "robots": list(family.robots),
-                "phases": list(family.phases),
-                "summary": family.summary,
-                "parameters": [_described(parameter) for parameter in family.parameters],
-            }
-            for family in families.values()
-        ]
-    }
+def console(width: int = PIPE_WIDTH) -> Console:
+    """Return a console for tables; ``width`` columns where it is no terminal."""
+    from rich.console import Console
+
+    shown = Console(highlight=False, markup=False)
+    if not shown.is_terminal:
+        shown.width = width
+    return shown
 
 
-def _described(parameter: Parameter | Choice | RobotName) -> dict[str, Any]:
-    """A parameter as JSON; a choice has no range."""
-    common = {"unit": parameter.unit, "lower": parameter.lower, "upper": parameter.upper}
-    return {**common, **vars(parameter)}
+def plain_table(titles: Sequence[str], rows: Iterable[Sequence[str]], gap: int = 3, **column: Any) -> Table:
+    """Return a table without lines; ``gap`` spaces between columns, which take ``column`` options of rich."""
+    from rich.table import Table
 
-
-def family_heading(family: Family) -> str:
-    """Name, robot, phases and summary of a family."""
-    robots = f"robot{'s' * (len(family.robots) > 1)} {', '.join(family.robots)}"
-    return f"{family.name} ({robots}; phases {', '.join(family.phases)})\n  {family.summary}"
-
-
-def family_table(families: Mapping[str, Family]) -> Table:
-    """One row a family: name, robots it is tested on, summary."""
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for title in ("problem", "robots", "what it is"):
-        table.add_column(title, overflow="fold")
-    for family in families.values():
-        table.add_row(family.name, " ".join(family.robots), family.summary)
+    table = Table(box=None, pad_edge=False, padding=(0, gap, 0, 0))
+    for title in titles:
+        table.add_column(title, **(column or {"overflow": "fold"}))
+    for row in rows:
+        table.add_row(*row)
     return table
 
 
-def parameter_table(family: Family) -> Table:
-    """Parameters of a family with default, unit, range and meaning."""
-    table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0))
-    for title in ("  parameter", "default", "range", "meaning"):
-        table.add_column(title, overflow="fold")
-    for parameter in family.parameters:
-        table.add_row(f"  {parameter.name}", _default(parameter), _range(parameter), parameter.meaning)
-    return table
+def solve_summary(solution: Solution, report: CheckReport | None, file: Path | None, notes: list[str]) -> str:
+    """Summarise a solve in a few lines: what happened, how good it is, where the file is, what to do next."""
+    from trajopt.transcription.violations import describe_block
 
-
-def _default(parameter: Parameter | Choice | RobotName) -> str:
-    if isinstance(parameter.default, str):
-        return parameter.default
-    return "derived" if parameter.default is None else f"{parameter.default:g} {parameter.unit}".rstrip()
-
-
-def _range(parameter: Parameter | Choice | RobotName) -> str:
-    if parameter.lower is None or parameter.upper is None:
-        return ", ".join(parameter.choices)
-    return f"{parameter.lower:g} to {parameter.upper:g} {parameter.unit}".rstrip()
-
-
-def summary(solution: Solution, report: CheckReport | None, file: Path | None, notes: list[str]) -> str:
-    """A solve in a few lines: what happened, how good it is, where the file is, what to do next."""
     meta = solution.meta
     lines = [_verdict(meta)]
     if not meta["success"]:
@@ -162,7 +125,7 @@ def summary(solution: Solution, report: CheckReport | None, file: Path | None, n
     lines.append(_line("energy", _energy(solution)))
     lines.append(_line("times", _times(meta)))
     if report is not None:
-        lines.append(_line("accuracy", accuracy_line(report)))
+        lines.append(_line("accuracy", _accuracy_line(report)))
     lines += [_line("note", note) for note in notes]
     lines.append(_line("file", "none" if file is None else str(file)))
     if file is not None:
@@ -175,10 +138,11 @@ def summary(solution: Solution, report: CheckReport | None, file: Path | None, n
 
 
 def _verdict(meta: dict[str, Any]) -> str:
-    found = "solved" if meta["success"] else f"NOT solved, {meta['status'].replace('_', ' ')}"
-    own = "" if meta["success"] else f" ({meta['solver_status']})"
+    outcome = "solved"
+    if not meta["success"]:
+        outcome = f"NOT solved, {meta['status'].replace('_', ' ')} ({meta['solver_status']})"
     count = f"{meta['solver']}, {meta['iterations']} iterations"
-    return f"{meta['problem']} on {meta['robot']}: {found}{own}; {count}"
+    return f"{meta['problem']} on {meta['robot']}: {outcome}; {count}"
 
 
 def _line(title: str, text: str) -> str:
@@ -186,12 +150,12 @@ def _line(title: str, text: str) -> str:
 
 
 def _energy(solution: Solution) -> str:
-    """What joints draw, and the cost of transport of robots that go somewhere."""
+    """The energy that the joints draw, and the cost of transport of a robot that travels."""
     from trajopt.certify.energy import cost_of_transport, energy
 
     drawn, transport = energy(solution), cost_of_transport(solution)
-    way = f", cost of transport {transport:.3g}" if transport < MOST_TRANSPORT else ""
-    return f"{drawn:.4g} J drawn by joints{way}"
+    cost = f", cost of transport {transport:.3g}" if transport < MOST_TRANSPORT else ""
+    return f"{drawn:.4g} J drawn by joints{cost}"
 
 
 def _times(meta: dict[str, Any]) -> str:
@@ -201,7 +165,7 @@ def _times(meta: dict[str, Any]) -> str:
     )
 
 
-def accuracy_line(report: CheckReport) -> str:
+def _accuracy_line(report: CheckReport) -> str:
     """The key figures of a check in one line."""
     from trajopt.certify.report import FIGURES
 
@@ -213,8 +177,8 @@ def accuracy_line(report: CheckReport) -> str:
     return ", ".join(parts)
 
 
-def beyond(report: CheckReport) -> str:
-    """The figures beyond the check's tolerances in words, or an empty text."""
+def failed_figures(report: CheckReport) -> str:
+    """Name the figures beyond the check's tolerances; empty if there are none."""
     from trajopt.certify.report import FIGURES
 
     return ", ".join(FIGURES[name].text for name in report.failures())

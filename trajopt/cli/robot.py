@@ -1,4 +1,4 @@
-"""``trajopt robot``: what a description says, what standing takes, and what is often wrong with it."""
+"""``trajopt robot``: what a description says, torques needed to stand, and likely mistakes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, cast
 
 import click
 
-from trajopt.cli import report as cli_report
+from trajopt.cli.input import json_option
+from trajopt.cli.report import to_json
+from trajopt.errors import InputError
 from trajopt.solution.output import check_apart, check_output
 
 if TYPE_CHECKING:
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
     from trajopt.robot.robot import Robot
 
 
-@click.command()
+@click.command("robot")
 @click.argument("robot")
 @click.option(
     "--base", metavar="KIND", help="Of a URDF: freeflyer, planar, virtual or fixed.  [default: guessed]"
@@ -26,9 +28,9 @@ if TYPE_CHECKING:
 @click.option(
     "--html", type=Path, metavar="OUT", help="Write a page that shows the reference posture at rest."
 )
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def robot(robot: str, base: str | None, write: Path | None, html: Path | None, as_json: bool) -> None:
-    """Print joints, limits, contacts, what standing takes, and warnings of ROBOT.
+@json_option
+def robot_command(robot: str, base: str | None, write: Path | None, html: Path | None, as_json: bool) -> None:
+    """Print joints, limits, contacts, torques needed to stand, and warnings of ROBOT.
 
     ROBOT is a name (as in --set robot=go2), a .py file with build() -> Robot, or a .urdf file, whose base,
     feet and posture are then guessed from its geometry: --write makes a .py file of that. Warnings do not
@@ -42,7 +44,7 @@ def robot(robot: str, base: str | None, write: Path | None, html: Path | None, a
     loaded = _loaded(robot, base, write)
     text = None if write is None else _starter(loaded, write)
     found = robot_report(loaded)
-    click.echo(cli_report.to_json(found.to_dict()) if as_json else found.table())
+    click.echo(to_json(found.to_dict()) if as_json else found.table())
     if write is not None and text is not None:
         write.write_text(text, encoding="utf-8")
         click.echo(f"  file       {write}: feet and posture are guesses, edit them", err=as_json)
@@ -56,8 +58,6 @@ def robot(robot: str, base: str | None, write: Path | None, html: Path | None, a
 
 
 def _loaded(name: str, base: str | None, write: Path | None) -> Robot:
-    from trajopt.errors import InputError
-
     if Path(name).suffix == ".urdf":
         from trajopt.robot.inspection.starter import guessed
 
@@ -65,9 +65,9 @@ def _loaded(name: str, base: str | None, write: Path | None) -> Robot:
     for option, value in (("--base", base), ("--write", write)):
         if value is not None:
             raise InputError(f"{option} is for a .urdf file, and {name} is none", "a path that ends in .urdf")
-    from trajopt.robot.catalogue import robot as load
+    from trajopt.robot.catalogue import robot
 
-    return load(name)
+    return robot(name)
 
 
 def _starter(loaded: Robot, target: Path) -> str:

@@ -7,71 +7,49 @@ from typing import Any
 
 import click
 
-from trajopt.cli import report as cli_report
-from trajopt.cli.input import COUNT
+from trajopt.cli.input import COUNT, default_option, json_option
+from trajopt.cli.report import to_json
 from trajopt.solution.output import check_apart, check_output
 
 NOT_TRACKED = 1
 
 
-@click.command()
+@click.command("simulate")
 @click.argument("file", type=Path)
 @click.option("--output", "-o", type=Path, metavar="SIM", help="Save the simulated motion as a solution.")
 @click.option("--html", type=Path, metavar="BOTH", help="Write a page that shows plan and simulation.")
-@click.option("--cycles", type=COUNT, default=1, metavar="N", show_default=True, help="Of a periodic plan.")
-@click.option(
-    "--kp", type=float, default=1.0, metavar="X", show_default=True, help="Factor on gains of positions."
-)
-@click.option(
-    "--kd", type=float, default=1.0, metavar="X", show_default=True, help="Factor on gains of rates."
-)
+@default_option("--cycles", 1, "N", "Of a periodic plan.", kind=COUNT)
+@default_option("--kp", 1.0, "X", "Factor on gains of positions.")
+@default_option("--kd", 1.0, "X", "Factor on gains of rates.")
 @click.option("--timestep", type=float, metavar="S", help="Longest step of the physics.  [default: derived]")
-@click.option(
-    "--control-rate", type=float, default=1000.0, metavar="HZ", show_default=True, help="Of the controller."
-)
-@click.option(
-    "--friction-scale", type=float, default=1.0, metavar="X", show_default=True, help="Factor on friction."
-)
-@click.option(
-    "--mass-scale",
-    type=float,
-    default=1.0,
-    metavar="X",
-    show_default=True,
-    help="Factor on masses and inertias.",
-)
-@click.option(
-    "--noise", type=float, default=0.0, metavar="SIGMA", show_default=True, help="Error of the start."
-)
-@click.option("--seed", type=COUNT, default=0, metavar="K", show_default=True, help="Seed of --noise.")
-@click.option(
-    "--push",
-    type=float,
-    default=0.0,
-    metavar="N",
-    show_default=True,
-    help="Force on the base to its left, in mid motion.",
-)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def simulate(file: Path, output: Path | None, html: Path | None, as_json: bool, **settings: Any) -> int:
+@default_option("--control-rate", 1000.0, "HZ", "Of the controller.")
+@default_option("--friction-scale", 1.0, "X", "Factor on friction.")
+@default_option("--mass-scale", 1.0, "X", "Factor on masses and inertias.")
+@default_option("--noise", 0.0, "SIGMA", "Error of the start.")
+@default_option("--seed", 0, "K", "Seed of --noise.", kind=COUNT)
+@default_option("--push", 0.0, "N", "Force on the base to its left, in mid motion.")
+@json_option
+def simulate_command(
+    file: Path, output: Path | None, html: Path | None, as_json: bool, **settings: Any
+) -> int:
     """Run the plan in FILE in MuJoCo and report how it is tracked.
 
     The model is made from the file alone. Exit status 0 when the plan is tracked, 1 when the robot falls or
     ends too far from it, 2 for bad input.
     """
-    from trajopt.certify.simulation.simulate import simulate as run
+    from trajopt.certify.simulation.simulate import simulate
     from trajopt.solution.solution import Solution
 
     check_apart([output, html], [file])
     targets = [None if path is None else check_output(path) for path in (output, html)]
     plan = Solution.load(file)
-    found = run(plan, **settings)
+    simulated = simulate(plan, **settings)
     if targets[0] is not None:
-        found.as_solution().save(targets[0])
+        simulated.as_solution().save(targets[0])
     if targets[1] is not None:
         from trajopt.view.replay.show import replay
 
-        replay([plan, found.as_solution()], html=targets[1], labels=["plan", "simulation"])
-    shown = found.report
-    click.echo(cli_report.to_json(shown.to_dict()) if as_json else shown.table())
-    return 0 if shown.passed else NOT_TRACKED
+        replay([plan, simulated.as_solution()], html=targets[1], labels=["plan", "simulation"])
+    report = simulated.report
+    click.echo(to_json(report.to_dict()) if as_json else report.table())
+    return 0 if report.passed else NOT_TRACKED

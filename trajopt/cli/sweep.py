@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from rich.console import Console
 
-from trajopt.cli.input import COUNT, THREADS, values_of
+from trajopt.cli.input import COUNT, THREADS, parse_settings
 from trajopt.cli.report import to_json
 from trajopt.solving.interruption import CANCELLED, interruptible
 
@@ -118,7 +118,7 @@ def sweep(
     from trajopt.study.sweep.records import Asked, Records
     from trajopt.study.sweep.summary import Scale
 
-    chosen = values_of(values, "--set")
+    chosen = parse_settings(values, "--set")
     loaded = choose(families(), problem).load(chosen)
     named = {axis: arguments.pop(axis) for axis in AXES}
     plan = make_plan(loaded, named, also=also, full=full)

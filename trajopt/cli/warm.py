@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from trajopt.cli.input import option_group
 from trajopt.cli.progress import stdout_to_stderr, watched
 from trajopt.errors import InputError
 
@@ -20,26 +20,15 @@ if TYPE_CHECKING:
 
 LADDER_FORM = "allowed: SCHEME@INTERVALS,..., such as legendre:1@15,legendre:2@50"
 
-Command = TypeVar("Command", bound=Callable[..., Any])
-
-
-def warm_options(command: Command) -> Command:
-    """The options ``--start``, ``--ladder`` and ``--compare`` of a solve."""
-    for option in reversed(
-        (
-            click.option("--start", type=Path, metavar="FILE", help="Solution file to start from."),
-            click.option(
-                "--ladder", metavar="GRIDS", help="Coarse to fine, e.g. legendre:1@15,legendre:2@50."
-            ),
-            click.option("--compare", is_flag=True, help="With either: solve from the own guess, too."),
-        )
-    ):
-        command = option(command)
-    return command
+warm_options = option_group(
+    click.option("--start", type=Path, metavar="FILE", help="Solution file to start from."),
+    click.option("--ladder", metavar="GRIDS", help="Coarse to fine, e.g. legendre:1@15,legendre:2@50."),
+    click.option("--compare", is_flag=True, help="With either: solve from the default guess, too."),
+)
 
 
 @dataclass(frozen=True)
-class Climbed:
+class LadderOutcome:
     """The solves of a ladder, as the command reports them."""
 
     ladder: Ladder
@@ -55,7 +44,7 @@ class Climbed:
         return self.solution.success
 
     def lines(self) -> list[str]:
-        """What a summary says of the rungs."""
+        """Lines of the summary about the rungs."""
         return ladder_lines(self.ladder)
 
     def extra(self) -> dict[str, Any]:
@@ -73,7 +62,7 @@ def solve_warm(
     log: str | None = None,
     viewer: Watch | None = None,
     **settings: Any,
-) -> Climbed:
+) -> LadderOutcome:
     """Solve from a file, over a ladder, or neither (a ladder of one rung), with progress."""
     from trajopt.solution.input import solution_of
     from trajopt.solving.ladder import solve_ladder
@@ -89,7 +78,7 @@ def solve_warm(
     known = None if start is None else solution_of(start)
     most = settings["max_time"] * (len(rungs) + compare)
     with stdout_to_stderr(), watched(title, most, log, viewer) as told:
-        return Climbed(solve_ladder(problem, rungs, start=known, compare=compare, **told, **settings))
+        return LadderOutcome(solve_ladder(problem, rungs, start=known, compare=compare, **told, **settings))
 
 
 def parse_ladder(text: str) -> list[tuple[str | None, int | None]]:
@@ -114,7 +103,7 @@ def ladder_lines(ladder: Ladder) -> list[str]:
     if len(ladder.rungs) > 1:
         lines.append(f"all rungs: {cost(figures['total'])}")
     if figures["cold"] is not None:
-        lines.append(f"from its own guess: {_found(figures['cold'])}")
+        lines.append(f"from the default guess: {_found(figures['cold'])}")
     return lines
 
 
@@ -123,4 +112,5 @@ def _found(figures: dict[str, Any]) -> str:
 
 
 def cost(figures: dict[str, Any]) -> str:
+    """Return iterations and time of a solve, or of several, in words."""
     return f"{figures['iterations']} iterations, {figures['wall_time_s']:.2f} s"

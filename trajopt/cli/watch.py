@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from trajopt.solution.solution import Solution
     from trajopt.view.watching.viewer import Viewer
 
-Command = TypeVar("Command", bound=Callable[..., Any])
+_Command = TypeVar("_Command", bound=Callable[..., Any])
 
 # Seconds that the picture of the solution may take.
 DRAWN = 60.0
 
 
-def watch_options(command: Command) -> Command:
+def watch_options(command: _Command) -> _Command:
     """``--watch`` and ``--log``."""
     for option in reversed(
         (
@@ -35,24 +35,24 @@ def watch_options(command: Command) -> Command:
     return command
 
 
-def opened(watch: bool) -> Viewer | None:
-    """A viewer if one is asked for, its place said on stderr; a browser is opened from a terminal alone.
+def open_viewer(watch: bool) -> Viewer | None:
+    """Start a viewer if ``watch``, print its address on stderr; a browser opens only from a terminal.
 
     It is closed with the command, however that ends.
     """
     if not watch:
         return None
-    from trajopt.view.replay.live import where
+    from trajopt.view.replay.live import server_address_text
     from trajopt.view.watching.viewer import Viewer
 
     viewer = Viewer(open_browser=_at_terminal())
     click.get_current_context().call_on_close(viewer.close)
-    click.echo(where(viewer.url), err=True)
+    click.echo(server_address_text(viewer.url), err=True)
     return viewer
 
 
-def kept(viewer: Viewer | None, solution: Solution) -> None:
-    """Show the solution; at a terminal until Ctrl-C, else end the viewer: a script must not hang.
+def show_until_interrupted(viewer: Viewer | None, solution: Solution) -> None:
+    """Show the solution until Ctrl-C; without a terminal end the viewer: a script must not hang.
 
     A Ctrl-C that came too late to stop the solver ends it, too.
     """

@@ -185,3 +185,7 @@ def end_at_once(text: str, status: int) -> None:
         if select.select([], [2], [], LAST_WORDS)[1]:
             os.write(2, f"{shown}{text}".encode())
     os._exit(status)
+
+
+# Seconds after its time limit that a solver may take to finish a step.
+GRACE = 30.0

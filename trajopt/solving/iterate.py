@@ -128,7 +128,3 @@ def _by_phase(layout: Layout, unknowns: np.ndarray, nodes: list[tuple[int, int]]
 def _normalized(layout: Layout, q: np.ndarray) -> np.ndarray:
     """The configuration on the manifold; a rotation of no length stays what it is: not finite."""
     return np.asarray(pin.normalize(layout.robot.model, q))
-
-
-# Seconds after its time limit that a solver may take to finish a step.
-GRACE = 30.0

@@ -48,7 +48,15 @@ def show(
 ) -> InlineReplay:
     """Return the replay of one or several solutions for a notebook: the last value of a cell is shown.
 
-    speed, layout, labels: as of `trajopt.replay.replay`. height: of the frame, pixels. Raises `InputError`.
+    Args:
+        solutions: One or several, or the paths of their files.
+        speed: Solution time over playback time; 1 is real time.
+        layout: Of several solutions, "overlaid" or "side-by-side".
+        labels: Their names.
+        height: Of the frame, pixels.
+
+    Raises:
+        InputError: For a height that leaves no room for the controls, and as `trajopt.replay`.
     """
     from trajopt.view.replay.show import replay
 
@@ -66,10 +74,19 @@ def plots(
     labels: Sequence[str] | None = None,
     pages: Sequence[str] | None = None,
 ) -> InlinePlot:
-    """Return the plots of solutions of one robot for a notebook; see `trajopt.plotting.report`."""
-    from trajopt.view.plotting.writing import report
+    """Return the plots of solutions of one robot for a notebook.
+
+    Args:
+        solutions: One or several, overlaid.
+        labels: A name for each.
+        pages: Names of pages; default the summary.
+
+    Raises:
+        InputError: As `trajopt.view.plotting.write_plots`.
+    """
+    from trajopt.view.plotting.writing import write_plots
 
     with tempfile.TemporaryDirectory() as folder:
         return InlinePlot(
-            report(solutions, Path(folder) / "plot.png", labels=labels, pages=pages).path.read_bytes()
+            write_plots(solutions, Path(folder) / "plot.png", labels=labels, pages=pages).path.read_bytes()
         )

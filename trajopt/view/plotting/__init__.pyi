@@ -1,1 +1,1 @@
-from .writing import report as report
+from .writing import write_plots as write_plots

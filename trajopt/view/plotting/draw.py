@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from trajopt.view.plotting import style
-from trajopt.view.plotting.motion import Motion
-from trajopt.view.plotting.page import Entry, Tracks
-from trajopt.view.plotting.track import Track
+from trajopt.view.plotting.page import LegendEntry, PlotPanel, PlotRow, Tracks
+from trajopt.view.plotting.track import MotionQuantity, Track
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.lines import Line2D
 
 # Markers that name a curve, along the time axis.
 MARKS = 6
@@ -24,12 +22,11 @@ MOST_DOTS = 400
 # Shares of a limit are shown up to here at least, so that the limit is inside the picture.
 SHOWN = 1.05
 LIMIT_DASHES = (0, (6, 2))
+LIMIT: dict[str, Any] = {"color": style.BLACK, "linewidth": 0.8, "linestyle": LIMIT_DASHES}
 # Inches of a vertical axis for each of its ticks.
 TICK = 0.22
 # Empty part of a vertical axis above and below what is drawn.
 MARGIN = 0.06
-
-Values = Callable[[Motion], np.ndarray]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +37,7 @@ class Curve:
     """
 
     label: str
-    values: Values
+    values: MotionQuantity
     number: int = 0
     marked: bool = True
     dots: bool = True
@@ -50,7 +47,7 @@ class Curve:
     @property
     def colour(self) -> str:
         """Its own shade, else the colour of its number."""
-        return self.shade or style.COLOURS[self.number % len(style.COLOURS)]
+        return self.shade or style.colour(self.number)
 
     @property
     def marker(self) -> str:
@@ -58,7 +55,7 @@ class Curve:
         return style.MARKERS[self.number % len(style.MARKERS)] if self.marked else ""
 
     @property
-    def entry(self) -> Entry:
+    def entry(self) -> LegendEntry:
         """Its entry of a legend."""
         look = {
             "color": self.colour,
@@ -66,44 +63,79 @@ class Curve:
             "marker": self.marker,
             **marker_look(self.colour),
         }
-        return Entry(label=self.label, style=look)
+        return LegendEntry(label=self.label, style=look)
 
 
 def marker_look(colour: str) -> dict[str, Any]:
-    """Open markers, which show the curve under them."""
+    """Return the look of open markers, which show the curve under them."""
     return {"markersize": 3.4, "markerfacecolor": "white", "markeredgewidth": 0.7, "markeredgecolor": colour}
 
 
-def curves(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
+def column(values: MotionQuantity, i: int) -> MotionQuantity:
+    """Return column ``i`` (K,) of a quantity (K, n)."""
+    return lambda motion: np.asarray(values(motion)[:, i])
+
+
+def curve_row(
+    name: str,
+    title: str,
+    ylabel: str,
+    drawn: Sequence[Curve],
+    scale: Callable[[Axes], object] | None = None,
+    **row: Any,
+) -> PlotRow:
+    """Return a row with one panel of curves over time.
+
+    Args:
+        name: Of the panel.
+        title: Of the row.
+        ylabel: Label of the vertical axis with its unit.
+        drawn: The curves, which are the row's legend too.
+        scale: Sets the vertical axis; default `fit`.
+        **row: More fields of the row.
+    """
+
+    def draw(axes: Axes, tracks: Tracks) -> None:
+        curves(axes, tracks, drawn)
+        (scale or fit)(axes)
+
+    panel = PlotPanel(name=name, ylabel=ylabel, draw=draw)
+    return PlotRow(title=title, panels=(panel,), legend=tuple(curve.entry for curve in drawn), **row)
+
+
+def curves(axes: Axes, tracks: Tracks, drawn: Sequence[Curve], *, plans_only: bool = False) -> None:
     """Draw curves of every solution, the solution by its line, the quantity by colour and marker."""
     few = sum(int(t.solution.collocation.sum()) for t in tracks) * len(drawn) <= MOST_DOTS
-    for number, track in enumerate(tracks):
+    shown = [(number, track) for number, track in enumerate(tracks) if track.is_plan or not plans_only]
+    for number, track in shown:
+        first = number == shown[0][0]
         for curve in drawn:
-            _curve(axes, track, curve, number, len(drawn), few)
+            _curve(axes, track, curve, number, len(drawn) if first else 0)
+            if few and curve.dots and number == 0:
+                at, values = track.at_points(curve.values)
+                axes.plot(at, values, color=curve.colour, zorder=3.5, **style.DOTTED)
 
 
-def _curve(axes: Axes, track: Track, curve: Curve, solution: int, count: int, few: bool) -> None:
+def _curve(axes: Axes, track: Track, curve: Curve, solution: int, marked: int) -> None:
+    """Draw one curve, with markers if it is one of ``marked`` curves that share them."""
     t, y = track.curve(curve.values)
-    named = bool(curve.marker) and solution == 0
+    named = bool(curve.marker) and marked > 0
     axes.plot(
         t,
         y,
         color=curve.colour,
         linewidth=curve.width,
-        linestyle=style.LINES[solution % len(style.LINES)],
+        linestyle=style.line_style(solution),
         marker=curve.marker if named else "",
-        markevery=marks(t, y, curve.number, count) if named else None,
+        markevery=marker_samples(t, y, curve.number, marked) if named else None,
         zorder=3 - 0.1 * solution,
         label=f"{curve.label}/{track.label}",
         **marker_look(curve.colour),
     )
-    if few and curve.dots and solution == 0:
-        at, values = track.at_points(curve.values)
-        axes.plot(at, values, color=curve.colour, zorder=3.5, **style.DOTTED)
 
 
-def marks(t: np.ndarray, y: np.ndarray, number: int, count: int) -> list[int]:
-    """Samples that carry a marker: even in time, each curve's between those of the others."""
+def marker_samples(t: np.ndarray, y: np.ndarray, number: int, count: int) -> list[int]:
+    """Return the samples that carry a marker: even in time, each curve's between those of the others."""
     start, end = t[0], t[-1]
     wanted = start + (end - start) * (np.arange(MARKS) + (number % count + 0.5) / count) / MARKS
     found = np.unique(np.clip(np.searchsorted(t, wanted), 0, len(t) - 1))
@@ -115,31 +147,34 @@ def fit(axes: Axes, *, zero: bool = False, least: float = 0.0) -> tuple[float, f
 
     ``zero``: hold zero too. ``least``: span at least that much, so that rounding is no curve.
     """
-    values = np.concatenate(
-        [np.zeros(0), *[np.asarray(line.get_ydata(), dtype=float) for line in data_lines(axes)]]
-    )
-    values = values[np.isfinite(values)]
+    values = drawn_values(axes)
     if not values.size:
         axes.set_ylim(-1, 1)
         axes.text(0.5, 0.5, "no finite value", transform=axes.transAxes, ha="center", color=style.GREY)
         return 0.0, 0.0
     low, high = float(values.min()), float(values.max())
     bottom, top = (min(low, 0.0), max(high, 0.0)) if zero else (low, high)
-    room(axes, bottom, top, least)
+    set_range(axes, bottom, top, least)
     return low, high
+
+
+def fit_with_zero_line(axes: Axes, **look: Any) -> None:
+    """Fit the vertical axis with zero in it, and mark zero by a line."""
+    fit(axes, zero=True)
+    axes.axhline(0.0, **look)
 
 
 def share_axis(axes: Axes) -> None:
     """Fit shares of a limit: from 0 to the limit, which is marked, and to what lies beyond it, hatched."""
     _, high = fit(axes, zero=True)
-    room(axes, 0.0, max(SHOWN, high))
-    axes.axhline(1.0, color=style.BLACK, linewidth=0.8, linestyle=LIMIT_DASHES)
+    set_range(axes, 0.0, max(SHOWN, high))
+    axes.axhline(1.0, **LIMIT)
     axes.axhspan(1.0, axes.get_ylim()[1], facecolor="none", edgecolor=style.GREY, hatch="////", lw=0)
     if high <= SHOWN:
         axes.set_yticks([0.0, 0.25, 0.5, 0.75, 1.0])
 
 
-def room(axes: Axes, bottom: float, top: float, least: float = 0.0) -> None:
+def set_range(axes: Axes, bottom: float, top: float, least: float = 0.0) -> None:
     """Set the vertical axis to a range with a margin, and to at least a span of its own size."""
     from matplotlib.ticker import MaxNLocator
 
@@ -152,6 +187,8 @@ def room(axes: Axes, bottom: float, top: float, least: float = 0.0) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(nbins=int(np.clip(height / TICK, 2, 6)), steps=[1, 2, 5, 10]))
 
 
-def data_lines(axes: Axes) -> list[Line2D]:
-    """Lines that hold values: those with a name of a curve."""
-    return [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")]
+def drawn_values(axes: Axes) -> np.ndarray:
+    """Return the finite ordinates (n,) of lines that hold values: those with a name of a curve."""
+    lines = [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")]
+    values = np.concatenate([np.zeros(0), *[np.asarray(line.get_ydata(), dtype=float) for line in lines]])
+    return values[np.isfinite(values)]

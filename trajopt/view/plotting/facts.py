@@ -13,9 +13,19 @@ from trajopt.certify.report import FIGURES, Tolerances
 from trajopt.errors import TrajoptError
 from trajopt.view.plotting.track import Track
 
+# Units of those facts that have one.
+UNITS = {
+    "largest violation": "scaled",
+    "phases": "s",
+    "duration": "s",
+    "time of the solver": "s",
+    "energy drawn by joints": "J",
+    "cost of transport": "1",
+}
+
 
 @dataclass(frozen=True, kw_only=True)
-class Section:
+class FigureTable:
     """A table: ``title``, and ``rows`` of a name, a value for each solution, a unit and what is allowed.
 
     ``beyond`` are the (row, solution) whose value is beyond that.
@@ -26,54 +36,42 @@ class Section:
     beyond: frozenset[tuple[int, int]] = frozenset()
 
 
-def sections(tracks: Sequence[Track]) -> tuple[Section, ...]:
+def sections(tracks: Sequence[Track]) -> tuple[FigureTable, ...]:
     """Facts, check and accuracy of the solutions; a figure that cannot be had is left empty."""
     return tuple(
         section for section in (_facts(tracks), _check(tracks), _accuracy(tracks)) if section is not None
     )
 
 
-def _facts(tracks: Sequence[Track]) -> Section:
+def _facts(tracks: Sequence[Track]) -> FigureTable:
     named = [_facts_of(track) for track in tracks]
-    rows = []
-    for name in named[0]:
-        values = tuple(facts[name][0] for facts in named)
-        if any(values):
-            rows.append((name, values, named[0][name][1], ""))
-    return Section(title="solution", rows=tuple(rows))
+    rows = [(name, tuple(facts[name] for facts in named), UNITS.get(name, ""), "") for name in named[0]]
+    return FigureTable(title="solution", rows=tuple(row for row in rows if any(row[1])))
 
 
-def _facts_of(track: Track) -> dict[str, tuple[str, str]]:
+def _facts_of(track: Track) -> dict[str, str]:
     meta, plan = track.meta, track.solution
-    moving = track.is_finite
-    transport = _tried(lambda: cost_of_transport(plan)) if moving else None
+    drawn = _tried(lambda: energy(plan)) if track.is_finite else None
+    transport = _tried(lambda: cost_of_transport(plan)) if track.is_finite else None
+    solved = "solved" if meta["success"] else "NOT SOLVED"
     return {
-        "problem": (str(meta["problem"]), ""),
-        "robot": (str(meta["robot"]), ""),
-        "parameters": (", ".join(f"{key} {_value(entry)}" for key, entry in meta["parameters"].items()), ""),
-        "status": (
-            f"{'solved' if meta['success'] else 'NOT SOLVED'}: {str(meta['status']).replace('_', ' ')}",
-            "",
-        ),
-        "advice": ("" if meta["success"] else str(meta.get("advice", "")), ""),
-        "solver": (f"{meta['solver']}, tolerance {meta['tolerance']:g}", ""),
-        "iterations": (str(meta["iterations"]), ""),
-        "objective": (_value(meta["objective"]), ""),
-        "largest violation": (_value(meta.get("max_violation")), "scaled"),
-        "variables, constraints": (
-            f"{meta.get('variables', '')}, {meta.get('constraints', '')}".strip(", "),
-            "",
-        ),
-        "transcription": (f"{meta['transcription']}, {plan.n_intervals} intervals", ""),
-        "phases": (", ".join(f"{phase.name} {phase.end - phase.start:.3g}" for phase in track.phases), "s"),
-        "duration": (f"{plan.t[-1] - plan.t[0]:.4g}", "s"),
-        "time of the solver": (_value(meta["wall_time_s"]), "s"),
-        "energy drawn by joints": (_value(_tried(lambda: energy(plan)) if moving else None), "J"),
-        "cost of transport": (
-            _value(transport if transport is not None and np.isfinite(transport) else None),
-            "1",
-        ),
-        "versions": (", ".join(f"{key} {entry}" for key, entry in meta["versions"].items()), ""),
+        "problem": str(meta["problem"]),
+        "robot": str(meta["robot"]),
+        "parameters": ", ".join(f"{key} {_value(entry)}" for key, entry in meta["parameters"].items()),
+        "status": f"{solved}: {str(meta['status']).replace('_', ' ')}",
+        "advice": "" if meta["success"] else str(meta.get("advice", "")),
+        "solver": f"{meta['solver']}, tolerance {meta['tolerance']:g}",
+        "iterations": str(meta["iterations"]),
+        "objective": _value(meta["objective"]),
+        "largest violation": _value(meta.get("max_violation")),
+        "variables, constraints": f"{meta.get('variables', '')}, {meta.get('constraints', '')}".strip(", "),
+        "transcription": f"{meta['transcription']}, {plan.n_intervals} intervals",
+        "phases": ", ".join(f"{phase.name} {phase.end - phase.start:.3g}" for phase in track.phases),
+        "duration": f"{plan.t[-1] - plan.t[0]:.4g}",
+        "time of the solver": _value(meta["wall_time_s"]),
+        "energy drawn by joints": _value(drawn),
+        "cost of transport": _value(transport if transport is not None and np.isfinite(transport) else None),
+        "versions": ", ".join(f"{key} {entry}" for key, entry in meta["versions"].items()),
     }
 
 
@@ -92,7 +90,7 @@ def _tried(compute: Callable[[], float]) -> float | None:
         return None
 
 
-def _check(tracks: Sequence[Track]) -> Section | None:
+def _check(tracks: Sequence[Track]) -> FigureTable | None:
     reports = [track.report for track in tracks]
     if not any(reports):
         return None
@@ -110,10 +108,10 @@ def _check(tracks: Sequence[Track]) -> Section | None:
         beyond |= {(len(rows), i) for i, failed in enumerate(failures) if name in failed}
         texts = tuple("" if value is None else f"{value:.3g}" for value in values)
         rows.append((figure.text, texts, figure.unit, allowed))
-    return Section(title="check, by numeric Pinocchio alone", rows=tuple(rows), beyond=frozenset(beyond))
+    return FigureTable(title="check, by numeric Pinocchio alone", rows=tuple(rows), beyond=frozenset(beyond))
 
 
-def _accuracy(tracks: Sequence[Track]) -> Section | None:
+def _accuracy(tracks: Sequence[Track]) -> FigureTable | None:
     found = [track.accuracy for track in tracks]
     if not any(found):
         return None
@@ -122,4 +120,4 @@ def _accuracy(tracks: Sequence[Track]) -> Section | None:
         values = [None if one is None else getattr(one, name) for one in found]
         if any(value is not None for value in values):
             rows.append((text, tuple("" if value is None else f"{value:.3g}" for value in values), unit, ""))
-    return Section(title="accuracy between points and in open loop", rows=tuple(rows))
+    return FigureTable(title="accuracy between points and in open loop", rows=tuple(rows))

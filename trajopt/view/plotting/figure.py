@@ -13,15 +13,15 @@ from trajopt.view.plotting.page import (
     GAP,
     GROWTH,
     LINE,
+    NOTE_LINE,
     OFFSET_TEXT,
     TITLE,
     TOP,
     UNIT,
     X_AXIS,
-    Page,
-    Row,
+    PlotPage,
+    PlotRow,
     Tracks,
-    wrapped,
 )
 from trajopt.view.plotting.time_axis import over_time, phase_strip
 
@@ -39,12 +39,13 @@ class _Place:
     labelled: bool
 
 
-def figure_of(page: Page, tracks: Tracks, *, fixed: bool, footer: str = "") -> Figure:
-    """The page as a figure of A4's width, and of its height where ``fixed`` or where it fills one."""
+def figure_of(page: PlotPage, tracks: Tracks, *, fixed: bool, footer: str = "") -> Figure:
+    """Draw the page as a figure of A4's width, and of its height where ``fixed`` or where it fills one."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    page = aligned(page)
+    left = max(row.left for row in page.rows)  # one edge for all: that of the longest labels
+    page = replace(page, rows=tuple(replace(row, left=left) for row in page.rows))
     places, height = _places(page, tracks, fixed)
     look: dict[Any, Any] = {**mpl.rcParamsDefault, **style.RC, "backend": mpl.rcParams["backend"]}
     with mpl.rc_context(look):
@@ -55,13 +56,7 @@ def figure_of(page: Page, tracks: Tracks, *, fixed: bool, footer: str = "") -> F
     return figure
 
 
-def aligned(page: Page) -> Page:
-    """The page with one left edge for all rows: that of the row with the longest labels."""
-    left = max(row.left for row in page.rows)
-    return replace(page, rows=tuple(replace(row, left=left) for row in page.rows))
-
-
-def _places(page: Page, tracks: Tracks, fixed: bool) -> tuple[list[_Place], float]:
+def _places(page: PlotPage, tracks: Tracks, fixed: bool) -> tuple[list[_Place], float]:
     """Places of the rows and the page's height, inches."""
     named = next((i for i, row in enumerate(page.rows) if row.is_timed), None)
     labelled = [
@@ -69,27 +64,24 @@ def _places(page: Page, tracks: Tracks, fixed: bool) -> tuple[list[_Place], floa
         for row, following in itertools.zip_longest(page.rows, page.rows[1:])
     ]
     phases = [phase_strip(row, tracks) if i == named else 0.0 for i, row in enumerate(page.rows)]
-    fixed_part = TOP + TITLE + BOTTOM + 0.13 * _note_lines(page.note) + LINE * (len(tracks) > 1)
+    head, foot = TOP + TITLE + LINE * (len(tracks) > 1), BOTTOM + NOTE_LINE * len(page.note_lines)
+    fixed_part = head + foot
     fixed_part += sum(row.heading + GAP for row in page.rows) + sum(phases) + X_AXIS * sum(labelled)
     rigid = sum(UNIT * row.height for row in page.rows if row.rigid)
     free = sum(UNIT * row.height for row in page.rows if not row.rigid)
     shrink = min(1.0, (style.HEIGHT - fixed_part - rigid) / free) if free else 1.0
     if fixed and free:  # a page of few rows is filled, within reason
         shrink = min(GROWTH, (style.HEIGHT - fixed_part - rigid) / free)
-    at, places = TOP + TITLE + LINE * (len(tracks) > 1), []
+    at, places = head, []
     for row, strip, shown in zip(page.rows, phases, labelled, strict=True):
         height = UNIT * row.height * (1.0 if row.rigid else shrink)
         at += row.heading + strip
         places.append(_Place(top=at, height=height, phases=strip, labelled=shown))
         at += height + GAP + X_AXIS * shown
-    return places, style.HEIGHT if fixed else at + BOTTOM + 0.13 * _note_lines(page.note)
+    return places, style.HEIGHT if fixed else at + foot
 
 
-def _note_lines(note: str) -> int:
-    return len(wrapped(note))
-
-
-def _draw_row(figure: Figure, row: Row, place: _Place, tracks: Tracks) -> None:
+def _draw_row(figure: Figure, row: PlotRow, place: _Place, tracks: Tracks) -> None:
     width, height = figure.get_size_inches()
     gaps = sum(panel.gap for panel in row.panels[1:])
     unit = (width - row.left - row.right - gaps) / sum(panel.wide for panel in row.panels)
@@ -109,20 +101,22 @@ def _draw_row(figure: Figure, row: Row, place: _Place, tracks: Tracks) -> None:
         if panel.timed:
             over_time(axes, tracks, labelled=place.labelled, strip=place.phases)
         panel.draw(axes, tracks)
-        if panel.title:
-            top = place.top - place.phases - row.heading + 0.02
-            figure.text(at / width, 1 - top / height, panel.title, weight="bold", va="top", ha="left")
+        _heading(figure, row, place, panel.title, at)
         at += unit * panel.wide
-    _heading(figure, row, place)
+    _heading(figure, row, place, row.title, row.left, legend=True)
 
 
-def _heading(figure: Figure, row: Row, place: _Place) -> None:
+def _heading(
+    figure: Figure, row: PlotRow, place: _Place, title: str, at: float, legend: bool = False
+) -> None:
+    """Write a title ``at`` inches from the left, and the row's legend on the right."""
     from matplotlib.lines import Line2D
 
     width, height = figure.get_size_inches()
     top = place.top - place.phases - row.heading + 0.02
-    figure.text(row.left / width, 1 - top / height, row.title, weight="bold", va="top", ha="left")
-    if row.legend:
+    if title:
+        figure.text(at / width, 1 - top / height, title, weight="bold", va="top", ha="left")
+    if legend and row.legend:
         handles = [Line2D([], [], **entry.style) for entry in row.legend]
         figure.legend(
             handles,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from trajopt.view.plotting import style
-from trajopt.view.plotting.page import BOTTOM, LEFT, RIGHT, TITLE, TOP, Page, Tracks, wrapped
+from trajopt.view.plotting.page import BOTTOM, LEFT, NOTE_LINE, RIGHT, TITLE, TOP, PlotPage, Tracks
 from trajopt.view.plotting.track import Track
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 TITLE_LETTERS, LEGEND_LETTERS = 64, 112
 
 
-def draw_heading(figure: Figure, page: Page, tracks: Tracks, footer: str) -> None:
+def draw_heading(figure: Figure, page: PlotPage, tracks: Tracks, footer: str) -> None:
     """Write title, state of the solutions, note and footer."""
     width, height = figure.get_size_inches()
 
@@ -25,7 +25,7 @@ def draw_heading(figure: Figure, page: Page, tracks: Tracks, footer: str) -> Non
 
     text(LEFT, TOP, style.short(title_of(tracks), TITLE_LETTERS), fontsize=style.TITLE, weight="bold")
     text(width - RIGHT, TOP + 0.02, page.title, fontsize=style.TITLE, ha="right", color=style.GREY)
-    warning = warnings_of(tracks)
+    warning = failures_of(tracks)
     below = TOP + 0.24
     if warning:
         text(LEFT, below, warning, fontsize=style.FONT, weight="bold", color=style.RED)
@@ -33,11 +33,10 @@ def draw_heading(figure: Figure, page: Page, tracks: Tracks, footer: str) -> Non
         text(LEFT, below, state_of(tracks[0]), fontsize=style.SMALL, color=style.GREY)
     if len(tracks) > 1:
         _solutions(figure, tracks, TOP + TITLE - 0.08)
-    lines = wrapped(page.note)
+    lines = page.note_lines
     for number, line in enumerate(lines):
-        text(
-            LEFT, height - BOTTOM + 0.12 - 0.13 * (len(lines) - number), line, fontsize=6.5, color=style.GREY
-        )
+        below = height - BOTTOM + 0.12 - NOTE_LINE * (len(lines) - number)
+        text(LEFT, below, line, fontsize=6.5, color=style.GREY)
     text(LEFT, height - 0.26, footer, fontsize=6.5, color=style.GREY)
 
 
@@ -47,8 +46,7 @@ def _solutions(figure: Figure, tracks: Tracks, at: float) -> None:
 
     width, height = figure.get_size_inches()
     handles = [
-        Line2D([], [], color=style.BLACK, linestyle=style.LINES[number % len(style.LINES)])
-        for number in range(len(tracks))
+        Line2D([], [], color=style.BLACK, linestyle=style.line_style(number)) for number in range(len(tracks))
     ]
     letters = LEGEND_LETTERS // len(tracks)
     names = [
@@ -69,13 +67,13 @@ def _solutions(figure: Figure, tracks: Tracks, at: float) -> None:
 
 
 def title_of(tracks: Tracks) -> str:
-    """Problem and robot; of several problems their names."""
+    """Return problem and robot; of several problems their names."""
     names = list(dict.fromkeys(str(track.meta["problem"]) for track in tracks))
     return f"{', '.join(names)} on {tracks[0].meta['robot']}"
 
 
 def state_of(track: Track) -> str:
-    """One solution in a line: how it ended, by what, on which grid."""
+    """Describe a solution in a line: how it ended, by what, on which grid."""
     meta, plan = track.meta, track.solution
     objective = meta.get("objective")
     parts = [
@@ -88,8 +86,8 @@ def state_of(track: Track) -> str:
     return "  \u00b7  ".join(part for part in parts if part)
 
 
-def warnings_of(tracks: Tracks) -> str:
-    """What is wrong with the solutions, or an empty text."""
+def failures_of(tracks: Tracks) -> str:
+    """Say which solutions failed; empty if none did."""
     found = []
     for track in tracks:
         name = f"{track.label}: " if len(tracks) > 1 else ""

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from html import escape
 
 from trajopt.versions import installed_version
-from trajopt.view.plotting.facts import Section
-from trajopt.view.plotting.heading import state_of, title_of, warnings_of
-from trajopt.view.plotting.page import Page, Tracks
-from trajopt.view.plotting.sheet import with_own_names
+from trajopt.view.plotting.facts import FigureTable
+from trajopt.view.plotting.heading import failures_of, state_of, title_of
+from trajopt.view.plotting.page import PlotPage, Tracks
+from trajopt.view.plotting.sheet import with_unique_ids
 
 STYLE = """
 :root { color-scheme: light; }
@@ -31,10 +31,12 @@ footer { color: #555; font-size: .8rem; margin-top: 2rem; }
 """
 
 
-def html_page(tracks: Tracks, drawings: Sequence[tuple[Page, str]], sections: Sequence[Section]) -> str:
+def html_page(
+    tracks: Tracks, drawings: Sequence[tuple[PlotPage, str]], sections: Sequence[FigureTable]
+) -> str:
     """The file's text. ``drawings`` are pages with their SVG, ``sections`` the tables."""
     title = escape(title_of(tracks))
-    warning = warnings_of(tracks)
+    warning = failures_of(tracks)
     head = [
         f'<p class="warning">{escape(warning)}</p>' if warning else "",
         *(f'<p class="state">{escape(_named_state(tracks, i))}</p>' for i in range(len(tracks))),
@@ -44,7 +46,7 @@ def html_page(tracks: Tracks, drawings: Sequence[tuple[Page, str]], sections: Se
     tables = [_table(section, [track.label for track in tracks]) for section in sections]
     further = '<a href="#figures">check and accuracy</a>' if tables[1:] else ""
     figures = [
-        f'<figure id="{anchor}" aria-label="{escape(text)}">{with_own_names(svg, number)}</figure>'
+        f'<figure id="{anchor}" aria-label="{escape(text)}">{with_unique_ids(svg, number)}</figure>'
         for number, ((anchor, text), (_, svg)) in enumerate(zip(anchors, drawings, strict=True))
     ]
     return "\n".join(
@@ -69,7 +71,7 @@ def _named_state(tracks: Tracks, number: int) -> str:
     return label + state_of(tracks[number])
 
 
-def _anchors(pages: Sequence[Page]) -> list[tuple[str, str]]:
+def _anchors(pages: Sequence[PlotPage]) -> list[tuple[str, str]]:
     """An anchor and a text for every page; pages of one name are counted."""
     names = [page.name for page in pages]
     found = []
@@ -82,7 +84,7 @@ def _anchors(pages: Sequence[Page]) -> list[tuple[str, str]]:
     return found
 
 
-def _table(section: Section, labels: Sequence[str]) -> str:
+def _table(section: FigureTable, labels: Sequence[str]) -> str:
     judged = any(allowed for *_, allowed in section.rows)
     names = labels if len(labels) > 1 else [""]
     heads = "".join(f'<th class="number">{escape(name)}</th>' for name in names)

@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from trajopt.dynamics.base_joint import BASE_JOINT, UNLIMITED, base_of, position_limits
 from trajopt.solution.solution import Solution
-from trajopt.view.plotting.motion import Motion
+from trajopt.view.plotting.motion import MotionQuantities
 
 # Curves in one panel: as many as there are colours that are told apart.
 MOST_CURVES = 7
@@ -22,7 +22,7 @@ AXIS_NAMES = {1: ("",), 2: (" x", " y"), 3: (" x", " y", " z")}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Axis:
+class JointAxis:
     """A row of v behind the base.
 
     ``row`` of v; ``torque`` its row of tau, None for a passive joint; ``column`` of q, None where q has no
@@ -58,7 +58,7 @@ class Limb:
 
     name: str
     prefix: str
-    axes: tuple[Axis, ...]
+    axes: tuple[JointAxis, ...]
     short: tuple[str, ...]
     long: tuple[str, ...]
 
@@ -68,7 +68,7 @@ class Limb:
         return ", ".join(sorted({axis.unit for axis in self.axes}, reverse=True))
 
 
-def axes_of(solution: Solution) -> tuple[Axis, ...]:
+def axes_of(solution: Solution) -> tuple[JointAxis, ...]:
     """All rows of v behind the base joint, in their order."""
     model, meta = solution.model, solution.meta
     lower, upper = position_limits(model)
@@ -82,7 +82,7 @@ def axes_of(solution: Solution) -> tuple[Axis, ...]:
             column = joint.idx_q + i if joint.nq == joint.nv else None
             suffix = AXIS_NAMES[joint.nv][i] if joint.nv in AXIS_NAMES else f" {i + 1}"
             found.append(
-                Axis(
+                JointAxis(
                     name=model.names[joint.id] + suffix,
                     joint=joint.id,
                     row=row,
@@ -110,7 +110,7 @@ def _slides(joint: pin.JointModel, row: int) -> bool:
     return row < (translations | {"FreeFlyer": 3}).get(kind, 0)
 
 
-def position(axis: Axis, motion: Motion) -> np.ndarray:
+def position(axis: JointAxis, motion: MotionQuantities) -> np.ndarray:
     """Coordinate (K,) of an axis: rad or m; turns are counted, and of a ball joint its rotation vector."""
     solution, model = motion.solution, motion.solution.model
     if axis.column is not None:
@@ -135,12 +135,12 @@ def _unwrapped(angle: np.ndarray) -> np.ndarray:
     return found
 
 
-def limbs_of(axes: Sequence[Axis], model: pin.Model) -> tuple[Limb, ...]:
+def limbs_of(axes: Sequence[JointAxis], model: pin.Model) -> tuple[Limb, ...]:
     """Axes by kinematic branch: chains between forks of the tree, at most `MOST_CURVES` of them in one.
 
     Short branches next to one another share a limb. Names are what their joints' names begin with.
     """
-    groups: list[list[Axis]] = []
+    groups: list[list[JointAxis]] = []
     for chain in _merged(_chains(model, {axis.joint for axis in axes})):
         own = [axis for joint in chain for axis in axes if axis.joint == joint]
         parts = -(-len(own) // MOST_CURVES)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajopt.view.plotting import style
-from trajopt.view.plotting.draw import LIMIT_DASHES, fit, room
+from trajopt.view.plotting.draw import LIMIT, fit, set_range
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,15 +50,15 @@ def limit_lines(axes: Axes, found: Sequence[Limit], least: float = 0.0) -> None:
     """Fit the vertical axis, with the limits that values come near; those all curves share are hatched."""
     low, high = fit(axes, least=least)
     near = [value for limit in found for value in limit.near]
-    room(axes, min([low, *near]), max([high, *near]), least)
+    set_range(axes, min([low, *near]), max([high, *near]), least)
     shared = len(found) > 1 and len({(limit.lower, limit.upper) for limit in found}) == 1
     if not shared:
         for limit in found:
             for value in limit.near:
-                axes.axhline(value, color=limit.colour, linewidth=0.8, linestyle=LIMIT_DASHES, zorder=2)
+                axes.axhline(value, **{**LIMIT, "color": limit.colour}, zorder=2)
         return
     bottom, top = axes.get_ylim()
     for value in set(near):
-        axes.axhline(value, color=style.BLACK, linewidth=0.8, linestyle=LIMIT_DASHES, zorder=2)
+        axes.axhline(value, **LIMIT, zorder=2)
         side = bottom if value == found[0].lower else top
         axes.axhspan(*sorted((value, side)), facecolor="none", edgecolor=style.GREY, hatch="////", lw=0)

@@ -21,15 +21,14 @@ from trajopt.robot.sole import centre_of_pressure
 from trajopt.solution.descriptions import scene_of_meta
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
+from trajopt.view.replay.motion import LEAST_PRESSURE
 
-# A sole pressed with less than this part of the weight has no meaningful centre of pressure.
-LEAST_PRESSURE = 1e-3
 # From model, data, q and v to numbers.
-State = Callable[[pin.Model, pin.Data, np.ndarray, np.ndarray], np.ndarray]
+_State = Callable[[pin.Model, pin.Data, np.ndarray, np.ndarray], np.ndarray]
 YAW_PITCH_ROLL = "ZYX"
 
 
-class Motion:
+class MotionQuantities:
     """Quantities at the K samples of a solution, computed when they are asked for; NaN where q or v are.
 
     Vectors of forces, momenta and the base are in world axes, SI units.
@@ -119,7 +118,7 @@ class Motion:
 
         return self._rows(16, lambda *state: placement(*state).ravel()).reshape(-1, 4, 4)
 
-    def _rows(self, size: int, of: State) -> np.ndarray:
+    def _rows(self, size: int, of: _State) -> np.ndarray:
         model, data = self.solution.model, self.solution.model.createData()
         found = np.full((len(self.t), size), np.nan)
         for row in np.flatnonzero(self.finite):

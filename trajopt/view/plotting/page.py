@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import textwrap
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,8 @@ Draw = Callable[["Axes", Tracks], None]
 # Inches: edges of the page, its title, a line of a heading, space under a row, an x axis with its label.
 LEFT, RIGHT, TOP, BOTTOM = 0.72, 0.3, 0.35, 0.45
 TITLE, LINE, GAP, X_AXIS, BETWEEN = 0.5, 0.17, 0.13, 0.36, 0.62
+# Height of a line of a note.
+NOTE_LINE = 0.13
 # Of a row's axes: height by default, and how much it grows on an empty page.
 UNIT, GROWTH = 1.3, 1.6
 # Widths in inches of a letter and of a legend's handle with its spaces, at the small font.
@@ -30,7 +33,7 @@ NOTE_LETTERS = 155
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entry:
+class LegendEntry:
     """A legend's entry: ``label`` and the keywords of its line."""
 
     label: str
@@ -38,7 +41,7 @@ class Entry:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Panel:
+class PlotPanel:
     """One pair of axes: its vertical axis' label with unit, and what draws into it. ``timed``: over time.
 
     ``wide`` is its share of the row's width, ``gap`` the inches to the panel on its left. ``title`` is for
@@ -55,15 +58,15 @@ class Panel:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class PlotRow:
     """Panels side by side under a heading; ``height`` in units of `UNIT`, ``left`` inches for labels.
 
     ``rigid`` rows keep their height, others shrink where a page is full.
     """
 
     title: str
-    panels: tuple[Panel, ...]
-    legend: tuple[Entry, ...] = ()
+    panels: tuple[PlotPanel, ...]
+    legend: tuple[LegendEntry, ...] = ()
     height: float = 1.0
     left: float = LEFT
     right: float = RIGHT
@@ -91,17 +94,21 @@ class Row:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Page:
+class PlotPage:
     """A page by ``name`` with a ``title``, and a ``note`` at its foot."""
 
     name: str
     title: str
-    rows: tuple[Row, ...]
+    rows: tuple[PlotRow, ...]
     note: str = ""
 
+    @property
+    def note_lines(self) -> list[str]:
+        """Lines of the note."""
+        return textwrap.wrap(self.note, NOTE_LETTERS)
 
-def wrapped(note: str) -> list[str]:
-    """Lines of a note at the foot of a page."""
-    import textwrap
 
-    return textwrap.wrap(note, NOTE_LETTERS)
+def page_of(name: str, title: str, rows: Iterable[PlotRow | None], note: str = "") -> list[PlotPage]:
+    """Return the page of the rows that there are; no page without any."""
+    present = tuple(row for row in rows if row is not None)
+    return [PlotPage(name=name, title=title, rows=present, note=note)] if present else []

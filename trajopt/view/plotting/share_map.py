@@ -27,7 +27,7 @@ def share_map(axes: Axes, track: Track, names: Sequence[str], shares: np.ndarray
     import matplotlib as mpl
 
     start, end = track.phases[0].start, track.phases[-1].end
-    grid = binned(track.dense.t, shares, start, end)
+    grid = column_maxima(track.dense.t, shares, start, end)
     colours = mpl.colormaps[style.SHARES].with_extremes(over=style.BEYOND, bad="white")
     rows = len(names)
     axes.imshow(
@@ -55,7 +55,7 @@ def share_map(axes: Axes, track: Track, names: Sequence[str], shares: np.ndarray
             )
 
 
-def binned(t: np.ndarray, shares: np.ndarray, start: float, end: float) -> np.ndarray:
+def column_maxima(t: np.ndarray, shares: np.ndarray, start: float, end: float) -> np.ndarray:
     """The largest of ``shares`` (K, n) in each of `COLUMNS` equal times; between samples those around."""
     edges = np.linspace(start, end, COLUMNS + 1)
     found = np.full((COLUMNS, shares.shape[1]), np.nan)

@@ -29,7 +29,7 @@ def svg_of(figure: Figure) -> str:
     with mpl.rc_context({"svg.fonttype": style.RC["svg.fonttype"], "svg.hashsalt": style.RC["svg.hashsalt"]}):
         FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
     text = buffer.getvalue()
-    return shortened(text[text.index("<svg") :])
+    return shorten_svg(text[text.index("<svg") :])
 
 
 def picture(figure: Figure) -> np.ndarray:
@@ -50,8 +50,8 @@ def png_sheet(figures: Sequence[Figure]) -> bytes:
     return buffer.getvalue()
 
 
-def svg_sheet(drawn: Sequence[str], figures: Sequence[Figure]) -> str:
-    """Drawings of one width below one another as one SVG file."""
+def svg_sheet(figures: Sequence[Figure]) -> str:
+    """Draw figures of one width below one another as one SVG file."""
     heights = [figure.get_size_inches()[1] * POINTS_AN_INCH for figure in figures]
     width, total = style.WIDTH * POINTS_AN_INCH, sum(heights)
     head = '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
@@ -59,13 +59,13 @@ def svg_sheet(drawn: Sequence[str], figures: Sequence[Figure]) -> str:
         f'{head} width="{width:g}pt" height="{total:g}pt" viewBox="0 0 {width:g} {total:g}" version="1.1">'
     ]
     at = 0.0
-    for number, (text, height) in enumerate(zip(drawn, heights, strict=True)):
-        parts.append(f'<g transform="translate(0 {at:g})">{with_own_names(text, number)}</g>')
+    for number, (figure, height) in enumerate(zip(figures, heights, strict=True)):
+        parts.append(f'<g transform="translate(0 {at:g})">{with_unique_ids(svg_of(figure), number)}</g>')
         at += height
     return "\n".join([*parts, "</svg>", ""])
 
 
-def shortened(svg: str) -> str:
+def shorten_svg(svg: str) -> str:
     """The drawing with coordinates of paths and marks cut to a hundredth of a point."""
     svg = RUN.sub(_dots, svg)
     places = re.compile(r'(?<=[ "])(?:d|x|y|points)="[^"]*"')
@@ -82,7 +82,7 @@ def _dots(run: re.Match[str]) -> str:
     return f'<path d="{path}" style="{look}"/>\n'
 
 
-def with_own_names(svg: str, number: int) -> str:
+def with_unique_ids(svg: str, number: int) -> str:
     """The drawing with names of elements that no other drawing of the same file has."""
     named = re.sub(r'\bid="([^"]+)"', rf'id="p{number}-\1"', svg)
     named = re.sub(r'(xlink:href|href)="#([^"]+)"', rf'\1="#p{number}-\2"', named)

@@ -35,14 +35,24 @@ DOTS = 150
 NAME_LETTERS = 32
 
 
+def colour(number: int) -> str:
+    """Return the colour of that number."""
+    return COLOURS[number % len(COLOURS)]
+
+
+def line_style(number: int) -> Any:
+    """Return the line style of a solution by its number."""
+    return LINES[number % len(LINES)]
+
+
 def short(name: str, letters: int = NAME_LETTERS) -> str:
-    """The name on one line, cut where it is longer than ``letters``."""
+    """Return the name on one line, cut where it is longer than ``letters``."""
     words = " ".join(name.split())
     return words if len(words) <= letters else words[: letters - 1] + "\u2026"
 
 
 def literal(name: str) -> str:
-    """The name as Matplotlib shows it letter by letter: a dollar does not begin mathematics."""
+    """Return the name as Matplotlib shows it letter by letter: a dollar does not begin mathematics."""
     return name.replace("$", r"\$")
 
 

@@ -11,8 +11,7 @@ from trajopt.view.plotting import topics_contacts as contacts
 from trajopt.view.plotting import topics_drives as drives
 from trajopt.view.plotting import topics_joints as joints
 from trajopt.view.plotting import topics_limits as limits
-from trajopt.view.plotting.page import Page, Row, Tracks
-from trajopt.view.plotting.topics_power import power_row
+from trajopt.view.plotting.page import PlotPage, PlotRow, Tracks, page_of
 from trajopt.view.plotting.topics_soles import sole_pages
 
 # Rows of a map of shares in the summary: with more joints each limb has one.
@@ -21,29 +20,28 @@ MAP_ROWS = 12
 FEW_LIMBS = 2
 
 
-def summary_pages(tracks: Tracks) -> list[Page]:
+def summary_pages(tracks: Tracks) -> list[PlotPage]:
     """Contacts, shares of limits, base or joints, forces, momentum or power, errors: one page."""
-    found: list[Row | None] = [contacts.stance_row(tracks), _shares(tracks)]
+    rows: list[PlotRow | None] = [contacts.stance_row(tracks), _shares(tracks)]
     moving = base.has_base(tracks)
     if moving:
-        found += [base.position_row(tracks), base.orientation_row(tracks)]
+        rows += [base.vector_row(tracks, name) for name in ("base position", "base orientation")]
     else:
         limbs = joints.limbs(tracks)
         alone = len(limbs) == 1
         for limb in limbs[:FEW_LIMBS]:
-            found += joints.limb_rows(limb, wide=alone, alone=alone)
+            rows += joints.limb_rows(limb, wide=alone, alone=alone)
     if contacts.contacts(tracks):
-        found += [contacts.normal_row(tracks), contacts.cone_row(tracks)]
+        rows += [contacts.normal_row(tracks), contacts.cone_row(tracks)]
     if moving:
-        found.append(base.angular_row(tracks))
-    found += [base.clearance_row(tracks), power_row(tracks), accuracy.residual_row(tracks)]
-    rows = tuple(row for row in found if row is not None)
+        rows.append(base.vector_row(tracks, "angular momentum"))
+    rows += [base.clearance_row(tracks), base.power_row(tracks), accuracy.residual_row(tracks)]
     maps = "Maps: share of the limit that is used, dark is all of it, on the right its largest in per cent. "
     note = f"{maps if len(tracks) == 1 else ''}Residuals in natural units (weight, reach, g)."
-    return [Page(name="summary", title="summary", rows=rows, note=note)]
+    return page_of("summary", "summary", rows, note)
 
 
-def _shares(tracks: Tracks) -> Row | None:
+def _shares(tracks: Tracks) -> PlotRow | None:
     """One solution's map of shares of limits; of several the largest share of each as a curve."""
     found = joints.limbs(tracks)
     rows = [axis for limb in found for axis in limb.axes]
@@ -55,7 +53,7 @@ def _shares(tracks: Tracks) -> Row | None:
     return limits.map_row(tracks, 0, groups, names, max(0.5, limits.MAP_ROW * len(groups)))
 
 
-PAGES: dict[str, Callable[[Tracks], list[Page]]] = {
+PAGES: dict[str, Callable[[Tracks], list[PlotPage]]] = {
     "summary": summary_pages,
     "limits": limits.limit_pages,
     "joints": joints.joint_pages,
@@ -69,7 +67,7 @@ PAGES: dict[str, Callable[[Tracks], list[Page]]] = {
 }
 
 
-def pages_of(tracks: Tracks, names: Sequence[str]) -> list[Page]:
+def pages_of(tracks: Tracks, names: Sequence[str]) -> list[PlotPage]:
     """Pages by name, in this order; those about what the robot lacks are left out.
 
     Raises `InputError` for a name that is none, or where nothing is left.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from trajopt.view.plotting import style
-from trajopt.view.plotting.page import Row, Tracks
+from trajopt.view.plotting.page import PlotRow, Tracks
 from trajopt.view.plotting.track import Track
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def impact_times(track: Track) -> list[float]:
     return [] if index is None else [float(track.solution.t[row]) for row in index]
 
 
-def phase_strip(row: Row, tracks: Tracks) -> float:
+def phase_strip(row: PlotRow, tracks: Tracks) -> float:
     """Inches that the names of phases take above a row: one line, upright, or none for a single phase."""
     phases = tracks[0].phases
     if len(phases) < 2:
@@ -59,7 +59,7 @@ def phase_strip(row: Row, tracks: Tracks) -> float:
     return 0.06 + PHASE_LETTER * max(len(phase.name) for phase in phases)
 
 
-def _fit(row: Row, tracks: Tracks) -> bool:
+def _fit(row: PlotRow, tracks: Tracks) -> bool:
     width = (style.WIDTH - row.left - row.right) / sum(panel.wide for panel in row.panels)
     return _names_fit(tracks, width)
 

@@ -13,10 +13,10 @@ from trajopt.certify.limit_figures import _beyond
 from trajopt.dynamics.base_joint import position_limits
 from trajopt.solution.grid import interval_schemes
 from trajopt.view.plotting import draw, style
-from trajopt.view.plotting.draw import Curve, Values
-from trajopt.view.plotting.motion import Motion
-from trajopt.view.plotting.page import Page, Panel, Row, Tracks
-from trajopt.view.plotting.track import Track
+from trajopt.view.plotting.draw import Curve
+from trajopt.view.plotting.motion import MotionQuantities
+from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, page_of
+from trajopt.view.plotting.track import MotionQuantity, Track
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,19 +27,19 @@ FLOOR = 1e-12
 DECADES = 3
 
 
-def base_residual(motion: Motion) -> np.ndarray:
+def base_residual(motion: MotionQuantities) -> np.ndarray:
     """Largest base row of the dynamics (K,), over weight and reach."""
     rows, base = motion.residual_rows.base, motion.solution.n_unactuated
     return _largest(rows / motion.units.generalized_force(motion.solution.model)[:base])
 
 
-def actuated_residual(motion: Motion) -> np.ndarray:
+def actuated_residual(motion: MotionQuantities) -> np.ndarray:
     """Largest actuated row of the dynamics (K,), over weight and reach."""
     rows, base = motion.residual_rows.actuated, motion.solution.n_unactuated
     return _largest(rows / motion.units.generalized_force(motion.solution.model)[base:])
 
 
-def contact_residual(motion: Motion) -> np.ndarray:
+def contact_residual(motion: MotionQuantities) -> np.ndarray:
     """Largest acceleration of active contacts (K,) over g; of a velocity source velocities over sqrt(g l)."""
     units, turning = motion.units, np.array([1.0] * 3 + [1.0 / motion.units.length] * 3)
     gravity = units.gravity
@@ -61,32 +61,32 @@ RESIDUALS = {
 }
 
 
-def friction_violation(motion: Motion) -> np.ndarray:
+def friction_violation(motion: MotionQuantities) -> np.ndarray:
     """By how much tangential forces (K,) leave their cones, over the weight."""
     return _beyond_zero((motion.tangential - motion.cone) / motion.units.weight)
 
 
-def pull(motion: Motion) -> np.ndarray:
+def pull(motion: MotionQuantities) -> np.ndarray:
     """The largest pull (K,) of a surface that can only push, over the weight."""
     return _beyond_zero(np.where(motion.surfaces.bilateral, np.nan, -motion.normal) / motion.units.weight)
 
 
-def penetration(motion: Motion) -> np.ndarray:
+def penetration(motion: MotionQuantities) -> np.ndarray:
     """The largest depth (K,) of a contact below its surface, over the reach."""
     return _beyond_zero(-motion.surfaces.distance(motion.samples.position) / motion.units.length)
 
 
-def effort_excess(motion: Motion) -> np.ndarray:
+def effort_excess(motion: MotionQuantities) -> np.ndarray:
     """Torques beyond their limits (K,), over the limits."""
     return _beyond_zero(_beyond(motion.solution.tau, motion.solution.meta["effort_limit"]))
 
 
-def velocity_excess(motion: Motion) -> np.ndarray:
+def velocity_excess(motion: MotionQuantities) -> np.ndarray:
     """Velocities beyond their limits (K,), over the limits."""
     return _beyond_zero(_beyond(motion.solution.v, motion.solution.meta["velocity_limit"]))
 
 
-def position_excess(motion: Motion) -> np.ndarray:
+def position_excess(motion: MotionQuantities) -> np.ndarray:
     """Positions beyond their limits (K,), over the joints' ranges."""
     lower, upper = position_limits(motion.solution.model)
     with np.errstate(invalid="ignore"):
@@ -109,98 +109,82 @@ VIOLATIONS = {
 }
 
 
-def accuracy_pages(tracks: Tracks) -> list[Page]:
-    """Residuals, violations, local errors and mesh of solutions that are plans."""
-    rows = [
-        row
-        for row in (residual_row(tracks), violation_row(tracks), local_row(tracks), mesh_row(tracks))
-        if row
-    ]
+def accuracy_pages(tracks: Tracks) -> list[PlotPage]:
+    """Return residuals, violations, local errors and mesh of solutions that are plans."""
+    rows = [residual_row(tracks), violation_row(tracks), local_row(tracks), mesh_row(tracks)]
     note = (
         "Residuals: base and actuated rows over weight and reach, accelerations of contacts over g. They "
         "vanish at the collocation points, dots, up to the solver's tolerance. Local error: each interval "
         "integrated from its planned start, largest error of a point of the robot at its end."
     )
-    return [Page(name="accuracy", title="errors between points", rows=tuple(rows), note=note)] if rows else []
+    return page_of("accuracy", "errors between points", rows, note)
 
 
-def plans(tracks: Tracks) -> list[Track]:
-    """Solutions that come from a transcription and are finite: what a simulation did has no points."""
-    return [track for track in tracks if track.is_finite and not track.is_simulated]
+def plans(tracks: Tracks) -> list[tuple[int, Track]]:
+    """Return the solutions that are plans, with their numbers: what a simulation did has no points."""
+    return [(number, track) for number, track in enumerate(tracks) if track.is_plan]
 
 
-def residual_row(tracks: Tracks) -> Row | None:
+def residual_row(tracks: Tracks) -> PlotRow | None:
     """Rows of the dynamics between the points on a logarithmic axis."""
     return _log_row(tracks, RESIDUALS, "residual", "dynamics between the collocation points", "residual [1]")
 
 
-def violation_row(tracks: Tracks) -> Row | None:
+def violation_row(tracks: Tracks) -> PlotRow | None:
     """Constraints broken between the points."""
     return _log_row(
         tracks, VIOLATIONS, "violation", "constraints broken between the collocation points", "violation [1]"
     )
 
 
-def _log_row(tracks: Tracks, named: Mapping[str, Values], name: str, title: str, ylabel: str) -> Row | None:
+def _log_row(
+    tracks: Tracks, named: Mapping[str, MotionQuantity], name: str, title: str, ylabel: str
+) -> PlotRow | None:
     shown = plans(tracks)
     if not shown:
         return None
     drawn = [
         Curve(label=label, values=partial(_floored, values), number=i, dots=False, width=0.9)
         for i, (label, values) in enumerate(named.items())
-        if any(values(track.dense).max(initial=0.0) > FLOOR for track in shown)
+        if any(values(track.dense).max(initial=0.0) > FLOOR for _, track in shown)
     ]
-    panel = Panel(name=name, ylabel=ylabel, draw=partial(_log, drawn=drawn))
-    legend = tuple(curve.entry for curve in drawn)
-    return Row(
-        title=title if drawn else f"{title}: none",
-        panels=(panel,),
-        legend=legend,
-        height=1.0 if drawn else 0.4,
-    )
+    panel = PlotPanel(name=name, ylabel=ylabel, draw=partial(_log, drawn=drawn))
+    legend, height = tuple(curve.entry for curve in drawn), 1.0 if drawn else 0.4
+    return PlotRow(title=title if drawn else f"{title}: none", panels=(panel,), legend=legend, height=height)
 
 
-def _floored(values: Values, motion: Motion) -> np.ndarray:
+def _floored(values: MotionQuantity, motion: MotionQuantities) -> np.ndarray:
     """Values above `FLOOR`, NaN below it."""
     found = values(motion)
     return np.where(found > FLOOR, found, np.nan)
 
 
 def _log(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
-    for number, track in enumerate(tracks):
-        if track not in plans(tracks):
-            continue
-        for curve in drawn:
-            t, y = track.curve(curve.values)
-            named = curve.marker and track is plans(tracks)[0]
-            axes.semilogy(
-                t, y, color=curve.colour, linewidth=curve.width, label=f"{curve.label}/{track.label}",
-                linestyle=style.LINES[number % len(style.LINES)], marker=curve.marker if named else "",
-                markevery=draw.marks(t, y, curve.number, len(drawn)) if named else None,
-                **draw.marker_look(curve.colour),
-            )  # fmt: skip
+    draw.curves(axes, tracks, drawn, plans_only=True)
     log_range(axes)
-    _ticks_at_points(axes, tracks)
+    _ticks_at_points(axes, plans(tracks)[0][1])
 
 
-def _ticks_at_points(axes: Axes, tracks: Tracks) -> None:
-    """Collocation points of the first plan along the lower edge."""
-    track = plans(tracks)[0]
+def _ticks_at_points(axes: Axes, track: Track) -> None:
+    """Mark the collocation points along the lower edge."""
     points = track.solution.t[track.solution.collocation]
     edge = np.full(len(points), 0.012)
-    look: dict[str, Any] = {"color": style.BLACK, "transform": axes.get_xaxis_transform(), "clip_on": False}
+    look: dict[str, Any] = {
+        "color": style.BLACK,
+        "transform": axes.get_xaxis_transform(),
+        "clip_on": False,
+        "zorder": 3.5,
+    }
     axes.plot(points, edge, **look, **style.DOTTED)
 
 
 def log_range(axes: Axes) -> None:
     """Set a logarithmic axis to what lines hold, `DECADES` at least; say where nothing is above rounding."""
-    values = np.concatenate(
-        [np.zeros(0), *[np.asarray(line.get_ydata(), dtype=float) for line in draw.data_lines(axes)]]
-    )
-    values = values[np.isfinite(values) & (values > FLOOR)]
-    axes.set_yscale("log")
     from matplotlib.ticker import LogLocator, NullLocator
 
+    values = draw.drawn_values(axes)
+    values = values[values > FLOOR]
+    axes.set_yscale("log")
     if not values.size:
         axes.set_ylim(FLOOR, FLOOR * 10**DECADES)
         axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", color=style.GREY)
@@ -212,57 +196,46 @@ def log_range(axes: Axes) -> None:
     axes.yaxis.set_minor_locator(NullLocator())
 
 
-def local_row(tracks: Tracks) -> Row | None:
-    """Local error of every interval on a logarithmic axis."""
-    if not plans(tracks):
-        return None
-    panel = Panel(name="local error", ylabel="local error [m]", draw=_local)
-    return Row(title="local error of every interval", panels=(panel,))
+def local_row(tracks: Tracks) -> PlotRow | None:
+    """Return the local error of every interval on a logarithmic axis."""
+    panel = PlotPanel(name="local error", ylabel="local error [m]", draw=_local)
+    return PlotRow(title="local error of every interval", panels=(panel,)) if plans(tracks) else None
 
 
 def _local(axes: Axes, tracks: Tracks) -> None:
-    for number, track in enumerate(tracks):
-        if track in plans(tracks):
-            errors = track.local_errors
-            _steps(axes, track, np.where(np.isfinite(errors), np.maximum(errors, FLOOR), np.nan), number)
-            away = np.flatnonzero(np.isinf(errors))
-            middle = track.solution.interval_t.mean(axis=1)
-            axes.plot(
-                middle[away],
-                np.full(len(away), 0.97),
-                "^",
-                transform=axes.get_xaxis_transform(),
-                color=style.RED,
-            )
+    for number, track in plans(tracks):
+        errors = track.local_errors
+        _steps(axes, track, np.where(np.isfinite(errors), np.maximum(errors, FLOOR), np.nan), number)
+        middle = track.solution.interval_t.mean(axis=1)[np.isinf(errors)]
+        top = np.full(len(middle), 0.97)
+        axes.plot(middle, top, "^", color=style.RED, transform=axes.get_xaxis_transform())
     log_range(axes)
 
 
-def mesh_row(tracks: Tracks) -> Row | None:
-    """Width of every interval."""
-    if not plans(tracks):
+def mesh_row(tracks: Tracks) -> PlotRow | None:
+    """Return the width of every interval."""
+    shown = plans(tracks)
+    if not shown:
         return None
-    panel = Panel(name="mesh", ylabel="width h [ms]", draw=_mesh)
-    degrees = [
-        sorted({len(method.c) for method in interval_schemes(track.solution)}) for track in plans(tracks)
-    ]
-    said = "; ".join(", ".join(str(degree) for degree in found) for found in degrees)
-    return Row(title=f"mesh: width of every interval, {said} points in each", panels=(panel,), height=0.7)
+    points = [sorted({len(method.c) for method in interval_schemes(track.solution)}) for _, track in shown]
+    listed = "; ".join(", ".join(map(str, counts)) for counts in points)
+    panel = PlotPanel(name="mesh", ylabel="width h [ms]", draw=_mesh)
+    return PlotRow(
+        title=f"mesh: width of every interval, {listed} points in each", panels=(panel,), height=0.7
+    )
 
 
 def _mesh(axes: Axes, tracks: Tracks) -> None:
-    for number, track in enumerate(tracks):
-        if track in plans(tracks):
-            _steps(axes, track, 1e3 * np.diff(track.solution.interval_t, axis=1)[:, 0], number)
+    for number, track in plans(tracks):
+        _steps(axes, track, 1e3 * np.diff(track.solution.interval_t, axis=1)[:, 0], number)
     draw.fit(axes, zero=True)
 
 
 def _steps(axes: Axes, track: Track, values: np.ndarray, number: int) -> None:
-    """A level line for every interval, without ramps between them."""
+    """Draw a level line for every interval, without ramps between them."""
     edges = track.solution.interval_t
     gaps = np.full(len(values), np.nan)
     t = np.column_stack([edges, edges[:, 1]]).ravel()
     y = np.column_stack([values, values, gaps]).ravel()
-    axes.plot(
-        t, y, color=style.COLOURS[number % len(style.COLOURS)], linewidth=1.2,
-        linestyle=style.LINES[number % len(style.LINES)], label=f"interval/{track.label}",
-    )  # fmt: skip
+    look = {"color": style.colour(number), "linestyle": style.line_style(number)}
+    axes.plot(t, y, linewidth=1.2, label=f"interval/{track.label}", **look)

@@ -4,177 +4,138 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from trajopt.dynamics.base_joint import base_of
 from trajopt.view.plotting import draw, style
-from trajopt.view.plotting.draw import Curve, Values
-from trajopt.view.plotting.motion import Motion
-from trajopt.view.plotting.page import Page, Panel, Row, Tracks
-from trajopt.view.plotting.topics_power import power_row
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from trajopt.view.plotting.draw import Curve
+from trajopt.view.plotting.joints import JointAxis
+from trajopt.view.plotting.motion import MotionQuantities
+from trajopt.view.plotting.page import PlotPage, PlotRow, Tracks, page_of
+from trajopt.view.plotting.topics_joints import limbs
+from trajopt.view.plotting.track import MotionQuantity
 
 # A component that moves less than this (SI units) on a robot in a plane lies across it.
 STILL = 1e-9
 LEAST_SPAN = 1e-6
 WORLD = ("x", "y", "z")
-
-
-def three(
-    tracks: Tracks,
-    name: str,
-    title: str,
-    ylabel: str,
-    words: Sequence[str],
-    values: Values,
-    *,
-    zero: bool = False,
-) -> Row:
-    """A row of one panel with the components of a vector (K, 3); of robots in a plane those within it."""
-    drawn = [
-        Curve(label=word, values=partial(_component, values=values, i=i), number=i)
-        for i, word in enumerate(words)
-    ]
-    if base_of(tracks[0].solution.model) == "planar":
-        drawn = [
-            curve for curve in drawn if any(_moves(curve.values(track.dense)) for track in tracks)
-        ] or drawn[:1]
-    return Row(
-        title=title,
-        panels=(Panel(name=name, ylabel=ylabel, draw=partial(_plain, drawn=drawn, zero=zero)),),
-        legend=tuple(curve.entry for curve in drawn),
-    )
-
-
-def _component(motion: Motion, values: Values, i: int) -> np.ndarray:
-    return np.asarray(values(motion)[:, i])
-
-
-def _moves(values: np.ndarray) -> bool:
-    finite = values[np.isfinite(values)]
-    return bool(finite.size and np.abs(finite).max() > STILL)
-
-
-def _plain(axes: Axes, tracks: Tracks, drawn: Sequence[Curve], zero: bool) -> None:
-    draw.curves(axes, tracks, drawn)
-    draw.fit(axes, zero=zero, least=LEAST_SPAN)
-
-
-def has_base(tracks: Tracks) -> bool:
-    """Whether the robot's base moves."""
-    return base_of(tracks[0].solution.model) != "fixed"
-
-
-def position_row(tracks: Tracks) -> Row:
-    """Position of the base in the world."""
-    return three(tracks, "base position", "base position, world", "p [m]", WORLD, lambda m: m.base_position)
-
-
-def orientation_row(tracks: Tracks) -> Row:
-    """Roll, pitch and yaw."""
-    words = ("roll", "pitch", "yaw")
-    title = "base orientation, R = Rz(yaw) Ry(pitch) Rx(roll)"
-    return three(tracks, "base orientation", title, "angle [rad]", words, lambda m: m.base_angles)
-
-
-def base_pages(tracks: Tracks) -> list[Page]:
-    """Position, orientation and velocities of a base that moves."""
-    if not has_base(tracks):
-        return []
-    linear = three(
-        tracks,
-        "base velocity",
-        "base velocity, world",
-        "v [m/s]",
-        WORLD,
-        lambda m: m.base_twist[:, :3],
-        zero=True,
-    )
-    angular = three(
-        tracks,
-        "base angular velocity",
+# By name: title, label of the axis, components, values (K, 3), and whether the axis holds zero.
+VECTORS: dict[str, tuple[str, str, Sequence[str], MotionQuantity, bool]] = {
+    "base position": ("base position, world", "p [m]", WORLD, lambda m: m.base_position, False),
+    "base orientation": (
+        "base orientation, R = Rz(yaw) Ry(pitch) Rx(roll)",
+        "angle [rad]",
+        ("roll", "pitch", "yaw"),
+        lambda m: m.base_angles,
+        False,
+    ),
+    "base velocity": ("base velocity, world", "v [m/s]", WORLD, lambda m: m.base_twist[:, :3], True),
+    "base angular velocity": (
         "base angular velocity, world",
         "\u03c9 [rad/s]",
         WORLD,
         lambda m: m.base_twist[:, 3:],
-        zero=True,
-    )
-    rows = (position_row(tracks), orientation_row(tracks), linear, angular)
-    return [Page(name="base", title="base", rows=rows, note="Angles continue past half a turn.")]
-
-
-def centre_row(tracks: Tracks) -> Row:
-    """Centre of mass in the world."""
-    return three(tracks, "centre of mass", "centre of mass, world", "c [m]", WORLD, lambda m: m.centre)
-
-
-def angular_row(tracks: Tracks) -> Row:
-    """Angular momentum about the centre of mass."""
-    return three(
-        tracks,
-        "angular momentum",
+        True,
+    ),
+    "centre of mass": ("centre of mass, world", "c [m]", WORLD, lambda m: m.centre, False),
+    "linear momentum": ("linear momentum, world", "p [kg m/s]", WORLD, lambda m: m.momentum[:, :3], True),
+    "angular momentum": (
         "angular momentum about the centre of mass, world",
         "L [kg m\u00b2/s]",
         WORLD,
         lambda m: m.momentum[:, 3:],
-        zero=True,
-    )
+        True,
+    ),
+}
 
 
-def linear_row(tracks: Tracks) -> Row:
-    """Linear momentum."""
-    return three(
-        tracks,
-        "linear momentum",
-        "linear momentum, world",
-        "p [kg m/s]",
-        WORLD,
-        lambda m: m.momentum[:, :3],
-        zero=True,
-    )
+def vector_row(tracks: Tracks, name: str) -> PlotRow:
+    """Return the row of one of `VECTORS`; of robots in a plane the components within it."""
+    title, ylabel, words, values, zero = VECTORS[name]
+    curves = [Curve(label=word, values=draw.column(values, i), number=i) for i, word in enumerate(words)]
+    if base_of(tracks[0].solution.model) == "planar":
+        moving = [curve for curve in curves if any(_moves(curve.values(track.dense)) for track in tracks)]
+        curves = moving or curves[:1]
+    return draw.curve_row(name, title, ylabel, curves, partial(draw.fit, zero=zero, least=LEAST_SPAN))
 
 
-def momentum_pages(tracks: Tracks) -> list[Page]:
-    """Centre of mass, linear and centroidal angular momentum, power."""
-    rows = [centre_row(tracks), linear_row(tracks), angular_row(tracks)]
-    power = power_row(tracks)
-    rows += [power] if power else []
+def _moves(values: np.ndarray) -> bool:
+    return bool(np.abs(values[np.isfinite(values)]).max(initial=0.0) > STILL)
+
+
+def has_base(tracks: Tracks) -> bool:
+    """Tell whether the robot's base moves."""
+    return base_of(tracks[0].solution.model) != "fixed"
+
+
+def base_pages(tracks: Tracks) -> list[PlotPage]:
+    """Return position, orientation and velocities of a base that moves."""
+    names = [name for name in VECTORS if name.startswith("base")] if has_base(tracks) else []
+    rows = [vector_row(tracks, name) for name in names]
+    return page_of("base", "base", rows, "Angles continue past half a turn.")
+
+
+def momentum_pages(tracks: Tracks) -> list[PlotPage]:
+    """Return centre of mass, linear and centroidal angular momentum, power."""
+    names = ("centre of mass", "linear momentum", "angular momentum")
+    rows = [*(vector_row(tracks, name) for name in names), power_row(tracks)]
     note = "Of the robot without what it carries." if tracks[0].meta.get("payloads") else ""
-    return [Page(name="momentum", title="centre of mass, momentum and power", rows=tuple(rows), note=note)]
+    return page_of("momentum", "centre of mass, momentum and power", rows, note)
 
 
-def clearance_row(tracks: Tracks) -> Row | None:
-    """Distances from obstacles and between links."""
+def power_row(tracks: Tracks) -> PlotRow | None:
+    """Return the mechanical power of all joints, and of each limb, or of each joint of a single limb.
+
+    It is the torque of the drives times the rate; None where nothing is actuated.
+    """
+    actuated = [(limb, [axis for axis in limb.axes if axis.torque is not None]) for limb in limbs(tracks)]
+    actuated = [(limb, axes) for limb, axes in actuated if axes]
+    if not actuated:
+        return None
+    groups = {limb.name: axes for limb, axes in actuated}
+    if len(actuated) == 1:
+        limb, axes = actuated[0]
+        groups = {short: [axis] for short, axis in zip(limb.short, limb.axes, strict=True) if axis in axes}
+    if not 1 < len(groups) <= len(style.COLOURS):
+        groups = {}
+    total = Curve(
+        label="all", values=lambda motion: motion.power.sum(axis=1), marked=False, width=2.0, shade=style.GREY
+    )
+    parts = [
+        Curve(label=name, values=partial(_power, axes), number=i)
+        for i, (name, axes) in enumerate(groups.items())
+    ]
+    title = f"mechanical power of the {'drives' if tracks[0].dense.drives else 'joints'}"
+    scale = partial(draw.fit_with_zero_line, color=style.GREY, linewidth=0.5)
+    return draw.curve_row("power", title, "power P [W]", [total, *parts], scale)
+
+
+def _power(axes: Sequence[JointAxis], motion: MotionQuantities) -> np.ndarray:
+    rows = [axis.torque for axis in axes if axis.torque is not None]
+    return np.asarray(motion.power[:, rows].sum(axis=1))
+
+
+def clearance_row(tracks: Tracks) -> PlotRow | None:
+    """Return distances from obstacles and between links; None where none is measured."""
     names = list(dict.fromkeys(name for track in tracks for name in track.dense.clearances))
     if not names:
         return None
-    drawn = [
+    curves = [
         Curve(label=name, values=partial(_clearance, name), number=i, dots=False)
         for i, name in enumerate(names)
     ]
-    return Row(
-        title="least distance of the links' capsules",
-        panels=(Panel(name="clearance", ylabel="distance d [m]", draw=partial(_clearances, drawn=drawn)),),
-        legend=tuple(curve.entry for curve in drawn),
+    title = "least distance of the links' capsules"
+    return draw.curve_row(
+        "clearance", title, "distance d [m]", curves, partial(draw.fit_with_zero_line, **draw.LIMIT)
     )
 
 
-def _clearance(name: str, motion: Motion) -> np.ndarray:
+def _clearance(name: str, motion: MotionQuantities) -> np.ndarray:
     return motion.clearances.get(name, np.full(len(motion.t), np.nan))
 
 
-def _clearances(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
-    draw.curves(axes, tracks, drawn)
-    draw.fit(axes, zero=True)
-    axes.axhline(0.0, color=style.BLACK, linewidth=0.8, linestyle=draw.LIMIT_DASHES)
-
-
-def clearance_pages(tracks: Tracks) -> list[Page]:
-    """Distances from obstacles."""
-    row = clearance_row(tracks)
+def clearance_pages(tracks: Tracks) -> list[PlotPage]:
+    """Return distances from obstacles."""
     note = "Signed distance by Coal; below zero shapes overlap."
-    return [] if row is None else [Page(name="clearance", title="clearance", rows=(row,), note=note)]
+    return page_of("clearance", "clearance", [clearance_row(tracks)], note)

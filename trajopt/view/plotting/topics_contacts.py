@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -10,10 +11,9 @@ import numpy as np
 
 from trajopt.view.plotting import draw, style
 from trajopt.view.plotting.draw import Curve
-from trajopt.view.plotting.motion import Motion
-from trajopt.view.plotting.page import LEFT, Entry, Page, Panel, Row, Tracks
+from trajopt.view.plotting.page import LEFT, LegendEntry, PlotPage, PlotPanel, PlotRow, Tracks, page_of
 from trajopt.view.plotting.time_axis import impact_times
-from trajopt.view.plotting.track import Track
+from trajopt.view.plotting.track import MotionQuantity, Track
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 STANCE_ROW, BAR = 0.11, 0.62
 # Inches of a letter in the names of contacts.
 NAME_LETTER = 0.06
-# Panels of contacts side by side, and rows of them on a page.
-CONTACTS_A_ROW, ROWS_A_PAGE = 2, 3
+# Panels of contacts side by side; rows of them that share a page with others, and on a page of their own.
+CONTACTS_A_ROW, ROWS_A_PAGE, ROWS_ALONE = 2, 3, 6
 NORMAL, TANGENTIAL = style.BLUE, style.RED
 CONE = "#d9d9d9"
 
@@ -33,15 +33,15 @@ def contacts(tracks: Tracks) -> list[int]:
     return [int(i) for i in np.flatnonzero(np.any([t.solution.active.any(axis=0) for t in tracks], axis=0))]
 
 
-def stance_row(tracks: Tracks) -> Row | None:
+def stance_row(tracks: Tracks) -> PlotRow | None:
     """Which contacts are active in which phase, for every solution."""
     found, frames = contacts(tracks), tracks[0].solution.contact_frames
     if not found:
         return None
     left = max(LEFT, 0.25 + NAME_LETTER * max(len(frames[i]) for i in found))
-    return Row(
+    return PlotRow(
         title="contacts",
-        panels=(Panel(name="contacts", ylabel="", draw=partial(_stances, found=found)),),
+        panels=(PlotPanel(name="contacts", ylabel="", draw=partial(_stances, found=found)),),
         height=STANCE_ROW * len(found) * max(1.0, 0.7 * len(tracks)),
         left=left,
         rigid=True,
@@ -55,7 +55,7 @@ def _stances(axes: Axes, tracks: Tracks, found: Sequence[int]) -> None:
         shade = style.BLACK if number == 0 else style.GREY
         for row, contact in enumerate(found):
             at = row - BAR / 2 + (number + 0.5) * tall
-            for start, end in stances(track, contact):
+            for start, end in stance_spans(track, contact):
                 axes.barh(at, end - start, height=0.9 * tall, left=start, color=shade, linewidth=0)
     axes.set_yticks(range(len(names)), names)
     axes.tick_params(axis="y", length=0)
@@ -63,7 +63,7 @@ def _stances(axes: Axes, tracks: Tracks, found: Sequence[int]) -> None:
     axes.grid(axis="y", visible=False)
 
 
-def stances(track: Track, contact: int) -> list[tuple[float, float]]:
+def stance_spans(track: Track, contact: int) -> list[tuple[float, float]]:
     """Start and end, s, of every stretch of intervals in which a contact is active."""
     plan = track.solution
     active = np.array([plan.active[rows.start, contact] for rows in plan.intervals])
@@ -74,159 +74,113 @@ def stances(track: Track, contact: int) -> list[tuple[float, float]]:
     ]
 
 
-def normal_row(tracks: Tracks) -> Row:
-    """Normal forces of all contacts."""
-    drawn = each(tracks, lambda motion, i: motion.normal[:, i])
-    return Row(
-        title="normal contact forces",
-        panels=(Panel(name="normal", ylabel="f\u2099 [N]", draw=partial(_zero, drawn=drawn)),),
-        legend=tuple(curve.entry for curve in drawn),
+def normal_row(tracks: Tracks) -> PlotRow:
+    """Return normal forces of all contacts."""
+    curves = contact_curves(tracks, lambda motion: motion.normal)
+    return draw.curve_row(
+        "normal", "normal contact forces", "f\u2099 [N]", curves, partial(draw.fit, zero=True)
     )
 
 
-def cone_row(tracks: Tracks) -> Row:
-    """Tangential force over the radius of the friction cone, for all contacts."""
-    drawn = each(tracks, lambda motion, i: motion.cone_share[:, i])
-    return Row(
-        title="share of the friction cone",
-        panels=(
-            Panel(
-                name="cone", ylabel="f\u209c / (\u03bc f\u2099) [1]", draw=partial(_cone_share, drawn=drawn)
-            ),
-        ),
-        legend=tuple(curve.entry for curve in drawn),
-    )
+def cone_row(tracks: Tracks) -> PlotRow:
+    """Return tangential force over the radius of the friction cone, for all contacts."""
+    curves = contact_curves(tracks, lambda motion: motion.cone_share)
+    ylabel = "f\u209c / (\u03bc f\u2099) [1]"
+    return draw.curve_row("cone", "share of the friction cone", ylabel, curves, draw.share_axis)
 
 
-def each(tracks: Tracks, values: Callable[[Motion, int], np.ndarray]) -> list[Curve]:
-    """A curve for each contact: ``values`` (K,) of a motion and the number of a contact."""
+def contact_curves(tracks: Tracks, values: MotionQuantity) -> list[Curve]:
+    """Return a curve for each contact: ``values`` (K, nc) of a motion."""
     frames = tracks[0].solution.contact_frames
     return [
-        Curve(label=frames[contact], values=partial(_column, values=values, i=contact), number=number)
+        Curve(label=frames[contact], values=draw.column(values, contact), number=number)
         for number, contact in enumerate(contacts(tracks))
     ]
 
 
-def _column(motion: Motion, values: Callable[[Motion, int], np.ndarray], i: int) -> np.ndarray:
-    return np.asarray(values(motion, i))
-
-
-def _zero(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
-    draw.curves(axes, tracks, drawn)
-    draw.fit(axes, zero=True)
-
-
-def _cone_share(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
-    draw.curves(axes, tracks, drawn)
-    draw.share_axis(axes)
-
-
-def force_pages(tracks: Tracks) -> list[Page]:
-    """Forces of every contact with its cone, all in the plane of the cone, impulses, loads."""
-    found = contacts(tracks)
-    if not found:
-        return _load_page(tracks)
-    rows: list[Row] = []
-    legend = (
-        Entry(label="normal f\u2099", style={"color": NORMAL}),
-        Entry(
-            label="tangential f\u209c",
-            style={"color": TANGENTIAL, "linewidth": 0.9, "marker": "s", **draw.marker_look(TANGENTIAL)},
-        ),
-        Entry(label="cone, f\u209c \u2264 \u03bc f\u2099", style={"color": CONE, "linewidth": 5}),
-    )
-    for start in range(0, len(found), CONTACTS_A_ROW):
-        part = found[start : start + CONTACTS_A_ROW]
-        frames = tracks[0].solution.contact_frames
-        panels = tuple(
-            Panel(name=f"force:{frames[i]}", ylabel=f"{frames[i]} f [N]", draw=partial(_force, contact=i))
-            for i in part
-        )
-        title = "contact forces" if start == 0 else ""
-        rows.append(Row(title=title, panels=panels, legend=legend if start == 0 else (), height=1.1))
-    rows.append(cone_row(tracks))
-    plane = [plane_row(tracks)]
-    impulses = _impulse_row(tracks)
-    last = plane + ([impulses] if impulses else []) + _load_rows(tracks)
-    stances = stance_row(tracks)
-    head = [stances] if stances else []
+def force_pages(tracks: Tracks) -> list[PlotPage]:
+    """Return forces of every contact with its cone, all in the plane of the cone, impulses, loads."""
+    title = "contact forces"
+    if not contacts(tracks):
+        return page_of("forces", title, [_load_row(tracks)])
+    rows = _force_rows(tracks)
+    last = [cone_row(tracks), plane_row(tracks), _impulse_row(tracks), _load_row(tracks)]
     note = (
         "Shaded: tangential forces within the friction cone. Dotted red: impacts. "
         "Forces of carried bodies are left out."
     )
-    if len(rows) <= ROWS_A_PAGE + 1:
-        return [Page(name="forces", title="contact forces", rows=(*head, *rows, *last), note=note)]
-    return [
-        Page(name="forces", title="contact forces", rows=(*head, *rows[:-1][:6]), note=note),
-        *(
-            [Page(name="forces", title="contact forces", rows=tuple(rows[6:-1]), note=note)]
-            if len(rows) > 7
-            else []
+    if len(rows) <= ROWS_A_PAGE:
+        return page_of("forces", title, [stance_row(tracks), *rows, *last], note)
+    first, more = rows[:ROWS_ALONE], rows[ROWS_ALONE:]
+    parts = ([stance_row(tracks), *first], more, last)
+    return [page for part in parts for page in page_of("forces", title, part, note)]
+
+
+def _force_rows(tracks: Tracks) -> list[PlotRow]:
+    legend = (
+        LegendEntry(label="normal f\u2099", style={"color": NORMAL}),
+        LegendEntry(
+            label="tangential f\u209c",
+            style={"color": TANGENTIAL, "linewidth": 0.9, "marker": "s", **draw.marker_look(TANGENTIAL)},
         ),
-        Page(name="forces", title="contact forces", rows=(rows[-1], *last), note=note),
+        LegendEntry(label="cone, f\u209c \u2264 \u03bc f\u2099", style={"color": CONE, "linewidth": 5}),
+    )
+    frames = tracks[0].solution.contact_frames
+    panels = [
+        PlotPanel(name=f"force:{frames[i]}", ylabel=f"{frames[i]} f [N]", draw=partial(_force, contact=i))
+        for i in contacts(tracks)
     ]
+    parts = [tuple(panels[i : i + CONTACTS_A_ROW]) for i in range(0, len(panels), CONTACTS_A_ROW)]
+    first = PlotRow(title="contact forces", panels=parts[0], legend=legend, height=1.1)
+    return [first, *(PlotRow(title="", panels=part, height=1.1) for part in parts[1:])]
 
 
 def _force(axes: Axes, tracks: Tracks, contact: int) -> None:
-    for track in tracks[:1]:
-        t, cone = track.curve(lambda motion: motion.cone[:, contact])
-        axes.fill_between(t, 0.0, np.maximum(cone, 0.0), color=CONE, linewidth=0, zorder=1, antialiased=False)
+    t, cone = tracks[0].curve(lambda motion: motion.cone[:, contact])
+    axes.fill_between(t, 0.0, np.maximum(cone, 0.0), color=CONE, linewidth=0, zorder=1, antialiased=False)
     normal = Curve(label="normal", values=lambda m: m.normal[:, contact], number=0, marked=False)
     tangential = Curve(label="tangential", values=lambda m: m.tangential[:, contact], number=1, width=0.9)
     draw.curves(axes, tracks, [normal, tangential])
     draw.fit(axes, zero=True)
 
 
-def plane_row(tracks: Tracks) -> Row:
-    """Tangential over normal force: the friction cone seen from the side, by contact."""
-    drawn = each(tracks, lambda motion, i: motion.normal[:, i])
-    return Row(
-        title="tangential over normal force",
-        panels=(
-            Panel(
-                name="plane",
-                ylabel="tangential force f\u209c [N]",
-                draw=partial(_plane, drawn=drawn),
-                timed=False,
-            ),
-        ),
-        legend=tuple(curve.entry for curve in drawn),
-        height=1.7,
-    )
+def plane_row(tracks: Tracks) -> PlotRow:
+    """Return tangential over normal force: the friction cone seen from the side, by contact."""
+    drawn = contact_curves(tracks, lambda motion: motion.normal)
+    ylabel = "tangential force f\u209c [N]"
+    panel = PlotPanel(name="plane", ylabel=ylabel, draw=partial(_plane, drawn=drawn), timed=False)
+    legend = tuple(curve.entry for curve in drawn)
+    return PlotRow(title="tangential over normal force", panels=(panel,), legend=legend, height=1.7)
 
 
 def _plane(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
+    across = [curve.values for curve in contact_curves(tracks, lambda motion: motion.tangential)]
     for number, track in enumerate(tracks):
-        for curve, contact in zip(drawn, contacts(tracks), strict=True):
-            normal, tangential = track.pair(curve.values, partial(_tangential, contact=contact))
+        for curve, tangential in zip(drawn, across, strict=True):
+            x, y = track.pair(curve.values, tangential)
             axes.plot(
-                normal,
-                tangential,
+                x,
+                y,
                 color=curve.colour,
-                linestyle=style.LINES[number % len(style.LINES)],
+                linestyle=style.line_style(number),
                 linewidth=0.9,
                 marker=curve.marker,
-                markevery=max(1, len(normal) // 8),
+                markevery=max(1, len(x) // 8),
                 label=f"{curve.label}/{track.label}",
                 **draw.marker_look(curve.colour),
             )
     draw.fit(axes, zero=True)
     motion = tracks[0].dense
-    most = np.nanmax(np.where(np.isfinite(motion.normal), motion.normal, 0.0), initial=1e-9)
-    axes.set_xlim(
-        min(0.0, float(np.nanmin(np.where(np.isfinite(motion.normal), motion.normal, 0.0), initial=0.0))),
-        1.05 * most,
-    )
-    for friction in np.unique(np.round(motion.surfaces.friction[motion.solution.active], 9)):
-        edge = np.array([0.0, 1.05 * most])
-        axes.plot(edge, friction * edge, color=style.BLACK, linewidth=0.8, linestyle=draw.LIMIT_DASHES)
-        axes.fill_between(edge, 0.0, friction * edge, color=CONE, alpha=0.5, linewidth=0, zorder=0)
-    axes.set_ylim(0.0, 1.05 * float(motion.surfaces.friction[motion.solution.active].max(initial=0.1)) * most)
+    normal = np.where(np.isfinite(motion.normal), motion.normal, 0.0)
+    most = float(normal.max(initial=1e-9))
+    friction = motion.surfaces.friction[motion.solution.active]
+    edge = np.array([0.0, 1.05 * most])
+    axes.set_xlim(min(0.0, float(normal.min(initial=0.0))), edge[1])
+    for slope in np.unique(np.round(friction, 9)):
+        axes.plot(edge, slope * edge, **draw.LIMIT)
+        axes.fill_between(edge, 0.0, slope * edge, color=CONE, alpha=0.5, linewidth=0, zorder=0)
+    axes.set_ylim(0.0, 1.05 * float(friction.max(initial=0.1)) * most)
     axes.set_xlabel("normal force f\u2099 [N]; dashed: edge of the cone", labelpad=1.0)
-
-
-def _tangential(motion: Motion, contact: int) -> np.ndarray:
-    return np.asarray(motion.tangential[:, contact])
 
 
 def impulses_of(track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -242,16 +196,16 @@ def impulses_of(track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return along, across, surfaces.friction[rows] * along
 
 
-def _impulse_row(tracks: Tracks) -> Row | None:
+def _impulse_row(tracks: Tracks) -> PlotRow | None:
     if not any(impact_times(track) for track in tracks):
         return None
     legend = (
-        Entry(label="normal", style={"color": NORMAL, "marker": "o", "linestyle": "none"}),
-        Entry(label="tangential", style={"color": TANGENTIAL, "marker": "s", "linestyle": "none"}),
-        Entry(label="\u03bc normal", style={"color": style.BLACK, "marker": "_", "linestyle": "none"}),
+        LegendEntry(label="normal", style={"color": NORMAL, "marker": "o", "linestyle": "none"}),
+        LegendEntry(label="tangential", style={"color": TANGENTIAL, "marker": "s", "linestyle": "none"}),
+        LegendEntry(label="\u03bc normal", style={"color": style.BLACK, "marker": "_", "linestyle": "none"}),
     )
-    panel = Panel(name="impulses", ylabel="impulse \u039b [N s]", draw=_impulses, timed=False)
-    return Row(title="impulses of the impacts", panels=(panel,), legend=legend)
+    panel = PlotPanel(name="impulses", ylabel="impulse \u039b [N s]", draw=_impulses, timed=False)
+    return PlotRow(title="impulses of the impacts", panels=(panel,), legend=legend)
 
 
 def _impulses(axes: Axes, tracks: Tracks) -> None:
@@ -274,14 +228,9 @@ def _impulses(axes: Axes, tracks: Tracks) -> None:
     axes.margins(y=0.1)
 
 
-def _load_rows(tracks: Tracks) -> list[Row]:
+def _load_row(tracks: Tracks) -> PlotRow | None:
     if not tracks[0].meta.get("payloads"):
-        return []
-    drawn = [Curve(label="magnitude", values=lambda motion: motion.load, number=0)]
-    panel = Panel(name="load", ylabel="force |f| [N]", draw=partial(_zero, drawn=drawn))
-    return [Row(title="force of carried bodies on the robot", panels=(panel,), height=1.2)]
-
-
-def _load_page(tracks: Tracks) -> list[Page]:
-    rows = _load_rows(tracks)
-    return [Page(name="forces", title="contact forces", rows=tuple(rows))] if rows else []
+        return None
+    load = Curve(label="magnitude", values=lambda motion: motion.load, number=0)
+    title, scale = "force of carried bodies on the robot", partial(draw.fit, zero=True)
+    return replace(draw.curve_row("load", title, "force |f| [N]", [load], scale, height=1.2), legend=())

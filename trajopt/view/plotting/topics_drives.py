@@ -11,9 +11,9 @@ import numpy as np
 from trajopt.robot.actuators.drive import Drive
 from trajopt.view.plotting import draw, style
 from trajopt.view.plotting.draw import Curve
-from trajopt.view.plotting.joints import Axis
-from trajopt.view.plotting.motion import Motion
-from trajopt.view.plotting.page import Page, Panel, Row, Tracks
+from trajopt.view.plotting.joints import JointAxis
+from trajopt.view.plotting.motion import MotionQuantities
+from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, page_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +23,7 @@ PLANES_A_ROW, ROWS_A_PAGE = 3, 4
 ENVELOPE, BEYOND = 200, 1.1
 
 
-def driven(tracks: Tracks) -> list[tuple[Axis, Drive]]:
+def driven_axes(tracks: Tracks) -> list[tuple[JointAxis, Drive]]:
     """Axes with a drive."""
     drives = tracks[0].dense.drives
     found = []
@@ -34,26 +34,26 @@ def driven(tracks: Tracks) -> list[tuple[Axis, Drive]]:
     return found
 
 
-def torque_share(axis: Axis, drive: Drive, motion: Motion) -> np.ndarray:
+def torque_share(axis: JointAxis, drive: Drive, motion: MotionQuantities) -> np.ndarray:
     """Motor torque over its limit (K,), which is current over its limit; NaN without a limit."""
     if not np.isfinite(drive.torque_limit) or axis.torque is None:
         return np.full(len(motion.t), np.nan)
     return np.abs(drive.motor_torque(motion.drive_torque[:, axis.torque])) / drive.torque_limit
 
 
-def voltage_share(axis: Axis, drive: Drive, motion: Motion) -> np.ndarray:
+def voltage_share(axis: JointAxis, drive: Drive, motion: MotionQuantities) -> np.ndarray:
     """Voltage over the largest voltage (K,); NaN without a voltage line."""
     if not np.isfinite(drive.stall_torque) or axis.torque is None:
         return np.full(len(motion.t), np.nan)
     return np.abs(drive.voltage_use(motion.drive_torque[:, axis.torque], motion.rates[:, axis.torque]))
 
 
-def drive_pages(tracks: Tracks) -> list[Page]:
+def drive_pages(tracks: Tracks) -> list[PlotPage]:
     """Shares of current and voltage over time, then every drive in its torque-speed plane."""
-    found = driven(tracks)
+    found = driven_axes(tracks)
     if not found:
         return []
-    rows: list[Row] = []
+    rows: list[PlotRow] = []
     for start in range(0, len(found), len(style.COLOURS)):
         part = found[start : start + len(style.COLOURS)]
         for share, title in (
@@ -65,31 +65,24 @@ def drive_pages(tracks: Tracks) -> list[Page]:
                 for i, (axis, drive) in enumerate(part)
             ]
             if any(np.isfinite(curve.values(tracks[0].dense)).any() for curve in drawn):
-                panel = Panel(
-                    name=f"{share.__name__}:{start}", ylabel="share [1]", draw=partial(_shares, drawn=drawn)
-                )
-                legend = tuple(curve.entry for curve in drawn)
-                rows.append(Row(title=title, panels=(panel,), legend=legend))
+                name = f"{share.__name__}:{start}"
+                rows.append(draw.curve_row(name, title, "share [1]", drawn, draw.share_axis))
     planes = _plane_rows(found)
     note = (
         "Torque that the drive delivers, with joint friction. Shaded: what voltage and current allow. Dots: "
         "collocation points. Dashed red: the joint's velocity limit."
     )
-    pages = [Page(name="drives", title="drives", rows=tuple(rows + planes[:2]), note=note)]
-    for start in range(2, len(planes), ROWS_A_PAGE):
-        pages.append(
-            Page(name="drives", title="drives", rows=tuple(planes[start : start + ROWS_A_PAGE]), note=note)
-        )
-    return pages
+    parts = [rows + planes[:2], *(planes[i : i + ROWS_A_PAGE] for i in range(2, len(planes), ROWS_A_PAGE))]
+    return [page for part in parts for page in page_of("drives", "drives", part, note)]
 
 
-def _plane_rows(found: Sequence[tuple[Axis, Drive]]) -> list[Row]:
+def _plane_rows(found: Sequence[tuple[JointAxis, Drive]]) -> list[PlotRow]:
     """Each drive in its torque-speed plane."""
     return [
-        Row(
+        PlotRow(
             title="torque over speed, joint side" if start == 0 else "",
             panels=tuple(
-                Panel(
+                PlotPanel(
                     name=f"plane:{axis.name}",
                     ylabel=f"{axis.name}  {'f [N]' if axis.slides else 'τ [N m]'}",
                     draw=partial(_plane, axis=axis, drive=drive),
@@ -104,12 +97,7 @@ def _plane_rows(found: Sequence[tuple[Axis, Drive]]) -> list[Row]:
     ]
 
 
-def _shares(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
-    draw.curves(axes, tracks, drawn)
-    draw.share_axis(axes)
-
-
-def _plane(axes: Axes, tracks: Tracks, axis: Axis, drive: Drive) -> None:
+def _plane(axes: Axes, tracks: Tracks, axis: JointAxis, drive: Drive) -> None:
     row = axis.torque
     assert row is not None
     fastest = max(float(np.nanmax(np.abs(track.dense.rates[:, row]), initial=0.0)) for track in tracks)
@@ -127,7 +115,7 @@ def _plane(axes: Axes, tracks: Tracks, axis: Axis, drive: Drive) -> None:
         motion = track.dense
         axes.plot(
             motion.rates[:, row], motion.drive_torque[:, row], color=style.BLUE, linewidth=0.9,
-            linestyle=style.LINES[number % len(style.LINES)], label=f"{axis.name}/{track.label}",
+            linestyle=style.line_style(number), label=f"{axis.name}/{track.label}",
         )  # fmt: skip
         if number == 0:
             points, rows = track.points, track.points.solution.collocation

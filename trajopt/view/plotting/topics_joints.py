@@ -9,10 +9,10 @@ import numpy as np
 
 from trajopt.view.plotting import draw, style
 from trajopt.view.plotting.draw import Curve
-from trajopt.view.plotting.joints import Axis, Limb, limbs_of, position
+from trajopt.view.plotting.joints import JointAxis, Limb, limbs_of, position
 from trajopt.view.plotting.limit_lines import Limit, limit_lines
-from trajopt.view.plotting.motion import Motion
-from trajopt.view.plotting.page import Page, Panel, Row, Tracks
+from trajopt.view.plotting.motion import MotionQuantities
+from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,7 +30,7 @@ def limbs(tracks: Tracks) -> tuple[Limb, ...]:
     return limbs_of(tracks[0].axes, tracks[0].solution.model)
 
 
-def share(kind: str, axis: Axis, motion: Motion) -> np.ndarray:
+def share(kind: str, axis: JointAxis, motion: MotionQuantities) -> np.ndarray:
     """Share (K,) of the limit that an axis uses; NaN where it has none.
 
     Of a position its distance from the middle of its range over half of it; of velocities and torques the
@@ -48,7 +48,7 @@ def share(kind: str, axis: Axis, motion: Motion) -> np.ndarray:
     return np.abs(value(kind, axis, motion)) / limit
 
 
-def value(kind: str, axis: Axis, motion: Motion) -> np.ndarray:
+def value(kind: str, axis: JointAxis, motion: MotionQuantities) -> np.ndarray:
     """Position, velocity or torque (K,) of an axis."""
     if kind == "position":
         return position(axis, motion)
@@ -59,7 +59,7 @@ def value(kind: str, axis: Axis, motion: Motion) -> np.ndarray:
     return motion.solution.tau[:, axis.torque]
 
 
-def limit_of(kind: str, axis: Axis) -> tuple[float, float]:
+def limit_of(kind: str, axis: JointAxis) -> tuple[float, float]:
     """Least and largest allowed value of an axis."""
     if kind == "position":
         return axis.lower, axis.upper
@@ -67,7 +67,7 @@ def limit_of(kind: str, axis: Axis) -> tuple[float, float]:
     return -most, most
 
 
-def joint_pages(tracks: Tracks) -> list[Page]:
+def joint_pages(tracks: Tracks) -> list[PlotPage]:
     """Position, velocity and torque of every limb's joints, against their limits."""
     found = limbs(tracks)
     wide, alone = len(found) <= WIDE_LIMBS, len(found) == 1
@@ -77,19 +77,19 @@ def joint_pages(tracks: Tracks) -> list[Page]:
         "values come near, in the joint's colour; black, hatched beyond, where a panel's joints share them."
     )
     parts = [rows[start : start + LIMBS_A_PAGE] for start in range(0, len(rows), LIMBS_A_PAGE)]
-    return [Page(name="joints", title="joints", rows=tuple(part), note=note) for part in parts]
+    return [PlotPage(name="joints", title="joints", rows=tuple(part), note=note) for part in parts]
 
 
-def limb_rows(limb: Limb, *, wide: bool, alone: bool = False) -> list[Row]:
+def limb_rows(limb: Limb, *, wide: bool, alone: bool = False) -> list[PlotRow]:
     """Position, velocity and torque of a limb's joints side by side, or ``wide`` below one another.
 
     A limb that is ``alone`` needs no name beside what its joints' names begin with.
     """
     legend = tuple(Curve(label=short, values=_nothing, number=i).entry for i, short in enumerate(limb.short))
     panels = [
-        Panel(
+        PlotPanel(
             name=f"{kind}:{limb.name}",
-            ylabel=f"{_word(kind, limb)} {SYMBOLS[kind]} [{_unit(kind, limb)}]",
+            ylabel=f"{_noun(kind, limb)} {SYMBOLS[kind]} [{_unit(kind, limb)}]",
             draw=partial(_limb, limb=limb, kind=kind),
             gap=0.66,
         )
@@ -97,19 +97,20 @@ def limb_rows(limb: Limb, *, wide: bool, alone: bool = False) -> list[Row]:
         if kind != "torque" or any(axis.torque is not None for axis in limb.axes)
     ]
     if not wide:
-        return [Row(title=limb.name, panels=tuple(panels), legend=legend)]
+        return [PlotRow(title=limb.name, panels=tuple(panels), legend=legend)]
     name = limb.prefix if alone else limb.name
-    titles = [f"{name}: {_word(kind, limb)}" if name else _word(kind, limb) for kind in KINDS]
+    titles = [f"{name}: {_noun(kind, limb)}" if name else _noun(kind, limb) for kind in KINDS]
     return [
-        Row(title=title, panels=(panel,), legend=legend) for title, panel in zip(titles, panels, strict=False)
+        PlotRow(title=title, panels=(panel,), legend=legend)
+        for title, panel in zip(titles, panels, strict=False)
     ]
 
 
-def _nothing(motion: Motion) -> np.ndarray:
+def _nothing(motion: MotionQuantities) -> np.ndarray:
     return np.full(len(motion.t), np.nan)
 
 
-def _word(kind: str, limb: Limb) -> str:
+def _noun(kind: str, limb: Limb) -> str:
     return "force" if kind == "torque" and limb.unit == "m" else kind
 
 
@@ -129,7 +130,7 @@ def _limb(axes: Axes, tracks: Tracks, limb: Limb, kind: str) -> None:
     limit_lines(axes, [_limit(kind, axis, i, tracks) for i, axis in shown], least=LEAST_SPAN)
 
 
-def _limit(kind: str, axis: Axis, number: int, tracks: Tracks) -> Limit:
+def _limit(kind: str, axis: JointAxis, number: int, tracks: Tracks) -> Limit:
     lower, upper = limit_of(kind, axis)
     values = np.concatenate([value(kind, axis, track.dense) for track in tracks])
     return Limit(lower=lower, upper=upper, values=values, colour=style.COLOURS[number])

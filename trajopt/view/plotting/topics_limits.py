@@ -10,9 +10,9 @@ import numpy as np
 
 from trajopt.view.plotting import draw, style
 from trajopt.view.plotting.draw import Curve
-from trajopt.view.plotting.joints import Axis
-from trajopt.view.plotting.motion import Motion
-from trajopt.view.plotting.page import Page, Panel, Row, Tracks
+from trajopt.view.plotting.joints import JointAxis
+from trajopt.view.plotting.motion import MotionQuantities
+from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, page_of
 from trajopt.view.plotting.share_map import share_map
 from trajopt.view.plotting.topics_joints import KINDS, limbs, share
 
@@ -27,7 +27,7 @@ NAME_LETTER, MAP_ROWS_A_PAGE, MAP_ROWS_WITH_CURVES = 0.058, 56, 26
 MOST_USED = 5
 
 
-def limit_pages(tracks: Tracks) -> list[Page]:
+def limit_pages(tracks: Tracks) -> list[PlotPage]:
     """Maps of the shares of all limits over time, for each solution."""
     found = limbs(tracks)
     rows = [axis for limb in found for axis in limb.axes]
@@ -35,6 +35,7 @@ def limit_pages(tracks: Tracks) -> list[Page]:
     if not rows:
         return []
     height = max(LEAST_MAP, MAP_ROW * len(rows))
+    parts: list[list[PlotRow | None]]
     maps = [
         map_row(tracks, number, [[axis] for axis in rows], names, height) for number in range(len(tracks))
     ]
@@ -43,18 +44,17 @@ def limit_pages(tracks: Tracks) -> list[Page]:
         "Of a position: its distance from the middle of its range over half of it. White: no limit. "
         "Each column of the picture shows the largest value within its time."
     )
-    used = [row for row in (used_row(tracks, kind, rows, names) for kind in KINDS) if row is not None]
+    used = [used_row(tracks, kind, rows, names) for kind in KINDS]
     scale = scale_row(maps[0].left)
-    if len(maps) == 1 and len(rows) <= MAP_ROWS_WITH_CURVES:
-        return [Page(name="limits", title="shares of the limits", rows=(maps[0], scale, *used), note=note)]
     step = max(1, MAP_ROWS_A_PAGE // len(rows))
-    parts = [(*maps[start : start + step], scale) for start in range(0, len(maps), step)]
-    if used:
-        parts.append(tuple(used))
-    return [Page(name="limits", title="shares of the limits", rows=part, note=note) for part in parts]
+    parts = [[*maps[start : start + step], scale] for start in range(0, len(maps), step)]
+    parts.append(used)
+    if len(maps) == 1 and len(rows) <= MAP_ROWS_WITH_CURVES:
+        parts = [[maps[0], scale, *used]]
+    return [page for part in parts for page in page_of("limits", "shares of the limits", part, note)]
 
 
-def used_row(tracks: Tracks, kind: str, axes: Sequence[Axis], names: Sequence[str]) -> Row | None:
+def used_row(tracks: Tracks, kind: str, axes: Sequence[JointAxis], names: Sequence[str]) -> PlotRow | None:
     """Shares of the joints that come nearest to their limits, over time; None where none is limited."""
     peaks = []
     for axis, name in zip(axes, names, strict=True):
@@ -68,48 +68,40 @@ def used_row(tracks: Tracks, kind: str, axes: Sequence[Axis], names: Sequence[st
         Curve(label=name, values=partial(share, kind, axis), number=i)
         for i, (_, name, axis) in enumerate(chosen)
     ]
-    panel = Panel(name=f"used:{kind}", ylabel="share [1]", draw=partial(_used, drawn=drawn))
-    return Row(title=f"{kind}: most used", panels=(panel,), legend=tuple(curve.entry for curve in drawn))
-
-
-def _used(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
-    draw.curves(axes, tracks, drawn)
-    draw.share_axis(axes)
+    return draw.curve_row(f"used:{kind}", f"{kind}: most used", "share [1]", drawn, draw.share_axis)
 
 
 def map_row(
-    tracks: Tracks, number: int, groups: Sequence[Sequence[Axis]], names: Sequence[str], height: float
-) -> Row:
-    """Three maps of one solution, of positions, velocities and torques: of each group its largest share."""
+    tracks: Tracks, number: int, groups: Sequence[Sequence[JointAxis]], names: Sequence[str], height: float
+) -> PlotRow:
+    """Return maps of one solution, of positions, velocities and torques: of each group its largest share."""
+
+    def draw_map(axes: Axes, tracks: Tracks, kind: str) -> None:
+        track = tracks[number]
+        shares = np.array([largest_share(kind, group, track.dense) for group in groups]).T
+        share_map(axes, track, names, shares, named=kind == KINDS[0])
+
     which = "" if len(tracks) == 1 else f", {tracks[number].label}"
     panels = tuple(
-        Panel(
+        PlotPanel(
             name=f"share:{kind}:{number}",
             ylabel="",
-            draw=partial(_map, number=number, groups=groups, names=names, kind=kind),
+            draw=partial(draw_map, kind=kind),
             gap=0.36,
             title=f"{kind}{which}",
         )
         for kind in KINDS
     )
     left = 0.25 + NAME_LETTER * max(len(name) for name in names)
-    return Row(title="", panels=panels, height=height, left=left, right=0.45, rigid=True)
+    return PlotRow(title="", panels=panels, height=height, left=left, right=0.45, rigid=True)
 
 
-def _map(
-    axes: Axes, tracks: Tracks, number: int, groups: Sequence[Sequence[Axis]], names: Sequence[str], kind: str
-) -> None:
-    track = tracks[number]
-    shares = np.array([largest_share(kind, group, track.dense) for group in groups]).T
-    share_map(axes, track, names, shares, named=kind == KINDS[0])
-
-
-def largest_share(kind: str, group: Sequence[Axis], motion: Motion) -> np.ndarray:
+def largest_share(kind: str, group: Sequence[JointAxis], motion: MotionQuantities) -> np.ndarray:
     """The largest share (K,) of some axes; NaN where none has a limit."""
     return np.asarray(np.fmax.reduce([share(kind, axis, motion) for axis in group]))
 
 
-def largest_row(tracks: Tracks) -> Row | None:
+def largest_row(tracks: Tracks) -> PlotRow | None:
     """The largest share over all joints of positions, velocities and torques; None where none is limited."""
     rows = [axis for limb in limbs(tracks) for axis in limb.axes]
     drawn = [
@@ -119,15 +111,14 @@ def largest_row(tracks: Tracks) -> Row | None:
     ]
     if not drawn:
         return None
-    panel = Panel(name="largest share", ylabel="share [1]", draw=partial(_used, drawn=drawn))
-    legend = tuple(curve.entry for curve in drawn)
-    return Row(title="largest share of the limits", panels=(panel,), legend=legend)
+    title = "largest share of the limits"
+    return draw.curve_row("largest share", title, "share [1]", drawn, draw.share_axis)
 
 
-def scale_row(left: float) -> Row:
+def scale_row(left: float) -> PlotRow:
     """The scale of colours of the maps."""
-    panel = Panel(name="scale", ylabel="", draw=_scale, timed=False)
-    return Row(title="", panels=(panel,), height=0.07, left=left, right=0.45, rigid=True)
+    panel = PlotPanel(name="scale", ylabel="", draw=_scale, timed=False)
+    return PlotRow(title="", panels=(panel,), height=0.07, left=left, right=0.45, rigid=True)
 
 
 def _scale(axes: Axes, tracks: Tracks) -> None:

@@ -10,10 +10,19 @@ import numpy as np
 
 from trajopt.certify.contact_figures import is_sole
 from trajopt.view.plotting import draw, style
-from trajopt.view.plotting.draw import Curve
-from trajopt.view.plotting.motion import Motion
-from trajopt.view.plotting.page import BETWEEN, LEFT, RIGHT, UNIT, Page, Panel, Row, Tracks
-from trajopt.view.plotting.topics_contacts import CONTACTS_A_ROW, contacts, each
+from trajopt.view.plotting.motion import MotionQuantities
+from trajopt.view.plotting.page import (
+    BETWEEN,
+    LEFT,
+    RIGHT,
+    UNIT,
+    PlotPage,
+    PlotPanel,
+    PlotRow,
+    Tracks,
+    page_of,
+)
+from trajopt.view.plotting.topics_contacts import CONTACTS_A_ROW, contact_curves, contacts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,7 +31,7 @@ if TYPE_CHECKING:
 AROUND, TALLEST = 1.3, 2.6
 
 
-def sole_pages(tracks: Tracks) -> list[Page]:
+def sole_pages(tracks: Tracks) -> list[PlotPage]:
     """Centres of pressure in the soles, seen from above and over time."""
     sizes = tracks[0].meta.get("contact_sizes") or []
     soles = [
@@ -34,7 +43,7 @@ def sole_pages(tracks: Tracks) -> list[Page]:
     for start in range(0, len(soles), CONTACTS_A_ROW):
         part = soles[start : start + CONTACTS_A_ROW]
         panels = tuple(
-            Panel(
+            PlotPanel(
                 name=f"sole:{frames[i]}",
                 ylabel="y [m]",
                 draw=partial(_sole, contact=i),
@@ -43,17 +52,16 @@ def sole_pages(tracks: Tracks) -> list[Page]:
             )
             for i in part
         )
-        rows.append(Row(title="", panels=panels, height=_height(sizes[part[0]]), rigid=True))
+        rows.append(PlotRow(title="", panels=panels, height=_height(sizes[part[0]]), rigid=True))
     for axis, word in enumerate(("along (x)", "across (y)")):
-        drawn = each(tracks, partial(_pressure_share, axis=axis, sizes=sizes))
+        half = np.array([size[axis] if size else np.nan for size in sizes])
+        drawn = contact_curves(tracks, partial(_pressure_share, axis=axis, half=half))
         drawn = [curve for curve, i in zip(drawn, contacts(tracks), strict=True) if i in soles]
-        panel = Panel(
-            name=f"pressure:{axis}", ylabel="offset / half size [1]", draw=partial(_pressure, drawn=drawn)
-        )
         title = f"centre of pressure {word}, over the sole's half size"
-        rows.append(Row(title=title, panels=(panel,), legend=tuple(curve.entry for curve in drawn)))
+        ylabel = "offset / half size [1]"
+        rows.append(draw.curve_row(f"pressure:{axis}", title, ylabel, drawn, _fit_sole))
     note = "Centre of pressure in the sole's own axes; the frame is its edge. Dots darken with time."
-    return [Page(name="soles", title="centres of pressure", rows=tuple(rows), note=note)]
+    return page_of("soles", "centres of pressure", rows, note)
 
 
 def _height(size: Sequence[float]) -> float:
@@ -63,16 +71,15 @@ def _height(size: Sequence[float]) -> float:
     return min(inches, TALLEST) / UNIT
 
 
-def _pressure_share(motion: Motion, contact: int, axis: int, sizes: Sequence[Sequence[float]]) -> np.ndarray:
-    return np.asarray(motion.pressure_centre[:, contact, axis] / sizes[contact][axis])
+def _pressure_share(motion: MotionQuantities, axis: int, half: np.ndarray) -> np.ndarray:
+    return np.asarray(motion.pressure_centre[..., axis] / half)
 
 
-def _pressure(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
-    draw.curves(axes, tracks, drawn)
+def _fit_sole(axes: Axes) -> None:
     low, high = draw.fit(axes)
-    draw.room(axes, min(-1.0, low), max(1.0, high))
+    draw.set_range(axes, min(-1.0, low), max(1.0, high))
     for edge in (-1.0, 1.0):
-        axes.axhline(edge, color=style.BLACK, linewidth=0.8, linestyle=draw.LIMIT_DASHES)
+        axes.axhline(edge, **draw.LIMIT)
 
 
 def _sole(axes: Axes, tracks: Tracks, contact: int) -> None:
@@ -80,21 +87,15 @@ def _sole(axes: Axes, tracks: Tracks, contact: int) -> None:
 
     length, width = tracks[0].meta["contact_sizes"][contact]
     axes.add_patch(Rectangle((-length, -width), 2 * length, 2 * width, fill=False, linewidth=1.0))
+    motion = tracks[0].dense
+    x, y = motion.pressure_centre[:, contact].T
+    shown = np.isfinite(x)
+    axes.scatter(x[shown], y[shown], c=motion.t[shown], s=5, cmap=style.TIMES, linewidths=0, zorder=3)
+    along, across = (draw.column(lambda motion: motion.pressure_centre[:, contact], i) for i in (0, 1))
     for number, track in enumerate(tracks):
-        if number == 0:
-            x, y = track.dense.pressure_centre[:, contact].T
-            shown = np.isfinite(x)
-            axes.scatter(
-                x[shown], y[shown], c=track.dense.t[shown], s=5, cmap=style.TIMES, linewidths=0, zorder=3
-            )
-        along, across = (partial(_pressure_at, contact=contact, axis=axis) for axis in (0, 1))
-        look = {"color": style.GREY, "linewidth": 0.6, "linestyle": style.LINES[number % len(style.LINES)]}
+        look = {"color": style.GREY, "linewidth": 0.6, "linestyle": style.line_style(number)}
         axes.plot(*track.pair(along, across), label=f"pressure/{track.label}", **look)
     axes.set_aspect("equal", adjustable="box", anchor="NW")
     axes.set_xlim(-AROUND * length, AROUND * length)
     axes.set_ylim(-AROUND * width, AROUND * width)
     axes.set_xlabel("x [m]", labelpad=1.0)
-
-
-def _pressure_at(motion: Motion, contact: int, axis: int) -> np.ndarray:
-    return np.asarray(motion.pressure_centre[:, contact, axis])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -17,8 +17,9 @@ from trajopt.certify.report import CheckReport
 from trajopt.errors import InputError, TrajoptError
 from trajopt.solution.interpolation import MotionSample, resampled, sample_interval
 from trajopt.solution.solution import Solution
-from trajopt.view.plotting.joints import Axis, axes_of
-from trajopt.view.plotting.motion import Motion
+from trajopt.view.phases import PhaseSpan, phase_spans
+from trajopt.view.plotting.joints import JointAxis, axes_of
+from trajopt.view.plotting.motion import MotionQuantities
 from trajopt.view.plotting.style import short
 
 # About so many samples are drawn of a motion: a line across a page has no more dots.
@@ -28,18 +29,9 @@ MOST, LEAST = 11, 2
 # A jump between intervals of this part of a quantity's range leaves a gap in its curve: half a line's width.
 JUMP = 0.005
 
-Values = Callable[[Motion], np.ndarray]
-Result = TypeVar("Result")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Phase:
-    """A phase by name, its start and end in s, and which contacts (nc,) are active in it."""
-
-    name: str
-    start: float
-    end: float
-    active: np.ndarray
+# Values (K, ...) of a motion's samples.
+MotionQuantity = Callable[[MotionQuantities], np.ndarray]
+_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,13 +40,13 @@ class Track:
 
     label: str
     solution: Solution
-    dense: Motion = field(init=False)
-    points: Motion = field(init=False)
+    dense: MotionQuantities = field(init=False)
+    points: MotionQuantities = field(init=False)
 
     def __post_init__(self) -> None:
         plan = self.solution.normalized()
-        object.__setattr__(self, "points", Motion(plan))
-        object.__setattr__(self, "dense", Motion(between_points(plan)))
+        object.__setattr__(self, "points", MotionQuantities(plan))
+        object.__setattr__(self, "dense", MotionQuantities(between_points(plan)))
 
     @property
     def meta(self) -> dict[str, Any]:
@@ -72,27 +64,20 @@ class Track:
         names = ("t", "q", "v", "a", "tau", "f")
         return all(bool(np.isfinite(getattr(self.solution, name)).all()) for name in names)
 
+    @property
+    def is_plan(self) -> bool:
+        """Whether it comes from a transcription, which has points, and is finite."""
+        return self.is_finite and not self.is_simulated
+
     @cached_property
-    def axes(self) -> tuple[Axis, ...]:
+    def axes(self) -> tuple[JointAxis, ...]:
         """Rows behind the base."""
         return axes_of(self.solution)
 
     @cached_property
-    def phases(self) -> tuple[Phase, ...]:
+    def phases(self) -> tuple[PhaseSpan, ...]:
         """The phases in time order."""
-        plan, names = self.solution, self.meta.get("phase_names") or []
-        found = []
-        for rows in plan.phases:
-            number = int(plan.phase[rows.start])
-            found.append(
-                Phase(
-                    name=short(str(names[number])) if number < len(names) else str(number),
-                    start=float(plan.t[rows.start]),
-                    end=float(plan.t[rows.stop - 1]),
-                    active=plan.active[rows.start],
-                )
-            )
-        return tuple(found)
+        return tuple(replace(span, name=short(span.name)) for span in phase_spans(self.solution))
 
     @cached_property
     def report(self) -> CheckReport | None:
@@ -114,7 +99,7 @@ class Track:
         return np.full(self.solution.n_intervals, np.nan) if found is None else found
 
     @staticmethod
-    def _tried(compute: Callable[[], Result]) -> Result | None:
+    def _tried(compute: Callable[[], _Result]) -> _Result | None:
         """The result, or None where an iterate that is no motion has none."""
         try:
             with np.errstate(all="ignore"):
@@ -122,7 +107,7 @@ class Track:
         except (TrajoptError, ArithmeticError, ValueError):
             return None
 
-    def curve(self, values: Values) -> tuple[np.ndarray, np.ndarray]:
+    def curve(self, values: MotionQuantity) -> tuple[np.ndarray, np.ndarray]:
         """Times and values of the interpolated motion, with NaN between where it jumps.
 
         ``values`` gives (K,) of a motion. Within an interval the curve is its polynomial; a quantity that
@@ -132,7 +117,7 @@ class Track:
         jumps = self._jumps(y)
         return np.insert(self.dense.t, jumps, self.dense.t[jumps]), np.insert(y, jumps, np.nan)
 
-    def pair(self, horizontal: Values, vertical: Values) -> tuple[np.ndarray, np.ndarray]:
+    def pair(self, horizontal: MotionQuantity, vertical: MotionQuantity) -> tuple[np.ndarray, np.ndarray]:
         """Two quantities along the interpolated motion, with NaN between where either of them jumps."""
         x, y = (np.asarray(values(self.dense), dtype=float) for values in (horizontal, vertical))
         jumps = np.union1d(self._jumps(x), self._jumps(y))
@@ -146,7 +131,7 @@ class Track:
         with np.errstate(invalid="ignore"):
             return starts[np.abs(values[starts] - values[starts - 1]) > JUMP * span]
 
-    def at_points(self, values: Values) -> tuple[np.ndarray, np.ndarray]:
+    def at_points(self, values: MotionQuantity) -> tuple[np.ndarray, np.ndarray]:
         """Times and values at the collocation points."""
         rows = self.points.solution.collocation
         return self.points.t[rows], np.asarray(values(self.points), dtype=float)[rows]

@@ -14,11 +14,12 @@ import numpy as np
 
 from trajopt.errors import InputError
 from trajopt.solution.input import solutions_of
+from trajopt.solution.output import check_output
 from trajopt.solution.solution import Solution
 from trajopt.versions import installed_version
 from trajopt.view.plotting.figure import figure_of
 from trajopt.view.plotting.heading import title_of
-from trajopt.view.plotting.page import Page, Tracks
+from trajopt.view.plotting.page import PlotPage, Tracks
 from trajopt.view.plotting.sheet import png_sheet, svg_of, svg_sheet
 from trajopt.view.plotting.summary import PAGES, pages_of
 from trajopt.view.plotting.track import tracks_of
@@ -40,7 +41,7 @@ class Plotted:
     pages: tuple[str, ...]
 
 
-def report(
+def write_plots(
     solutions: Solution | str | Path | Sequence[Solution | str | Path],
     target: str | Path,
     *,
@@ -49,14 +50,17 @@ def report(
 ) -> Plotted:
     """Plot one solution, or several of one robot overlaid, to ``target``.
 
-    solutions: or files of solutions; the first is drawn with full lines, shaded phases and points.
-    target: ends with .png, .svg (one sheet; default the summary page), .pdf (A4 pages) or .html (one file
-        that needs no network; both with all pages).
-    labels: a name for each solution. pages: names of `summary.PAGES`; pages about what the robot does not
-        have are left out.
+    Args:
+        solutions: Solutions or their files; the first is drawn with full lines, shaded phases and points.
+        target: Ends with .png, .svg (one sheet; default the summary page), .pdf (A4 pages) or .html (one
+            file that needs no network; both with all pages).
+        labels: A name for each solution.
+        pages: Names of `summary.PAGES`; pages about what the robot does not have are left out.
 
-    Raises `InputError` for another ending, a place that cannot be written, an unknown page, solutions of
-    several robots, `SolutionFileError` for a file.
+    Raises:
+        InputError: For another ending, a place that cannot be written, an unknown page, or solutions of
+            several robots.
+        SolutionFileError: For a file that cannot be read.
     """
     place = Path(target).expanduser()
     ending = place.suffix.lower()
@@ -64,7 +68,7 @@ def report(
         raise InputError(
             f"cannot plot to {place}: its ending is '{ending}'", f"allowed: {', '.join(ENDINGS)}"
         )
-    _require_place(place)
+    check_output(place)  # before anything is computed
     read = solutions_of(solutions)
     for one in read:
         if one.n_samples < 2:
@@ -77,9 +81,9 @@ def report(
     return Plotted(path=place, size=len(content), pages=tuple(page.name for page in chosen))
 
 
-def _content(pages: Sequence[Page], tracks: Tracks, ending: str) -> bytes:
+def _content(pages: Sequence[PlotPage], tracks: Tracks, ending: str) -> bytes:
     if ending == ".pdf":
-        return _pdf(pages, tracks)
+        return _pdf(_figures(pages, tracks, fixed=True), title_of(tracks))
     if ending == ".html":
         from trajopt.view.plotting.facts import sections
         from trajopt.view.plotting.html import html_page
@@ -87,44 +91,28 @@ def _content(pages: Sequence[Page], tracks: Tracks, ending: str) -> bytes:
         tables = sections(tracks)  # first: what they measure the pages show
         svgs = [(page, svg_of(figure_of(page, tracks, fixed=False))) for page in pages]
         return html_page(tracks, svgs, tables).encode()
-    return _sheet(pages, tracks, ending)
+    figures = _figures(pages, tracks, fixed=False)
+    return png_sheet(figures) if ending == ".png" else svg_sheet(figures).encode()
 
 
-def figures(pages: Sequence[Page], tracks: Tracks, *, fixed: bool) -> list[Figure]:
-    """The pages as figures, with a footer that counts them."""
-    found = []
+def _figures(pages: Sequence[PlotPage], tracks: Tracks, *, fixed: bool) -> list[Figure]:
+    """The pages as figures; ``fixed``: with a footer that counts them."""
+    maker, found = f"trajopt {installed_version('trajopt')}", []
     for number, page in enumerate(pages):
-        count = f", page {number + 1} of {len(pages)}" if fixed else ""
-        found.append(
-            figure_of(page, tracks, fixed=fixed, footer=f"trajopt {installed_version('trajopt')}{count}")
-        )
+        footer = f"{maker}, page {number + 1} of {len(pages)}" if fixed else maker
+        found.append(figure_of(page, tracks, fixed=fixed, footer=footer))
     return found
 
 
-def _pdf(pages: Sequence[Page], tracks: Tracks) -> bytes:
+def _pdf(figures: Sequence[Figure], title: str) -> bytes:
     from matplotlib.backends.backend_pdf import PdfPages
 
     buffer = io.BytesIO()
-    facts = {"Title": title_of(tracks), "Creator": "trajopt", "CreationDate": None}  # one report, one text
+    facts = {"Title": title, "Creator": "trajopt", "CreationDate": None}  # one report, one text
     with PdfPages(buffer, metadata=facts) as document:
-        for figure in figures(pages, tracks, fixed=True):
+        for figure in figures:
             document.savefig(figure)
     return buffer.getvalue()
-
-
-def _sheet(pages: Sequence[Page], tracks: Tracks, ending: str) -> bytes:
-    """All pages below one another as one picture."""
-    drawn = figures(pages, tracks, fixed=False)
-    if ending == ".png":
-        return png_sheet(drawn)
-    return svg_sheet([svg_of(figure) for figure in drawn], drawn).encode()
-
-
-def _require_place(place: Path) -> None:
-    """Raise `InputError` where no file can be written, before anything is computed."""
-    from trajopt.solution.output import check_output
-
-    check_output(place)
 
 
 def _write(place: Path, content: bytes) -> None:

@@ -11,9 +11,10 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.solution.solution import Solution
-from trajopt.view.replay.commands import Tracks, without_shadow
-from trajopt.view.replay.motion import Motion
-from trajopt.view.replay.thinning import held
+from trajopt.view.replay.commands import Animation
+from trajopt.view.replay.motion import ReplayMotion
+from trajopt.view.replay.parts import draw_showing_through
+from trajopt.view.replay.thinning import hold_while_hidden
 from trajopt.view.replay.turns import turns_to
 
 FORCE_COLOUR, IMPULSE_COLOUR = 0xD9421F, 0x7A1FA2
@@ -22,7 +23,6 @@ FORCE_COLOUR, IMPULSE_COLOUR = 0xD9421F, 0x7A1FA2
 WEIGHT_ARROW, LONGEST_ARROW = 0.8, 1.2
 # Arrow over the robot's extent; a head never takes more than half of its arrow.
 SHAFT_RADIUS, HEAD_RADIUS, HEAD_LENGTH = 0.007, 0.02, 0.055
-HIDDEN_OPACITY = 0.55
 # Forces below this part of the weight are not drawn.
 LEAST_FORCE = 1e-3
 
@@ -39,9 +39,9 @@ class _Arrow:
 
 def draw_arrows(
     vis: Any,
-    tracks: Tracks,
+    tracks: Animation,
     solution: Solution,
-    motion: Motion,
+    motion: ReplayMotion,
     size: float,
     weight_arrow: float,
     tint: int | None = None,
@@ -65,23 +65,23 @@ def draw_arrows(
             _animate(vis["impulses"][place], tracks, blow, size, weight_arrow)
 
 
-def weight_arrow_of(motions: Sequence[Motion], size: float) -> float:
+def weight_arrow_of(motions: Sequence[ReplayMotion], size: float) -> float:
     """Length in m of the arrow of a weight, the same for all ``motions`` of robots of this ``size`` m."""
     forces = [np.linalg.norm(motion.force, axis=-1)[motion.active] / motion.weight for motion in motions]
     largest = float(np.concatenate([np.zeros(1), *forces]).max())
     return size * (WEIGHT_ARROW if largest <= LONGEST_ARROW / WEIGHT_ARROW else LONGEST_ARROW / largest)
 
 
-def _animate(node: Any, tracks: Tracks, arrow: _Arrow, size: float, weight_arrow: float) -> None:
+def _animate(node: Any, tracks: Animation, arrow: _Arrow, size: float, weight_arrow: float) -> None:
     if not arrow.shown.any():
         return
-    length = held(np.linalg.norm(arrow.force, axis=1)[:, None] * weight_arrow, arrow.shown)[:, 0]
+    length = hold_while_hidden(np.linalg.norm(arrow.force, axis=1)[:, None] * weight_arrow, arrow.shown)[:, 0]
     head = np.minimum(1.0, length / (2 * HEAD_LENGTH * size))
     neck = length - head * HEAD_LENGTH * size
     across = np.zeros_like(neck)
     _draw(node, size, arrow.colour)
-    tracks.add(node, "position", "vector3", held(arrow.start, arrow.shown))
-    tracks.add(node, "quaternion", "quaternion", held(turns_to(arrow.force), arrow.shown))
+    tracks.add(node, "position", "vector3", hold_while_hidden(arrow.start, arrow.shown))
+    tracks.add(node, "quaternion", "quaternion", hold_while_hidden(turns_to(arrow.force), arrow.shown))
     tracks.add(node, "visible", "boolean", arrow.shown)
     tracks.add(node["shaft"], "scale", "vector3", np.column_stack([head, head, neck]))
     tracks.add(node["head"], "scale", "vector3", np.column_stack([head, head, head]))
@@ -95,11 +95,8 @@ def _draw(node: Any, size: float, colour: int) -> None:
         "shaft": (shapes.Cylinder(1.0, SHAFT_RADIUS * size), 0.5),
         "head": (shapes.Cylinder(tip, radiusTop=0.0, radiusBottom=HEAD_RADIUS * size), tip / 2),
     }
-    through = {"opacity": HIDDEN_OPACITY, "depthTest": False, "depthWrite": False, "side": 0}
     upright = pin.utils.rotate("x", np.pi / 2)  # Meshcat's cylinders lie along y
     for name, (shape, height) in parts.items():
-        for part, options in (("solid", {}), ("hidden", through)):
-            place = node[name][part]
-            place.set_object(shape, shapes.MeshLambertMaterial(color=colour, **options))
-            without_shadow(place)
-            place.set_transform(pin.SE3(upright, np.array([0.0, 0.0, height])).homogeneous)
+        draw_showing_through(node[name], shape, color=colour)
+        for part in ("solid", "hidden"):
+            node[name][part].set_transform(pin.SE3(upright, np.array([0.0, 0.0, height])).homogeneous)

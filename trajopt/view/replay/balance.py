@@ -28,7 +28,7 @@ from trajopt.solution.descriptions import terrain_of
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces
 from trajopt.terrain.surface import SAME_PLANE, UP, Surface
-from trajopt.view.replay.motion import LEAST_PRESSURE, Motion
+from trajopt.view.replay.motion import LEAST_PRESSURE, ReplayMotion
 
 # A surface whose normal is nearer to level than to vertical is a wall: it steadies and does not carry.
 LEVEL = np.sqrt(0.5)
@@ -36,7 +36,7 @@ _CORNERS = np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Support:
+class SupportArea:
     """What carries the robot during frames ``rows`` (n,): a plane, and the hull (k, 3) of its contacts, m.
 
     The hull is that of the contacts' points and soles' corners along the plane's normal, in order around
@@ -55,10 +55,10 @@ class Balance:
     com: np.ndarray
     below: np.ndarray
     zmp: np.ndarray
-    supports: list[Support]
+    supports: list[SupportArea]
 
 
-def balance_of(solution: Solution, motion: Motion, touched: TouchedSurfaces) -> Balance:
+def balance_of(solution: Solution, motion: ReplayMotion, touched: TouchedSurfaces) -> Balance:
     """Return the balance of a motion; ``touched`` is of its frames. Raises `SolutionFileError`."""
     com = centres_of_mass(solution, motion)
     supports = supports_of(solution, motion, touched)
@@ -73,7 +73,7 @@ def balance_of(solution: Solution, motion: Motion, touched: TouchedSurfaces) -> 
     return Balance(com=com, below=on_ground(solution, com), zmp=zmp, supports=supports)
 
 
-def centres_of_mass(solution: Solution, motion: Motion) -> np.ndarray:
+def centres_of_mass(solution: Solution, motion: ReplayMotion) -> np.ndarray:
     """Centre of mass (n, 3) of the robot with what it carries, world, m."""
     com = np.empty((motion.n_frames, 3))
     for phase in np.unique(motion.phase):
@@ -97,14 +97,14 @@ def outer_wrenches(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     return force, moment + np.cross(com, force)
 
 
-def supports_of(solution: Solution, motion: Motion, touched: TouchedSurfaces) -> list[Support]:
+def supports_of(solution: Solution, motion: ReplayMotion, touched: TouchedSurfaces) -> list[SupportArea]:
     """One support for each phase with contacts that press; phases that follow with the same are joined.
 
     Of contacts on the ground and on walls those on the ground.
     """
     pressing = motion.active & ~touched.bilateral
     level = touched.normal @ upward(solution.model) > LEVEL
-    found: list[Support] = []
+    found: list[SupportArea] = []
     for phase in np.unique(motion.phase):
         rows = motion.phase == phase
         middle = int(np.flatnonzero(rows)[rows.sum() // 2])
@@ -118,14 +118,14 @@ def supports_of(solution: Solution, motion: Motion, touched: TouchedSurfaces) ->
         hull = _hull(points, plane)
         previous = found[-1] if found else None
         if previous is not None and previous.hull.shape == hull.shape and np.allclose(previous.hull, hull):
-            found[-1] = Support(rows=previous.rows | rows, plane=previous.plane, hull=hull)
+            found[-1] = SupportArea(rows=previous.rows | rows, plane=previous.plane, hull=hull)
         else:
-            found.append(Support(rows=rows, plane=plane, hull=hull))
+            found.append(SupportArea(rows=rows, plane=plane, hull=hull))
     return found
 
 
 def _plane(
-    solution: Solution, motion: Motion, touched: TouchedSurfaces, row: int, contacts: np.ndarray
+    solution: Solution, motion: ReplayMotion, touched: TouchedSurfaces, row: int, contacts: np.ndarray
 ) -> Surface:
     """The one plane of ``contacts`` at a frame, or the virtual one."""
     normals, points = touched.normal[row, contacts], touched.point[row, contacts]
@@ -143,7 +143,7 @@ def upward(model: pin.Model) -> np.ndarray:
     return -gravity / length if length > 0 else np.array(UP)
 
 
-def _touching(solution: Solution, motion: Motion, row: int, contact: int) -> np.ndarray:
+def _touching(solution: Solution, motion: ReplayMotion, row: int, contact: int) -> np.ndarray:
     """Points (k, 3) of a contact in the world, m: its frame's origin, or the corners of its sole."""
     place, sizes = motion.contacts[row, contact], solution.meta.get("contact_sizes") or []
     size = sizes[contact] if contact < len(sizes) else None

@@ -11,21 +11,21 @@ import pinocchio as pin
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import frame_of_normal
-from trajopt.view.replay.balance import Balance, Support, upward
-from trajopt.view.replay.collada import ColouredMesh
-from trajopt.view.replay.commands import Tracks
+from trajopt.view.replay.balance import Balance, SupportArea, upward
+from trajopt.view.replay.coloured_mesh import WHITE, ColouredMesh, fan
+from trajopt.view.replay.commands import Animation
 from trajopt.view.replay.parts import (
     DARK,
-    Triangles,
+    ColouredMeshGeometry,
     bullseye,
     colour_array,
-    line,
-    quiet,
-    shining,
+    draw_line,
+    draw_showing_through,
+    draw_unshadowed,
     two_tone_ball,
     two_tone_disc,
 )
-from trajopt.view.replay.thinning import held
+from trajopt.view.replay.thinning import hold_while_hidden
 
 ZMP_COLOUR, SUPPORT_COLOUR, COM_TRAIL_COLOUR = 0xB5179E, 0x2A9D6F, 0x30343B
 SUPPORT_OPACITY = 0.28
@@ -40,7 +40,7 @@ SUPPORT_LIFT, MARK_LIFT, ZMP_LIFT = 0.003, 0.0045, 0.006
 
 def draw_balance(
     node: Any,
-    tracks: Tracks,
+    tracks: Animation,
     solution: Solution,
     balance: Balance,
     drop: float,
@@ -63,27 +63,33 @@ def draw_balance(
 
 
 def _draw_com(
-    node: Any, tracks: Tracks, balance: Balance, up: np.ndarray, drop: float, size: float, tint: int | None
+    node: Any,
+    tracks: Animation,
+    balance: Balance,
+    up: np.ndarray,
+    drop: float,
+    size: float,
+    tint: int | None,
 ) -> None:
     dark = DARK if tint is None else colour_array(tint)
-    shining(node["ball"], two_tone_ball(BALL * size, dark), through=THROUGH, vertexColors=True)
+    draw_showing_through(node["ball"], two_tone_ball(BALL * size, dark), through=THROUGH, vertexColors=True)
     tracks.add(node["ball"], "position", "vector3", balance.com)
-    line(node["trail"], balance.com, COM_TRAIL_COLOUR if tint is None else tint)
+    draw_line(node["trail"], balance.com, COM_TRAIL_COLOUR if tint is None else tint)
     shown = np.isfinite(balance.below).all(axis=1)
     if not shown.any():
         return
-    ground = held(balance.below, shown) - drop * up
+    ground = hold_while_hidden(balance.below, shown) - drop * up
     height = np.maximum((balance.com - ground) @ up, 0.0)
     turn = frame_of_normal(up)
     mark, plumb = node["projection"], node["plumb"]
-    shining(mark["disc"], two_tone_disc(MARK * size, dark), lit=False, vertexColors=True)
+    draw_showing_through(mark["disc"], two_tone_disc(MARK * size, dark), lit=False, vertexColors=True)
     mark["disc"].set_transform(pin.SE3(turn, MARK_LIFT * size * up).homogeneous)
     tracks.add(mark, "position", "vector3", ground)
     tracks.add(mark, "visible", "boolean", shown)
     colour = 0x50565F if tint is None else tint
     upright, rod = plumb["upright"], plumb["upright"]["length"]
     upright.set_transform(pin.SE3(turn, np.zeros(3)).homogeneous)
-    quiet(rod["rod"], shapes.Cylinder(1.0, PLUMB * size), shapes.MeshBasicMaterial(color=colour))
+    draw_unshadowed(rod["rod"], shapes.Cylinder(1.0, PLUMB * size), shapes.MeshBasicMaterial(color=colour))
     lying = pin.utils.rotate("x", np.pi / 2)  # Meshcat's cylinders lie along y
     rod["rod"].set_transform(pin.SE3(lying, np.array([0.0, 0.0, 0.5])).homogeneous)
     tracks.add(plumb, "position", "vector3", ground)
@@ -91,7 +97,7 @@ def _draw_com(
     tracks.add(rod, "scale", "vector3", np.column_stack([np.ones((len(height), 2)), height]))
 
 
-def _draw_zmp(node: Any, tracks: Tracks, balance: Balance, drop: float, size: float, colour: int) -> None:
+def _draw_zmp(node: Any, tracks: Animation, balance: Balance, drop: float, size: float, colour: int) -> None:
     shown = np.isfinite(balance.zmp).all(axis=1)
     if not shown.any():
         return
@@ -100,13 +106,15 @@ def _draw_zmp(node: Any, tracks: Tracks, balance: Balance, drop: float, size: fl
         normal = support.plane.normal
         place[support.rows] = balance.zmp[support.rows] + (ZMP_LIFT * size - drop) * normal
         turn[support.rows] = pin.Quaternion(support.plane.frame).coeffs()
-    shining(node["mark"], bullseye(ZMP_MARK * size, colour), lit=False, through=THROUGH, vertexColors=True)
-    tracks.add(node["mark"], "position", "vector3", held(place, shown))
-    tracks.add(node["mark"], "quaternion", "quaternion", held(turn, shown))
+    draw_showing_through(
+        node["mark"], bullseye(ZMP_MARK * size, colour), lit=False, through=THROUGH, vertexColors=True
+    )
+    tracks.add(node["mark"], "position", "vector3", hold_while_hidden(place, shown))
+    tracks.add(node["mark"], "quaternion", "quaternion", hold_while_hidden(turn, shown))
     tracks.add(node["mark"], "visible", "boolean", shown)
 
 
-def _draw_support(node: Any, support: Support, drop: float, size: float, colour: int) -> None:
+def _draw_support(node: Any, support: SupportArea, drop: float, size: float, colour: int) -> None:
     normal = support.plane.normal
     hull = support.hull + (SUPPORT_LIFT * size - drop) * normal
     if len(hull) < 2:
@@ -115,15 +123,9 @@ def _draw_support(node: Any, support: Support, drop: float, size: float, colour:
         across = np.cross(normal, hull[1] - hull[0])
         across *= SEGMENT * size / np.linalg.norm(across)
         hull = np.array([hull[0] - across, hull[1] - across, hull[1] + across, hull[0] + across])
-    count = len(hull)
-    mesh = ColouredMesh(
-        vertices=hull.astype(np.float32),
-        normals=np.tile(normal.astype(np.float32), (count, 1)),
-        colours=np.ones((count, 3), dtype=np.float32),
-        triangles=np.array([(0, i, i + 1) for i in range(1, count - 1)], dtype=np.uint32),
-    )
+    mesh = ColouredMesh.joined([(hull, normal, WHITE, fan(len(hull)))])
     glass = shapes.MeshBasicMaterial(
         color=colour, opacity=SUPPORT_OPACITY, transparent=True, depthWrite=False
     )
-    quiet(node["area"], Triangles(mesh), glass)
-    line(node["edge"], hull, colour, closed=True)
+    draw_unshadowed(node["area"], ColouredMeshGeometry(mesh), glass)
+    draw_line(node["edge"], hull, colour, closed=True)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from playwright.async_api import CDPSession, ConsoleMessage
     from playwright.async_api import Page as AsyncPage
 
-Answer = TypeVar("Answer")
+_Answer = TypeVar("_Answer")
 
 # Names a file of another Chromium or Chrome.
 EXECUTABLE_VARIABLE = "TRAJOPT_CHROMIUM"
@@ -60,11 +60,11 @@ class _Calls:
         self._thread = threading.Thread(target=self._loop.run_forever, name="browser", daemon=True)
         self._thread.start()
 
-    def __call__(self, work: Awaitable[Answer], limit: float, what: str) -> Answer:
+    def __call__(self, work: Awaitable[_Answer], limit: float, what: str) -> _Answer:
         """Return what ``work`` gives; raises `TrajoptError`, one line, when it fails or lasts too long."""
         from playwright.async_api import Error
 
-        async def limited() -> Answer:
+        async def limited() -> _Answer:
             return await asyncio.wait_for(work, limit)
 
         try:
@@ -197,7 +197,7 @@ def chromium() -> Iterator[Chromium]:
     Raises `InputError`, one line that says what to install, without Chromium or Playwright, and
     `TrajoptError` if Chromium does not start.
     """
-    executable = installed()
+    executable = require_chromium()
     from playwright.async_api import async_playwright
 
     calls, manager = _Calls(), async_playwright()
@@ -219,7 +219,7 @@ def chromium() -> Iterator[Chromium]:
 
 
 @contextlib.contextmanager
-def opened(
+def open_page(
     page: str | Path,
     size: tuple[int, int] = (1280, 720),
     fragment: str = AT_START,
@@ -230,7 +230,7 @@ def opened(
         yield view
 
 
-def installed() -> str:
+def require_chromium() -> str:
     """Return the Chromium to use; raises `InputError`, one line, where it or Playwright is missing."""
     try:
         import playwright.async_api  # noqa: F401

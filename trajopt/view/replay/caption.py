@@ -8,13 +8,15 @@ from typing import Any
 
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.arrows import FORCE_COLOUR, IMPULSE_COLOUR
-from trajopt.view.replay.motion import FLASH, Motion
-from trajopt.view.replay.scene import Scene
+from trajopt.view.replay.motion import FLASH, ReplayMotion
+from trajopt.view.replay.scene import ReplayScene
 
 Line = dict[str, str]
 
 
-def page_facts(scene: Scene, solutions: Sequence[Solution], motions: Sequence[Motion]) -> dict[str, Any]:
+def page_facts(
+    scene: ReplayScene, solutions: Sequence[Solution], motions: Sequence[ReplayMotion]
+) -> dict[str, Any]:
     """Return the scene's facts with what the page says, JSON-able.
 
     Added are ``title``, ``picture`` (s of the solution between two pictures of the animation) and ``lines``:
@@ -35,20 +37,24 @@ def title(solution: Solution) -> str:
     return " – ".join(dict.fromkeys(str(name) for name in names if name)) or "trajectory"
 
 
-def _about(scene: Scene, solutions: Sequence[Solution]) -> list[Line]:
+def _about(scene: ReplayScene, solutions: Sequence[Solution]) -> list[Line]:
     if len(solutions) == 1:
-        return [_line(figures(solutions[0]), "quiet"), *_unsolved(solutions[0])]
+        return [_line(solution_line(solutions[0]), "quiet"), *_unsolved(solutions[0])]
     names = [title(solution) for solution in solutions]
     own = [label.replace(" – ", " ") for label in names]  # as runs are called that are given no label
     lines = []
     for run, solution, name, usual in zip(scene.facts["runs"], solutions, names, own, strict=True):
         told = len(set(names)) == 1 or run["label"] == usual
         said = run["label"] if told else f"{run['label']}: {name}"
-        lines += [_line(said, "run", run["colour"]), _line(figures(solution), "quiet"), *_unsolved(solution)]
+        lines += [
+            _line(said, "run", run["colour"]),
+            _line(solution_line(solution), "quiet"),
+            *_unsolved(solution),
+        ]
     return lines
 
 
-def figures(solution: Solution) -> str:
+def solution_line(solution: Solution) -> str:
     """Return length, grid, objective and, where it was measured, the open-loop error of a solution."""
     meta = solution.meta
     said = [f"{solution.t[-1] - solution.t[0]:.2f} s"]
@@ -74,7 +80,7 @@ def _unsolved(solution: Solution) -> list[Line]:
     return [_line(f"not solved: {str(solution.meta.get('status')).replace('_', ' ')}", "failed")]
 
 
-def _scales(scene: Scene, motions: Sequence[Motion]) -> list[Line]:
+def _scales(scene: ReplayScene, motions: Sequence[ReplayMotion]) -> list[Line]:
     """Scales of arrows; several robots have a weight each, and arrows are in parts of it."""
     lines = []
     weights = dict.fromkeys(f"{motion.weight:.1f} N" for motion in motions)
@@ -89,7 +95,7 @@ def _scales(scene: Scene, motions: Sequence[Motion]) -> list[Line]:
     return lines
 
 
-def _notes(scene: Scene) -> list[Line]:
+def _notes(scene: ReplayScene) -> list[Line]:
     return [_line(scene.note, "warned")] if scene.note else []
 
 

@@ -10,11 +10,13 @@ as Pinocchio takes them.
 from __future__ import annotations
 
 import xml.etree.ElementTree as Tree
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
+
+from trajopt.view.replay.coloured_mesh import ColouredMesh, MeshPart
 
 TRANSFORMATIONS = ("matrix", "translate", "scale", "rotate")
 # Files that are kept once read.
@@ -26,24 +28,14 @@ class ColladaError(ValueError):
     """The file is not COLLADA, or holds something other than coloured triangles."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class ColouredMesh:
-    """vertices, normals, colours: (n, 3), colours from 0 to 1; triangles: (m, 3) indices."""
-
-    vertices: np.ndarray
-    normals: np.ndarray
-    colours: np.ndarray
-    triangles: np.ndarray
-
-
 @lru_cache(maxsize=MOST_FILES)
 def _read_once(path: Path, changed: float, plain: tuple[float, ...]) -> ColouredMesh:
     """The mesh of a file that was ``changed`` then: robots have one file at several places."""
     return _read(path, np.array(plain))
 
 
-def read(path: str | Path, plain: np.ndarray = GREY) -> ColouredMesh:
-    """Return the mesh of a file in m; ``plain`` (3,) colours what has no plain colour in the file.
+def read_collada(path: str | Path, plain: np.ndarray = GREY) -> ColouredMesh:
+    """Read the mesh of a file, in m; ``plain`` (3,) colours what has no plain colour in the file.
 
     Raises `ColladaError`, or `OSError` if the file cannot be opened.
     """
@@ -66,23 +58,14 @@ class _Reader:
         self._plain = plain
         self._root = root
         self._by_id = {f"#{element.get('id')}": element for element in root.iter() if element.get("id")}
-        self._parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
+        self._parts: list[MeshPart] = []
 
     def mesh(self) -> ColouredMesh:
         for node in self._child(self._root, "scene/instance_visual_scene", "url"):
             self._node(node, np.eye(4))
         if not self._parts:
             raise ColladaError("no triangles")
-        sizes = [len(points) for points, *_ in self._parts]
-        starts = np.cumsum([0, *sizes[:-1]])
-        triangles = [index + start for (_, _, _, index), start in zip(self._parts, starts, strict=True)]
-        colours = [np.tile(colour, (len(points), 1)) for points, _, colour, _ in self._parts]
-        return ColouredMesh(
-            vertices=np.concatenate([points for points, *_ in self._parts]).astype(np.float32),
-            normals=np.concatenate([normals for _, normals, *_ in self._parts]).astype(np.float32),
-            colours=np.concatenate(colours).astype(np.float32),
-            triangles=np.concatenate(triangles).reshape(-1, 3).astype(np.uint32),
-        )
+        return ColouredMesh.joined(self._parts)
 
     def _child(self, parent: Tree.Element, path: str, attribute: str) -> Tree.Element:
         """The element to which an element below ``parent`` refers."""
@@ -174,15 +157,10 @@ def _transform(node: Tree.Element) -> np.ndarray:
         elif element.tag == "scale":
             step[:3, :3] = np.diag(numbers)
         elif element.tag == "rotate":
-            step[:3, :3] = _rotation(numbers[:3], np.radians(numbers[3]))
+            axis = numbers[:3] / np.linalg.norm(numbers[:3])
+            step[:3, :3] = pin.AngleAxis(np.radians(numbers[3]), axis).toRotationMatrix()
         result = result @ step
     return result
-
-
-def _rotation(axis: np.ndarray, angle: float) -> np.ndarray:
-    x, y, z = axis / np.linalg.norm(axis)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
 
 
 def _fans(counts: np.ndarray) -> np.ndarray:

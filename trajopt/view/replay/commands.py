@@ -13,8 +13,8 @@ from trajopt.view.replay.thinning import (
     COLOUR_ERROR,
     POSITION_ERROR,
     ROUNDING,
-    kept_frames,
     rounded,
+    thin_key_frames,
 )
 
 # msgpack extension of a Float32Array, as Meshcat's viewer decodes it.
@@ -22,7 +22,7 @@ FLOAT32 = 0x17
 
 
 @dataclass(frozen=True)
-class Command:
+class ViewerCommand:
     """One message to a Meshcat viewer."""
 
     message: dict[str, Any]
@@ -36,7 +36,7 @@ class Recorder:
     """A Meshcat window that keeps what it is told instead of sending it to a server."""
 
     def __init__(self) -> None:
-        self.commands: list[Command] = []
+        self.commands: list[ViewerCommand] = []
 
     def send(self, command: Any) -> None:
         """Keep the command."""
@@ -44,10 +44,10 @@ class Recorder:
 
     def note(self, message: dict[str, Any]) -> None:
         """Keep a message."""
-        self.commands.append(Command(message))
+        self.commands.append(ViewerCommand(message))
 
 
-class Tracks:
+class Animation:
     """Animated properties by place in the scene tree, given at the same frames and thinned.
 
     length: m, the robot's extent, to which the allowed error of positions and scales is related.
@@ -67,11 +67,11 @@ class Tracks:
     def add(self, node: Any, name: str, kind: str, values: np.ndarray) -> None:
         """Animate property ``name``, of three.js type ``kind``, of ``node``: a row of ``values`` a frame.
 
-        Vectors, quaternions and colours are interpolated between the frames that `kept_frames` keeps, within
-        its errors; a boolean holds until the next.
+        Vectors, quaternions and colours are interpolated between the frames that `thin_key_frames` keeps,
+        within its errors; a boolean holds until the next.
         """
         rows, error = np.asarray(values).reshape(self._n_frames, -1), self._error[kind]
-        kept = kept_frames(rows, kind, error * (1 - ROUNDING))
+        kept = thin_key_frames(rows, kind, error * (1 - ROUNDING))
         if kind == "boolean":
             packed: Any = rows[kept].ravel().astype(bool).tolist()
         else:
@@ -80,17 +80,19 @@ class Tracks:
         track = {"name": f".{name}", "type": kind, "times": times, "values": packed}
         self._clips.setdefault(node.path.lower(), []).append(track)
 
-    def command(self) -> Command:
+    def command(self) -> ViewerCommand:
         """Return the message that loads and plays the animation, again and again."""
         animations = [
             {"path": path, "clip": {"fps": self._frame_rate, "name": "default", "tracks": tracks}}
             for path, tracks in self._clips.items()
         ]
         options = {"play": True, "repetitions": float("inf")}
-        return Command({"type": "set_animation", "path": "", "animations": animations, "options": options})
+        return ViewerCommand(
+            {"type": "set_animation", "path": "", "animations": animations, "options": options}
+        )
 
 
 def without_shadow(node: Any) -> None:
     """Let the object of ``node`` cast no shadow; Meshcat's own set_property loses the capital of the name."""
     message = {"type": "set_property", "property": "castShadow", "value": False}
-    node.window.send(Command({**message, "path": node["<object>"].path.lower()}))
+    node.window.send(ViewerCommand({**message, "path": node["<object>"].path.lower()}))

@@ -9,11 +9,11 @@ import numpy as np
 
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces
-from trajopt.view.replay.collada import ColouredMesh
-from trajopt.view.replay.commands import Tracks
-from trajopt.view.replay.motion import LEAST_PRESSURE, Motion
-from trajopt.view.replay.parts import Triangles, colour_array, quiet
-from trajopt.view.replay.thinning import held
+from trajopt.view.replay.coloured_mesh import WHITE, ColouredMesh
+from trajopt.view.replay.commands import Animation
+from trajopt.view.replay.motion import LEAST_PRESSURE, ReplayMotion
+from trajopt.view.replay.parts import UPWARD, ColouredMeshGeometry, colour_array, draw_unshadowed, line_points
+from trajopt.view.replay.thinning import hold_while_hidden
 from trajopt.view.replay.turns import turns_to
 
 # Length of a cone's side over the robot's extent; half angle, axis and apex are to scale.
@@ -26,7 +26,12 @@ ROUND, RIBS = 24, 8
 
 
 def draw_cones(
-    node: Any, tracks: Tracks, solution: Solution, motion: Motion, touched: TouchedSurfaces, size: float
+    node: Any,
+    tracks: Animation,
+    solution: Solution,
+    motion: ReplayMotion,
+    touched: TouchedSurfaces,
+    size: float,
 ) -> None:
     """Animate the cone of every contact that friction holds; ``touched`` is of the motion's frames.
 
@@ -44,15 +49,20 @@ def draw_cones(
         height = SIDE * size / np.sqrt(1 + friction**2)
         scale = np.column_stack([friction * height, friction * height, height])
         tracks.add(place, "visible", "boolean", visible)
-        tracks.add(place, "position", "vector3", held(motion.pressed[:, contact], visible))
-        tracks.add(place, "quaternion", "quaternion", held(turns_to(touched.normal[:, contact]), visible))
-        tracks.add(place, "scale", "vector3", held(scale, visible))
-        colours = held(colours_of(used[:, contact]), visible)
+        tracks.add(place, "position", "vector3", hold_while_hidden(motion.pressed[:, contact], visible))
+        tracks.add(
+            place,
+            "quaternion",
+            "quaternion",
+            hold_while_hidden(turns_to(touched.normal[:, contact]), visible),
+        )
+        tracks.add(place, "scale", "vector3", hold_while_hidden(scale, visible))
+        colours = hold_while_hidden(colours_of(used[:, contact]), visible)
         for part in ("side", "rim"):
             tracks.add(place[part]["<object>"], "material.color", "color", colours)
 
 
-def friction_used(motion: Motion, touched: TouchedSurfaces) -> np.ndarray:
+def friction_used(motion: ReplayMotion, touched: TouchedSurfaces) -> np.ndarray:
     """Part (n, nc) of friction that each force uses, |f_t| / (mu f_n), at most 1; 0 of hardly any force."""
     force = motion.force / motion.weight
     normal = touched.along_normal(force)
@@ -73,17 +83,12 @@ def _draw(node: Any) -> None:
     turn = np.linspace(0, 2 * np.pi, ROUND, endpoint=False)
     rim = np.column_stack([np.cos(turn), np.sin(turn), np.ones(ROUND)])
     points = np.vstack([np.zeros(3), rim])
-    index = np.array([(0, 1 + i, 1 + (i + 1) % ROUND) for i in range(ROUND)], dtype=np.uint32)
-    mesh = ColouredMesh(
-        vertices=points.astype(np.float32),
-        normals=np.tile(np.array([0, 0, 1], dtype=np.float32), (len(points), 1)),
-        colours=np.ones((len(points), 3), dtype=np.float32),
-        triangles=index,
-    )
+    index = np.array([(0, 1 + i, 1 + (i + 1) % ROUND) for i in range(ROUND)])
+    mesh = ColouredMesh.joined([(points, UPWARD, WHITE, index)])
     colour = COLOURS[0]
     glass = shapes.MeshBasicMaterial(color=colour, opacity=OPACITY, transparent=True, depthWrite=False)
-    quiet(node["side"], Triangles(mesh), glass)
-    ends = np.concatenate([np.repeat(np.vstack([rim, rim[:1]]), 2, axis=0)[1:-1]])
+    draw_unshadowed(node["side"], ColouredMeshGeometry(mesh), glass)
+    ends = np.repeat(np.vstack([rim, rim[:1]]), 2, axis=0)[1:-1]
     ribs = np.concatenate([[np.zeros(3), rim[i]] for i in range(0, ROUND, ROUND // RIBS)])
-    lines = shapes.PointsGeometry(position=np.vstack([ends, ribs]).T.astype(np.float32))
-    quiet(node["rim"], lines, shapes.LineBasicMaterial(color=colour), shapes.LineSegments)
+    lines = line_points(np.vstack([ends, ribs]))
+    draw_unshadowed(node["rim"], lines, shapes.LineBasicMaterial(color=colour), shapes.LineSegments)

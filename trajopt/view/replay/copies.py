@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.view.replay.commands import Command, Recorder
-from trajopt.view.replay.motion import Motion
-from trajopt.view.replay.runs import Run
+from trajopt.view.replay.commands import Recorder, ViewerCommand
+from trajopt.view.replay.motion import ReplayMotion
+from trajopt.view.replay.runs import DrawnSolution
 
 PREFIX = "/meshcat/"
 TINT_OPACITY = 0.55
@@ -21,7 +21,7 @@ MOST_GHOSTS, APART = 6, 0.35
 MOST_COMPARED = 40
 
 
-def drawn_at(recorder: Recorder, place: str) -> list[dict[str, Any]]:
+def messages_below(recorder: Recorder, place: str) -> list[dict[str, Any]]:
     """Messages so far about what lies below a ``place`` of the scene tree."""
     start = f"{PREFIX}{place}/"
     return [c.message for c in recorder.commands if c.message.get("path", "").startswith(start)]
@@ -31,7 +31,7 @@ def tint(recorder: Recorder, place: str, colour: int, opacity: float = TINT_OPAC
     """Give everything that was drawn below ``place`` one colour, translucent."""
     start = f"{PREFIX}{place}/"
     recorder.commands[:] = [
-        Command(_in_colour(command.message, colour, opacity))
+        ViewerCommand(_in_colour(command.message, colour, opacity))
         if command.message.get("path", "").startswith(start) and command.message["type"] == "set_object"
         else command
         for command in recorder.commands
@@ -71,9 +71,11 @@ def _in_colour(message: dict[str, Any], colour: int, opacity: float, behind: boo
     return {**message, "object": {**rest, "geometries": geometries, "materials": [material], "object": drawn}}
 
 
-def draw_ghosts(recorder: Recorder, run: Run, joints: Sequence[tuple[int, str]], frames: list[int]) -> None:
+def draw_ghosts(
+    recorder: Recorder, run: DrawnSolution, joints: Sequence[tuple[int, str]], frames: list[int]
+) -> None:
     """Draw translucent copies of a run's robot as it is at ``frames``; ``joints`` with their places in it."""
-    drawn, colour = drawn_at(recorder, run.path("robot")), run.colour if run.tinted else GHOST_COLOUR
+    drawn, colour = messages_below(recorder, run.path("robot")), run.colour if run.tinted else GHOST_COLOUR
     for number, frame in enumerate(frames):
         ghost = f"{PREFIX}{run.path('ghosts')}/pose{number}"
         for joint, place in joints:
@@ -92,7 +94,7 @@ def draw_ghosts(recorder: Recorder, run: Run, joints: Sequence[tuple[int, str]],
                 recorder.note(moved)
 
 
-def ghost_frames(motion: Motion, size: float) -> list[int]:
+def ghost_frames(motion: ReplayMotion, size: float) -> list[int]:
     """Frames of the start, the changes of phase and the end whose poses differ, spread if they are many."""
     changes = (np.flatnonzero(np.diff(motion.phase)) + 1).tolist()
     wanted = _spread([0, *changes, motion.n_frames - 1], MOST_COMPARED)

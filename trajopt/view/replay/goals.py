@@ -13,7 +13,7 @@ from trajopt.schedule.targets import Target, targets_of
 from trajopt.solution.descriptions import surfaces_of, terrain_of
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import UP, Surface, frame_of_normal
-from trajopt.view.replay.parts import bullseye, quiet, shining
+from trajopt.view.replay.parts import bullseye, draw_showing_through, draw_unshadowed
 from trajopt.view.replay.robot import tip_frames
 
 CROSS_COLOUR = 0xB8860B
@@ -101,7 +101,9 @@ def _draw(node: Any, kind: str, placement: np.ndarray, drop: float, size: float)
     if kind == "foothold":
         lifted = placement.copy()
         lifted[:3, 3] += (LIFT * size - drop) * placement[:3, 2]
-        quiet(node, bullseye(RING * size, CROSS_COLOUR), shapes.MeshBasicMaterial(vertexColors=True))
+        draw_unshadowed(
+            node, bullseye(RING * size, CROSS_COLOUR), shapes.MeshBasicMaterial(vertexColors=True)
+        )
         node.set_transform(lifted)
         return
     node.set_transform(placement)
@@ -109,8 +111,8 @@ def _draw(node: Any, kind: str, placement: np.ndarray, drop: float, size: float)
     for axis in range(3):
         arm = node["xyz"[axis]]
         colour = AXIS_COLOURS[axis] if kind == "pose" else CROSS_COLOUR
-        shining(arm, shapes.Cylinder(length, RADIUS * size), color=colour)
+        draw_showing_through(arm, shapes.Cylinder(length, RADIUS * size), color=colour)
         turn = pin.Quaternion.FromTwoVectors(np.eye(3)[1], np.eye(3)[axis]).toRotationMatrix()
         middle = length / 2 * np.eye(3)[axis] if kind == "pose" else np.zeros(3)
         arm.set_transform(pin.SE3(turn, middle).homogeneous)
-    shining(node["centre"], shapes.Sphere(2 * RADIUS * size), color=CROSS_COLOUR)
+    draw_showing_through(node["centre"], shapes.Sphere(2 * RADIUS * size), color=CROSS_COLOUR)

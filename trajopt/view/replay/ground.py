@@ -12,7 +12,8 @@ import pinocchio as pin
 from pinocchio.visualize.meshcat_visualizer import Plane
 
 from trajopt.terrain.surface import Surface
-from trajopt.view.replay.commands import Command
+from trajopt.view.replay.commands import ViewerCommand
+from trajopt.view.replay.parts import line_points
 
 SKY_TOP, SKY_BOTTOM = [0.70, 0.79, 0.90], [0.96, 0.97, 0.98]
 GROUND_COLOUR, GRID_COLOUR, GRID_STRONG = 0xDCE1E8, 0xAEB7C3, 0x808C9B
@@ -81,7 +82,7 @@ def _grid(low: np.ndarray, high: np.ndarray, cell: float, ground: Surface, bold:
                 ends[:, axis] = number * cell
                 ends[:, 1 - axis] = np.column_stack([stops[:-1], stops[1:]]).ravel()
                 pieces.append(ends)
-    points = shapes.PointsGeometry(position=(ground.frame @ np.concatenate(pieces).T).astype(np.float32))
+    points = line_points(np.concatenate(pieces) @ ground.frame.T)
     return shapes.LineSegments(points, shapes.LineBasicMaterial(color=GRID_STRONG if bold else GRID_COLOUR))
 
 
@@ -109,4 +110,4 @@ def _lights(vis: Any, size: float) -> None:
         "materials": [],
         "object": sun,
     }
-    vis.window.send(Command({"type": "set_object", "path": "/Lights/Sun", "object": message}))
+    vis.window.send(ViewerCommand({"type": "set_object", "path": "/Lights/Sun", "object": message}))

@@ -12,13 +12,13 @@ from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import Surface
 from trajopt.view.replay.ground import draw_plane, sky_and_light
-from trajopt.view.replay.runs import GAP, Run
-from trajopt.view.replay.surfaces import Touch, curved_drop, plane_of, seen_plane, touches_of
+from trajopt.view.replay.runs import GAP, DrawnSolution
+from trajopt.view.replay.surfaces import Touch, depth_below_contacts, drawn_plane, plane_of, touches_of
 from trajopt.view.replay.terrain import MARGIN, draw_terrain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Ground:
+class DrawnGround:
     """plane: the terrain's, of uneven ground a level one. seen: as drawn, ``drop`` m below the contacts.
 
     elsewhere: touches of other surfaces than the terrain. uneven: the terrain, if it is no plane.
@@ -31,7 +31,7 @@ class Ground:
     uneven: PiecewiseTerrain | SmoothTerrain | None
 
 
-def grounds_of(runs: list[Run], size: float) -> list[Ground]:
+def grounds_of(runs: list[DrawnSolution], size: float) -> list[DrawnGround]:
     """The ground under each solution, in its own world; ``size`` m is the robots' extent.
 
     Where several stand on one plane it is drawn at the height of the smallest feet: the others' sink into
@@ -46,19 +46,18 @@ def grounds_of(runs: list[Run], size: float) -> list[Ground]:
     return [replace(g, seen=highest.seen, drop=highest.drop) if g in shared else g for g in grounds]
 
 
-def _ground_of(run: Run, size: float) -> Ground:
-    args = (run.solution, run.motion, run.robot, size)
-    standing, elsewhere = touches_of(run.solution, run.motion)
+def _ground_of(run: DrawnSolution, size: float) -> DrawnGround:
+    standing, elsewhere = touches_of(run)
     terrain, plane = terrain_of(run.solution.meta.get("terrain")), plane_of(run.solution)
     if isinstance(terrain, PiecewiseTerrain | SmoothTerrain):
-        drop = curved_drop(standing, *args)
-        return Ground(plane=plane, seen=plane, drop=drop, elsewhere=elsewhere, uneven=terrain)
-    seen = seen_plane(standing, *args) if standing else _under(run, plane)
+        drop = depth_below_contacts(standing, run, size)
+        return DrawnGround(plane=plane, seen=plane, drop=drop, elsewhere=elsewhere, uneven=terrain)
+    seen = drawn_plane(standing, run, size) if standing else _under(run, plane)
     drop = max(plane.height - seen.height, 0.0) if standing else 0.0
-    return Ground(plane=plane, seen=seen, drop=drop, elsewhere=elsewhere, uneven=None)
+    return DrawnGround(plane=plane, seen=seen, drop=drop, elsewhere=elsewhere, uneven=None)
 
 
-def _under(run: Run, plane: Surface) -> Surface:
+def _under(run: DrawnSolution, plane: Surface) -> Surface:
     """The plane; under a robot without contacts as low as it hangs, which a pendulum does."""
     if run.solution.contact_frames or not run.cloud.size:
         return plane
@@ -66,7 +65,9 @@ def _under(run: Run, plane: Surface) -> Surface:
     return Surface(point=plane.point + depth * plane.normal, normal=plane.normal)
 
 
-def draw_grounds(vis: Any, runs: list[Run], grounds: list[Ground], box: np.ndarray, size: float) -> Surface:
+def draw_grounds(
+    vis: Any, runs: list[DrawnSolution], grounds: list[DrawnGround], box: np.ndarray, size: float
+) -> Surface:
     """Draw sky, light and each different ground; returns the first solution's plane.
 
     ``box`` (2, 3) m is around everything. Runs on planes share the first one; uneven ground of runs that are

@@ -13,7 +13,7 @@ from trajopt.view.replay.balance_marks import SUPPORT_COLOUR, ZMP_COLOUR
 from trajopt.view.replay.copies import GHOST_COLOUR
 from trajopt.view.replay.goals import CROSS_COLOUR
 from trajopt.view.replay.payloads import PAYLOAD_COLOUR
-from trajopt.view.replay.runs import Run, travels
+from trajopt.view.replay.runs import DrawnSolution, travels
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,9 @@ LAYERS = (
 )
 
 
-def layers_of(runs: Sequence[Run], drawn: Collection[str], hidden: Collection[str]) -> list[dict[str, Any]]:
+def layers_of(
+    runs: Sequence[DrawnSolution], drawn: Collection[str], hidden: Collection[str]
+) -> list[dict[str, Any]]:
     """The layers of which something is ``drawn`` (scene tree paths), and one for each of several runs.
 
     ``hidden``: names of those that are not shown at first.
@@ -64,7 +66,7 @@ def layers_of(runs: Sequence[Run], drawn: Collection[str], hidden: Collection[st
     return found
 
 
-def hidden_layers(runs: Sequence[Run], tangents: np.ndarray) -> set[str]:
+def hidden_layers(runs: Sequence[DrawnSolution], tangents: np.ndarray) -> set[str]:
     """Names of the layers that a first look does without; ``tangents`` (2, 3) of the ground.
 
     Ghosts show a way at a glance where the robot leaves its place; over each other, or beside a second
@@ -78,7 +80,7 @@ def hidden_layers(runs: Sequence[Run], tangents: np.ndarray) -> set[str]:
     return hidden
 
 
-def _parts_from_itself(run: Run, tangents: np.ndarray) -> bool:
+def _parts_from_itself(run: DrawnSolution, tangents: np.ndarray) -> bool:
     """Whether the robot ends elsewhere, but in one picture: an arm always."""
     if not BASE_JOINT[base_of(run.solution.model)]:
         return True

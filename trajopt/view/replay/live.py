@@ -17,8 +17,8 @@ from meshcat.visualizer import ViewerWindow
 
 from trajopt.errors import TrajoptError
 from trajopt.view.replay import server
-from trajopt.view.replay.commands import Command
-from trajopt.view.replay.page import live_page, plain
+from trajopt.view.replay.commands import ViewerCommand
+from trajopt.view.replay.page import live_page, without_nonfinite
 
 # Without one of these a browser would open in the terminal, if at all.
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
@@ -35,7 +35,7 @@ class LiveWindow(ViewerWindow):
         atexit.register(self.close)
         self.connect_zmq()
 
-    def show(self, commands: Sequence[Command], facts: dict[str, Any]) -> None:
+    def show(self, commands: Sequence[ViewerCommand], facts: dict[str, Any]) -> None:
         """Tell the server a scene and what its page says of it; browsers that are open show it at once.
 
         facts: of `trajopt.view.replay.caption.page_facts`.
@@ -48,7 +48,7 @@ class LiveWindow(ViewerWindow):
 
     def tell(self, path: str, value: Any) -> None:
         """Tell the page, not Meshcat's viewer: "facts", or "drawn" when the scene is complete."""
-        self.send(Command({"type": server.OWN, "path": path, "value": plain(value)}))
+        self.send(ViewerCommand({"type": server.OWN, "path": path, "value": without_nonfinite(value)}))
 
     def open(self) -> LiveWindow:
         """Open the page in the browser, where there is a screen to show it."""
@@ -86,7 +86,7 @@ def can_open() -> bool:
     return sys.platform in ("win32", "darwin") or any(os.environ.get(name) for name in DISPLAYS)
 
 
-def where(url: str) -> str:
+def server_address_text(url: str) -> str:
     """Return what to say of a server: its address and, over ssh, how to reach it."""
     if not os.environ.get("SSH_CONNECTION"):
         return f"replay at {url}"

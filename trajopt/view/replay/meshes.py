@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.view.replay import stl
+from trajopt.view.replay.stl import stated_triangles, stl_corners
 
 # Steps of a position over the extent along an axis: 1 m in steps of 0.06 mm.
 LEVELS = 2**14 - 1
@@ -35,7 +35,7 @@ STL_FORMATS = ("_meshfile", "_meshfile_geometry")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Triangles:
+class TriangleMesh:
     """Vertices: position (n, 3) m, of some normal (n, 3) and colour (n, 3) bytes; index (3m,) of corners."""
 
     position: np.ndarray
@@ -44,7 +44,7 @@ class Triangles:
     colour: np.ndarray | None = None
 
 
-def compacted(geometry: dict[str, Any]) -> dict[str, Any] | None:
+def compact_geometry(geometry: dict[str, Any]) -> dict[str, Any] | None:
     """Return the content of a three.js geometry in few bytes; None for what is small or no triangle mesh."""
     triangles = _triangles(geometry)
     if triangles is None or len(triangles.index) < LEAST_CORNERS:
@@ -52,7 +52,7 @@ def compacted(geometry: dict[str, Any]) -> dict[str, Any] | None:
     return _packed(triangles)
 
 
-def _triangles(geometry: dict[str, Any]) -> Triangles | None:
+def _triangles(geometry: dict[str, Any]) -> TriangleMesh | None:
     data: Any = geometry.get("data")
     if geometry.get("type") in STL_FORMATS and geometry.get("format") == "stl":
         return _stl_triangles(bytes(getattr(data, "data", data)))
@@ -64,7 +64,7 @@ def _triangles(geometry: dict[str, Any]) -> Triangles | None:
     colour = attributes.get("color")
     if colour is not None and colour.dtype != np.uint8:
         return None
-    return Triangles(
+    return TriangleMesh(
         position=attributes["position"],
         index=_array(data["index"]).astype(np.int64),
         normal=attributes.get("normal"),
@@ -79,14 +79,14 @@ def _array(entry: dict[str, Any]) -> np.ndarray:
     return values.reshape(-1, entry["itemSize"]) if kinds[entry["type"]] is not np.uint32 else values
 
 
-def _stl_triangles(data: bytes) -> Triangles | None:
-    corners = stl.corners(data)
-    if corners is None or len(corners) == 0 or len(corners) != 3 * stl.told_triangles(data):
+def _stl_triangles(data: bytes) -> TriangleMesh | None:
+    corners = stl_corners(data)
+    if corners is None or len(corners) == 0 or len(corners) != 3 * stated_triangles(data):
         return None  # text, or damaged: the viewer may make something of it
-    return Triangles(position=corners, index=np.arange(len(corners)))
+    return TriangleMesh(position=corners, index=np.arange(len(corners)))
 
 
-def _packed(mesh: Triangles) -> dict[str, Any] | None:
+def _packed(mesh: TriangleMesh) -> dict[str, Any] | None:
     if not np.isfinite(mesh.position).all():
         return None
     low = mesh.position.min(axis=0).astype(float)
@@ -98,7 +98,7 @@ def _packed(mesh: Triangles) -> dict[str, Any] | None:
         packed["palette"] = palette.tobytes()
     welded = _welded(columns, mesh.index)
     if mesh.normal is not None:
-        with_normals = _welded({**columns, "normal": folded(mesh.normal)}, mesh.index)
+        with_normals = _welded({**columns, "normal": octahedral_coordinates(mesh.normal)}, mesh.index)
         if len(with_normals[1]["position"]) <= FACETED * len(welded[1]["position"]):
             welded = with_normals
     index, vertices = welded
@@ -122,7 +122,7 @@ def _palette(colour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _welded(columns: dict[str, np.ndarray], index: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """The vertex of every corner, and the columns of distinct vertices in the order of their first use.
 
-    columns: whole numbers (n, k), not negative. Triangles that have shrunk to a line are left out.
+    columns: whole numbers (n, k), not negative. ColouredMeshGeometry that have shrunk to a line are left out.
     """
     first, number = _distinct(np.column_stack(list(columns.values())))
     triangles = number[index].reshape(-1, 3)
@@ -166,7 +166,7 @@ def _planes(values: np.ndarray, count: int) -> bytes:
     return np.ascontiguousarray(values.astype("<u4").view(np.uint8).reshape(-1, 4)[:, :count].T).tobytes()
 
 
-def folded(normal: np.ndarray) -> np.ndarray:
+def octahedral_coordinates(normal: np.ndarray) -> np.ndarray:
     """Return unit vectors (n, 3) as points (n, 2) of an unfolded octahedron, from 0 to `NORMAL_LEVELS`."""
     length = np.abs(normal).sum(axis=1, keepdims=True)
     x, y, z = (normal / np.where(length > 0, length, 1.0)).T

@@ -26,7 +26,7 @@ LEAST_PRESSURE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
+class ReplayMotion:
     """A solution at n frames; njoints counts the universe, nc contacts.
 
     t: (n,) s of the solution. frame_rate: frames a second of playback. speed: solution over playback time.
@@ -74,12 +74,12 @@ class Motion:
         return np.asarray((1 - part) * values[self.last] + part * values[self.last + 1])
 
 
-def motion_of(solution: Solution, speed: float = 1.0) -> Motion:
-    """The motion of one solution: see `motions_of`."""
-    return motions_of([solution], speed)[0]
+def replay_motion(solution: Solution, speed: float = 1.0) -> ReplayMotion:
+    """The motion of one solution: see `replay_motions`."""
+    return replay_motions([solution], speed)[0]
 
 
-def motions_of(solutions: Sequence[Solution], speed: float = 1.0) -> list[Motion]:
+def replay_motions(solutions: Sequence[Solution], speed: float = 1.0) -> list[ReplayMotion]:
     """Resample solutions on the manifold at about `FRAME_RATE`, all from the first start to the last end.
 
     Before its start and after its end a solution stays as it is there. Forces are interpolated linearly
@@ -101,7 +101,7 @@ def motions_of(solutions: Sequence[Solution], speed: float = 1.0) -> list[Motion
     return [_resampled(solution, t, steps * speed / duration, speed) for solution in solutions]
 
 
-def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: float) -> Motion:
+def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: float) -> ReplayMotion:
     q = solution.interpolate(t)
     joints, contacts = _placements(solution, q)
     last, part = _spans(solution, t)
@@ -109,7 +109,7 @@ def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: floa
     weight = _weight(solution.model)
     feet, soles = contacts[:, :, :3, 3], _pressing_soles(solution, last)
     impact = _impacts(solution, t)
-    return Motion(
+    return ReplayMotion(
         t=t,
         frame_rate=frame_rate,
         speed=speed,

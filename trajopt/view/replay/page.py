@@ -17,8 +17,8 @@ import meshcat
 import umsgpack
 
 from trajopt.errors import TrajoptError
-from trajopt.view.replay.meshes import compacted
-from trajopt.view.replay.scene import Scene
+from trajopt.view.replay.meshes import compact_geometry
+from trajopt.view.replay.scene import ReplayScene
 
 VIEWER = Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js"
 WEB = Path(__file__).parent / "web"
@@ -38,7 +38,7 @@ LIVE = {"live": " 'self' ws://127.0.0.1:* ws://localhost:*", "code": " 'unsafe-e
 ALONE = {"live": "", "code": ""}
 
 
-def page(scene: Scene, facts: dict[str, Any]) -> str:
+def page(scene: ReplayScene, facts: dict[str, Any]) -> str:
     """Return the text of the page, with `trajopt.view.replay.caption.page_facts`.
 
     Raises `TrajoptError` if Meshcat's viewer is not installed whole.
@@ -91,19 +91,19 @@ def _text_of(data: bytes) -> str:
 
 def _script_text(value: object) -> str:
     """JSON that cannot end the script element that holds it; what is not finite is null."""
-    return json.dumps(plain(value), allow_nan=False).replace("<", "\\u003c")
+    return json.dumps(without_nonfinite(value), allow_nan=False).replace("<", "\\u003c")
 
 
-def plain(value: object) -> object:
+def without_nonfinite(value: object) -> object:
     """Return a JSON-able value without numbers that are not finite: those are None."""
     if isinstance(value, dict):
-        return {str(key): plain(entry) for key, entry in value.items()}
+        return {str(key): without_nonfinite(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(entry) for entry in value]
+        return [without_nonfinite(entry) for entry in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def packed_scene(scene: Scene) -> bytes:
+def packed_scene(scene: ReplayScene) -> bytes:
     """Return the scene as compressed msgpack: ``{"meshes": [...], "commands": [...]}``, each mesh once."""
     meshes: dict[bytes, Any] = {}
     names: dict[str, str] = {}
@@ -151,7 +151,7 @@ def _with_shared_meshes(message: dict[str, Any], meshes: dict[bytes, Any]) -> di
             return part
         key = hashlib.sha256(umsgpack.packb(part["data"])).digest()
         if key not in meshes:
-            meshes[key] = compacted(part) or part["data"]
+            meshes[key] = compact_geometry(part) or part["data"]
         rest = {name: value for name, value in part.items() if name != "data"}
         return {**rest, "shared": list(meshes).index(key)}
 

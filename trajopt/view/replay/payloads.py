@@ -10,9 +10,10 @@ import pinocchio as pin
 
 from trajopt.certify.payloads import payload_inertia
 from trajopt.solution.solution import Solution
-from trajopt.view.replay.commands import Tracks
-from trajopt.view.replay.motion import Motion
+from trajopt.view.replay.commands import Animation
+from trajopt.view.replay.motion import ReplayMotion
 from trajopt.view.replay.robot import box_of_inertia
+from trajopt.view.replay.thinning import hold_while_hidden
 from trajopt.view.replay.turns import quaternions_of
 
 PAYLOAD_COLOUR = 0xC98A2B
@@ -20,7 +21,7 @@ PAYLOAD_COLOUR = 0xC98A2B
 DENSITY = 800.0
 
 
-def draw_payloads(node: Any, tracks: Tracks, solution: Solution, motion: Motion) -> np.ndarray:
+def draw_payloads(node: Any, tracks: Animation, solution: Solution, motion: ReplayMotion) -> np.ndarray:
     """Animate what is carried below ``node``; returns places (k, 3) that it takes up, m, world."""
     places = [np.zeros((0, 3))]
     for number, (entry, phases) in enumerate(_bodies(solution)):
@@ -30,7 +31,9 @@ def draw_payloads(node: Any, tracks: Tracks, solution: Solution, motion: Motion)
             continue
         body, part = payload_inertia(entry), node[f"body{number}"]
         extent = _draw(part["shape"], body)
-        placed = motion.contacts[_resting(carried), contact]
+        placed = hold_while_hidden(
+            motion.contacts[:, contact], carried
+        )  # it waits where it is taken, stays where it is left
         tracks.add(part, "position", "vector3", placed[:, :3, 3])
         tracks.add(part, "quaternion", "quaternion", quaternions_of(placed[:, :3, :3]))
         centres = placed[:, :3, :3] @ body.lever + placed[:, :3, 3]
@@ -49,12 +52,6 @@ def _bodies(solution: Solution) -> list[tuple[dict[str, Any], list[int]]]:
         else:
             found.append((body, list(entry["phases"])))
     return found
-
-
-def _resting(carried: np.ndarray) -> np.ndarray:
-    """The frame (n,) whose placement a body has: its own while carried, else where it was left or waits."""
-    index = np.maximum.accumulate(np.where(carried, np.arange(len(carried)), -1))
-    return np.where(index < 0, np.argmax(carried), index)
 
 
 def _draw(node: Any, body: pin.Inertia) -> float:

@@ -17,11 +17,11 @@ from trajopt.errors import InputError
 from trajopt.solution.input import SolutionOrFile, require_motion, solutions_of
 from trajopt.solution.solution import Solution
 from trajopt.view.replay import video
-from trajopt.view.replay.browser import AT_START, OpenedPage, installed, opened
-from trajopt.view.replay.shots import GAP, Shots, telling_moment
+from trajopt.view.replay.browser import AT_START, OpenedPage, open_page, require_chromium
+from trajopt.view.replay.shots import GAP, Shots, representative_time
 from trajopt.view.replay.show import replay
 
-Progress = Callable[[int, int], None]
+_Progress = Callable[[int, int], None]
 
 # Height of a strip's text over that of its pictures, and its distance from the edge over its height.
 TEXT, TEXT_MARGIN = 0.055, 0.5
@@ -50,16 +50,25 @@ def render(
     *,
     layout: str = "overlaid",
     labels: Sequence[str] | None = None,
-    progress: Progress | None = None,
+    progress: _Progress | None = None,
     **options: Any,
 ) -> Rendering:
     """Write ``solutions`` to ``target``: a .mp4 (H.264), a .gif that repeats, or a .png.
 
-    layout, labels: of several solutions, as in `replay`. progress: called with the number of pictures done
-    and of all. options: those of `Shots` (size, fps, speed, start, end, time, strip, camera, caption, hidden,
-    shown). Picture k of a video shows the time start + k speed / fps, the last one the end.
-    The file is written whole or not at all. Raises `InputError`, one line, for values that are not allowed, a
-    folder that does not exist, a missing Chromium or extra, and `TrajoptError` if Chromium or ffmpeg fails.
+    Picture k of a video shows the time start + k speed / fps, the last one the end. The file is written whole
+    or not at all.
+
+    Args:
+        solutions: One or several, or the paths of their files.
+        target: The file.
+        layout: Of several solutions, as in `replay`.
+        labels: Their names.
+        progress: Called with the number of pictures done and of all.
+        **options: Fields of `Shots` (size, fps, speed, start, end, time, strip, camera, ...).
+
+    Raises:
+        InputError: For a value that is not allowed, a missing folder, Chromium or extra.
+        TrajoptError: If Chromium or ffmpeg fails.
     """
     several = [require_motion(solution) for solution in solutions_of(solutions)]
     target = Path(target).expanduser()
@@ -68,15 +77,15 @@ def render(
     if unknown:
         raise InputError(f"a rendering has no option {unknown}", f"allowed: {', '.join(known)}")
     shots = Shots(ending=target.suffix.lower(), **options)
-    installed()
+    require_chromium()
     if shots.is_video:
         video.find_ffmpeg()
-    times = shots.times(*_span(several), telling_moment(several[0]))
+    times = shots.times(*_span(several), representative_time(several[0]))
     with _replacing(target) as unfinished, tempfile.TemporaryDirectory(prefix="trajopt-") as folder:
         page = Path(folder, "page.html")
         speed = min(max(shots.speed, SLOWEST), 1.0)  # of slow motion the page has more frames
         replay(several, html=page, open_browser=False, speed=speed, layout=layout, labels=labels)
-        with opened(page, shots.pixels, _fragment(shots)) as view:
+        with open_page(page, shots.pixels, _fragment(shots)) as view:
             _arrange(view, shots)
             _write(unfinished, shots, times, _pictures(view, times, progress))
         size = unfinished.stat().st_size
@@ -112,7 +121,7 @@ def _arrange(view: OpenedPage, shots: Shots) -> None:
             view.layer(name, visible)
 
 
-def _pictures(view: OpenedPage, times: np.ndarray, progress: Progress | None) -> Iterator[bytes]:
+def _pictures(view: OpenedPage, times: np.ndarray, progress: _Progress | None) -> Iterator[bytes]:
     """The page's pictures at ``times`` (s of the solution), one after the other, as PNG."""
     for done, t in enumerate(times, 1):
         view.seek(t)

@@ -18,8 +18,8 @@ from trajopt.errors import InputError
 from trajopt.robot.building import reach
 from trajopt.robot.data import VisualSource
 from trajopt.solution.solution import Solution
-from trajopt.view.replay import collada
-from trajopt.view.replay.parts import Triangles
+from trajopt.view.replay.collada import ColladaError, read_collada
+from trajopt.view.replay.parts import ColouredMeshGeometry
 from trajopt.view.replay.visuals import Visuals, mesh_points, visuals_of
 
 BONE_COLOUR, JOINT_COLOUR, FOOT_COLOUR = 0x8A93A0, 0x2F6DB5, 0x303438
@@ -83,10 +83,10 @@ class _JointTree(MeshcatVisualizer):
         if not geometry_object.meshPath.lower().endswith(".dae"):
             return super().loadMeshFromFile(geometry_object)
         try:
-            mesh = collada.read(geometry_object.meshPath, np.asarray(geometry_object.meshColor)[:3])
-        except collada.ColladaError:
+            mesh = read_collada(geometry_object.meshPath, np.asarray(geometry_object.meshColor)[:3])
+        except ColladaError:
             return loadMesh(coal.MeshLoader().load(geometry_object.meshPath))  # of one colour
-        return shapes.Mesh(Triangles(mesh), shapes.MeshPhongMaterial(vertexColors=True))
+        return shapes.Mesh(ColouredMeshGeometry(mesh), shapes.MeshPhongMaterial(vertexColors=True))
 
 
 def _draw_meshes(vis: Any, model: pin.Model, visuals: Visuals) -> DrawnRobot:
@@ -105,7 +105,7 @@ def _draw_meshes(vis: Any, model: pin.Model, visuals: Visuals) -> DrawnRobot:
         node = vis[loader.getViewerNodeName(entry, pin.GeometryType.VISUAL)]
         scale = np.diag([*entry.meshScale, 1.0])
         node.set_transform(entry.placement.homogeneous @ scale)
-        spread = _spread(vertices)
+        spread = subsample(vertices, MOST_POINTS)
         drawn.add(entry.parentJoint, spread @ entry.placement.rotation.T + entry.placement.translation)
     drawn.note = _left_out(visuals.missing, unreadable)
     return drawn
@@ -136,12 +136,12 @@ def _points(entry: Any, is_mesh: bool) -> np.ndarray | None:
     return np.array(list(itertools.product(*corners.T)))
 
 
-def _spread(points: np.ndarray) -> np.ndarray:
-    """At most about `MOST_POINTS` of (k, 3) points, those furthest along the axes among them."""
-    if len(points) <= MOST_POINTS:
+def subsample(points: np.ndarray, most: int) -> np.ndarray:
+    """Return about ``most`` of many points (k, 3), those furthest along the axes among them."""
+    if len(points) <= most:
         return points
     furthest = np.concatenate([points.argmin(axis=0), points.argmax(axis=0)])
-    return np.concatenate([points[:: len(points) // MOST_POINTS], points[furthest]])
+    return np.concatenate([points[:: len(points) // most], points[furthest]])
 
 
 def _round_probes() -> np.ndarray:

@@ -11,11 +11,11 @@ import numpy as np
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
-from trajopt.view.replay.motion import Motion
-from trajopt.view.replay.robot import DrawnRobot, draw_robot, joint_path
+from trajopt.view.replay.motion import ReplayMotion
+from trajopt.view.replay.robot import DrawnRobot, draw_robot, joint_path, subsample
 
-Layout = Literal["overlaid", "side-by-side"]
-LAYOUTS: tuple[Layout, ...] = get_args(Layout)
+_Layout = Literal["overlaid", "side-by-side"]
+LAYOUTS: tuple[_Layout, ...] = get_args(_Layout)
 
 # Colours of several solutions, told apart by the colour-blind (Okabe and Ito, "Color universal design").
 RUN_COLOURS = (0x5B6570, 0x0072B2, 0xD55E00, 0x009E73, 0xCC79A7, 0xE69F00, 0x56B4E9)
@@ -30,7 +30,7 @@ TRAVELS_FROM = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Run:
+class DrawnSolution:
     """One solution of a scene, drawn below ``node``, which is at ``root`` of the scene tree ("" for the top).
 
     colour: in legends, and of everything of the run if it is ``tinted``. robot: what is drawn of it.
@@ -39,7 +39,7 @@ class Run:
     """
 
     solution: Solution
-    motion: Motion
+    motion: ReplayMotion
     node: Any
     root: str
     label: str
@@ -74,10 +74,10 @@ class Run:
 def drawn_runs(
     vis: Any,
     solutions: Sequence[Solution],
-    motions: Sequence[Motion],
+    motions: Sequence[ReplayMotion],
     layout: str,
     labels: Sequence[str] | None,
-) -> list[Run]:
+) -> list[DrawnSolution]:
     """Draw the robot of every solution; those after the first are tinted (overlaid) or moved aside.
 
     Raises `InputError` for an unknown layout and for labels of another number.
@@ -92,7 +92,7 @@ def drawn_runs(
     runs = []
     for number, (solution, motion) in enumerate(zip(solutions, motions, strict=True)):
         root = f"run{number}" if len(solutions) > 1 else ""
-        run = Run(
+        run = DrawnSolution(
             solution=solution,
             motion=motion,
             node=vis[root] if root else vis,
@@ -115,34 +115,25 @@ def _names(solutions: Sequence[Solution]) -> list[str]:
     return [f"{name} ({number + 1})" if twice else name for number, name in enumerate(names)]
 
 
-def _with_robot(run: Run) -> Run:
+def _with_robot(run: DrawnSolution) -> DrawnSolution:
     robot = draw_robot(run.node, run.solution)
     rows = np.unique(np.linspace(0, run.motion.n_frames - 1, MEASURED_FRAMES).astype(int))
     parts = [np.zeros((len(rows), 0, 3))]
     for joint, points in robot.points.items():
         placement = run.motion.joints[rows, joint]
-        local = np.concatenate([few(part) for part in points])
+        local = np.concatenate([subsample(part, MEASURED_POINTS) for part in points])
         parts.append(local @ placement[:, :3, :3].transpose(0, 2, 1) + placement[:, None, :3, 3])
     cloud = np.concatenate(parts, axis=1)
     extent = float(np.ptp(cloud[0], axis=0).max()) if cloud.size else 0.0
     return replace(run, robot=robot, cloud=cloud.reshape(-1, 3), size=max(extent, 1e-3))
 
 
-def few(points: np.ndarray) -> np.ndarray:
-    """Some of many ``points`` (k, 3), those furthest along each axis among them: enough for their extent."""
-    if len(points) <= MEASURED_POINTS:
-        return points
-    extremes = np.concatenate([points.argmin(axis=0), points.argmax(axis=0)])
-    every = np.arange(0, len(points), len(points) // MEASURED_POINTS)
-    return np.asarray(points[np.concatenate([extremes, every])])
-
-
-def _aside(runs: list[Run]) -> list[Run]:
+def _aside(runs: list[DrawnSolution]) -> list[DrawnSolution]:
     """Runs next to each other, across the longer level side of the first motion."""
     spans = np.ptp(runs[0].cloud[:, :2], axis=0)
     axis = 1 if spans[0] >= spans[1] else 0
     gap, place = GAP * max(run.size for run in runs), 0.0
-    placed: list[Run] = []
+    placed: list[DrawnSolution] = []
     for run in runs:
         low, high = run.cloud[:, axis].min(), run.cloud[:, axis].max()
         shift = np.zeros(3)
@@ -152,7 +143,7 @@ def _aside(runs: list[Run]) -> list[Run]:
     return placed
 
 
-def travels(run: Run, tangents: np.ndarray) -> bool:
+def travels(run: DrawnSolution, tangents: np.ndarray) -> bool:
     """Whether the base goes far along ground with these ``tangents`` (2, 3)."""
     along = (run.base - run.base[0]) @ tangents.T
     return float(np.ptp(along, axis=0).max()) > TRAVELS_FROM * run.size

@@ -12,21 +12,22 @@ import pinocchio as pin
 
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import touched_surfaces
+from trajopt.view.phases import phase_spans
 from trajopt.view.replay.arrows import draw_arrows, weight_arrow_of
 from trajopt.view.replay.balance import balance_of
 from trajopt.view.replay.balance_marks import draw_balance
 from trajopt.view.replay.camera import initial_camera
-from trajopt.view.replay.commands import Command, Recorder, Tracks
+from trajopt.view.replay.commands import Animation, Recorder, ViewerCommand
 from trajopt.view.replay.cones import draw_cones
 from trajopt.view.replay.copies import draw_ghosts, ghost_frames, tint
 from trajopt.view.replay.goals import draw_goals
-from trajopt.view.replay.grounds import Ground, draw_grounds, grounds_of
+from trajopt.view.replay.grounds import DrawnGround, draw_grounds, grounds_of
 from trajopt.view.replay.layers import hidden_layers, layers_of
-from trajopt.view.replay.motion import Motion
+from trajopt.view.replay.motion import ReplayMotion
 from trajopt.view.replay.obstacles import draw_obstacles
 from trajopt.view.replay.payloads import draw_payloads
 from trajopt.view.replay.robot import joint_path
-from trajopt.view.replay.runs import Run, drawn_runs, travels
+from trajopt.view.replay.runs import DrawnSolution, drawn_runs, travels
 from trajopt.view.replay.surfaces import draw_surfaces
 from trajopt.view.replay.trails import draw_trails
 from trajopt.view.replay.turns import quaternions_of
@@ -35,7 +36,7 @@ PREFIX = "/meshcat/"
 
 
 @dataclass(frozen=True)
-class Scene:
+class ReplayScene:
     """Commands in order; ``note`` if a robot is not drawn in full; ``weight_arrow`` in m.
 
     facts: what a page tells of the scene, JSON-able: ``start`` (s of the solution), ``speed``, ``duration``
@@ -45,7 +46,7 @@ class Scene:
     touch, ``travels``: whether a base goes so far that a camera should follow it.
     """
 
-    commands: list[Command]
+    commands: list[ViewerCommand]
     note: str
     weight_arrow: float
     facts: dict[str, Any] = field(default_factory=dict)
@@ -53,10 +54,10 @@ class Scene:
 
 def build_scene(
     solutions: Sequence[Solution],
-    motions: Sequence[Motion],
+    motions: Sequence[ReplayMotion],
     layout: str = "overlaid",
     labels: Sequence[str] | None = None,
-) -> Scene:
+) -> ReplayScene:
     """Return everything that a Meshcat viewer has to be told to show ``motions``, of the same frames.
 
     Of several solutions the later ones are tinted and laid over the first (``layout`` "overlaid") or moved
@@ -69,7 +70,7 @@ def build_scene(
         if run.tinted:
             tint(recorder, run.path("robot"), run.colour)
     size = max(run.size for run in runs)
-    tracks = Tracks(motions[0].n_frames, motions[0].frame_rate, size)
+    tracks = Animation(motions[0].n_frames, motions[0].frame_rate, size)
     grounds, weight_arrow = grounds_of(runs, size), weight_arrow_of(motions, size)
     parts = [
         _draw_run(recorder, tracks, run, ground, size, weight_arrow)
@@ -86,11 +87,18 @@ def build_scene(
     initial_camera(vis, box, ground)
     recorder.commands.append(tracks.command())
     notes = list(dict.fromkeys(run.robot.note for run in runs if run.robot.note))
-    return Scene(recorder.commands, "; ".join(notes), weight_arrow, _facts(runs, layers, box, size, follows))
+    return ReplayScene(
+        recorder.commands, "; ".join(notes), weight_arrow, _facts(runs, layers, box, size, follows)
+    )
 
 
 def _draw_run(
-    recorder: Recorder, tracks: Tracks, run: Run, ground: Ground, size: float, weight_arrow: float
+    recorder: Recorder,
+    tracks: Animation,
+    run: DrawnSolution,
+    ground: DrawnGround,
+    size: float,
+    weight_arrow: float,
 ) -> np.ndarray:
     """Draw what belongs to one solution; returns points (k, 3) of the scene's world that it takes up, m."""
     solution, motion, node = run.solution, run.motion, run.node
@@ -105,7 +113,7 @@ def _draw_run(
     touching = touched_surfaces(solution, motion.feet, motion.phase)
     places = [
         run.cloud,
-        draw_surfaces(node["surfaces"], ground.elsewhere, solution, motion, run.robot, size),
+        draw_surfaces(node["surfaces"], ground.elsewhere, run, size),
         draw_obstacles(node["obstacles"], solution),
         draw_goals(node["goals"], solution, ground.drop, size),
         draw_payloads(node["payloads"], tracks, solution, motion),
@@ -124,14 +132,14 @@ def _drawn(recorder: Recorder) -> list[str]:
 
 
 def _facts(
-    runs: list[Run], layers: list[dict[str, Any]], box: np.ndarray, size: float, follows: bool
+    runs: list[DrawnSolution], layers: list[dict[str, Any]], box: np.ndarray, size: float, follows: bool
 ) -> dict[str, Any]:
     motion = runs[0].motion
     return {
         "start": float(motion.t[0]),
         "speed": motion.speed,
         "duration": (motion.n_frames - 1) / motion.frame_rate,
-        "phases": _phases(runs[0].solution),
+        "phases": [vars(span) for span in phase_spans(runs[0].solution)],
         "layers": layers,
         "runs": [
             {"label": run.label, "colour": f"#{run.colour:06x}", "root": run.root, "base": run.base_path}
@@ -141,16 +149,3 @@ def _facts(
         "box": box.tolist(),
         "travels": follows,
     }
-
-
-def _phases(solution: Solution) -> list[dict[str, Any]]:
-    """Name, start and end (s) of every phase; numbered where the solution has no names."""
-    names = solution.meta.get("phase_names") or []
-    found = []
-    for rows in solution.phases:
-        index = int(solution.phase[rows.start])
-        name = str(names[index]) if index < len(names) else f"phase {index + 1}"
-        found.append(
-            {"name": name, "start": float(solution.t[rows.start]), "end": float(solution.t[rows.stop - 1])}
-        )
-    return found

@@ -112,7 +112,7 @@ def _end_with_standard_input() -> None:
     os._exit(0)
 
 
-def main() -> None:
+def serve_until_input_ends() -> None:
     """Serve until standard input ends."""
     if sys.platform == "win32":  # tornado needs this loop there
         asyncio.set_event_loop_policy(asyncio.WindowsSelectorEventLoopPolicy())
@@ -123,4 +123,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    serve_until_input_ends()

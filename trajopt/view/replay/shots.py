@@ -175,7 +175,7 @@ class Shots:
                 raise InputError(f"--fps is {self.fps:g}", f"allowed for a {self.ending}: 1 to {most:g}")
 
 
-def telling_moment(solution: Solution) -> float:
+def representative_time(solution: Solution) -> float:
     """Return the middle of the first flight that follows a contact, s; of the motion if there is none."""
     touches = [bool(solution.active[rows.start : rows.stop].any()) for rows in solution.phases]
     for number in range(1, len(touches)):

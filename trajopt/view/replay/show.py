@@ -15,8 +15,8 @@ from trajopt.errors import InputError
 from trajopt.solution.input import SolutionOrFile, require_motion, solutions_of
 from trajopt.solving.interruption import LOOK
 from trajopt.view.replay.caption import page_facts
-from trajopt.view.replay.live import LiveWindow, where
-from trajopt.view.replay.motion import motions_of
+from trajopt.view.replay.live import LiveWindow, server_address_text
+from trajopt.view.replay.motion import replay_motions
 from trajopt.view.replay.page import page
 from trajopt.view.replay.scene import build_scene
 
@@ -27,7 +27,7 @@ class Replay:
 
     frames: pictures of the animation; duration: seconds it plays (solution time over speed).
     note: one line if a robot could not be drawn with its meshes, else empty.
-    facts: what the page says: phases, layers, runs, lines of its caption; see `Scene` and `page_facts`.
+    facts: what the page says: phases, layers, runs, lines of its caption; see `ReplayScene` and `page_facts`.
     html, size: the page and its bytes, or url, window: where the Meshcat server shows it, and the window
     through which a script can add to it, as in ``meshcat.Visualizer(window=shown.window)``.
     """
@@ -57,19 +57,27 @@ def replay(
 ) -> Replay:
     """Show solutions in Meshcat, or write them to the self-contained page ``html``; does not block.
 
-    solutions: one or several, or the paths of their files.
-    open_browser: without ``html``, open the server's page, where there is a screen. speed: at which it plays
-    first; 1 is real time, 0.2 five times slower. layout: of several solutions, "overlaid" or "side-by-side";
-    labels: their names. Without meshes a robot is drawn as a skeleton, which one line on stderr says.
-    Keep a live replay up with `serve`. The page is written whole or not at all. Raises `InputError` for a
-    speed that is not positive, a solution of no duration, an unknown layout, labels of another number, or a
-    file that cannot be written; `TrajoptError` if the server does not start.
+    Keep a live replay up with `serve`. The page is written whole or not at all. Without meshes a robot is
+    drawn as a skeleton, which one line on stderr says.
+
+    Args:
+        solutions: One or several, or the paths of their files.
+        html: The page; without one a Meshcat server is started.
+        open_browser: Open the server's page, where there is a screen.
+        speed: At which it plays first; 1 is real time, 0.2 five times slower.
+        layout: Of several solutions, "overlaid" or "side-by-side".
+        labels: Their names.
+
+    Raises:
+        InputError: For a speed that is not positive, a solution of no duration, an unknown layout, labels of
+            another number, or a file that cannot be written.
+        TrajoptError: If the server does not start.
     """
     if not isinstance(speed, int | float) or not (math.isfinite(speed) and speed > 0):
         raise InputError(f"speed is {speed}", "a positive number; 1 is real time")
     target = None if html is None else _target(Path(html).expanduser())
     several = [require_motion(solution) for solution in solutions_of(solutions)]
-    motions = motions_of(several, speed)
+    motions = replay_motions(several, speed)
     scene = build_scene(several, motions, layout, labels)
     facts = page_facts(scene, several, motions)
     if scene.note:
@@ -80,7 +88,7 @@ def replay(
         return Replay(**shown, html=target, size=_write(target, page(scene, facts)))
     window = LiveWindow()
     window.show(scene.commands, facts)
-    print(where(window.web_url))
+    print(server_address_text(window.web_url))
     if open_browser:
         window.open()
     return Replay(**shown, url=window.web_url, window=window)

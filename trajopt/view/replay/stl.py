@@ -9,7 +9,7 @@ HEADER = 84
 TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
-def corners(data: bytes) -> np.ndarray | None:
+def stl_corners(data: bytes) -> np.ndarray | None:
     """Corners (3m, 3) of the m triangles that a file is long enough for; None of one written in words."""
     count = (len(data) - HEADER) // TRIANGLE.itemsize
     if count < 0 or len(data) != HEADER + count * TRIANGLE.itemsize:
@@ -17,6 +17,6 @@ def corners(data: bytes) -> np.ndarray | None:
     return np.asarray(np.frombuffer(data, TRIANGLE, count, HEADER)["corners"].reshape(-1, 3))
 
 
-def told_triangles(data: bytes) -> int:
+def stated_triangles(data: bytes) -> int:
     """The number of triangles in the header of a file that has one."""
     return int(np.frombuffer(data, "<u4", 1, HEADER - 4)[0])

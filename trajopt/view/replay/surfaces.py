@@ -13,9 +13,8 @@ from trajopt.solution.descriptions import surfaces_of, terrain_of
 from trajopt.solution.solution import Solution
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.surface import UP, Surface, frame_of_normal
-from trajopt.view.replay.commands import without_shadow
-from trajopt.view.replay.motion import Motion
-from trajopt.view.replay.robot import DrawnRobot
+from trajopt.view.replay.parts import draw_unshadowed
+from trajopt.view.replay.runs import DrawnSolution
 
 WALL_COLOUR, HANDLE_COLOUR = 0xB98A4E, 0x1E8C7E
 WALL_OPACITY, HANDLE_OPACITY = 0.45, 0.8
@@ -49,20 +48,16 @@ def plane_of(solution: Solution) -> Surface:
     return terrain if isinstance(terrain, Surface) else Surface(point=np.zeros(3), normal=np.array(UP))
 
 
-def curved_drop(
-    standing: list[Touch], solution: Solution, motion: Motion, robot: DrawnRobot, size: float
-) -> float:
-    """How far below their contact frames drawn feet reach on ground that is no plane, m."""
+def depth_below_contacts(standing: list[Touch], run: DrawnSolution, size: float) -> float:
+    """Return how far below their contact frames drawn feet reach on ground that is no plane, m."""
     drops = [0.0]
     for touch in standing:
         for rows in _stances(touch.rows):
-            place = motion.feet[rows, touch.contact]
+            place = run.motion.feet[rows, touch.contact]
             plane = Surface(point=place[0], normal=np.array(UP))
             one = np.zeros_like(touch.rows)
             one[rows[0]] = True
-            seen = seen_plane(
-                [Touch(surface=plane, contact=touch.contact, rows=one)], solution, motion, robot, size
-            )
+            seen = drawn_plane([Touch(surface=plane, contact=touch.contact, rows=one)], run, size)
             drops.append(plane.height - seen.height)
     return float(np.median(drops[1:])) if len(drops) > 1 else 0.0
 
@@ -73,11 +68,12 @@ def _stances(rows: np.ndarray) -> list[np.ndarray]:
     return np.split(found, np.flatnonzero(np.diff(found) > 1) + 1) if len(found) else []
 
 
-def touches_of(solution: Solution, motion: Motion) -> tuple[list[Touch], list[Touch]]:
+def touches_of(run: DrawnSolution) -> tuple[list[Touch], list[Touch]]:
     """Return the touches of the terrain, and those of other surfaces by phase and contact.
 
     A contact whose own surface is the terrain's plane touches the terrain, unless it is held there.
     """
+    solution, motion = run.solution, run.motion
     terrain, own = plane_of(solution), surfaces_of(solution.meta.get("surfaces"))
     described = terrain_of(solution.meta.get("terrain"))
     faces = described.faces if isinstance(described, PiecewiseTerrain) else ()
@@ -98,14 +94,13 @@ def touches_of(solution: Solution, motion: Motion) -> tuple[list[Touch], list[To
     return standing, elsewhere
 
 
-def seen_plane(
-    touches: list[Touch], solution: Solution, motion: Motion, robot: DrawnRobot, size: float
-) -> Surface:
+def drawn_plane(touches: list[Touch], run: DrawnSolution, size: float) -> Surface:
     """Return the plane that the drawn feet of ``touches`` (one or more, on one plane) stand on.
 
     Contact frames may lie inside the foot (the centre of a rounded tip): the plane is drawn deeper
     along its normal by the typical distance from the frame to the lowest point of its link in contact.
     """
+    solution, motion = run.solution, run.motion
     surface, drops = touches[0].surface, []
     normal = surface.normal
     stances = [(row, touch.contact) for touch in touches for row in np.flatnonzero(touch.rows)]
@@ -115,23 +110,21 @@ def seen_plane(
         frame = solution.model.getFrameId(solution.contact_frames[contact])
         joint = solution.model.frames[frame].parentJoint
         turn, place = motion.joints[row, joint, :3, :3], motion.joints[row, joint, :3, 3]
-        points = np.concatenate(robot.points.get(joint, [np.zeros((1, 3))]))
+        points = np.concatenate(run.robot.points.get(joint, [np.zeros((1, 3))]))
         drops.append(heights[number] - float((points @ (turn.T @ normal)).min() + normal @ place))
     drop = float(np.median(drops))
     height = min(heights) - (drop if 0 < drop < DEEPEST_FOOT * size else 0.0)
     return Surface(point=surface.point + (height - surface.height) * normal, normal=normal)
 
 
-def draw_surfaces(
-    vis: Any, touches: list[Touch], solution: Solution, motion: Motion, robot: DrawnRobot, size: float
-) -> np.ndarray:
+def draw_surfaces(vis: Any, touches: list[Touch], run: DrawnSolution, size: float) -> np.ndarray:
     """Draw each plane as a patch around where it is touched, a handle where a contact is held.
 
     Returns the corners of the patches and the handles' places (k, 3) in m: what the camera has to show.
     """
-    places = [np.zeros((0, 3))]
+    places, motion = [np.zeros((0, 3))], run.motion
     for number, group in enumerate(_by_plane([touch for touch in touches if not touch.surface.bilateral])):
-        plane = seen_plane(group, solution, motion, robot, size)
+        plane = drawn_plane(group, run, size)
         points = np.concatenate([motion.feet[touch.rows, touch.contact] for touch in group])
         places.append(_patch(vis[f"patch{number}"], plane, points, size))
     handles: list[np.ndarray] = []
@@ -163,8 +156,7 @@ def _patch(node: Any, plane: Surface, points: np.ndarray, size: float) -> np.nda
     thickness = THICKNESS * size
     centre = plane.point + turn @ np.array([*(low + high) / 2, -thickness / 2])
     material = shapes.MeshLambertMaterial(color=WALL_COLOUR, opacity=WALL_OPACITY)
-    node.set_object(shapes.Box([*(high - low).tolist(), thickness]), material)
-    without_shadow(node)
+    draw_unshadowed(node, shapes.Box([*(high - low).tolist(), thickness]), material)
     node.set_transform(pin.SE3(turn, centre).homogeneous)
     corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
     return np.asarray(plane.point + corners @ turn[:, :2].T)
@@ -184,6 +176,5 @@ def _handle(node: Any, surface: Surface, place: np.ndarray, size: float) -> None
     thickness = THICKNESS * size
     turn = frame_of_normal(surface.normal) @ pin.utils.rotate("x", np.pi / 2)  # a cylinder lies along y
     material = shapes.MeshLambertMaterial(color=HANDLE_COLOUR, opacity=HANDLE_OPACITY)
-    node.set_object(shapes.Cylinder(thickness, HANDLE_RADIUS * size), material)
-    without_shadow(node)
+    draw_unshadowed(node, shapes.Cylinder(thickness, HANDLE_RADIUS * size), material)
     node.set_transform(pin.SE3(turn, place - thickness / 2 * surface.normal).homogeneous)

@@ -11,9 +11,9 @@ from trajopt.terrain.patch import Patch, cut_polygon
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import UP
-from trajopt.view.replay.collada import ColouredMesh
+from trajopt.view.replay.coloured_mesh import ColouredMesh, MeshPart, fan
 from trajopt.view.replay.ground import GRID_STRONG, GROUND_TINTS
-from trajopt.view.replay.parts import Triangles, colour_array
+from trajopt.view.replay.parts import ColouredMeshGeometry, colour_array, grid_triangles, line_points
 
 # Ground on each side of the motion, in robot extents; blocks reach this far below the lowest face drawn.
 MARGIN, DEPTH = 3.0, 0.3
@@ -56,8 +56,9 @@ def _draw_faces(
         colour = GROUND_TINTS[number % len(GROUND_TINTS)]
         node[f"face{number}"].set_object(_block(top, bottom, colour), material)
         outline = np.vstack([top, top[:1]]) + LINE_LIFT * size * UPWARD
-        points = shapes.PointsGeometry(position=outline.T.astype(np.float32))
-        node[f"edge{number}"].set_object(shapes.Line(points, shapes.LineBasicMaterial(color=GRID_STRONG)))
+        node[f"edge{number}"].set_object(
+            shapes.Line(line_points(outline), shapes.LineBasicMaterial(color=GRID_STRONG))
+        )
 
 
 def _within(face: Patch, area: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
@@ -70,40 +71,23 @@ def _within(face: Patch, area: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     return corners
 
 
-def _block(top: np.ndarray, bottom: float, colour: int) -> Triangles:
+def _block(top: np.ndarray, bottom: float, colour: int) -> ColouredMeshGeometry:
     """A prism under a convex polygon (k, 3): its top of that colour, darker walls down to ``bottom`` m."""
     under = np.column_stack([top[:, :2], np.full(len(top), bottom)])
     tone = colour_array(colour)
-    points, normals, triangles = [top], [_normals(top)], [_fan(len(top))]
+    parts: list[MeshPart] = [(top, _normal(top), tone, fan(len(top)))]
     for i in range(len(top)):  # walls have corners of their own, so that each is shaded flat
         j = (i + 1) % len(top)
         wall = np.array([under[i], under[j], top[j], top[i]])
-        triangles.append(sum(map(len, points)) + _fan(4))
-        points.append(wall)
-        normals.append(_normals(wall))
-    vertices = np.concatenate(points)
-    colours = np.tile(WALL_SHADE * tone, (len(vertices), 1))
-    colours[: len(top)] = tone
-    return Triangles(
-        ColouredMesh(
-            vertices=vertices.astype(np.float32),
-            normals=np.concatenate(normals).astype(np.float32),
-            colours=colours.astype(np.float32),
-            triangles=np.concatenate(triangles).astype(np.uint32),
-        )
-    )
+        parts.append((wall, _normal(wall), WALL_SHADE * tone, fan(4)))
+    return ColouredMeshGeometry(ColouredMesh.joined(parts))
 
 
-def _fan(corners: int) -> np.ndarray:
-    """Triangles (k - 2, 3) of a convex polygon of k corners."""
-    return np.array([(0, i, i + 1) for i in range(1, corners - 1)])
-
-
-def _normals(polygon: np.ndarray) -> np.ndarray:
-    """The unit normal of a polygon's plane by Newell's sum, at every corner (k, 3); 0 of one without area."""
+def _normal(polygon: np.ndarray) -> np.ndarray:
+    """The unit normal (3,) of a polygon's plane by Newell's sum; 0 of one without area."""
     normal = np.cross(polygon, np.roll(polygon, -1, axis=0)).sum(axis=0)
     length = float(np.linalg.norm(normal))
-    return np.tile(normal / length if length > 0 else normal, (len(polygon), 1))
+    return np.asarray(normal / length if length > 0 else normal)
 
 
 def _draw_smooth(
@@ -117,12 +101,9 @@ def _draw_smooth(
     )
     across, along = np.meshgrid(x, y, indexing="ij")
     grid = np.stack([across, along, terrain.height(across, along) - drop], axis=-1)
-    index = np.arange(grid[..., 0].size).reshape(len(x), len(y))
-    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
-    triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    mesh = shapes.TriangularMeshGeometry(grid.reshape(-1, 3), triangles)
+    mesh = shapes.TriangularMeshGeometry(grid.reshape(-1, 3), grid_triangles(len(x) - 1, len(y) - 1))
     node["smooth"].set_object(mesh, shapes.MeshLambertMaterial(color=SMOOTH_COLOUR))
     lifted = grid + LINE_LIFT * size * UPWARD
     lines = [np.repeat(row, 2, axis=0)[1:-1] for row in (*lifted[::4], *lifted.transpose(1, 0, 2)[::4])]
-    points = shapes.PointsGeometry(position=np.concatenate(lines).T.astype(np.float32))
+    points = line_points(np.concatenate(lines))
     node["grid"].set_object(shapes.LineSegments(points, shapes.LineBasicMaterial(color=GRID_STRONG)))

@@ -16,7 +16,7 @@ FINER = 8.0
 ROUNDING = 2.0 / FINER
 
 
-def kept_frames(values: np.ndarray, kind: str, error: float) -> np.ndarray:
+def thin_key_frames(values: np.ndarray, kind: str, error: float) -> np.ndarray:
     """Indices (k,) of the frames of ``values`` (n, d) to keep, the first and the last always among them.
 
     Between those kept a linear track ("vector3", "color") stays within ``error`` of every frame left out, a
@@ -78,8 +78,8 @@ def rounded(values: np.ndarray, error: float) -> np.ndarray:
     return np.asarray(np.round(values / step) * step)
 
 
-def held(values: np.ndarray, shown: np.ndarray) -> np.ndarray:
-    """Rows (n, d) that stay as last ``shown`` (n,) where they are hidden: nothing to keep frames for."""
+def hold_while_hidden(values: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """Rows (n, ...) that stay as last ``shown`` (n,) where they are hidden: nothing to keep frames for."""
     if not shown.any():
         return np.repeat(values[:1], len(values), axis=0)
     index = np.where(shown, np.arange(len(values)), -1)

@@ -8,14 +8,14 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.solution.solution import Solution
-from trajopt.view.replay.motion import Motion
-from trajopt.view.replay.parts import line
+from trajopt.view.replay.motion import ReplayMotion
+from trajopt.view.replay.parts import draw_line
 from trajopt.view.replay.robot import tip_frames
 
 TRAIL_COLOURS = (0x1F77B4, 0x2CA02C, 0x9467BD, 0xC77700)
 
 
-def draw_trails(node: Any, solution: Solution, motion: Motion, tint: int | None = None) -> None:
+def draw_trails(node: Any, solution: Solution, motion: ReplayMotion, tint: int | None = None) -> None:
     """Draw the path of each contact frame; of each tip if there are no contacts."""
     names, paths = list(solution.contact_frames), motion.feet
     if not names:
@@ -24,10 +24,10 @@ def draw_trails(node: Any, solution: Solution, motion: Motion, tint: int | None 
         paths = _frame_paths(solution.model, motion, frames)
     for number, name in enumerate(names):
         colour = TRAIL_COLOURS[number % len(TRAIL_COLOURS)] if tint is None else tint
-        line(node[name.replace("/", "_")], paths[:, number], colour)
+        draw_line(node[name.replace("/", "_")], paths[:, number], colour)
 
 
-def _frame_paths(model: pin.Model, motion: Motion, frames: list[int]) -> np.ndarray:
+def _frame_paths(model: pin.Model, motion: ReplayMotion, frames: list[int]) -> np.ndarray:
     paths = np.empty((motion.n_frames, len(frames), 3))
     for column, frame in enumerate(frames):
         joint = model.frames[frame].parentJoint

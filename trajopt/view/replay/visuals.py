@@ -18,8 +18,8 @@ import pinocchio as pin
 
 from trajopt.errors import InputError, first_line
 from trajopt.robot.data import VisualSource
-from trajopt.view.replay import collada, stl
-from trajopt.view.replay.collada import GREY
+from trajopt.view.replay.collada import GREY, ColladaError, read_collada
+from trajopt.view.replay.stl import stl_corners
 
 SCHEMES = ("package://", "model://", "file://")
 
@@ -94,11 +94,11 @@ def mesh_points(path: str, scale: Sequence[float] | np.ndarray, colour: np.ndarr
     points = None
     try:
         if file.suffix.lower() == ".stl":
-            points = stl.corners(file.read_bytes())
+            points = stl_corners(file.read_bytes())
         elif file.suffix.lower() == ".dae":
-            points = collada.read(file, colour).vertices
-    except (OSError, collada.ColladaError):
-        points = None
+            points = read_collada(file, colour).vertices
+    except (OSError, ColladaError):
+        pass
     if points is not None:
         return np.asarray(points * np.asarray(scale), dtype=float)
     try:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import meshcat
-import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
 
@@ -15,12 +14,13 @@ from trajopt.robot.building import reach
 from trajopt.solution.solution import Solution
 from trajopt.solving.iterate import Iterate
 from trajopt.view.replay.caption import page_facts, title
-from trajopt.view.replay.commands import Command, Recorder, Tracks, without_shadow
-from trajopt.view.replay.copies import GHOST_COLOUR, GHOST_OPACITY, drawn_at, tint
-from trajopt.view.replay.motion import motion_of
+from trajopt.view.replay.commands import Animation, Recorder, ViewerCommand
+from trajopt.view.replay.copies import GHOST_COLOUR, GHOST_OPACITY, messages_below, tint
+from trajopt.view.replay.motion import replay_motion
+from trajopt.view.replay.parts import draw_line
 from trajopt.view.replay.robot import draw_robot, draw_skeleton, joint_path, tip_frames
 from trajopt.view.replay.scene import build_scene
-from trajopt.view.watching.motion import FRAME_RATE, MOST_POSES, Motion
+from trajopt.view.watching.motion import FRAME_RATE, MOST_POSES, IterateMotion
 
 TOP = "/meshcat"
 ROBOT, POSES, PATHS = "robot", "poses", "paths"
@@ -37,7 +37,7 @@ class Picture:
     """What a viewer is told of an iterate: commands, and facts for the page; ``new``: of another scene."""
 
     new: bool
-    commands: list[Command]
+    commands: list[ViewerCommand]
     facts: dict[str, Any]
 
 
@@ -65,7 +65,7 @@ class IterateScene:
             return None
         facts = self._facts | {"lines": [_line(text, kind) for text, kind in _words(iterate, len(t))]}
         if len(t):
-            motion = Motion(model=self._model, t=t, q=q, phase=phase, frames=self._frames)
+            motion = IterateMotion(model=self._model, t=t, q=q, phase=phase, frames=self._frames)
             vis = meshcat.Visualizer(window=recorder)
             _move_poses(vis[POSES], motion)
             _draw_paths(vis[PATHS], motion)
@@ -81,11 +81,11 @@ class IterateScene:
         named = [self._model.getFrameId(name) for name in solution.contact_frames]
         self._frames = named or tip_frames(self._model)
         still, self._facts = _still(solution)
-        recorder.commands += [Command({"type": "delete", "path": TOP}), *still]
+        recorder.commands += [ViewerCommand({"type": "delete", "path": TOP}), *still]
         recorder.commands += _posed(solution, recorder)
 
 
-def _still(solution: Solution) -> tuple[list[Command], dict[str, Any]]:
+def _still(solution: Solution) -> tuple[list[ViewerCommand], dict[str, Any]]:
     """What does not move with iterates, as a replay draws it, and the page's facts about it.
 
     A motion that no replay can show has its robot alone.
@@ -97,7 +97,7 @@ def _still(solution: Solution) -> tuple[list[Command], dict[str, Any]]:
     ]
     try:
         with np.errstate(all="ignore"):
-            motion = motion_of(solution)
+            motion = replay_motion(solution)
             scene = build_scene([solution], [motion])
             facts = page_facts(scene, [solution], [motion])
     except (TrajoptError, ArithmeticError, ValueError):
@@ -126,22 +126,22 @@ def _stands(message: dict[str, Any]) -> bool:
     return not path.startswith(f"{TOP}/") or _is_still(path.removeprefix(f"{TOP}/"))
 
 
-def _posed(solution: Solution, drawn: Recorder) -> list[Command]:
+def _posed(solution: Solution, drawn: Recorder) -> list[ViewerCommand]:
     """The robot that is ``drawn``, again at every pose, translucent; skeletons where its meshes are heavy."""
-    own = drawn_at(drawn, ROBOT)
+    own = messages_below(drawn, ROBOT)
     if sum(_bytes(message) for message in own) > HEAVY:
         skeleton = Recorder()
         draw_skeleton(meshcat.Visualizer(window=skeleton), solution)
-        own = drawn_at(skeleton, ROBOT)
+        own = messages_below(skeleton, ROBOT)
     recorder = Recorder()
     for number in range(MOST_POSES):
         place = f"{TOP}/{POSES}/{number}/"
         for message in own:
             path = place + message["path"].removeprefix(f"{TOP}/")
-            recorder.commands.append(Command({**message, "path": path}))
+            recorder.commands.append(ViewerCommand({**message, "path": path}))
             if message["type"] == "set_object":
                 shadow = {"type": "set_property", "property": "castShadow", "value": False}
-                recorder.commands.append(Command({**shadow, "path": f"{path}/<object>"}))
+                recorder.commands.append(ViewerCommand({**shadow, "path": f"{path}/<object>"}))
     tint(recorder, POSES, GHOST_COLOUR, GHOST_OPACITY)
     return recorder.commands
 
@@ -156,7 +156,7 @@ def _bytes(part: Any) -> int:
     return len(data) if isinstance(data, bytes | str) else 0
 
 
-def _move_poses(node: Any, motion: Motion) -> None:
+def _move_poses(node: Any, motion: IterateMotion) -> None:
     joints, _, _ = motion.placed(motion.poses())
     for number in range(MOST_POSES):
         node[str(number)].set_property("visible", number < len(joints))
@@ -165,7 +165,7 @@ def _move_poses(node: Any, motion: Motion) -> None:
             node[str(number)][joint_path(motion.model, joint)].set_transform(place)
 
 
-def _draw_paths(node: Any, motion: Motion) -> None:
+def _draw_paths(node: Any, motion: IterateMotion) -> None:
     """The paths of contact frames (of tips where there are none) and of the centre of mass, as lines."""
     names = [motion.model.frames[frame].name.replace("/", "_") for frame in motion.frames]
     paths = [
@@ -173,14 +173,12 @@ def _draw_paths(node: Any, motion: Motion) -> None:
         for number, name in enumerate(names)
     ]
     for name, points, colour in (*paths, ("centre of mass", motion.mass, MASS_COLOUR)):
-        line = shapes.PointsGeometry(position=points.T.astype(np.float32))
-        node[name].set_object(shapes.Line(line, shapes.LineBasicMaterial(color=colour)))
-        without_shadow(node[name])
+        draw_line(node[name], points, colour)
 
 
-def _animation(vis: Any, motion: Motion) -> Command:
+def _animation(vis: Any, motion: IterateMotion) -> ViewerCommand:
     count = len(motion.joints)
-    tracks = Tracks(count, (count - 1) / motion.duration, reach(motion.model) or 1.0)
+    tracks = Animation(count, (count - 1) / motion.duration, reach(motion.model) or 1.0)
     for joint in range(1, motion.model.njoints):
         node = vis[joint_path(motion.model, joint)]
         tracks.add(node, "position", "vector3", motion.joints[:, joint, :3])
@@ -188,7 +186,7 @@ def _animation(vis: Any, motion: Motion) -> Command:
     return tracks.command()
 
 
-def _times(iterate: Iterate, motion: Motion) -> dict[str, Any]:
+def _times(iterate: Iterate, motion: IterateMotion) -> dict[str, Any]:
     """Start, duration and phases of a motion, whose times may be unknowns."""
     starts = [0, *(np.flatnonzero(np.diff(motion.phase)) + 1).tolist()]
     edges = [*motion.t[starts].tolist(), float(motion.t[-1])]

@@ -14,7 +14,7 @@ LEAST_POSES, MOST_POSES = 4, 6
 
 
 @dataclass(kw_only=True, eq=False)
-class Motion:
+class IterateMotion:
     """Configurations at times: nodes t (n,) s, q (n, nq), phase (n,); placements at even frames."""
 
     model: pin.Model
@@ -36,8 +36,12 @@ class Motion:
         return max(float(self.t[-1] - self.t[0]), 1 / FRAME_RATE)
 
     def placed(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """At ``times`` (k,): placements of joints (k, njoints, 7) as position and quaternion x, y, z, w,
-        positions of ``frames`` (k, f, 3) and of the centre of mass (k, 3), m."""
+        """Place the robot at times (k,).
+
+        Returns:
+            Placements of joints (k, njoints, 7) as position and quaternion x, y, z, w; positions of
+            ``frames`` (k, f, 3) and of the centre of mass (k, 3), m, world.
+        """
         model, data = self.model, self.model.createData()
         joints = np.empty((len(times), model.njoints, 7))
         points, mass = np.empty((len(times), len(self.frames), 3)), np.empty((len(times), 3))

@@ -25,7 +25,7 @@ ROWS = {"objective": "objective", "primal": "infeasibility", "dual": "optimality
 EDGE = 1
 
 
-class Panel:
+class ConvergencePanel:
     """A watch that shows a title, the solve, objective and infeasibilities over iterations, and trouble.
 
     A context manager; silent where stderr is no terminal that can move its cursor.
@@ -39,7 +39,7 @@ class Panel:
             Live(self, console=self._console, transient=True, refresh_per_second=RATE) if live else None
         )
 
-    def __enter__(self) -> Panel:
+    def __enter__(self) -> ConvergencePanel:
         if self._live:
             self._live.start(refresh=True)
         return self
@@ -61,12 +61,14 @@ class Panel:
         plain = options.ascii_only
         frames = ASCII_FRAMES if plain else FRAMES
         spinner = frames[self._frame % len(frames)]
-        for line in lines(self._history, self._title, width - 2, plain=plain, stopping=self._stopping()):
+        for line in panel_lines(
+            self._history, self._title, width - 2, plain=plain, stopping=self._stopping()
+        ):
             yield Text(f"{spinner} {line}", no_wrap=True, overflow="crop")
             spinner = " "
 
 
-def lines(
+def panel_lines(
     history: History, title: str, width: int, *, plain: bool = False, stopping: bool = False
 ) -> list[str]:
     """What a panel says, each line at most ``width`` columns wide; ``plain`` uses ASCII alone."""

@@ -17,7 +17,7 @@ PAGE = 25
 HEADING = f"{'iter':>5} {'objective':>14} {'primal':>9} {'dual':>9} {'barrier':>9} {'step':>9} {'time s':>8}"
 
 
-class Table:
+class IterationTable:
     """A watch that writes every iteration as a row of a CSV file, at once, so that it can be followed."""
 
     def __init__(self, path: str | Path) -> None:
@@ -32,7 +32,7 @@ class Table:
         self._rows, self._history = csv.writer(self._file, lineterminator="\n"), History()
         self._rows.writerow(COLUMNS)
 
-    def __enter__(self) -> Table:
+    def __enter__(self) -> IterationTable:
         return self
 
     def __exit__(
@@ -51,7 +51,7 @@ class Table:
         self._rows.writerow([*own, iterate.solver, int(row["iteration"]), f"{row['time']:.6f}", *figures])
 
 
-class Lines:
+class IterationLines:
     """A watch that writes a line an iteration to a stream."""
 
     def __init__(self, stream: TextIO, title: str) -> None:

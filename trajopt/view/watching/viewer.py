@@ -16,9 +16,9 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.interruption import LOOK
 from trajopt.solving.iterate import Iterate
 from trajopt.view.replay.caption import page_facts
-from trajopt.view.replay.commands import Command
+from trajopt.view.replay.commands import ViewerCommand
 from trajopt.view.replay.live import LiveWindow
-from trajopt.view.replay.motion import motion_of
+from trajopt.view.replay.motion import replay_motion
 from trajopt.view.replay.scene import build_scene
 from trajopt.view.watching.drawing import TOP, IterateScene, Picture
 
@@ -155,9 +155,9 @@ class Viewer:
     def _draw(self, what: Iterate | Solution | None) -> None:
         begin, used = time.perf_counter(), time.thread_time()
         if isinstance(what, Solution):
-            motion = motion_of(what)
+            motion = replay_motion(what)
             scene = build_scene([what], [motion])
-            clear = Command({"type": "delete", "path": TOP})
+            clear = ViewerCommand({"type": "delete", "path": TOP})
             self._window.show([clear, *scene.commands], page_facts(scene, [what], [motion]))
         elif what is not None:
             picture = self._scene.picture(what)

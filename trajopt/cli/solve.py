@@ -1,0 +1,145 @@
+"""``trajopt solve``: a problem of the catalogue to a solution file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from trajopt.cli.aim import aim_options, solve_aimed, wants_aim
+from trajopt.cli.diagnose import diagnose_option, diagnosis_of
+from trajopt.cli.input import (
+    COUNT,
+    chosen_problem,
+    default_option,
+    grid_options,
+    import_in_background,
+    json_option,
+    options_of,
+    solver_options,
+    tolerance_option,
+)
+from trajopt.cli.report import failed_figures, solve_dict, solve_summary, to_json
+from trajopt.cli.warm import solve_warm, warm_options
+from trajopt.cli.watch import open_viewer, show_until_interrupted, watch_options
+from trajopt.errors import InputError, TrajoptError
+from trajopt.solution.output import check_apart, check_output
+
+if TYPE_CHECKING:
+    from trajopt.certify.report import CheckReport
+    from trajopt.problem.problem import Problem
+    from trajopt.reduced.scenes.smallest import Scene
+    from trajopt.solution.solution import Solution
+
+NOT_REACHED = 1
+
+
+@click.command("solve")
+@click.argument("problem")
+@click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A parameter, e.g. yaw=45deg.")
+@grid_options
+@default_option("--hessian", "exact", "NAME", "exact, gauss-newton or limited-memory.")
+@tolerance_option
+@default_option("--seed", 0, "K", "Seed of --perturb.", kind=COUNT)
+@default_option("--perturb", 0.0, "SIGMA", "Noise on the guess, scaled units.")
+@solver_options
+@click.option("--smallest", is_flag=True, help="Solve only what the scene requires, for the whole robot.")
+@click.option("--explain", is_flag=True, help="The same; first say what is modelled, left out, and why.")
+@click.option("--keep", multiple=True, metavar="JOINT", help="A joint that --smallest must not lock.")
+@warm_options
+@aim_options
+@diagnose_option
+@watch_options
+@click.option("-o", "--output", type=Path, metavar="FILE", help="Solution file.  [default: PROBLEM.npz]")
+@json_option
+def solve_command(
+    problem: str,
+    settings: tuple[str, ...],
+    solver_options: tuple[str, ...],
+    smallest: bool,
+    explain: bool,
+    keep: tuple[str, ...],
+    diagnosed: bool,
+    watch: bool,
+    output: Path | None,
+    as_json: bool,
+    **arguments: Any,
+) -> int:
+    """Solve PROBLEM and write the solution file.
+
+    PROBLEM is solved as it is built. With --smallest or --explain joints that nothing needs are locked and a
+    symmetric task is solved in the plane; the file holds the motion of the whole robot all the same.
+    With --accuracy or --budget scheme, grid and solver are chosen from measured fronts, what is reached is
+    measured, and the mesh is refined where it falls short of the accuracy.
+
+    Exit status 0 when the solver has solved it, and to the accuracy or in the time that was asked for, 1 when
+    not: the file then holds its last iterate, and its status and worst rows are printed. Ctrl-C stops the
+    solver, keeps that iterate and ends with 1.
+    """
+    options = options_of(solver_options)
+    loaded = chosen_problem(problem, settings)
+    target = check_output(output or Path(f"{problem}.npz"))
+    if arguments["log"] not in (None, "-"):  # the start may be replaced by its solution, not by a table
+        start, log = arguments.get("start"), Path(arguments["log"])
+        check_apart([target, log], [])
+        check_apart([log], [Path(start)] if start else [])
+    scene = _smallest(loaded, keep, arguments) if smallest or explain or keep else None
+    if scene is not None and explain and not as_json:
+        click.echo(str(scene.report))
+    import_in_background("scipy.integrate")  # the check's integrator
+    solve_chosen = solve_aimed if wants_aim(arguments) else solve_warm
+    viewer = open_viewer(watch)
+    arguments |= {"title": problem, "options": options, "viewer": viewer}
+    solved = solve_chosen(scene.problem if scene else loaded, **arguments)
+    solution = scene.lift(solved.solution) if scene else solved.solution
+    file, notes = _saved(solution, target)
+    report = _checked(solution, notes, "" if scene is None or scene.report.is_exact else " or no --smallest")
+    diagnosis = diagnosis_of(solved.solution, scene.problem if scene else loaded) if diagnosed else None
+    if as_json:
+        extra: dict[str, Any] = {"scene": scene.report.to_dict()} if scene else {}
+        extra |= {"diagnosis": diagnosis[0]} if diagnosis else {}
+        click.echo(to_json(solve_dict(solution, report, file) | extra | solved.extra()))
+    else:
+        click.echo(solve_summary(solution, report, file, solved.lines() + notes))
+        if diagnosis:
+            click.echo(diagnosis[1])
+    show_until_interrupted(viewer, solution)
+    return 0 if solved.reached else NOT_REACHED
+
+
+def _smallest(problem: Problem, keep: tuple[str, ...], arguments: dict[str, Any]) -> Scene:
+    """The smallest problem with the same task, on the grid of the command line."""
+    from trajopt.reduced.scenes.smallest import smallest
+
+    grid = {name: arguments[name] for name in ("transcription", "intervals")}
+    return smallest(problem, keep=keep, **grid)
+
+
+def _saved(solution: Solution, target: Path) -> tuple[Path | None, list[str]]:
+    """Write the solution; an iterate that is no motion (not finite) has no file, and a note says so."""
+    from trajopt.solution.file import consistent_meta
+
+    try:
+        consistent_meta(solution.meta, solution.model_text, solution.arrays)
+    except InputError as error:
+        return None, [f"no file: {error}"]
+    return solution.save(target), []
+
+
+def _checked(solution: Solution, notes: list[str], advice: str) -> CheckReport | None:
+    """The check of a solve, or None and a note where there is nothing that can be checked."""
+    import numpy as np
+
+    from trajopt.certify.check import check
+
+    try:
+        with np.errstate(all="ignore"):  # an iterate that is no solution may overflow: its figures say so
+            report = check(solution)
+    except (TrajoptError, ArithmeticError, ValueError) as error:
+        notes.append(f"accuracy cannot be computed: {error}")
+        return None
+    beyond = failed_figures(report)
+    if beyond and solution.success:
+        notes.append(f"beyond the tolerances of a check: {beyond}; try more intervals{advice}")
+    return report
