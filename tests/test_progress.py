@@ -30,8 +30,7 @@ from trajopt.view.watching.sparkline import ASCII, BLOCKS, MISSING, sparkline
 STUCK = """
 import time
 from trajopt.cli import progress
-from trajopt.solving import iterate
-iterate.GRACE = 0.1
+progress.GRACE = 0.1
 with progress.watched("stuck", 0.1) as told:
     told["progress"]({"iteration": 0})
     time.sleep(30.0)
