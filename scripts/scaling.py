@@ -16,7 +16,7 @@ from trajopt.problem.problem import Problem
 from trajopt.solvers.drivers import SOLVERS, run
 from trajopt.solvers.result import Stop
 from trajopt.solvers.status import Status
-from trajopt.solving.solving import Prepared, prepare
+from trajopt.solving.solving import PreparedProblem, prepare
 from trajopt.transcription.guess import perturbed
 from trajopt_library import problems
 
@@ -57,7 +57,7 @@ def _row(problem: Problem, solver: str, intervals: int, seeds: int, sigma: float
     )
 
 
-def _solve(prepared: Prepared, solver: str, seed: int, sigma: float) -> tuple[int | None, float]:
+def _solve(prepared: PreparedProblem, solver: str, seed: int, sigma: float) -> tuple[int | None, float]:
     """Iterations, None where it was not solved, and CPU seconds."""
     start = perturbed(prepared.transcription, prepared.guess, seed, sigma) if sigma else prepared.guess
     begun = time.process_time()

@@ -17,8 +17,8 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
-from trajopt.solving.iterate import Iterate, Watch
-from trajopt.solving.solving import DEFAULT_SOLVER, Prepared, prepare, solve_prepared
+from trajopt.solving.monitoring import Iterate, Watch
+from trajopt.solving.solving import DEFAULT_SOLVER, PreparedProblem, prepare, solve_prepared
 from trajopt.view.watching.history import History
 from trajopt.view.watching.record import Table
 from trajopt.view.watching.viewer import Viewer
@@ -51,7 +51,7 @@ def opened(mode: str, folder: Path, stack: ExitStack) -> Watch | None:
     return makers[mode]()
 
 
-def measured(prepared: Prepared, solver: str, mode: str) -> tuple[int, float, float, int]:
+def measured(prepared: PreparedProblem, solver: str, mode: str) -> tuple[int, float, float, int]:
     """Iterations, the solver's seconds, seconds in the watch, and iterates drawn."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         watch = opened(mode, Path(folder), stack)

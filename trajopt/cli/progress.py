@@ -11,10 +11,10 @@ from contextlib import ExitStack, contextmanager
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
 
-from trajopt.solving.iterate import GRACE
+from trajopt.solving.monitoring import GRACE
 
 if TYPE_CHECKING:
-    from trajopt.solving.iterate import Watch
+    from trajopt.solving.monitoring import Watch
 
 # What a shell reports for a program ended by Ctrl-C: 128 + SIGINT.
 CANCELLED = 130
@@ -134,7 +134,7 @@ def watched(
     line an iteration on stderr, instead. viewer: another watch. Raises `InputError` for a file that cannot be
     written, and KeyboardInterrupt at the end if Ctrl-C came before the solver started.
     """
-    from trajopt.solving.iterate import combined
+    from trajopt.solving.monitoring import combine_watches
     from trajopt.view.watching.panel import Panel
     from trajopt.view.watching.record import Lines, Table
 
@@ -150,7 +150,7 @@ def watched(
         try:
             yield {
                 "progress": Control(interruption, deadline),
-                "watch": combined(shown, table, viewer),
+                "watch": combine_watches(shown, table, viewer),
             }
         except Exception:
             if not interruption.cancelled:

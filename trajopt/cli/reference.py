@@ -12,7 +12,7 @@ from trajopt.cli.report import to_json
 from trajopt.solution.output import check_output
 
 if TYPE_CHECKING:
-    from trajopt.solving.reference import Rung
+    from trajopt.solving.reference import MeshSolve
 
 NOT_REACHED = 1
 
@@ -57,14 +57,13 @@ def reference(
     """
     from trajopt.problem.catalogue import families
     from trajopt.problem.family import choose
-    from trajopt.solving.reference import Agreement, NoReferenceError
-    from trajopt.solving.reference import reference as converged
+    from trajopt.solving.reference import Agreement, NoReferenceError, converged_reference
 
     loaded = choose(families(), problem).load(values_of(settings, "--set"))
     target = check_output(output or Path(f"{problem}-reference.npz"))
     bounds = Agreement(objective=objective, distance=distance)
     try:
-        found = converged(loaded, agreement=bounds, progress=_show, **arguments)
+        found = converged_reference(loaded, agreement=bounds, progress=_show, **arguments)
     except NoReferenceError as error:
         click.echo(f"trajopt: {error}", err=True)
         return NOT_REACHED
@@ -74,5 +73,5 @@ def reference(
     return 0
 
 
-def _show(rung: Rung) -> None:
+def _show(rung: MeshSolve) -> None:
     click.echo(str(rung), err=True)

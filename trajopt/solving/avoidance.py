@@ -40,14 +40,21 @@ def with_obstacles(
     self_collision: bool = False,
     band: float | None = None,
 ) -> Problem:
-    """The problem with its robot kept ``margin`` m away from ``obstacles``, and from itself if asked.
+    """Return the problem with its robot kept away from obstacles, and from itself if asked.
 
-    capsules: of the robot; default those of `robot_capsules`. Those fixed to the world are left out.
-    band: pairs that come nearer than ``margin`` + ``band`` m along the problem's guess, phase by phase,
-        become rows; default `BAND` of the robot's length.
+    Links that overlap in the robot's reference posture are not kept apart.
 
-    Links that overlap in the robot's reference posture are not kept apart. Raises InputError where the
-    fixed start is nearer to an obstacle than ``margin``.
+    Args:
+        problem: The problem without obstacles.
+        obstacles: In the world.
+        margin: Least distance, m.
+        capsules: Of the robot; default: those of `robot_capsules`. Those fixed to the world are left out.
+        self_collision: Keep the robot's links apart, too.
+        band: Pairs that come nearer than ``margin`` + ``band`` m along the problem's guess, phase by phase,
+            become constraints; default: `BAND` of the robot's length.
+
+    Raises:
+        InputError: Where the fixed start is nearer to an obstacle than ``margin``.
     """
     robot, model = problem.robot, problem.robot.model
     given = tuple(robot_capsules(robot) if capsules is None else capsules)

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from trajopt.solving.iterate import GRACE
+from trajopt.solving.monitoring import GRACE
 from trajopt.study.suite.failure import ERROR, TIME
 from trajopt.study.suite.settings import Settings
 

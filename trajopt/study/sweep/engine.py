@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any, Protocol
 
-from trajopt.solving.iterate import GRACE
+from trajopt.solving.monitoring import GRACE
 from trajopt.study.sweep.plan import Plan
 from trajopt.study.sweep.process import Pool
 from trajopt.study.sweep.records import Asked, Records

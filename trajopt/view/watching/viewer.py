@@ -11,7 +11,7 @@ from types import TracebackType
 import zmq
 
 from trajopt.solution.solution import Solution
-from trajopt.solving.iterate import Iterate
+from trajopt.solving.monitoring import Iterate
 from trajopt.view.replay.caption import page_facts
 from trajopt.view.replay.commands import Command
 from trajopt.view.replay.live import LiveWindow
