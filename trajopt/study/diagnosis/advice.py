@@ -10,7 +10,7 @@ from trajopt.study.diagnosis.diagnosis import Advice
 
 if TYPE_CHECKING:
     from trajopt.study.diagnosis.activity import ActiveLimit
-    from trajopt.study.diagnosis.conflict import Conflict, Party
+    from trajopt.study.diagnosis.conflict import Conflict, ConflictMember
     from trajopt.study.diagnosis.diagnosis import Diagnosis
     from trajopt.study.diagnosis.findings import DependentRows
 
@@ -158,11 +158,11 @@ def _parties(clash: Conflict) -> str:
     return f"{giving}{where}" + (f"; against it stand {against}" if against else "")
 
 
-def _block(party: Party) -> str:
+def _block(party: ConflictMember) -> str:
     return party.what.split(" [", 1)[0]
 
 
-def _remedy(party: Party) -> str:
+def _remedy(party: ConflictMember) -> str:
     return _remedy_of(_block(party), party.what, f"ask less of {_block(party)}")
 
 

@@ -38,7 +38,7 @@ NAMED = 6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Party:
+class ConflictMember:
     """Rows or bounds of one block and subject in one phase.
 
     amount: the violation that they cannot do without, natural units; 0 for those that stand against it.
@@ -67,8 +67,8 @@ class Conflict:
 
     before: float
     after: float
-    giving: tuple[Party, ...]
-    against: tuple[Party, ...]
+    giving: tuple[ConflictMember, ...]
+    against: tuple[ConflictMember, ...]
     edge: float
 
     @property
@@ -144,21 +144,23 @@ def _elastic(
     return np.array(found.x), weights, np.array(at_bound)
 
 
-def _giving(snapshot: Snapshot, give: np.ndarray) -> tuple[Party, ...]:
+def _giving(snapshot: Snapshot, give: np.ndarray) -> tuple[ConflictMember, ...]:
     order = [row for row in np.argsort(-give).tolist() if give[row] > 0]
-    parties: dict[tuple[str, str], Party] = {}
+    parties: dict[tuple[str, str], ConflictMember] = {}
     for row in order:
         name = snapshot.names.row(row)
         key = (name.what, snapshot.names.phase(name.site.stage))
         if key not in parties and len(parties) < NAMED:
             place = snapshot.names.place(name.site)
-            parties[key] = Party(what=key[0], phase=key[1], amount=float(give[row]), weight=1.0, place=place)
+            parties[key] = ConflictMember(
+                what=key[0], phase=key[1], amount=float(give[row]), weight=1.0, place=place
+            )
     return tuple(parties.values())
 
 
 def _against(
     snapshot: Snapshot, give: np.ndarray, weights: np.ndarray, free: np.ndarray, bounds: np.ndarray
-) -> tuple[Party, ...]:
+) -> tuple[ConflictMember, ...]:
     """Limits, bounds and goals with the largest multipliers, added up over time."""
     names, giving = snapshot.names, {snapshot.names.block(row) for row in np.flatnonzero(give).tolist()}
     found: dict[tuple[str, str], list[tuple[float, Site]]] = {}
@@ -176,7 +178,7 @@ def _against(
     largest = max(sums.values(), default=0.0)
     order = sorted((key for key in sums if sums[key] > PART * largest), key=lambda key: -sums[key])
     return tuple(
-        Party(
+        ConflictMember(
             what=what,
             phase=phase,
             amount=0.0,

@@ -47,7 +47,7 @@ class RowName:
 
 
 @dataclass(frozen=True)
-class Names:
+class NlpNames:
     """Names of one transcription; ``times`` (n_stages + 1,) s of its nodes.
 
     A row's subject is read off the symbols in its term's expression, so that terms of users are named too.

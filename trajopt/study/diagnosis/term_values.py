@@ -8,24 +8,24 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from trajopt.study.diagnosis.names import Names, Site
+from trajopt.study.diagnosis.names import NlpNames, Site
 from trajopt.terms.context_symbols import Place
 from trajopt.terms.dynamics import ImpactDynamics
 from trajopt.transcription.stage_functions import PointFunction, derivatives, point_function
 from trajopt.transcription.timeline import NodeForm
 
-Value = Callable[[np.ndarray], np.ndarray]
+Evaluation = Callable[[np.ndarray], np.ndarray]
 
 
-def guilty_terms(
-    names: Names, site: Site, form: NodeForm, place: Place, inputs: np.ndarray
-) -> list[tuple[str, Value]]:
+def nonfinite_terms(
+    names: NlpNames, site: Site, form: NodeForm, place: Place, inputs: np.ndarray
+) -> list[tuple[str, Evaluation]]:
     """Terms whose own values at z = ``inputs`` are not finite, with what evaluates them.
 
     Where all values are finite, those whose derivatives are not.
     """
     made = list(_terms(names, site, form, place))
-    for kind in (values_of, slopes_of):
+    for kind in (value_function, derivative_function):
         found = [(name, kind(function, parameters)) for name, function, parameters in made]
         guilty = [(name, value) for name, value in found if not np.isfinite(value(inputs)).all()]
         if guilty:
@@ -33,7 +33,7 @@ def guilty_terms(
     return []
 
 
-def values_of(function: PointFunction, parameters: np.ndarray) -> Value:
+def value_function(function: PointFunction, parameters: np.ndarray) -> Evaluation:
     """All values of a point function at z in one column."""
 
     def values(z: np.ndarray) -> np.ndarray:
@@ -46,7 +46,7 @@ def values_of(function: PointFunction, parameters: np.ndarray) -> Value:
     return values
 
 
-def slopes_of(function: PointFunction, parameters: np.ndarray) -> Value:
+def derivative_function(function: PointFunction, parameters: np.ndarray) -> Evaluation:
     """All its first and second derivatives in one column."""
     made = derivatives(function)
     first, second, ones = made.first, made.second, np.ones(function.n_rows)
@@ -59,7 +59,7 @@ def slopes_of(function: PointFunction, parameters: np.ndarray) -> Value:
 
 
 def _terms(
-    names: Names, site: Site, form: NodeForm, place: Place
+    names: NlpNames, site: Site, form: NodeForm, place: Place
 ) -> Iterator[tuple[str, PointFunction, np.ndarray]]:
     """Name, function and parameters' values of every term that acts at a place."""
     layout, k = names.layout, site.stage
@@ -81,7 +81,7 @@ def _terms(
             yield term.name, function, context.parameter_values_at(_nominal_time(names, site))
 
 
-def _acting(names: Names, site: Site, place: Place, phase: int) -> list[Any]:
+def _acting(names: NlpNames, site: Site, place: Place, phase: int) -> list[Any]:
     problem = names.transcription.problem
     if place is Place.NODE:
         at = names.layout.place(site.stage)
@@ -93,7 +93,7 @@ def _acting(names: Names, site: Site, place: Place, phase: int) -> list[Any]:
     return [ImpactDynamics(), *(t for t in acting if t.acts_at_impacts)] if impact else acting
 
 
-def _nominal_time(names: Names, site: Site) -> float:
+def _nominal_time(names: NlpNames, site: Site) -> float:
     layout = names.layout
     time = float(layout.node_times[site.stage])
     if site.point >= 0:
