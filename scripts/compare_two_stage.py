@@ -17,14 +17,14 @@ import numpy as np
 
 import trajopt
 from trajopt.problem.problem import Problem
-from trajopt.reduced.two_stage import recover_torques, without_torques
-from trajopt.reduced.wrench_distribution import redistributed
+from trajopt.reduced.two_stage import base_rows_problem, recover_torques
+from trajopt.reduced.wrench_distribution import redistribute_wrenches
 from trajopt.solution.solution import Solution
 from trajopt.solvers.drivers import SOLVERS, run
 from trajopt.solvers.result import Result, Stop
 from trajopt.solvers.status import Status
 from trajopt.solving.extraction import extract
-from trajopt.solving.solving import Prepared, prepare
+from trajopt.solving.solving import PreparedProblem, prepare
 from trajopt.transcription.stage_functions import derivatives
 from trajopt.transcription.transcription import Transcription
 from trajopt_library import problems
@@ -41,7 +41,7 @@ CASES = (
 class Solved:
     """A problem solved from its guess, with all that the table wants."""
 
-    prepared: Prepared
+    prepared: PreparedProblem
     result: Result
     solution: Solution
 
@@ -84,9 +84,9 @@ def with_wrenches(transcription: Transcription, x: np.ndarray, solution: Solutio
 
 def compare(problem: Problem, solver: str) -> None:
     """Print the table of one problem."""
-    full, first = Solved.of(problem, solver), Solved.of(without_torques(problem), solver)
+    full, first = Solved.of(problem, solver), Solved.of(base_rows_problem(problem), solver)
     begin = time.perf_counter()
-    shared = redistributed(problem, first.solution)
+    shared = redistribute_wrenches(problem, first.solution)
     sharing = time.perf_counter() - begin
     x = with_wrenches(first.prepared.transcription, first.result.x, shared)
     click.echo(

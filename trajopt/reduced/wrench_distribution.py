@@ -52,14 +52,19 @@ TRUSTED = 5e-7
 BISECTIONS = 20
 
 
-def redistributed(problem: Problem, solution: Solution) -> Solution:
-    """The solution with wrenches shared anew and the torques that follow; motion, times and phases are kept.
+def redistribute_wrenches(problem: Problem, solution: Solution) -> Solution:
+    """Return the solution with wrenches redistributed and the torques that follow; the motion is kept.
 
-    ``problem`` is the full one, with its limits and contact terms; ``solution`` a motion of its schedule.
     Wrenches and torques between the points follow the interpolating polynomials, as in any solution. Where
     there is no internal force, or OSQP finds nothing better, wrenches stay; ``meta["redistributed"]`` counts
-    the points that changed and those that were kept, and ``effort_limit`` is the full problem's. Raises
-    InputError for phases with coordinates of their own, or a foreign solution.
+    the points that changed and those that were kept, and ``effort_limit`` is the full problem's.
+
+    Args:
+        problem: The full problem, with its limits and contact terms.
+        solution: A motion of its schedule.
+
+    Raises:
+        InputError: For phases in minimal coordinates, or a solution of another robot.
     """
     if problem.modes or solution.v.shape[1] != problem.robot.nv:
         raise InputError("wrenches are redistributed for the whole robot in its own coordinates", "no modes")

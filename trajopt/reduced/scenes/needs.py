@@ -9,7 +9,7 @@ import numpy as np
 from trajopt.dynamics.base_joint import BASE_COORDINATES
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.reduced.scenes.asked import Asked, Reader
+from trajopt.reduced.term_reader import TermInstance, TermReader
 from trajopt.robot.robot import Robot
 from trajopt.terms.context_symbols import Place
 from trajopt.terms.costs import AccelerationCost, PostureCost, TimeCost, TorqueCost, VelocityCost, WrenchCost
@@ -47,7 +47,7 @@ def needed_joints(problem: Problem, keep: Sequence[str]) -> Needs:
     for phase in problem.schedule.phases:
         for contact in phase.contacts:
             _chain(robot, robot.contact(contact).frame, f"carries contact '{contact}'", found)
-    for asked in Reader(problem).every(dynamics=False):
+    for asked in TermReader(problem).every(dynamics=False):
         for frame in asked.frames:
             _chain(robot, frame, f"moves frame '{frame}' of {asked.term.name}", found)
         for name in _own_joints(problem, asked):
@@ -64,7 +64,7 @@ def cleared_contacts(problem: Problem) -> set[str]:
     """Contacts that a term about swings keeps off the ground in some phase."""
     frames = {
         frame
-        for asked in Reader(problem).every(dynamics=False)
+        for asked in TermReader(problem).every(dynamics=False)
         if isinstance(asked.term, SwingClearance)
         for frame in asked.frames
     }
@@ -101,7 +101,7 @@ def _chain(robot: Robot, frame: str, reason: str, found: Needs) -> None:
             found.setdefault(model.names[joint], reason)
 
 
-def _own_joints(problem: Problem, asked: Asked) -> list[str]:
+def _own_joints(problem: Problem, asked: TermInstance) -> list[str]:
     """Joints whose coordinates themselves a term of an unknown kind uses."""
     if isinstance(asked.term, (*NO_NEED, PostureCost, TerminalState)) or asked.context.place is Place.IMPACT:
         return []

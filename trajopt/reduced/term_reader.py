@@ -12,6 +12,7 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.problem.problem import Problem
@@ -28,7 +29,7 @@ NODE_INTERVALS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class TermInstance:
     """A term at one place: its context, and its rows or the value of its cost."""
 
     term: Term
@@ -74,6 +75,12 @@ class Asked:
         """Whether generalised forces are in it."""
         return self.context.uses_dynamics and self.uses(self.context.generalized_forces)
 
+    @property
+    def uses_torques(self) -> bool:
+        """Whether generalised forces of actuated joints are in it."""
+        unactuated = self.context.robot.n_unactuated
+        return self.uses_dynamics and self.uses(self.context.generalized_forces[unactuated:])
+
     def function(self) -> ca.Function:
         """The expression as a function of the place's inputs z."""
         expression = self.expression
@@ -94,22 +101,24 @@ class Asked:
 
 
 @dataclass(frozen=True, eq=False)
-class AskedCost(Asked):
+class CostInstance(TermInstance):
     """A cost at one place, read at some ``times``, s: what it follows may vary."""
 
     value: ca.SX
     times: tuple[float, ...]
 
     @property
+    @override
     def expression(self) -> ca.SX:
         return self.value
 
     @property
+    @override
     def _moments(self) -> tuple[float, ...]:
         return self.times
 
 
-class Reader:
+class TermReader:
     """Reads the terms of a problem without modes, as its transcription will."""
 
     def __init__(self, problem: Problem, actuation: Actuation | None = None) -> None:
@@ -132,7 +141,7 @@ class Reader:
             surfaces=self.problem.surfaces_of(phase),
         )
 
-    def every(self, *, dynamics: bool = True) -> Iterator[Asked]:
+    def every(self, *, dynamics: bool = True) -> Iterator[TermInstance]:
         """Every term where it acts; ``dynamics`` also the rows that are always there."""
         rows = self.problem.motion_rows if dynamics else ()
         own = [term for term in self.problem.terms if isinstance(term, Cost | PointConstraint)]
@@ -146,15 +155,17 @@ class Reader:
                     yield self.read(term, phase, Place.IMPACT)
             yield from self.nodes(phase)
 
-    def read(self, term: Cost | PointConstraint, phase: int, place: Place) -> Asked:
+    def read(self, term: Cost | PointConstraint, phase: int, place: Place) -> TermInstance:
         """A cost or a point constraint in a phase."""
         context = self.context(phase, place)
         units = self.units.impulsive() if place is Place.IMPACT else self.units
         if isinstance(term, Cost):
-            return AskedCost(term, phase, context, None, None, term.value(context, units), self.times(phase))
-        return Asked(term, phase, context, None, term.rows(context, units))
+            return CostInstance(
+                term, phase, context, None, None, term.value(context, units), self.times(phase)
+            )
+        return TermInstance(term, phase, context, None, term.rows(context, units))
 
-    def nodes(self, phase: int) -> Iterator[Asked]:
+    def nodes(self, phase: int) -> Iterator[TermInstance]:
         """Node constraints and costs in a phase, at the first node where they act and at one more inside."""
         phases = self.problem.schedule.phases
         for index in range(NODE_INTERVALS + (phase == len(phases) - 1)):
@@ -169,7 +180,7 @@ class Reader:
                 if cost.acts_at(place):
                     context = self.context(phase, Place.NODE)
                     value = cost.value(context, self.units, place)
-                    yield AskedCost(cost, phase, context, place, None, value, self.times(phase))
+                    yield CostInstance(cost, phase, context, place, None, value, self.times(phase))
 
     def times(self, phase: int) -> tuple[float, ...]:
         """Nominal times in a phase at which costs are read, s: its ends, and some between."""
@@ -177,7 +188,7 @@ class Reader:
         start = sum(durations[:phase])
         return tuple(start + i / NODE_INTERVALS * durations[phase] for i in range(NODE_INTERVALS + 1))
 
-    def node(self, term: NodeConstraint, phase: int, place: NodePlace) -> Asked:
+    def node(self, term: NodeConstraint, phase: int, place: NodePlace) -> TermInstance:
         """A node constraint at one node."""
         context = self.context(phase, Place.NODE)
-        return Asked(term, phase, context, place, term.rows(context, self.units, place))
+        return TermInstance(term, phase, context, place, term.rows(context, self.units, place))
