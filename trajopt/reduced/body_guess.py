@@ -31,8 +31,8 @@ class BasePath:
     """Placement of the free-flyer over time through a solution's samples, twice differentiable in a phase.
 
     Positions by quintics through position, velocity and acceleration; rotations by cubics in exponential
-    coordinates relative to the sample before. ``durations`` are those of the phases in s in which the path
-    is asked for, default the solution's: it is stretched, where they were free.
+    coordinates relative to the sample before. ``durations`` of the phases in s, default the solution's: the
+    path is stretched to them.
     """
 
     def __init__(self, solution: Solution, durations: Sequence[float] | None = None) -> None:

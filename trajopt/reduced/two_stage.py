@@ -42,7 +42,7 @@ def torque_terms(problem: Problem) -> list[Term]:
     reader = TermReader(problem)
     users = {
         id(instance.term)
-        for instance in reader.every(dynamics=False)
+        for instance in reader.every()
         if instance.context.place is Place.POINT and instance.uses_torques
     }
     return [term for term in problem.terms if id(term) in users]
@@ -106,7 +106,7 @@ class TorqueBounds:
     scale: np.ndarray
 
 
-def effort_limit(problem: Problem) -> np.ndarray:
+def problem_effort_limit(problem: Problem) -> np.ndarray:
     """Effort limit (nu,) of a problem, N m, joint side: its terms' or the robot's; inf where none."""
     robot = problem.robot
     limits = {"effort_limit": np.full(robot.nu, np.inf) if robot.effort_limit is None else robot.effort_limit}
@@ -121,7 +121,7 @@ def torque_bounds(problem: Problem, v: np.ndarray) -> TorqueBounds:
     From the problem's effort limits (the robot's, where it has none) and from its drives: current,
     voltage at the joint's rate, and their friction, which the drive has to overcome.
     """
-    robot, effort = problem.robot, effort_limit(problem)
+    robot, effort = problem.robot, problem_effort_limit(problem)
     rates = v[:, robot.n_unactuated :]
     upper = np.tile(effort, (len(v), 1))
     lower, scale = -upper, effort.copy()

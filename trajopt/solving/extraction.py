@@ -112,11 +112,11 @@ def _labels(layout: Layout) -> dict[str, np.ndarray]:
         "phase": phase,
         "interval": np.repeat(np.arange(layout.n_intervals), widths),
         "collocation": inner,
-        "active": active_contacts(layout.robot, layout.schedule)[phase],
+        "active": contact_activity(layout.robot, layout.schedule)[phase],
     }
 
 
-def active_contacts(robot: Robot, schedule: Schedule) -> np.ndarray:
+def contact_activity(robot: Robot, schedule: Schedule) -> np.ndarray:
     """Which contacts of a robot are active in each phase (n_phases, nc)."""
     active = [[contact.name in phase.contacts for contact in robot.contacts] for phase in schedule.phases]
     return np.array(active, dtype=bool).reshape(len(schedule.phases), -1)

@@ -119,7 +119,7 @@ def _offered_velocity(problem: Problem) -> Iterator[_Remark]:
         return
     if any(phase.contacts for phase in problem.schedule.phases):
         return
-    for instance in TermReader(problem).every(dynamics=False):
+    for instance in TermReader(problem).every():
         context = instance.context
         if instance.uses(context.ddxi if instance.node is None else context.rates):
             return

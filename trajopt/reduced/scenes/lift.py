@@ -12,7 +12,7 @@ from trajopt.reduced.scenes.reduction import Reduction
 from trajopt.robot.robot import Robot
 from trajopt.solution.grid import interpolated
 from trajopt.solution.solution import Solution
-from trajopt.solving.extraction import active_contacts, robot_meta
+from trajopt.solving.extraction import contact_activity, robot_meta
 
 _Trajectory = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -28,7 +28,7 @@ def lift_solution(solution: Solution, problem: Problem, reduction: Reduction) ->
     whole = reduction.whole
     q = np.array([reduction.lift_q(row) for row in solution.q])
     motion = (q, solution.v @ reduction.rates.T, solution.a @ reduction.rates.T)
-    every = active_contacts(whole, problem.schedule)[solution.phase]
+    every = contact_activity(whole, problem.schedule)[solution.phase]
     f = reduction.lift_forces(solution.f)
     if reduction.is_half:
         f = _carrying(solution, whole, motion, f, every)

@@ -31,7 +31,7 @@ from trajopt.terms.terminal import FrameHeight, TerminalState
 ASYMMETRY = 2e-2
 # Below this robot and task are symmetric up to rounding of descriptions and of kinematics.
 ROUNDING = 1e-9
-# Terms about frames that ask for nothing across the plane; landings on footholds are looked at apart.
+# Terms about frames that constrain nothing across the plane; footholds are checked separately.
 ALONG_PLANE = (ContactLanding, FrameHeight, SwingClearance)
 
 
@@ -115,9 +115,9 @@ def _across(problem: Problem) -> set[str]:
             plane = phase.surface(name, problem.terrain).plane_at(place)
             if moved or abs(plane.normal[1]) > TASK:
                 frames.add(frame)
-    for asked in TermReader(problem).every(dynamics=False):
-        if asked.node is not None and not isinstance(asked.term, ALONG_PLANE):
-            frames |= set(asked.frames)
+    for instance in TermReader(problem).every():
+        if instance.node is not None and not isinstance(instance.term, ALONG_PLANE):
+            frames |= set(instance.frames)
     carriers = {int(model.frames[model.getFrameId(frame)].parentJoint) for frame in frames}
     return {model.names[j] for carrier in carriers for j in model.supports[carrier]} | _goals(problem)
 

@@ -237,7 +237,7 @@ class _Smallest:
 
     def drop_torques(self) -> None:
         """Accelerations as inputs: without a term about torques the problem is the same, with fewer rows."""
-        instances = TermReader(self.problem).every(dynamics=False)
+        instances = TermReader(self.problem).every()
         if self.problem.actuation == "torque" and not any(one.uses_torques for one in instances):
             self.problem = replace(self.problem, actuation="acceleration")
             self.note(EXACT, "joint torques", "no term limits, prices or uses them: accelerations are inputs")

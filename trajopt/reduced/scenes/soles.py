@@ -19,7 +19,7 @@ from trajopt.robot.contact import Contact
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solution.grid import interpolated
 from trajopt.solution.solution import Solution
-from trajopt.solving.extraction import active_contacts, robot_meta
+from trajopt.solving.extraction import contact_activity, robot_meta
 from trajopt.terms.friction import ContactConstraint, FrictionCone, FrictionPyramid, SoleCone
 from trajopt.terms.interfaces import Term
 
@@ -63,7 +63,7 @@ class Soles:
             meta={**solution.meta, **robot_meta(original)},
             model_text=robot.limited_model().saveToString(),
             f=interpolated(solution, f),
-            active=active_contacts(robot, original.schedule)[solution.phase],
+            active=contact_activity(robot, original.schedule)[solution.phase],
         )
 
 

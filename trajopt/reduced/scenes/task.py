@@ -46,9 +46,9 @@ def require_symmetric(problem: Problem, mirror: Mirror, images: Sequence[int]) -
     for phase in problem.schedule.phases:
         found.append(_contacts(problem, phase, images))
     groups: dict[tuple[object, ...], list[TermInstance]] = {}
-    for asked in TermReader(problem).every(dynamics=False):
-        place = asked.node.index if asked.node is not None else asked.context.place
-        groups.setdefault((asked.term.name, asked.phase, place), []).append(asked)
+    for instance in TermReader(problem).every():
+        place = instance.node.index if instance.node is not None else instance.context.place
+        groups.setdefault((instance.term.name, instance.phase, place), []).append(instance)
     found += [_terms(problem, group, mirror, images) for group in groups.values()]
     return max(found, key=lambda entry: entry.difference)
 
@@ -105,17 +105,17 @@ def _contacts(problem: Problem, phase: Phase, images: Sequence[int]) -> Asymmetr
 def _terms(problem: Problem, group: list[TermInstance], mirror: Mirror, images: Sequence[int]) -> Asymmetry:
     """Compare terms of one kind at one place, together, at random inputs and at their mirror images."""
     where = f"{group[0].term.name} of phase '{problem.schedule.phases[group[0].phase].name}'"
-    filled = [asked for asked in group if asked.expression.numel()]
+    filled = [instance for instance in group if instance.expression.numel()]
     if not filled:
         return Asymmetry(0.0, where)
-    functions, generator = [asked.function() for asked in filled], np.random.default_rng(0)
+    functions, generator = [instance.function() for instance in filled], np.random.default_rng(0)
     worst = 0.0
     for _ in range(STATES):
         inputs = _mirrored_inputs(problem, filled[0], mirror, images, generator)
         sides = [[np.array(function(z)).ravel() for function in functions] for z in inputs]
         own, image = (_comparable(filled, values) for values in sides)
         worst = max(worst, float((np.abs(own - image) / (1.0 + np.abs(own))).max()))
-    uses_dynamics = any(asked.uses_dynamics for asked in filled)
+    uses_dynamics = any(instance.uses_dynamics for instance in filled)
     if not worst <= TASK + (PASSED_ON * mirror.asymmetry if uses_dynamics else 0.0):
         raise _refuse(where, worst)
     return Asymmetry(0.0 if uses_dynamics else worst, where)
@@ -124,11 +124,11 @@ def _terms(problem: Problem, group: list[TermInstance], mirror: Mirror, images: 
 def _comparable(group: list[TermInstance], values: list[np.ndarray]) -> np.ndarray:
     """What does not depend on the order of rows: the cost; sorted slacks; the norm of equations."""
     costs, slacks, equations = 0.0, [np.zeros(0)], [np.zeros(0)]
-    for asked, value in zip(group, values, strict=True):
-        if asked.rows is None:
+    for instance, value in zip(group, values, strict=True):
+        if instance.rows is None:
             costs += float(value.sum())
             continue
-        lower, upper = (bound / asked.rows.unit for bound in (asked.rows.lower, asked.rows.upper))
+        lower, upper = (bound / instance.rows.unit for bound in (instance.rows.lower, instance.rows.upper))
         equal = lower == upper
         slacks += [(value - lower)[~equal], (upper - value)[~equal]]
         equations.append((value - lower)[equal])
@@ -139,13 +139,13 @@ def _comparable(group: list[TermInstance], values: list[np.ndarray]) -> np.ndarr
 
 def _mirrored_inputs(
     problem: Problem,
-    asked: TermInstance,
+    instance: TermInstance,
     mirror: Mirror,
     images: Sequence[int],
     generator: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Random inputs z of a place, near the start, and their mirror image."""
-    robot, context = problem.robot, asked.context
+    robot, context = problem.robot, instance.context
     coordinates, y0 = context.coordinates, float(problem.initial_q[1])
     index, sign = mirrored_rows(robot, mirror)
     q = pin.integrate(robot.model, problem.initial_q, generator.uniform(-0.5, 0.5, robot.nv))
