@@ -25,7 +25,7 @@ from trajopt.terms.clearance import Clearance, collision_scene
 # Pairs nearer than this along the guess become rows, over the robot's length. A motion that leaves its
 # guess by more than this part of the reach brings in pairs that `solve_clear` finds.
 BAND = 0.2
-# The guess is looked at this often: a tool that crosses the robot's length moves a twentieth of it between.
+# The guess is sampled this often: a tool that crosses the robot's length moves a twentieth of it between.
 LOOKS = 40
 # `solve_clear` gives up after this many solves: each adds a pair or halves the steps.
 MOST_SOLVES = 5

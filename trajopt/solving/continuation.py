@@ -40,7 +40,7 @@ class ContinuationStep:
 
 @dataclass(frozen=True, kw_only=True)
 class Continuation:
-    """All solves in the order they were made, those that failed too; ``values`` were asked for."""
+    """All solves in the order they were made, with those that failed; ``values`` are the sequence."""
 
     values: tuple[float, ...]
     steps: tuple[ContinuationStep, ...]

@@ -1,6 +1,6 @@
 """Monitoring a solve: iterates, the callbacks that see them, and the solver's own callback that calls these.
 
-The motion of an iterate costs nothing until it is asked for.
+The motion of an iterate is computed when it is first used.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def combine_watches(*watches: Watch | None) -> Watch:
 
 
 class ProgressReporter:
-    """The solver's callback: tells progress and watch, with the objective in the problem's weights."""
+    """The solver's callback: calls progress and watch, with the objective in the problem's weights."""
 
     def __init__(
         self,
@@ -129,7 +129,7 @@ class ProgressReporter:
         return go_on
 
     def end(self, result: Result, status: str) -> None:
-        """The solver has returned."""
+        """Show the watch the solver's result."""
         figures = {
             "iteration": result.iterations,
             "objective": self.transcription.objective_unit * result.objective,

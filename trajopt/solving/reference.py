@@ -33,7 +33,7 @@ TOLERANCE = 1e-9
 OBJECTIVE = 1e-5
 # Part of the robot's reach by which no point of it moves any more: half a millimetre for a dog.
 DISTANCE = 1e-3
-# Motions further apart than this part of the reach are looked at for being different optima, not meshes.
+# Motions further apart than this part of the reach are tested for being different optima.
 APART = 0.02
 # So are those that are this many times as far apart as the two before them, which meshes alone make smaller.
 GREW = 2.0

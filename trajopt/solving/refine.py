@@ -1,4 +1,4 @@
-"""Refine a mesh until the motion is as accurate as asked for, reusing each solution for the next mesh.
+"""Refine a mesh until the motion meets a target accuracy, starting each solve from the last solution.
 
 The error of a phase is what the planned torques do in it (`accuracy.measure`: open loop by numeric Pinocchio,
 from the phase's planned start), or the drift of its contacts where that is larger: metres either way.
@@ -26,7 +26,7 @@ from trajopt.solving.warm_start import solution_of
 from trajopt.transcription.mesh import Mesh
 
 # The first mesh has this part of the problem's own intervals, and two a phase at least: its solution takes
-# little time and tells where the error is.
+# little time and shows where the error is.
 COARSE = 0.2
 LEAST_INTERVALS = 2
 MAX_ROUNDS = 8

@@ -1,4 +1,4 @@
-"""What a solve is worth: the solver's verdict, measured anew, and what a plan must not do besides."""
+"""Status of a solve: the solver's, checked against the violations, and failures of the motion itself."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ DEPENDENT = (
     "; all rows hold at this iterate, so they may depend on each other there, as of a goal at a singular"
     " posture or the same goal stated twice: trajopt diagnose names them"
 )
-# A solved motion whose contacts move by more than this part of the robot's length within a phase is none: its
-# grid is too coarse to hold them. What `check` allows is far less.
+# A solved motion whose contacts move by more than this part of the robot's length within a phase has failed:
+# its grid is too coarse to hold them. What `check` allows is far less.
 MOST_CREEP = 0.25
 
 
@@ -45,7 +45,7 @@ def advice_for(status: Status, place: str | None, feasible: bool) -> str:
 
 
 def fail_on_gimbal_lock(solution: Solution) -> Solution:
-    """A plan whose virtual base comes to gimbal lock is no success, whatever the solver says."""
+    """Mark a solution whose virtual base comes near gimbal lock as failed, whatever the solver says."""
     margin = gimbal_margin_along(solution.model, solution.t, solution.q, solution.v)
     if margin is None:
         return solution
@@ -61,7 +61,7 @@ def fail_on_gimbal_lock(solution: Solution) -> Solution:
 
 
 def fail_on_contact_drift(solution: Solution, length: float) -> Solution:
-    """A plan whose contacts leave their places by a good part of the robot's ``length`` m is no success."""
+    """Mark a solution as failed whose contacts drift by a large part of the robot's ``length`` in m."""
     if not solution.success:
         return solution
     samples = evaluate(solution)

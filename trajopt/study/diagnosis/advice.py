@@ -41,7 +41,7 @@ REMEDIES = {
     BOUNDS: "widen that bound",
 }
 BOUND_OF = {"rate": "velocity_limits", "position": "position_limits"}
-# A limit that holds for this part of its places decides the motion; so many of them are named.
+# A limit active at this part of its places determines the motion; most of them that are named.
 SATURATED, MOST_SATURATED = 0.5, 3
 # An interval that errs by more than this (m) is too wide: the tolerance of a check on drift.
 COARSE = 1e-3

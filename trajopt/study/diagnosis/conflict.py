@@ -1,10 +1,10 @@
-"""Which rows stand in each other's way: the elastic minimum of the linearised constraints.
+"""Which rows contradict each other: the elastic minimum of the linearised constraints.
 
 About an iterate, within a box of natural units, the least sum of violations of the linearised rows,
 
     min sum w (s+ + s-)    lower <= g + J p + s+ - s- <= upper,    |p| <= box,  bounds of unknowns
 
-w is 1, and large for the motion itself (defects and dynamics): nature does not give way, goals and limits do.
+w is 1, and large for the motion itself (defects and dynamics): goals and limits are relaxed first.
 Rows with s > 0 have to give way. Its multipliers y, at most w in magnitude, are a certificate of Farkas'
 kind: rows weighted with y add up to a contradiction, so that the rows and bounds with large ones are those
 that stand against the rows that give way. (Gill, Murray, Saunders, "SNOPT", SIAM Review 2005, elastic mode.)

@@ -25,8 +25,8 @@ from scipy.sparse import linalg as sparse_linalg
 
 from trajopt.study.diagnosis.rank import DENSE, RANK_TOLERANCE, quiet_factor
 
-# Curvature below this part of the largest is none: of a Hessian in natural units it is rounding, or the price
-# of something that nobody should pay attention to.
+# Curvature below this part of the largest counts as zero: rounding of a Hessian in natural units, or
+# a cost of negligible weight.
 FLAT = 1e-8
 BETA = 1e-14
 # Lanczos vectors, relative error at which an eigenvalue has converged, restarts; directions that are named.
@@ -58,17 +58,17 @@ class Curvature:
 
     @property
     def flat(self) -> float:
-        """Curvature below which there is none."""
+        """Curvature below this magnitude counts as zero."""
         return FLAT * max(abs(self.largest or 0.0), abs(self.smallest or 0.0))
 
     @property
     def negative(self) -> bool:
-        """Whether some direction curves downwards: the second-order condition does not hold."""
+        """Whether some direction has negative curvature: the second-order condition does not hold."""
         return self.smallest is not None and self.smallest < -self.flat
 
     @property
     def holds(self) -> bool:
-        """Whether every free direction curves upwards: the second-order sufficient condition."""
+        """Whether every free direction has positive curvature: the second-order sufficient condition."""
         return self.smallest is None or self.smallest > self.flat
 
 

@@ -1,4 +1,4 @@
-"""A diagnosis: the NLP of a solution rebuilt, looked at from every side, and put into words."""
+"""Diagnose a solution: rebuild its NLP, analyse it at the iterate, and report in words."""
 
 from __future__ import annotations
 

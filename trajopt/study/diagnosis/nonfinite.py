@@ -201,7 +201,7 @@ def _wrong_unknowns(names: NlpNames, where: _Where, x: np.ndarray) -> tuple[Susp
 
 
 def _whole(where: _Where) -> list[Evaluation]:
-    """Values and derivatives of the group's function, where no term of it is to be had."""
+    """Values and derivatives of the group's function, where no single term is to blame."""
     parameters = where.group.parameters[where.position]
     return [value_function(where.group.point, parameters), derivative_function(where.group.point, parameters)]
 

@@ -32,7 +32,7 @@ FIRST, MOST = 8, 256
 ITERATIONS, CONVERGED = 12, 1e-3
 # Entries of a projector on dependent rows: rows are dependent on each other where they are coupled.
 COUPLED = 1e-2
-# Shares that agree to so many digits are equal: which of two rows comes first is no matter of rounding.
+# Digits to which shares are compared: rounding must not decide which of two rows comes first.
 SHARE_DIGITS = 3
 
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from trajopt.study.diagnosis.names import NlpNames, Site
 from trajopt.terms.context_symbols import Place
-from trajopt.terms.dynamics import ImpactDynamics
 from trajopt.transcription.stage_functions import PointFunction, derivatives, point_function
 from trajopt.transcription.timeline import NodeForm
 
@@ -63,12 +61,9 @@ def _terms(
 ) -> Iterator[tuple[str, PointFunction, np.ndarray]]:
     """Name, function and parameters' values of every term that acts at a place."""
     layout, k = names.layout, site.stage
-    units = names.functions.units[id(form.robot)]
-    if place is Place.IMPACT:
-        units = units.impulsive()
     phase = layout.place_phase(k) if place is Place.NODE else layout.stages[k].phase
-    more = (layout.place(k),) if place is Place.NODE else ()
-    for term in _acting(names, site, place, phase):
+    units, more = names.units_at(place, k), (layout.place(k),) if place is Place.NODE else ()
+    for term in names.acting_terms(phase, place, k):
         context = names.functions.context(phase, form, place)
         cost, rows = ca.SX(0), []
         if hasattr(term, "rows"):
@@ -79,18 +74,6 @@ def _terms(
         if rows or not cost.is_zero():
             function = point_function(term.name, context, cost, rows)
             yield term.name, function, context.parameter_values_at(_nominal_time(names, site))
-
-
-def _acting(names: NlpNames, site: Site, place: Place, phase: int) -> list[Any]:
-    problem = names.transcription.problem
-    if place is Place.NODE:
-        at = names.layout.place(site.stage)
-        candidates: tuple[Any, ...] = (*problem.node_constraints, *problem.node_costs)
-        return [term for term in candidates if at is not None and term.acts_at(at)]
-    name, impact = problem.schedule.phases[phase].name, place is Place.IMPACT
-    costs = problem.impact_costs if impact else problem.costs
-    acting: list[Any] = [t for t in (*costs, *problem.point_constraints) if t.acts_in(name)]
-    return [ImpactDynamics(), *(t for t in acting if t.acts_at_impacts)] if impact else acting
 
 
 def _nominal_time(names: NlpNames, site: Site) -> float:
