@@ -16,7 +16,7 @@ import numpy as np
 from trajopt.errors import InputError
 from trajopt.problem.family import Choice, Family, Parameter
 from trajopt.problem.problem import Problem
-from trajopt.reduced.gait_guess import Pace, Plan, plan_of_part
+from trajopt.reduced.gait_guess import GaitPlan, Pace, plan_of_part
 from trajopt.robot.legs import quadruped_legs
 from trajopt.robot.robot import Robot
 from trajopt.schedule.gait_transitions import transition
@@ -112,7 +112,7 @@ def build(
 
 
 def _ends(
-    robot: Robot, kind: str, plan: Plan, whole: tuple[Phase, ...]
+    robot: Robot, kind: str, plan: GaitPlan, whole: tuple[Phase, ...]
 ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
     """States (nq,), (nv,) at the beginning and at the end: at rest, or those of the commanded gait."""
     own = plan.schedule.phases

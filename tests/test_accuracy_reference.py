@@ -20,8 +20,7 @@ from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.solving.optima import in_other_optimum
-from trajopt.solving.reference import Agreement, NoReferenceError, reference
+from trajopt.solving.reference import Agreement, NoReferenceError, converged_reference, in_other_optimum
 from trajopt.terms import AccelerationCost, FrameDirection, PostureCost, TorqueCost
 from trajopt.terrain.flat import FlatGround
 
@@ -66,7 +65,7 @@ def either_way(sign: float) -> Problem:
 
 def test_reference_agrees_and_says_how_it_was_found():
     seen = []
-    found = reference(swing(), compile="none", progress=seen.append)
+    found = converged_reference(swing(), compile="none", progress=seen.append)
     assert tuple(seen) == found.rungs
     assert [rung.scheme for rung in found.rungs[:2]] == ["legendre:2", "legendre:3"]
     assert [rung.intervals for rung in found.rungs[:3]] == [10, 10, 20]
@@ -81,7 +80,7 @@ def test_reference_agrees_and_says_how_it_was_found():
 
 def test_reference_of_least_acceleration_is_the_cubic():
     """12 theta^2 / T^3 is the least integral of the squared acceleration from rest to rest."""
-    found = reference(reach(), compile="none")
+    found = converged_reference(reach(), compile="none")
     plan = found.solution
     s = plan.t / plan.t[-1]
     assert_allclose(plan.q[:, 0], plan.q[-1, 0] * (3 * s**2 - 2 * s**3), atol=1e-9)
@@ -91,7 +90,9 @@ def test_reference_of_least_acceleration_is_the_cubic():
 
 
 def test_distance_to_the_reference_falls_with_the_step():
-    found = reference(lean(), compile="none", agreement=Agreement(objective=1e-7, distance=1e-4)).solution
+    found = converged_reference(
+        lean(), compile="none", agreement=Agreement(objective=1e-7, distance=1e-4)
+    ).solution
     gaps = [
         measure(trajopt.solve(lean(), compile="none", transcription="legendre:1", intervals=n), found)
         for n in (4, 8)
@@ -104,10 +105,10 @@ def test_budget_ends_the_climb_and_names_the_agreement():
     strict = Agreement(objective=1e-15, distance=1e-15)
     words = r"more than 600 unknowns; the last two meshes agree to .* m"
     with pytest.raises(NoReferenceError, match=words) as caught:
-        reference(swing(), compile="none", agreement=strict, max_unknowns=600)
+        converged_reference(swing(), compile="none", agreement=strict, max_unknowns=600)
     assert len(caught.value.rungs) > 2
     with pytest.raises(NoReferenceError, match=TIME):
-        reference(swing(), compile="none", agreement=strict, max_time=0.2)
+        converged_reference(swing(), compile="none", agreement=strict, max_time=0.2)
 
 
 def test_mesh_that_is_not_solved_is_named():
@@ -115,7 +116,7 @@ def test_mesh_that_is_not_solved_is_named():
         frame="universe", axis=(0, 0, 1), direction=(0, 0, -1), angle=0.1, phase="reach",
     )))  # fmt: skip
     with pytest.raises(NoReferenceError, match="legendre:2 with 10 intervals is not solved"):
-        reference(goal, compile="none")
+        converged_reference(goal, compile="none")
 
 
 def test_bad_bounds_are_refused():
@@ -124,9 +125,9 @@ def test_bad_bounds_are_refused():
     with pytest.raises(InputError, match="distance of an agreement is inf"):
         Agreement(distance=np.inf)
     with pytest.raises(InputError, match="max_time is -1"):
-        reference(reach(), max_time=-1.0)
+        converged_reference(reach(), max_time=-1.0)
     with pytest.raises(InputError, match="unknown transcription"):
-        reference(reach(), compile="none", scheme="legendre:9")
+        converged_reference(reach(), compile="none", scheme="legendre:9")
 
 
 def test_solutions_in_different_optima_are_told_from_those_on_different_meshes():

@@ -14,7 +14,7 @@ from trajopt.cli.aim import Seconds
 from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.robot.units import Units
-from trajopt.solving.refine import phase_errors, size_of
+from trajopt.solving.refine import phase_errors, unknowns_on_mesh
 from trajopt.study.choosing.choice import choices_by_time, choose_for_accuracy, front_for
 from trajopt.study.choosing.solve_to import solve_to_accuracy, solve_within
 from trajopt.study.sweep.calibration import Load
@@ -95,7 +95,7 @@ def test_time_is_predicted_by_unknowns_and_the_speed_of_the_machine(front, monke
     problem = reach()
     monkeypatch.setattr(Load, "seconds", lambda self, loads=1: 3 * load_front(front).calibration)
     choice = choose_for_accuracy(problem, 2e-3 * problem.robot.length, front=front)
-    assert_allclose(choice.predicted_time, 3 * 0.04 * size_of(problem, choice.mesh) / VARIABLES)
+    assert_allclose(choice.predicted_time, 3 * 0.04 * unknowns_on_mesh(problem, choice.mesh) / VARIABLES)
 
 
 def test_most_accurate_setting_is_chosen_for_what_none_reaches(front):

@@ -16,7 +16,7 @@ from trajopt import Problem, Robot, Solution
 from trajopt.errors import InputError
 from trajopt.robot.units import Units
 from trajopt.solving.extraction import extract
-from trajopt.solving.solving import Prepared, prepare
+from trajopt.solving.solving import PreparedProblem, prepare
 from trajopt.study.diagnosis.conflict import BOX
 from trajopt.study.diagnosis.contacts import _rank
 from trajopt.study.diagnosis.diagnose import diagnose
@@ -421,7 +421,7 @@ def test_a_mesh_that_is_too_coarse_is_named_with_its_phase():
 
 
 def test_a_guess_is_diagnosed_without_a_solve():
-    prepared: Prepared = prepare(hop(), compile="none")
+    prepared: PreparedProblem = prepare(hop(), compile="none")
     found = diagnose(prepared)
     assert found.status is None
     assert found.nonfinite is None

@@ -19,7 +19,7 @@ from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.robot import Robot
-from trajopt.solving.solving import Prepared, prepare, solve, solve_prepared
+from trajopt.solving.solving import PreparedProblem, prepare, solve, solve_prepared
 from trajopt.terms import (
     AccelerationCost,
     EffortLimits,
@@ -139,7 +139,7 @@ def test_curvature_of_power_is_that_of_its_rounded_magnitude(recovered, smoothin
     assert_allclose(2 * weights, curvature, rtol=1e-4, atol=1e-6)
 
 
-def dense_hessian(prepared: Prepared, x: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
+def dense_hessian(prepared: PreparedProblem, x: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
     nlp, n = prepared.nlp, len(x)
     values = nlp.engine.hessian(x, 1.0, multipliers)
     lower = sparse.csr_matrix((values, (nlp.hessian_row, nlp.hessian_column)), shape=(n, n)).toarray()

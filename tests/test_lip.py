@@ -14,8 +14,8 @@ from scipy.integrate import solve_ivp
 from trajopt.errors import InputError
 from trajopt.reduced.com_planning import analytic_motion, distance_outside
 from trajopt.reduced.com_program import CenterOfMassProgram
-from trajopt.reduced.foot_motion import FootMotion, Swing, guess_from_lip
-from trajopt.reduced.footsteps import Foothold, FootstepPlan, Support, Walk, feet_of, support_vertices
+from trajopt.reduced.foot_motion import FootMotion, FootSwing, guess_from_lip
+from trajopt.reduced.footsteps import Foothold, FootstepPlan, SupportPhase, Walk, feet_of, support_vertices
 from trajopt.reduced.lip import Pendulum, PendulumMotion, dcm_at_steps
 from trajopt.robot.contact import Contact
 from trajopt.robot.data import robot_file
@@ -229,10 +229,10 @@ def test_point_feet_walk_on_segments_and_points_without_double_support_too() -> 
     moved = feet | {"FL": Foothold(position=feet["FL"].position + aside)}
     plan = FootstepPlan(
         (
-            Support(name="both", duration=0.3, feet=feet),
-            Support(name="right", duration=0.2, feet={"FR": feet["FR"]}),
-            Support(name="left", duration=0.2, feet={"FL": moved["FL"]}),
-            Support(name="end", duration=0.5, feet=moved),
+            SupportPhase(name="both", duration=0.3, feet=feet),
+            SupportPhase(name="right", duration=0.2, feet={"FR": feet["FR"]}),
+            SupportPhase(name="left", duration=0.2, feet={"FL": moved["FL"]}),
+            SupportPhase(name="end", duration=0.5, feet=moved),
         )
     )
     program = CenterOfMassProgram(
@@ -294,7 +294,7 @@ def test_feet_of_a_guess_stand_still_and_swings_start_and_end_at_rest() -> None:
     begin, end = plan.supports[0].duration, plan.supports[0].duration + plan.supports[1].duration
     assert_allclose(feet.foothold("right", 0.8).position, plan.supports[0].feet["right"].position)
     found = feet.at("left", (begin + end) / 2)
-    assert isinstance(found, Swing)
+    assert isinstance(found, FootSwing)
     assert not found.airborne
     middle = feet.foothold("left", (begin + end) / 2).position
     assert middle[2] - plan.supports[0].feet["left"].position[2] == pytest.approx(0.1)
@@ -317,8 +317,8 @@ def test_guess_puts_feet_on_their_path_and_the_com_on_its_motion() -> None:
             assert foot.yaw == pytest.approx(feet.foothold(name, t).yaw, abs=1e-8)
 
 
-def flight() -> Support:
-    return Support(name="flight", duration=0.1)
+def flight() -> SupportPhase:
+    return SupportPhase(name="flight", duration=0.1)
 
 
 BAD = {
@@ -331,8 +331,8 @@ BAD = {
     "no contact": lambda: Walk(first="tail").plan(talos_legs()),
     "without being lifted": lambda: FootstepPlan(
         (
-            Support(name="a", duration=1.0, feet={"left": Foothold(position=np.zeros(3))}),
-            Support(name="b", duration=1.0, feet={"left": Foothold(position=np.ones(3))}),
+            SupportPhase(name="a", duration=1.0, feet={"left": Foothold(position=np.zeros(3))}),
+            SupportPhase(name="b", duration=1.0, feet={"left": Foothold(position=np.ones(3))}),
         )
     ),
     "no foot": lambda: support_vertices(talos_legs(), flight()),

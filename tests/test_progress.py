@@ -20,8 +20,8 @@ from trajopt import solve
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solvers.drivers import SOLVERS
-from trajopt.solving.iterate import Iterate, combined
 from trajopt.solving.ladder import solve_ladder
+from trajopt.solving.monitoring import Iterate, combine_watches
 from trajopt.view.watching.history import FIGURES, History
 from trajopt.view.watching.panel import panel_lines
 from trajopt.view.watching.record import COLUMNS, IterationLines, IterationTable
@@ -226,7 +226,7 @@ def test_a_watch_that_fails_is_one_warning_and_the_others_go_on():
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        seen_by(combined(fail, None, lambda iterate: seen.append(iterate.stage)))
+        seen_by(combine_watches(fail, None, lambda iterate: seen.append(iterate.stage)))
     (text,) = [str(warning.message) for warning in caught if "watching has stopped" in str(warning.message)]
     assert text == "watching has stopped, solving goes on: LookupError: from the watch"
     assert (seen[0], seen[-1]) == ("guess", "end")
@@ -253,7 +253,7 @@ def test_figures_alone_never_ask_the_solver_for_its_unknowns(tmp_path: Path):
 
     history = History()
     with IterationTable(tmp_path / "log.csv") as table:
-        told = combined(table, history.add, lambda iterate: panel_lines(history, "hop", 80) and None)
+        told = combine_watches(table, history.add, lambda iterate: panel_lines(history, "hop", 80) and None)
         seen_by(refuse)
     assert history.rows
     assert asked == []

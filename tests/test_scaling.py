@@ -10,7 +10,7 @@ import pytest
 from trajopt.solvers.drivers import mesh_weight, run_solver
 from trajopt.solvers.result import StoppingCriteria
 from trajopt.solvers.status import Status
-from trajopt.solving.solving import Prepared, prepare
+from trajopt.solving.solving import PreparedProblem, prepare
 from trajopt.transcription.guess import perturbed
 from trajopt_library import problems
 
@@ -25,7 +25,7 @@ SAME = (
 EVALUATIONS = 4.0
 
 
-def prepared(name: str, intervals: int) -> Prepared:
+def prepared(name: str, intervals: int) -> PreparedProblem:
     return prepare(problems.load(name), intervals=intervals, compile="none")
 
 
@@ -52,7 +52,7 @@ def test_the_weight_of_a_point_is_the_mean_of_the_quadrature() -> None:
     assert mesh_weight(transcription) == pytest.approx(float(np.mean(np.concatenate(points))), rel=ROUNDING)
 
 
-def solved(made: Prepared, solver: str, seed: int) -> tuple[int, float, int]:
+def solved(made: PreparedProblem, solver: str, seed: int) -> tuple[int, float, int]:
     """Iterations, objective, evaluations of values."""
     start = perturbed(made.transcription, made.guess, seed, SIGMA) if seed else made.guess
     result = run_solver(made.nlp, start, solver, StoppingCriteria(), {}, lambda *_: True)

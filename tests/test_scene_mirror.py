@@ -13,7 +13,7 @@ from tests.scenes_for_tests import FEET, biped, drive, push, symmetrised
 from trajopt import Contact, InputError, Robot
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.reduced.scenes.half import half_robot, turned_by_mirror
-from trajopt.reduced.scenes.lock import locked
+from trajopt.reduced.scenes.lock import lock_joints
 from trajopt.reduced.scenes.reduction import Reduction
 from trajopt.reduced.scenes.smallest import smallest
 from trajopt.robot.data import robot_file
@@ -55,7 +55,7 @@ def half_of(robot: Robot) -> Reduction:
     """The half with its waist's yaw locked, at the reference."""
     mirror = find_mirror(robot)
     turned, names = turned_by_mirror(robot, mirror), [contact.name for contact in robot.contacts]
-    straight = locked(robot, turned, names, robot.reference).small
+    straight = lock_joints(robot, turned, names, robot.reference).small
     mirror = find_mirror(straight)
     return half_robot(straight, mirror, paired_contacts(straight, mirror, TOLERANCE), straight.reference)
 

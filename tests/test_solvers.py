@@ -15,7 +15,7 @@ from trajopt.problem.problem import Problem
 from trajopt.solvers.drivers import IPOPT_OPTIONS, SOLVERS, run_solver
 from trajopt.solvers.result import StoppingCriteria
 from trajopt.solvers.status import Status
-from trajopt.solving.solving import Prepared, prepare, solve
+from trajopt.solving.solving import PreparedProblem, prepare, solve
 from trajopt.terms import TorqueCost
 from trajopt.transcription.transcription import Transcription
 from trajopt_library import problems
@@ -35,11 +35,11 @@ def go_on(_: dict, __: Unknowns) -> bool:
     return True
 
 
-def prepared(threads: int = 1, level: str = "none") -> Prepared:
+def prepared(threads: int = 1, level: str = "none") -> PreparedProblem:
     return prepare(hop(), transcription="legendre:2", intervals=7, compile=level, threads=threads)
 
 
-def evaluations(made: Prepared) -> list[np.ndarray]:
+def evaluations(made: PreparedProblem) -> list[np.ndarray]:
     generator, nlp = np.random.default_rng(0), made.nlp.engine
     x = made.guess + generator.uniform(-0.2, 0.2, made.guess.shape)
     multipliers = generator.uniform(-1, 1, made.transcription.n_rows)

@@ -22,7 +22,7 @@ from trajopt.solvers.qp import QpStep, QuadraticProgram, StageQp
 from trajopt.solvers.result import Callback, Result, StoppingCriteria, WarmMultipliers
 from trajopt.solvers.sqp_filter import Filter, FilterEntry
 from trajopt.solvers.status import Status
-from trajopt.solving.solving import Prepared, prepare, solve, solve_prepared
+from trajopt.solving.solving import PreparedProblem, prepare, solve, solve_prepared
 from trajopt.terms import AccelerationCost, EffortLimits, TorqueCost, VelocityCost
 from trajopt.transcription.guess import perturbed
 from trajopt.transcription.nlp import Nlp
@@ -215,7 +215,7 @@ def test_kept_pairs_that_a_new_one_beats_are_dropped():
 # Whole solves
 
 
-def sqp(prepared: Prepared, x: np.ndarray | None = None, **given: object) -> Result:
+def sqp(prepared: PreparedProblem, x: np.ndarray | None = None, **given: object) -> Result:
     settings = {"options": {}, "callback": lambda *_: True, "warm": None, "stop": StoppingCriteria(), **given}
     start = prepared.guess if x is None else x
     order = ("stop", "options", "callback", "warm")
@@ -228,7 +228,7 @@ def swing() -> Problem:
     return reach(gravity=True, terms=(*costs, EffortLimits(limit=np.array([11.0]))))
 
 
-def ready(problem: Problem, **options: object) -> Prepared:
+def ready(problem: Problem, **options: object) -> PreparedProblem:
     return prepare(problem, compile="none", **options)
 
 

@@ -22,7 +22,7 @@ from trajopt.certify.accuracy.measures import measure
 from trajopt.cli import main
 from trajopt.errors import InputError
 from trajopt.problem import Problem
-from trajopt.reduced.two_stage import without_torques
+from trajopt.reduced.two_stage import base_rows_problem
 from trajopt.solution.solution import Solution
 from trajopt.study.sweep.cores import cores_for, physical_cores
 from trajopt.study.sweep.engine import Sweep
@@ -125,7 +125,7 @@ def test_two_stages_are_judged_by_the_whole_problem(tmp_path: Path):
     full = solve(hop(), intervals=8, compile="none")
     assert found.objective >= full.meta["objective"]
     assert objective_of(hop(), setting, full) == pytest.approx(full.meta["objective"], rel=RESAMPLED)
-    first = solve(without_torques(hop()), intervals=8, compile="none")
+    first = solve(base_rows_problem(hop()), intervals=8, compile="none")
     assert found.objective != pytest.approx(first.meta["objective"])
     np.testing.assert_allclose(with_torques(hop(), first).tau, Solution.load(tmp_path / "run.npz").tau)
 

@@ -19,13 +19,13 @@ from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.reduced.two_stage import (
-    asks_for_torques,
+    base_rows_problem,
     recover_torques,
     standing_share,
     torque_bounds,
-    without_torques,
+    torque_terms,
 )
-from trajopt.reduced.wrench_distribution import redistributed
+from trajopt.reduced.wrench_distribution import redistribute_wrenches
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.units import Units
 from trajopt.solution.solution import Solution
@@ -90,18 +90,18 @@ def test_terms_that_ask_for_torques_are_found_by_what_they_depend_on() -> None:
     problem = hop(
         robot=driven, terms=(*hop().terms, DriveLimits(), PowerCost(weight=1.0), BaseForceCost(weight=1.0))
     )
-    found = {type(term).__name__ for term in problem.terms if asks_for_torques(problem, term)}
+    found = {type(term).__name__ for term in torque_terms(problem)}
     assert found == {"TorqueCost", "EffortLimits", "DriveLimits", "PowerCost"}
 
 
 def test_stage_one_keeps_all_other_terms_and_puts_a_wrench_cost_for_the_torque_cost() -> None:
     problem = hop()
-    one = without_torques(problem)
+    one = base_rows_problem(problem)
     dropped = [type(term) for term in problem.terms if term not in one.terms]
     added = [term for term in one.terms if term not in problem.terms]
     assert dropped == [TorqueCost, EffortLimits]
     assert added == [WrenchCost(weight=standing_share(problem.robot))]
-    assert without_torques(problem, replacement=()).terms == tuple(
+    assert base_rows_problem(problem, replacement=()).terms == tuple(
         term for term in problem.terms if type(term) not in dropped
     )
 
@@ -123,13 +123,13 @@ def test_replacement_costs_as_much_as_the_torques_of_standing_still() -> None:
 
 
 def test_a_problem_without_other_costs_on_motion_gets_one() -> None:
-    one = without_torques(reach(terms=(TorqueCost(weight=2.0),)))
+    one = base_rows_problem(reach(terms=(TorqueCost(weight=2.0),)))
     assert any(isinstance(term, AccelerationCost) and term.weight > 0 for term in one.terms)
 
 
 def test_compiled_graph_of_stage_one_has_no_actuated_rows() -> None:
     problem = hop()
-    full, one = (largest_point(p) for p in (problem, without_torques(problem)))
+    full, one = (largest_point(p) for p in (problem, base_rows_problem(problem)))
     actuated = problem.robot.nu
     assert one.layers[-1].numel_out(0) == full.layers[-1].numel_out(0) - actuated
     sizes = [
@@ -140,7 +140,7 @@ def test_compiled_graph_of_stage_one_has_no_actuated_rows() -> None:
 
 
 def test_recovered_torques_reproduce_the_motion_in_forward_dynamics() -> None:
-    solution = trajopt.solve(without_torques(hop()), compile="none")
+    solution = trajopt.solve(base_rows_problem(hop()), compile="none")
     assert solution.success
     torque, report = recover_torques(hop(), solution)
     assert report.base_residual < 1e-5  # what a solver leaves at 1e-6 in natural units
@@ -195,7 +195,7 @@ def test_bounds_of_drives_are_their_envelope_with_friction() -> None:
 
 def test_redistribution_keeps_motion_base_rows_and_friction_and_lowers_torques_everywhere() -> None:
     problem, solution = guessed()
-    shared = redistributed(problem, solution)
+    shared = redistribute_wrenches(problem, solution)
     points = solution.collocation
     before, after = (
         sample_quantities(solution).generalized_force[points],
@@ -215,7 +215,7 @@ def test_redistribution_keeps_motion_base_rows_and_friction_and_lowers_torques_e
 def test_redistribution_with_inactive_friction_is_least_squares_over_internal_forces() -> None:
     problem, solution = guessed()
     kept = tuple(term for term in problem.terms if not isinstance(term, FrictionPyramid))
-    shared = redistributed(replace(problem, terms=kept), solution)
+    shared = redistribute_wrenches(replace(problem, terms=kept), solution)
     robot = problem.robot
     for row in np.flatnonzero(solution.collocation & (solution.phase == 0))[::5]:
         frames = [(contact.frame, 3) for contact in robot.contacts]
@@ -231,7 +231,7 @@ def test_redistribution_with_inactive_friction_is_least_squares_over_internal_fo
 def test_largest_excess_after_redistribution_is_the_least_that_a_linear_program_finds() -> None:
     limit = 1.0
     problem, solution = guessed(effort=limit)
-    shared = redistributed(problem, solution)
+    shared = redistribute_wrenches(problem, solution)
     robot, mu = problem.robot, problem.terrain.friction / np.sqrt(2)
     rows = np.flatnonzero(solution.collocation & solution.active.any(axis=1))
     excess = np.abs(solution.tau[rows]).max(axis=1) / limit - 1
@@ -261,7 +261,7 @@ def test_largest_excess_after_redistribution_is_the_least_that_a_linear_program_
 def test_the_smooth_friction_cone_is_respected_too() -> None:
     problem, solution = guessed()
     coned = tuple(FrictionCone() if isinstance(term, FrictionPyramid) else term for term in problem.terms)
-    shared = redistributed(replace(problem, terms=coned), solution)
+    shared = redistribute_wrenches(replace(problem, terms=coned), solution)
     points, mu, weight = solution.collocation, problem.terrain.friction, problem.robot.weight
     was, now = (
         (mu * s.f[points][:, :, 2] - np.linalg.norm(s.f[points][:, :, :2], axis=2)).min()
@@ -275,7 +275,7 @@ def test_soles_and_a_hand_on_a_wall_keep_pressure_inside_and_friction() -> None:
     problem = problems.load("talos-wall")
     transcription = transcribe(problem, "legendre:2", 12)
     solution = extract(transcription, initial_guess(transcription), {"success": False})
-    shared = redistributed(problem, solution)
+    shared = redistribute_wrenches(problem, solution)
     robot, wall = problem.robot, problem.schedule.phases[-1].surfaces["hand"]
     worst = {}
     for name, plan in (("before", solution), ("after", shared)):
@@ -298,7 +298,7 @@ def test_soles_and_a_hand_on_a_wall_keep_pressure_inside_and_friction() -> None:
 def test_one_point_foot_and_flight_have_nothing_to_share() -> None:
     transcription = transcribe(hop(), "legendre:1", 8)
     solution = extract(transcription, initial_guess(transcription), {"success": False})
-    shared = redistributed(hop(), solution)
+    shared = redistribute_wrenches(hop(), solution)
     assert shared.meta["redistributed"]["points"] == 0
     assert_allclose(shared.f, solution.f, atol=ROUNDING)
 
@@ -308,10 +308,10 @@ def test_foreign_solutions_and_problems_without_torques_are_refused() -> None:
     with pytest.raises(InputError, match="velocities"):
         recover_torques(hop(), solution)
     with pytest.raises(InputError, match="redistributed"):
-        redistributed(hop(), solution)
+        redistribute_wrenches(hop(), solution)
     free = hop(actuation="acceleration", terms=(AccelerationCost(weight=1.0), PostureCost(weight=1.0)))
     with pytest.raises(InputError, match="actuation"):
-        without_torques(free)
+        base_rows_problem(free)
 
 
 @pytest.mark.slow
@@ -319,11 +319,11 @@ def test_stage_one_costs_more_than_the_full_jump_and_sharing_anew_brings_it_near
     problem = problems.load("solo12-jump", effort=2.2)
     settings = {"intervals": 30, "compile": "quick"}
     full = trajopt.solve(problem, **settings)
-    motion = trajopt.solve(without_torques(problem), **settings)
+    motion = trajopt.solve(base_rows_problem(problem), **settings)
     assert full.success
     assert motion.success
     assert motion.meta["iterations"] <= MOST_ITERATIONS
-    shared = redistributed(problem, motion)
+    shared = redistribute_wrenches(problem, motion)
     # Both Gauss points of an interval weigh the same.
     weights = np.repeat(np.diff(full.interval_t, axis=1).ravel() / 2, 2)
     costs = [float(weights @ np.mean(s.tau[s.collocation] ** 2, axis=1)) for s in (full, shared, motion)]
@@ -337,6 +337,6 @@ def test_stage_one_costs_more_than_the_full_jump_and_sharing_anew_brings_it_near
 
 def test_prepared_sizes_are_those_of_the_full_problem_because_torques_are_no_unknowns() -> None:
     problem = hop()
-    full, one = (prepare(p, compile="none") for p in (problem, without_torques(problem)))
+    full, one = (prepare(p, compile="none") for p in (problem, base_rows_problem(problem)))
     assert one.transcription.layout.n_unknowns == full.transcription.layout.n_unknowns
     assert one.transcription.n_rows == full.transcription.n_rows - 2 * problem.robot.nu * 8

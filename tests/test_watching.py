@@ -23,7 +23,7 @@ from tornado.websocket import websocket_connect
 from trajopt import Problem, solve
 from trajopt.robot.building import reach as reach_of
 from trajopt.solvers.drivers import SOLVERS
-from trajopt.solving.iterate import Iterate
+from trajopt.solving.monitoring import Iterate
 from trajopt.view.replay.thinning import ANGLE_ERROR, POSITION_ERROR
 from trajopt.view.watching.drawing import HEAVY, PATHS, POSES, IterateScene, Picture
 from trajopt.view.watching.motion import LEAST_POSES, MOST_POSES, IterateMotion

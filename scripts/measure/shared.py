@@ -13,7 +13,7 @@ import numpy as np
 from trajopt.solvers.drivers import SOLVERS, run_solver
 from trajopt.solvers.result import Result, StoppingCriteria
 from trajopt.solvers.status import Status
-from trajopt.solving.solving import Prepared
+from trajopt.solving.solving import PreparedProblem
 
 # Standard deviation of the noise on a guess, scaled units: that of `trajopt suite`.
 NOISE = 0.1
@@ -38,7 +38,7 @@ class Timed:
 
 
 def timed(
-    prepared: Prepared,
+    prepared: PreparedProblem,
     start: np.ndarray | None = None,
     solver: str = "ipopt",
     stop: StoppingCriteria | None = None,

@@ -8,9 +8,9 @@ import click
 
 from scripts.measure.shared import head, row, solver_option
 from trajopt import Problem, check, solve
-from trajopt.reduced.two_stage import recover_torques, without_torques
-from trajopt.reduced.wrench_distribution import redistributed
-from trajopt.solving.solving import Prepared, prepare
+from trajopt.reduced.two_stage import base_rows_problem, recover_torques
+from trajopt.reduced.wrench_distribution import redistribute_wrenches
+from trajopt.solving.solving import PreparedProblem, prepare
 from trajopt.solving.warm_start import warm_start
 from trajopt.transcription.stage_functions import derivatives
 from trajopt_library import problems
@@ -42,10 +42,10 @@ def two_stage(solver: str) -> None:
 
 def compare(problem: Problem, solver: str) -> None:
     """Print the table of one problem."""
-    full, first = prepare(problem), prepare(without_torques(problem))
-    whole, motion = solve(problem, solver=solver), solve(without_torques(problem), solver=solver)
+    full, first = prepare(problem), prepare(base_rows_problem(problem))
+    whole, motion = solve(problem, solver=solver), solve(base_rows_problem(problem), solver=solver)
     begun = time.perf_counter()
-    shared = redistributed(problem, motion)
+    shared = redistribute_wrenches(problem, motion)
     sharing = time.perf_counter() - begun
     head(*TITLES)
     for name, prepared, found, more in (
@@ -65,7 +65,7 @@ def compare(problem: Problem, solver: str) -> None:
     click.echo(f"\ncheck of the redistributed wrenches: {', '.join(check(shared).failures()) or 'passes'}")
 
 
-def instructions(prepared: Prepared) -> str:
+def instructions(prepared: PreparedProblem) -> str:
     """SX instructions of values, first and second derivatives of the largest point function."""
     largest = max((group.point for group in prepared.transcription.groups), key=lambda point: point.n_z)
     made = derivatives(largest)

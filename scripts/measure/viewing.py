@@ -14,8 +14,8 @@ import numpy as np
 
 from scripts.measure.shared import head, row, solver_option
 from trajopt import Solution
-from trajopt.solving.iterate import Iterate, Watch
-from trajopt.solving.solving import Prepared, prepare, solve_prepared
+from trajopt.solving.monitoring import Iterate, Watch
+from trajopt.solving.solving import PreparedProblem, prepare, solve_prepared
 from trajopt.view.replay.browser import chromium
 from trajopt.view.replay.show import replay
 from trajopt.view.watching.history import History
@@ -101,7 +101,7 @@ MODES: dict[str, Callable[[Path, ExitStack], Watch | None]] = {
 }
 
 
-def watched(prepared: Prepared, solver: str, mode: str) -> tuple[int, float, float, int]:
+def watched(prepared: PreparedProblem, solver: str, mode: str) -> tuple[int, float, float, int]:
     """Iterations, the solver's seconds, seconds in the watch, and iterates drawn."""
     spent = 0.0
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:

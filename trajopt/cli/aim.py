@@ -16,7 +16,7 @@ from trajopt.errors import InputError
 if TYPE_CHECKING:
     from trajopt.problem.problem import Problem
     from trajopt.solution.solution import Solution
-    from trajopt.solving.iterate import Watch
+    from trajopt.solving.monitoring import Watch
     from trajopt.study.choosing.solve_to import Aimed
 
 # Options that a choice makes, or that have no meaning with it.

@@ -29,8 +29,8 @@ from trajopt.solution.output import check_output
 if TYPE_CHECKING:
     from trajopt.problem.family import Family
     from trajopt.problem.problem import Problem
-    from trajopt.solving.continuation import Continuation, Step
-    from trajopt.solving.iterate import Watch
+    from trajopt.solving.continuation import Continuation, ContinuationStep
+    from trajopt.solving.monitoring import Watch
 
 NOT_REACHED = 1
 MOST_VALUES = 1000
@@ -172,7 +172,7 @@ def _print(found: Continuation, problem: str, name: str, files: dict[str, str]) 
         shown.print(file, soft_wrap=True)
 
 
-def _row(step: Step, compared: bool) -> list[str]:
+def _row(step: ContinuationStep, compared: bool) -> list[str]:
     meta = step.solution.meta
     origin = (
         "default guess" if not meta["warm_start"] else "file" if step.origin is None else f"{step.origin:g}"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from trajopt.solving.interruption import GRACE, Interruption, end_at_once, interruptible
 
 if TYPE_CHECKING:
-    from trajopt.solving.iterate import Watch
+    from trajopt.solving.monitoring import Watch
 
 # Exit status of a run that did not solve its problem.
 UNSOLVED = 1
@@ -97,7 +97,7 @@ def watched(
     line an iteration on stderr, instead. viewer: another watch. Raises `InputError` for a file that cannot be
     written, and KeyboardInterrupt at the end if Ctrl-C came before the solver started.
     """
-    from trajopt.solving.iterate import combined
+    from trajopt.solving.monitoring import combine_watches
     from trajopt.view.watching.panel import ConvergencePanel
     from trajopt.view.watching.record import IterationLines, IterationTable
 
@@ -116,7 +116,7 @@ def watched(
         )
         try:
             with interruption.raising():
-                yield {"progress": control, "watch": combined(shown, table, viewer)}
+                yield {"progress": control, "watch": combine_watches(shown, table, viewer)}
         except Exception:
             interruption.check()  # the error may be what has become of a press
             raise

@@ -12,7 +12,7 @@ from trajopt.cli.report import to_json
 from trajopt.solution.output import check_output
 
 if TYPE_CHECKING:
-    from trajopt.solving.reference import Rung
+    from trajopt.solving.reference import MeshSolve
 
 NOT_REACHED = 1
 
@@ -44,13 +44,13 @@ def reference_command(
 
     Exit status 1 when no two do within the time: the reason is printed, and no file written.
     """
-    from trajopt.solving.reference import Agreement, NoReferenceError, reference
+    from trajopt.solving.reference import Agreement, NoReferenceError, converged_reference
 
     loaded = chosen_problem(problem, settings)
     target = check_output(output or Path(f"{problem}-reference.npz"))
     bounds = Agreement(objective=objective, distance=distance)
     try:
-        converged = reference(loaded, agreement=bounds, progress=_show, **arguments)
+        converged = converged_reference(loaded, agreement=bounds, progress=_show, **arguments)
     except NoReferenceError as error:
         click.echo(f"trajopt: {error}", err=True)
         return NOT_REACHED
@@ -60,5 +60,5 @@ def reference_command(
     return 0
 
 
-def _show(rung: Rung) -> None:
+def _show(rung: MeshSolve) -> None:
     click.echo(str(rung), err=True)

@@ -15,8 +15,8 @@ from trajopt.errors import InputError
 if TYPE_CHECKING:
     from trajopt.problem.problem import Problem
     from trajopt.solution.solution import Solution
-    from trajopt.solving.iterate import Watch
     from trajopt.solving.ladder import Ladder
+    from trajopt.solving.monitoring import Watch
 
 LADDER_FORM = "allowed: SCHEME@INTERVALS,..., such as legendre:1@15,legendre:2@50"
 

@@ -9,4 +9,4 @@ from .legged_guess import legged_guess as legged_guess
 from .lip import Pendulum as Pendulum
 from .single_rigid_body import body_problem as body_problem
 from .two_stage import recover_torques as recover_torques
-from .wrench_distribution import redistributed as redistributed
+from .wrench_distribution import redistribute_wrenches as redistribute_wrenches

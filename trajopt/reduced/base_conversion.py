@@ -15,6 +15,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 import pinocchio as pin
+from typing_extensions import override
 
 from trajopt.dynamics.base_joint import AXES, virtual_order
 from trajopt.dynamics.virtual_base import (
@@ -114,6 +115,7 @@ def _rotation(q: np.ndarray) -> np.ndarray:
 class BaseVelocityCost(VelocityCost):
     """`VelocityCost` of a virtual base by its motion: world linear and body angular velocity, joint rates."""
 
+    @override
     def residual(self, context: Context, units: Units) -> ca.SX:
         omega, _ = _body_rates(context)
         return ca.vertcat(context.dxi[:3], omega, context.dxi[6:]) / units.velocity
@@ -123,6 +125,7 @@ class BaseVelocityCost(VelocityCost):
 class BaseAccelerationCost(AccelerationCost):
     """`AccelerationCost` of a virtual base by its motion: the derivatives of `BaseVelocityCost`'s."""
 
+    @override
     def residual(self, context: Context, units: Units) -> ca.SX:
         _, change = _body_rates(context)
         return ca.vertcat(context.ddxi[:3], change, context.ddxi[6:]) / units.acceleration

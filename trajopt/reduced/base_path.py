@@ -190,7 +190,7 @@ class WaypointPath:
         return pin.SE3(pin.exp3(turned) @ self._rotations[i], position)
 
     def _end_rate(self, stretch: int) -> np.ndarray:
-        """theta' (3,) at the end of a stretch: J_l(theta)^-1 omega, with J_l(theta) = J_r(theta)^T."""
+        """Rate theta' (3,) at the end of a stretch: J_l(theta)^-1 omega, with J_l(theta) = J_r(theta)^T."""
         turn = np.asarray(self._points[stretch + 1].turn)
         turned: np.ndarray = np.linalg.solve(pin.Jexp3(turn).T, self._spins[stretch + 1])
         return turned
@@ -204,6 +204,16 @@ def _gentle_slope(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     product = before * after
     total = np.where(product > 0, before + after, 1.0)
     return np.asarray(np.where(product > 0, 2 * product / total, 0.0))
+
+
+def heading_of(rotation: np.ndarray) -> float:
+    """Return the angle (rad) from the world's x axis to a rotation's, seen from above."""
+    return math.atan2(rotation[1, 0], rotation[0, 0])
+
+
+def turn_to_heading(rotation: np.ndarray) -> np.ndarray:
+    """Return the rotation (3, 3) about the vertical by the heading of a rotation."""
+    return np.array(pin.utils.rotate("z", heading_of(rotation)))
 
 
 def flights(schedule: Schedule) -> list[tuple[float, float]]:

@@ -12,7 +12,13 @@ from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.reduced.foot_motion import CACHED_POSTURES, DEFAULT_CLEARANCE, FootMotion, Swing, foot_targets
+from trajopt.reduced.foot_motion import (
+    CACHED_POSTURES,
+    DEFAULT_CLEARANCE,
+    FootMotion,
+    FootSwing,
+    foot_targets,
+)
 from trajopt.reduced.footsteps import Foothold, feet_of
 from trajopt.reduced.single_rigid_body import footholds_of
 from trajopt.robot.kinematics import inverse_kinematics
@@ -25,8 +31,8 @@ class BasePath:
     """Placement of the free-flyer over time through a solution's samples, twice differentiable in a phase.
 
     Positions by quintics through position, velocity and acceleration; rotations by cubics in exponential
-    coordinates relative to the sample before. ``durations`` are those of the phases in s in which the path
-    is asked for, default the solution's: it is stretched, where they were free.
+    coordinates relative to the sample before. ``durations`` of the phases in s, default the solution's: the
+    path is stretched to them.
     """
 
     def __init__(self, solution: Solution, durations: Sequence[float] | None = None) -> None:
@@ -91,7 +97,7 @@ class _LegPosture:
 
     def _foot(self, name: str, t: float, placement: pin.SE3) -> Foothold:
         found = self.feet.at(name, t)
-        if not (isinstance(found, Swing) and found.airborne):
+        if not (isinstance(found, FootSwing) and found.airborne):
             return self.feet.foothold(name, t)
         part = smooth_step(found.fraction)
         before, after = (
@@ -103,10 +109,15 @@ class _LegPosture:
 
 
 def guess_from_srb(problem: Problem, solution: Solution, *, clearance: float = DEFAULT_CLEARANCE) -> Motion:
-    """A guess ``t -> q`` (nq,) for ``problem`` from the ``solution`` of its `body_problem`.
+    """Return a guess ``t -> q`` (nq,) for a problem from the solution of its `body_problem`.
 
-    clearance: height of swings while other feet stand, m. Raises InputError where the solution is not one
-    of a single free-flyer with the problem's phases.
+    Args:
+        problem: The problem of the whole robot.
+        solution: Of one body: a single free-flyer, with the problem's phases.
+        clearance: Height of swings while other feet stand, m.
+
+    Raises:
+        InputError: For another solution.
     """
     names = [phase.name for phase in problem.schedule.phases]
     if solution.q.shape[1] != 7 or list(solution.meta["phase_names"]) != names:

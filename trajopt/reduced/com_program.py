@@ -33,8 +33,8 @@ from trajopt.reduced.footsteps import FootstepPlan, support_vertices
 from trajopt.reduced.lip import Pendulum, PendulumMotion
 from trajopt.robot.robot import Robot
 
-Control = Literal["zmp_rate", "jerk"]
-Terminal = Literal["rest", "captured"]
+PendulumInput = Literal["zmp_rate", "jerk"]
+EndCondition = Literal["rest", "captured"]
 
 # OSQP's tolerance in m: far below what a foot is placed to. Its iterations are cheap.
 QP_TOLERANCE = 1e-9
@@ -63,14 +63,14 @@ class CenterOfMassProgram:
     pendulum: Pendulum
     com_start: np.ndarray
     velocity_start: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    control: Control = "zmp_rate"
-    terminal: Terminal = "rest"
+    control: PendulumInput = "zmp_rate"
+    terminal: EndCondition = "rest"
     step: float = 0.05
     smoothing: float = 0.05
     shrink: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, allowed in (("control", get_args(Control)), ("terminal", get_args(Terminal))):
+        for name, allowed in (("control", get_args(PendulumInput)), ("terminal", get_args(EndCondition))):
             if getattr(self, name) not in allowed:
                 raise InputError(f"{name}={getattr(self, name)!r}", f"allowed: {', '.join(allowed)}")
         for name in ("step", "smoothing"):
@@ -109,7 +109,7 @@ class _Model:
     B: np.ndarray  # (3, 1)
     Zx: np.ndarray  # (n, 3)
     Zu: np.ndarray  # (n, 1)
-    terminal: Mapping[Terminal, np.ndarray]  # rows over x that vanish at the end
+    terminal: Mapping[EndCondition, np.ndarray]  # rows over x that vanish at the end
 
 
 def _zmp_rate_model(omega: float, h: float) -> _Model:

@@ -17,7 +17,7 @@ from trajopt.reduced.footsteps import Foothold, FootstepPlan, feet_of
 from trajopt.robot.kinematics import inverse_kinematics
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion
-from trajopt.terrain.swing_profile import smooth_step
+from trajopt.terrain.swing_profile import smooth_step, swing_profile
 
 # Height in m of a swing over the straight line between its footholds, unless the caller says otherwise.
 DEFAULT_CLEARANCE = 0.05
@@ -29,7 +29,7 @@ CACHED_POSTURES = 4096
 
 
 @dataclass(frozen=True)
-class Swing:
+class FootSwing:
     """A foot in the air from ``start`` to ``end``, between two ``times`` in s, now at a ``fraction`` of them.
 
     ``airborne``: for some of it no other foot is on the ground.
@@ -59,35 +59,37 @@ class FootMotion:
             raise InputError(f"clearance is {self.clearance:g} m", "allowed: finite and >= 0")
 
     @cached_property
-    def _times(self) -> list[float]:
+    def times(self) -> list[float]:
+        """Times between supports, s, with the start and the end."""
         return [0.0, *accumulate(support.duration for support in self.plan.supports)]
 
-    def _support_at(self, t: float) -> int:
+    def support_at(self, t: float) -> int:
+        """Index of the support at ``t``; of two the later one; times are clipped."""
         last = len(self.plan.supports) - 1
-        return int(np.clip(np.searchsorted(self._times, t, side="right") - 1, 0, last))
+        return int(np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, last))
 
-    def at(self, name: str, t: float) -> Foothold | Swing:
+    def at(self, name: str, t: float) -> Foothold | FootSwing:
         """The foothold on which the foot ``name`` stands at ``t``, or its swing; times are clipped."""
-        supports, now = self.plan.supports, self._support_at(t)
+        supports, now = self.plan.supports, self.support_at(t)
         if name in supports[now].feet:
             return supports[now].feet[name]
         before = next((i for i in range(now, -1, -1) if name in supports[i].feet), -1)
         after = next((i for i in range(now, len(supports)) if name in supports[i].feet), len(supports))
         start = supports[before].feet[name] if before >= 0 else self.initial[name]
         end = supports[after].feet[name] if after < len(supports) else start
-        begin, over = self._times[before + 1], self._times[after]
+        begin, over = self.times[before + 1], self.times[after]
         fraction = min(max((t - begin) / (over - begin), 0.0), 1.0)
         airborne = any(not support.feet for support in supports[before + 1 : after])
-        return Swing(start, end, (begin, over), fraction, airborne)
+        return FootSwing(start, end, (begin, over), fraction, airborne)
 
     def foothold(self, name: str, t: float) -> Foothold:
         """Place of the foot in the world; a swing is lifted by ``clearance`` in its middle."""
         found = self.at(name, t)
         if isinstance(found, Foothold):
             return found
-        s, part = found.fraction, smooth_step(found.fraction)
+        part = smooth_step(found.fraction)
         position = (1 - part) * found.start.position + part * found.end.position
-        lift = np.array([0.0, 0.0, self.clearance * 16 * s * s * (1 - s) ** 2])
+        lift = np.array([0.0, 0.0, self.clearance * swing_profile(found.fraction)])
         turn = math.remainder(found.end.yaw - found.start.yaw, math.tau)
         return Foothold(position=position + lift, yaw=found.start.yaw + part * turn)
 
@@ -151,10 +153,17 @@ def guess_from_lip(
     q: np.ndarray | None = None,
     clearance: float = DEFAULT_CLEARANCE,
 ) -> Motion:
-    """A guess ``t -> q`` (nq,) for the full robot: CoM on ``motion``, feet of ``plan``, base level.
+    """Return a guess ``t -> q`` (nq,) for the full robot, its base level.
 
-    q: posture at the start (nq,), default the reference; its CoM height is kept. clearance: height of
-    the swings, m. Raises InputError for a robot without a free-flyer in world axes.
+    Args:
+        robot: A robot on a free-flyer in world axes.
+        plan: Where the feet stand, and when.
+        motion: Horizontal motion of the centre of mass.
+        q: Posture at the start (nq,), default the reference; its height of the centre of mass is kept.
+        clearance: Height of the swings, m.
+
+    Raises:
+        InputError: For a robot on another base.
     """
     require_free_flyer(robot)
     start = np.array(robot.reference if q is None else q, dtype=float)

@@ -13,9 +13,10 @@ from trajopt.errors import InputError
 from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terrain.terrain import Terrain
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Foothold:
     """A foot flat on level ground: ``position`` (3,) of the contact frame in the world, m; ``yaw`` in rad."""
 
@@ -30,8 +31,8 @@ class Foothold:
         object.__setattr__(self, "position", position)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Support:
+@dataclass(frozen=True)
+class SupportPhase:
     """A stretch of time, s, with a constant set of feet on the ground by contact name; none in flight."""
 
     name: str
@@ -48,7 +49,7 @@ class Support:
 class FootstepPlan:
     """Supports in time order; a foot that is in two consecutive ones stays where it is."""
 
-    supports: tuple[Support, ...]
+    supports: tuple[SupportPhase, ...]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "supports", tuple(self.supports))
@@ -85,7 +86,17 @@ class FootstepPlan:
         return Schedule(tuple(phases))
 
 
-def support_vertices(robot: Robot, support: Support, shrink: float = 0.0) -> np.ndarray:
+def landing_place(phase: Phase, name: str, terrain: Terrain, point: np.ndarray) -> np.ndarray:
+    """Return where a contact lands (3,), m: its foothold, else next to ``point`` on its patch or surface."""
+    if name in phase.footholds:
+        return np.asarray(phase.footholds[name])
+    if name in phase.patches:
+        return np.asarray(phase.patches[name].nearest(point))
+    surface = phase.surface(name, terrain).plane_at(point)
+    return np.asarray(point - float(surface.distance(point)) * surface.normal)
+
+
+def support_vertices(robot: Robot, support: SupportPhase, shrink: float = 0.0) -> np.ndarray:
     """Points (n, 2) in m whose convex hull is the support polygon: contact points, corners of soles.
 
     ``shrink`` in [0, 1) is the part of a sole's half sizes kept as a margin. Raises InputError in flight.
@@ -163,18 +174,18 @@ class Walk:
                 f"robot '{robot.name}' has {len(start)} contacts", "allowed: a biped, 2 contacts"
             )
         swing = robot.contacts[0].name if self.first is None else robot.contact(self.first).name
-        supports, feet = [Support(name="shift", duration=self.shift_time, feet=start)], start
+        supports, feet = [SupportPhase(name="shift", duration=self.shift_time, feet=start)], start
         path = _Path(start, self.width)
         for step in range(1, self.steps + 1):
             stance = next(name for name in feet if name != swing)
             held = {stance: feet[stance]}
-            supports.append(Support(name=f"step_{step}", duration=self.step_time, feet=held))
+            supports.append(SupportPhase(name=f"step_{step}", duration=self.step_time, feet=held))
             if step < self.steps:
                 path.advance(self.length, self.turn)
             feet = {name: path.foothold(name) if name == swing else feet[name] for name in start}
             last = step == self.steps
             name, duration = ("settle", self.settle_time) if last else (f"double_{step}", self.double_support)
-            supports.append(Support(name=name, duration=duration, feet=feet))
+            supports.append(SupportPhase(name=name, duration=duration, feet=feet))
             swing = stance
         return FootstepPlan(tuple(supports))
 

@@ -15,11 +15,17 @@ import pinocchio as pin
 
 from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
 from trajopt.errors import InputError
-from trajopt.reduced.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights
+from trajopt.reduced.base_path import (
+    SAME_TIME,
+    BaseWaypoint,
+    WaypointPath,
+    flights,
+    heading_of,
+    turn_to_heading,
+)
 from trajopt.reduced.legged_guess import LeggedPosture, legged_guess
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion, Schedule
-from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.swing_profile import smooth_step
 
 # Step of the differences that give a state's rates, s; contacts are brought to rest exactly afterwards.
@@ -92,7 +98,7 @@ def _travelled(t: float, times: tuple[float, float]) -> float:
 def base_pose(robot: Robot, pace: Pace, t: float) -> pin.SE3:
     """Placement of the base at ``t`` s: level at the reference's height and heading, moved by the pace."""
     start = pin.XYZQUATToSE3(robot.reference[:7])
-    turned = np.array(pin.utils.rotate("z", _heading_of(start.rotation)))
+    turned = turn_to_heading(start.rotation)
     shift, angle = pace.pose(t)
     position = start.translation + turned @ np.append(shift, 0.0)
     return pin.SE3(np.array(pin.utils.rotate("z", angle)) @ start.rotation, position)
@@ -152,14 +158,14 @@ def _waypoint_times(schedule: Schedule) -> list[float]:
 def _velocity(robot: Robot, pace: Pace, t: float) -> tuple[np.ndarray, np.ndarray]:
     """Velocity (3,) m/s and angular velocity (3,) rad/s of the base at ``t`` s, world."""
     part, (_, angle) = pace.part(t), pace.pose(t)
-    heading = _heading_of(pin.XYZQUATToSE3(robot.reference[:7]).rotation) + angle
+    heading = heading_of(pin.XYZQUATToSE3(robot.reference[:7]).rotation) + angle
     forward = np.array([*pace.velocity, 0.0])
     turned = np.array(pin.utils.rotate("z", heading)) @ forward
     return part * turned, np.array([0.0, 0.0, part * pace.turn_rate])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Plan:
+class GaitPlan:
     """A schedule with the footholds of all contacts that land, and its guess ``t -> q`` (nq,).
 
     Contacts that land at the beginning, after what goes before, have footholds in the first phase.
@@ -184,7 +190,7 @@ class Plan:
 
 def plan_of_cycle(
     robot: Robot, cycle: Schedule, pace: Pace, *, mirror: Mapping[str, str] | None = None, clearance: float
-) -> Plan:
+) -> GaitPlan:
     """The plan of a periodic motion, the middle one of five cycles of ``cycle``.
 
     mirror: where the cycle is half of one, the contact on the other side, for every contact: halves before
@@ -196,7 +202,7 @@ def plan_of_cycle(
 
 def plan_of_part(
     robot: Robot, part: Schedule, whole: Schedule, first: int, pace: Pace, *, clearance: float
-) -> Plan:
+) -> GaitPlan:
     """The plan of a ``part`` of a longer schedule, whose phases ``first`` and on it repeats.
 
     The whole says how feet move that are in the air at the part's ends, and where stances that go on behind
@@ -210,7 +216,7 @@ def plan_of_part(
     phases = [
         replace(own, footholds=landing.footholds) for own, landing in zip(part.phases, landings, strict=False)
     ]
-    return Plan(schedule=Schedule(tuple(phases)), guess=lambda t: motion(t + begin))
+    return GaitPlan(schedule=Schedule(tuple(phases)), guess=lambda t: motion(t + begin))
 
 
 def _repeated(cycle: Schedule, mirror: Mapping[str, str] | None) -> tuple[Schedule, int]:
@@ -232,16 +238,7 @@ def _repeated(cycle: Schedule, mirror: Mapping[str, str] | None) -> tuple[Schedu
 
 def with_footholds(robot: Robot, schedule: Schedule, path: WaypointPath) -> Schedule:
     """The schedule with footholds for all contacts that begin with a phase, as in `legged_guess`."""
-    posture = LeggedPosture(
-        robot=robot,
-        schedule=schedule,
-        base=path,
-        start=robot.reference,
-        terrain=FlatGround(),
-        clearance=0.0,
-        tuck=0.0,
-        swing=None,
-    )
+    posture = LeggedPosture(robot=robot, schedule=schedule, base=path, start=robot.reference)
     begins = np.cumsum([0.0, *(phase.duration for phase in schedule.phases)])
     rounding = SAME_TIME * schedule.duration
     phases = []
@@ -254,7 +251,3 @@ def with_footholds(robot: Robot, schedule: Schedule, path: WaypointPath) -> Sche
         }
         phases.append(replace(phase, footholds=places))
     return Schedule(tuple(phases))
-
-
-def _heading_of(rotation: np.ndarray) -> float:
-    return math.atan2(rotation[1, 0], rotation[0, 0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -12,14 +12,14 @@ import pinocchio as pin
 
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
-from trajopt.reduced.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights
+from trajopt.reduced.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights, turn_to_heading
 from trajopt.reduced.foot_motion import CACHED_POSTURES, require_free_flyer
 from trajopt.robot.kinematics import contact_poses, inverse_kinematics
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion, Phase, Schedule
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import Surface, frame_of_normal
-from trajopt.terrain.swing_profile import smooth_step
+from trajopt.terrain.swing_profile import smooth_step, swing_profile
 from trajopt.terrain.terrain import Terrain
 
 # Height of a swing over the straight line between its footholds, as a part of the robot's length.
@@ -30,11 +30,11 @@ CLEARANCE_PART = 0.1
 FAR, STEPS = 1.5, 12
 
 # Place (3,) in m, world, of a swinging contact: its name, where it left, where it lands, the part done.
-SwingPath = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
+SwingTrajectory = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Stance:
+class FootStance:
     """A contact holds ``place`` (world, m) from ``begin`` to ``end``, s."""
 
     begin: float
@@ -50,10 +50,10 @@ class LeggedPosture:
     schedule: Schedule
     base: WaypointPath
     start: np.ndarray
-    terrain: Terrain
-    clearance: float
-    tuck: float
-    swing: SwingPath | None
+    terrain: Terrain = field(default_factory=FlatGround)
+    clearance: float = 0.0
+    tuck: float = 0.0
+    swing: SwingTrajectory | None = None
 
     def __call__(self, t: float) -> np.ndarray:
         """Configuration (nq,) at time ``t`` in s."""
@@ -120,7 +120,7 @@ class LeggedPosture:
             position = np.asarray(self.swing(name, start.translation, end.translation, s), dtype=float)
         else:
             position = start.translation + smooth_step(s) * (end.translation - start.translation)
-            position = position + np.array([0.0, 0.0, self.clearance * _bump(s)])
+            position = position + np.array([0.0, 0.0, self.clearance * swing_profile(s)])
         return pin.SE3(_between(start.rotation, end.rotation, smooth_step(s)), position)
 
     def _carried(
@@ -133,10 +133,10 @@ class LeggedPosture:
         before, after = (self.base(t).actInv(place) for t, place in zip(times, places, strict=True))
         part = smooth_step(s)
         local = (1 - part) * before.translation + part * after.translation
-        local = local + np.array([0.0, 0.0, self.tuck * _bump(s)])
+        local = local + np.array([0.0, 0.0, self.tuck * swing_profile(s)])
         position = placement.act(local)
         line = (1 - part) * places[0].translation[2] + part * places[1].translation[2]
-        position[2] = line + math.hypot(position[2] - line, self.clearance * _bump(s))
+        position[2] = line + math.hypot(position[2] - line, self.clearance * swing_profile(s))
         turn = placement.rotation @ _between(before.rotation, after.rotation, part)
         return pin.SE3(turn, position)
 
@@ -154,10 +154,10 @@ class LeggedPosture:
         return contact_poses(self.robot, self.start)
 
     @cached_property
-    def stances(self) -> dict[str, list[Stance]]:
+    def stances(self) -> dict[str, list[FootStance]]:
         """Stances of every contact in time order: at the start's places, then where they land."""
         ends = np.cumsum([phase.duration for phase in self.schedule.phases])
-        found: dict[str, list[Stance]] = {contact.name: [] for contact in self.robot.contacts}
+        found: dict[str, list[FootStance]] = {contact.name: [] for contact in self.robot.contacts}
         for name, stances in found.items():
             for i, phase in enumerate(self.schedule.phases):
                 if name not in phase.contacts or (i and self.schedule.beginning(name, i) != i):
@@ -169,7 +169,7 @@ class LeggedPosture:
                 place = self._in_the_air_at_first[name]
                 if i:
                     place = self._landing(name, phase, (begin + end) / 2)
-                stances.append(Stance(begin=begin, end=end, place=place))
+                stances.append(FootStance(begin=begin, end=end, place=place))
         return found
 
     def _landing(self, name: str, phase: Phase, middle: float) -> pin.SE3:
@@ -177,14 +177,14 @@ class LeggedPosture:
         nominal = self._nominal(name, self.base(middle))
         surface = phase.surface(name, self.terrain).plane_at(nominal.translation)
         foothold, patch = phase.footholds.get(name), phase.patches.get(name)
-        position = _dropped(nominal.translation, surface) if foothold is None else foothold
+        position = dropped_onto(nominal.translation, surface) if foothold is None else foothold
         position = position if patch is None else patch.nearest(position)
         return pin.SE3(_leaning(surface) @ nominal.rotation, np.array(position))
 
     def _nominal(self, name: str, placement: pin.SE3) -> pin.SE3:
         """Pose of the contact under an upright base at ``placement``, as in the reference posture."""
         reference = pin.XYZQUATToSE3(self.robot.reference[:7])
-        turn = _heading(placement.rotation) @ _heading(reference.rotation).T
+        turn = turn_to_heading(placement.rotation) @ turn_to_heading(reference.rotation).T
         foot = self._reference_feet[name]
         position = placement.translation + turn @ (foot.translation - reference.translation)
         return pin.SE3(turn @ foot.rotation, position)
@@ -203,19 +203,27 @@ def legged_guess(
     terrain: Terrain | None = None,
     clearance: float | None = None,
     tuck: float = 0.0,
-    swing: SwingPath | None = None,
+    swing: SwingTrajectory | None = None,
 ) -> Motion:
-    """A guess ``t -> q`` (nq,) of a legged motion: base on ``path``, feet where the schedule has them.
+    """Return a guess ``t -> q`` (nq,) of a legged motion: base on ``path``, feet where the schedule has them.
 
-    path: waypoints of the base (see `WaypointPath`). start: configuration (nq,) whose contacts are where
-    the first stances are, default the reference. A contact that lands stands on its foothold, or where
-    none is given on its surface or patch (default the ``terrain``) at its nominal place under the base in the
-    middle of its stance. While other contacts stand it swings in a smooth arc ``clearance`` m high
-    (default: a tenth of the robot's length), or along ``swing``; where the robot flies the base carries
-    it, drawn up by ``tuck`` m along the base's z axis in the middle, and at least as high as that arc.
-    Legs start from the reference posture at every time: the guess is a function of time alone.
+    A contact that lands stands on its foothold, or where none is given on its surface or patch at its nominal
+    place under the base in the middle of its stance. While other contacts stand it swings in a smooth arc;
+    where the robot flies the base carries it, at least as high as that arc. Inverse kinematics of the legs
+    start from the reference posture at every time: the guess is a function of time alone.
 
-    Raises `InputError` for a robot without a free-flyer in world axes, and for lengths that are none.
+    Args:
+        robot: A robot on a free-flyer in world axes.
+        schedule: Phases, contacts and footholds.
+        path: Waypoints of the base (see `WaypointPath`).
+        start: Configuration (nq,) whose contacts are where the first stances are; default: the reference.
+        terrain: Ground of contacts without a surface of their own; default: level.
+        clearance: Height of the arc of a swing, m; default: a tenth of the robot's length.
+        tuck: How far feet are drawn up along the base's z axis in the middle of a flight, m.
+        swing: Path of a swinging contact instead of the arc.
+
+    Raises:
+        InputError: For a robot on another base, and for lengths that are not finite.
     """
     require_free_flyer(robot)
     lift = CLEARANCE_PART * robot.length if clearance is None else clearance
@@ -238,23 +246,13 @@ def legged_guess(
     return lru_cache(maxsize=CACHED_POSTURES)(posture.__call__)
 
 
-def _bump(s: float) -> float:
-    """From 0 over 1 in the middle to 0, without slope at the ends."""
-    return 16 * s * s * (1 - s) ** 2
-
-
 def _between(start: np.ndarray, end: np.ndarray, part: float) -> np.ndarray:
     """Rotation (3, 3) on the shortest way from one to another."""
     between: np.ndarray = start @ pin.exp3(part * pin.log3(start.T @ end))
     return between
 
 
-def _heading(rotation: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) about the vertical that turns x to where a rotation's x axis points from above."""
-    return np.array(pin.utils.rotate("z", math.atan2(rotation[1, 0], rotation[0, 0])))
-
-
-def _dropped(position: np.ndarray, surface: Surface) -> np.ndarray:
+def dropped_onto(position: np.ndarray, surface: Surface) -> np.ndarray:
     """The point (3,) of a surface right below or above a position; the nearest one of a vertical surface."""
     distance, upward = float(surface.distance(position)), float(surface.normal[2])
     if abs(upward) < 1e-6:

@@ -18,12 +18,13 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 import pinocchio as pin
+from typing_extensions import override
 
 from trajopt.dynamics.rotations import rotation_matrix
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.reduced.foot_motion import require_free_flyer
-from trajopt.reduced.footsteps import Foothold, FootstepPlan, Support, feet_of
+from trajopt.reduced.footsteps import Foothold, FootstepPlan, SupportPhase, feet_of, landing_place
 from trajopt.robot.kinematics import frame_pose, inverse_kinematics
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
@@ -48,9 +49,11 @@ KEPT = (ContactConstraint, NormalForce, AccelerationCost, VelocityCost, WrenchCo
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RigidBody:
-    """What is left of a robot at its reference: mass (kg), ``lever`` (3,) of the CoM in base axes (m),
-    inertia (3, 3) about the CoM in base axes (kg m^2); by contact name, ``hips`` (3,) in base axes (m)
-    and ``legs``, the distance from hip to foot of the straight leg (m)."""
+    """A robot welded at its reference posture.
+
+    mass: kg. lever: (3,) of the centre of mass, base axes, m. inertia: (3, 3) about it, base axes, kg m^2.
+    hips: by contact, (3,), base axes, m. legs: by contact, from hip to foot of the straight leg, m.
+    """
 
     mass: float
     lever: np.ndarray
@@ -128,25 +131,26 @@ def footholds_of(problem: Problem) -> FootstepPlan:
         landing = problem.schedule.new_contacts(i)
         guessed = feet_of(robot, problem.guess(t)) if landing else {}
         for name in landing:
-            point = guessed[name].position
-            surface = phase.surface(name, problem.terrain).plane_at(point)
-            onto = point - float(surface.distance(point)) * surface.normal
-            onto = phase.patches[name].nearest(point) if name in phase.patches else onto
-            current[name] = replace(guessed[name], position=phase.footholds.get(name, onto))
+            place = landing_place(phase, name, problem.terrain, guessed[name].position)
+            current[name] = replace(guessed[name], position=place)
         feet = {name: current[name] for name in phase.contacts}
-        supports.append(Support(name=phase.name, duration=phase.duration, feet=feet))
+        supports.append(SupportPhase(name=phase.name, duration=phase.duration, feet=feet))
         t += phase.duration
     return FootstepPlan(tuple(supports))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BodyDynamics(PointConstraint):
-    """Newton-Euler equations of one body on known ``footholds``, 6 rows: forces in world axes, moments about
-    the CoM in base axes. Mass properties are parameters: no robot needs a compilation of its own."""
+    """Newton-Euler equations of one body on known ``footholds``, 6 rows.
+
+    Forces are in world axes, moments about the centre of mass in base axes. Mass properties are parameters:
+    no robot needs a compilation of its own.
+    """
 
     body: RigidBody
     footholds: Mapping[str, Foothold]
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows:
         rotation = rotation_matrix(context.q[3:7])
         lever, inertia = context.parameter(self.body.lever), context.parameter(self.body.inertia)
@@ -184,6 +188,7 @@ class FootReach(PointConstraint):
                 f"reach is from {self.shortest:g} to {self.longest:g}", "allowed: 0 <= shortest < longest"
             )
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         rotation, parts = rotation_matrix(context.q[3:7]), []
         for contact in context.contacts:
@@ -203,12 +208,20 @@ def body_problem(
     shortest: float = SHORTEST,
     longest: float = LONGEST,
 ) -> Problem:
-    """The problem on one rigid body: same schedule, footholds of `footholds_of`, reach of the feet.
+    """Return the problem on one rigid body: same schedule, footholds of `footholds_of`, reach of the feet.
 
-    Kept of its terms: contact forces, costs of base motion, wrenches and time, heights of base frames,
-    and the base's part of the terminal state and rest; ``terms`` are added. Impacts become landings at
-    zero velocity: feet without mass have none. Raises InputError without a free-flyer in world axes, or
-    in phases with coordinates of their own.
+    Kept of its terms: contact forces, costs of base motion, wrenches and time, heights of base frames, and
+    the base's part of the terminal state and rest. Impacts become landings at zero velocity: feet without
+    mass have none.
+
+    Args:
+        problem: The problem of the whole robot.
+        terms: More terms, of the one body.
+        shortest: Least distance from hip to foot, over the straight leg's.
+        longest: Largest distance from hip to foot, over the straight leg's.
+
+    Raises:
+        InputError: Without a free-flyer in world axes, or in phases with coordinates of their own.
     """
     if problem.modes:
         raise InputError(f"phases {', '.join(problem.modes)} have coordinates of their own", "allowed: none")

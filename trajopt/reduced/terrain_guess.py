@@ -6,7 +6,6 @@ reference, and leans as that plane does.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -15,10 +14,10 @@ import pinocchio as pin
 
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
-from trajopt.reduced.base_path import BaseWaypoint, WaypointPath, flights
+from trajopt.reduced.base_path import BaseWaypoint, WaypointPath, flights, turn_to_heading
 from trajopt.reduced.foot_motion import require_free_flyer
 from trajopt.reduced.gait_guess import Pace, base_pose, gait_path, with_footholds
-from trajopt.reduced.legged_guess import LeggedPosture, Stance, legged_guess
+from trajopt.reduced.legged_guess import FootStance, LeggedPosture, dropped_onto, legged_guess
 from trajopt.robot.kinematics import contact_positions, inverse_kinematics
 from trajopt.robot.robot import Robot
 from trajopt.schedule.placing import placed_on
@@ -69,7 +68,6 @@ def plan_over_terrain(
         start=start,
         terrain=terrain,
         clearance=clearance,
-        tuck=0.0,
         swing=swing_path(terrain, clearance),
     )
     path = _path_over(robot, placed, pace, posture.stances)
@@ -95,8 +93,7 @@ def standing_on(robot: Robot, terrain: Terrain) -> np.ndarray:
     """
     feet = {}
     for name, place in contact_positions(robot, robot.reference).items():
-        plane = terrain.surface_at(place).plane_at(place)
-        feet[name] = place - np.array([0.0, 0.0, float(plane.distance(place) / plane.normal[2])])
+        feet[name] = dropped_onto(place, terrain.surface_at(place).plane_at(place))
     pose = _pose_over(robot, pin.XYZQUATToSE3(robot.reference[:7]), feet)
     q = robot.reference.copy()
     q[:7] = pin.SE3ToXYZQUAT(pose)
@@ -127,7 +124,7 @@ def _over_face(place: np.ndarray, terrain: PiecewiseTerrain) -> np.ndarray:
 
 
 def _path_over(
-    robot: Robot, schedule: Schedule, pace: Pace, stances: Mapping[str, list[Stance]]
+    robot: Robot, schedule: Schedule, pace: Pace, stances: Mapping[str, list[FootStance]]
 ) -> WaypointPath:
     """The base at every change of supports: at the pace seen from above, over the ground under the feet."""
     waypoints, before = [], np.eye(3)
@@ -140,7 +137,7 @@ def _path_over(
     return WaypointPath(schedule, waypoints, gravity_of(robot.model))
 
 
-def _ground_under(stances: list[Stance], time: float) -> np.ndarray:
+def _ground_under(stances: list[FootStance], time: float) -> np.ndarray:
     """Place (3,) of a foot at a time; in a swing the part of the straight way between its ends."""
     times, places = [], []
     for stance in stances:
@@ -157,8 +154,7 @@ def _pose_over(robot: Robot, level: pin.SE3, feet: Mapping[str, np.ndarray]) -> 
     """
     reference = contact_positions(robot, robot.reference)
     names = sorted(feet)
-    heading = math.atan2(level.rotation[1, 0], level.rotation[0, 0])
-    turn = np.array(pin.utils.rotate("z", heading))
+    turn = turn_to_heading(level.rotation)
     local = np.array([turn.T @ (feet[name] - level.translation) for name in names])
     rises = np.array([feet[name][2] - reference[name][2] for name in names])
     columns = np.column_stack([np.ones(len(names)), local[:, :2] / robot.length])

@@ -6,32 +6,30 @@ wrenches (Del Prete, Focchi: modelling of legged robots). So
 1. find motion and wrenches with  RNEA_base(q, v, a) - sum J_base^T f = 0, feet that do not slip, friction;
 2. read off the torques          tau = RNEA_joints(q, v, a) - sum J_joints^T f.
 
-Stage one is the problem without what asks for torques, `without_torques`; the compiled graph holds the base
+Stage one is the problem without what asks for torques, `base_rows_problem`; the compiled graph holds the base
 rows only. Stage two is `recover_torques`, numeric. No limit on a torque is known to stage one: stage two can
 only report that it is exceeded, or share the wrenches anew (``wrench_distribution``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.samples import sample_quantities
-from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
+from trajopt.reduced.term_reader import TermReader
 from trajopt.robot.actuators.on_robot import drive_torque_values
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.solution.solution import Solution
-from trajopt.terms.context import Context
+from trajopt.terms.context_symbols import Place
 from trajopt.terms.costs import AccelerationCost, TorqueCost, WrenchCost
-from trajopt.terms.interfaces import Cost, PointConstraint, Term
+from trajopt.terms.interfaces import Cost, Term
 
 # Weight of the accelerations relative to the torque cost's where nothing else makes the motion unique.
 LEAST_ACCELERATION_SHARE = 1e-2
@@ -39,38 +37,18 @@ LEAST_ACCELERATION_SHARE = 1e-2
 ROUNDING = 1e-6
 
 
-def asks_for_torques(problem: Problem, term: Term) -> bool:
-    """Whether a term depends on the actuated rows, found by writing it out in every phase it acts in."""
-    if not (isinstance(term, Cost | PointConstraint) and term.acts_at_points):
-        return False
-    return any(
-        _depends_on_torques(term, context, Units(problem.robot))
-        for name, context in _contexts(problem)
-        if term.acts_in(name)
-    )
+def torque_terms(problem: Problem) -> list[Term]:
+    """Return the terms that depend on joint torques at collocation points, in the problem's order."""
+    reader = TermReader(problem)
+    users = {
+        id(instance.term)
+        for instance in reader.every()
+        if instance.context.place is Place.POINT and instance.uses_torques
+    }
+    return [term for term in problem.terms if id(term) in users]
 
 
-def _contexts(problem: Problem) -> Iterator[tuple[str, Context]]:
-    robot = problem.robot
-    coordinates = Coordinates(robot.model)
-    for i, phase in enumerate(problem.schedule.phases):
-        contacts = tuple(robot.contact(name) for name in phase.contacts)
-        yield phase.name, Context(robot, coordinates, contacts, surfaces=problem.surfaces_of(i))
-
-
-def _depends_on_torques(term: Cost | PointConstraint, context: Context, units: Units) -> bool:
-    if isinstance(term, Cost):
-        expression = term.value(context, units)
-    else:
-        rows = term.rows(context, units)
-        expression = ca.SX(0, 1) if rows is None else rows.expression
-    if not context.uses_dynamics:
-        return False
-    columns = ca.jacobian_sparsity(ca.vec(expression), context.generalized_forces).get_triplet()[1]
-    return any(column >= context.robot.n_unactuated for column in columns)
-
-
-def without_torques(problem: Problem, *, replacement: tuple[Cost, ...] | None = None) -> Problem:
+def base_rows_problem(problem: Problem, *, replacement: tuple[Cost, ...] | None = None) -> Problem:
     """Stage one of a problem: its terms without those that ask for torques, and costs in their place.
 
     replacement: costs to put in the place of those left out; None chooses. Then for a `TorqueCost` comes a
@@ -81,7 +59,7 @@ def without_torques(problem: Problem, *, replacement: tuple[Cost, ...] | None = 
     """
     if problem.actuation != "torque":
         raise InputError(f"actuation of problem '{problem.name}' is {problem.actuation}", "allowed: torque")
-    dropped = [term for term in problem.terms if asks_for_torques(problem, term)]
+    dropped = torque_terms(problem)
     kept = tuple(term for term in problem.terms if not any(term is other for other in dropped))
     if replacement is None:
         replacement = _replacement(problem.robot, kept, dropped)
@@ -118,15 +96,17 @@ def standing_share(robot: Robot) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TorqueBounds:
-    """Least and largest actuated row at every sample, (K, nu) N m, infinite where unlimited; ``scale`` (nu,)
-    N m is what an excess is measured in: the largest torque of the joint."""
+    """Least and largest actuated row at every sample, (K, nu) N m, infinite where unlimited.
+
+    ``scale`` (nu,) N m is what an excess is measured in: the largest torque of the joint.
+    """
 
     lower: np.ndarray
     upper: np.ndarray
     scale: np.ndarray
 
 
-def effort_limit(problem: Problem) -> np.ndarray:
+def problem_effort_limit(problem: Problem) -> np.ndarray:
     """Effort limit (nu,) of a problem, N m, joint side: its terms' or the robot's; inf where none."""
     robot = problem.robot
     limits = {"effort_limit": np.full(robot.nu, np.inf) if robot.effort_limit is None else robot.effort_limit}
@@ -141,7 +121,7 @@ def torque_bounds(problem: Problem, v: np.ndarray) -> TorqueBounds:
     From the problem's effort limits (the robot's, where it has none) and from its drives: current,
     voltage at the joint's rate, and their friction, which the drive has to overcome.
     """
-    robot, effort = problem.robot, effort_limit(problem)
+    robot, effort = problem.robot, problem_effort_limit(problem)
     rates = v[:, robot.n_unactuated :]
     upper = np.tile(effort, (len(v), 1))
     lower, scale = -upper, effort.copy()

@@ -30,7 +30,7 @@ from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.reduced.two_stage import TorqueBounds, effort_limit, torque_bounds
+from trajopt.reduced.two_stage import TorqueBounds, problem_effort_limit, torque_bounds
 from trajopt.robot.units import Units
 from trajopt.solution.grid import interpolated
 from trajopt.solution.solution import Solution
@@ -52,14 +52,19 @@ TRUSTED = 5e-7
 BISECTIONS = 20
 
 
-def redistributed(problem: Problem, solution: Solution) -> Solution:
-    """The solution with wrenches shared anew and the torques that follow; motion, times and phases are kept.
+def redistribute_wrenches(problem: Problem, solution: Solution) -> Solution:
+    """Return the solution with wrenches redistributed and the torques that follow; the motion is kept.
 
-    ``problem`` is the full one, with its limits and contact terms; ``solution`` a motion of its schedule.
     Wrenches and torques between the points follow the interpolating polynomials, as in any solution. Where
     there is no internal force, or OSQP finds nothing better, wrenches stay; ``meta["redistributed"]`` counts
-    the points that changed and those that were kept, and ``effort_limit`` is the full problem's. Raises
-    InputError for phases with coordinates of their own, or a foreign solution.
+    the points that changed and those that were kept, and ``effort_limit`` is the full problem's.
+
+    Args:
+        problem: The full problem, with its limits and contact terms.
+        solution: A motion of its schedule.
+
+    Raises:
+        InputError: For phases in minimal coordinates, or a solution of another robot.
     """
     if problem.modes or solution.v.shape[1] != problem.robot.nv:
         raise InputError("wrenches are redistributed for the whole robot in its own coordinates", "no modes")
@@ -74,7 +79,7 @@ def redistributed(problem: Problem, solution: Solution) -> Solution:
             f[row], torque[row] = found
             changed += 1
     f, torque = interpolated(solution, f), interpolated(solution, torque)
-    limit = np.asarray(problem.robot.actuated_row_limit(effort_limit(problem)))
+    limit = np.asarray(problem.robot.actuated_row_limit(problem_effort_limit(problem)))
     meta = {
         **solution.meta,
         "effort_limit": np.minimum(limit, sys.float_info.max).tolist(),

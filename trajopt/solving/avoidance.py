@@ -25,7 +25,7 @@ from trajopt.terms.clearance import Clearance, collision_scene
 # Pairs nearer than this along the guess become rows, over the robot's length. A motion that leaves its
 # guess by more than this part of the reach brings in pairs that `solve_clear` finds.
 BAND = 0.2
-# The guess is looked at this often: a tool that crosses the robot's length moves a twentieth of it between.
+# The guess is sampled this often: a tool that crosses the robot's length moves a twentieth of it between.
 LOOKS = 40
 # `solve_clear` gives up after this many solves: each adds a pair or halves the steps.
 MOST_SOLVES = 5
@@ -40,14 +40,21 @@ def with_obstacles(
     self_collision: bool = False,
     band: float | None = None,
 ) -> Problem:
-    """The problem with its robot kept ``margin`` m away from ``obstacles``, and from itself if asked.
+    """Return the problem with its robot kept away from obstacles, and from itself if asked.
 
-    capsules: of the robot; default those of `robot_capsules`. Those fixed to the world are left out.
-    band: pairs that come nearer than ``margin`` + ``band`` m along the problem's guess, phase by phase,
-        become rows; default `BAND` of the robot's length.
+    Links that overlap in the robot's reference posture are not kept apart.
 
-    Links that overlap in the robot's reference posture are not kept apart. Raises InputError where the
-    fixed start is nearer to an obstacle than ``margin``.
+    Args:
+        problem: The problem without obstacles.
+        obstacles: In the world.
+        margin: Least distance, m.
+        capsules: Of the robot; default: those of `robot_capsules`. Those fixed to the world are left out.
+        self_collision: Keep the robot's links apart, too.
+        band: Pairs that come nearer than ``margin`` + ``band`` m along the problem's guess, phase by phase,
+            become constraints; default: `BAND` of the robot's length.
+
+    Raises:
+        InputError: Where the fixed start is nearer to an obstacle than ``margin``.
     """
     robot, model = problem.robot, problem.robot.model
     given = tuple(robot_capsules(robot) if capsules is None else capsules)

@@ -11,18 +11,18 @@ from typing import Any
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
-from trajopt.solving.ladder import INTERRUPTED, OWN_GUESS, figures, total
+from trajopt.solving.ladder import INTERRUPTED, OWN_GUESS, solve_figures, total_effort
 from trajopt.solving.solving import solve
 
 MAX_HALVINGS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
-class Step:
-    """One solve: at ``value``, started from the solution at ``origin`` (None: from the problem's own guess).
+class ContinuationStep:
+    """One solve: at ``value``, started from the solution at ``origin`` (None: from the default guess).
 
     ``asked``: the value is one of the sequence, not one put between two. ``cold``: the same problem from its
-    own guess, where that is compared.
+    default guess, where that is compared.
     """
 
     value: float
@@ -33,17 +33,17 @@ class Step:
 
     def to_dict(self) -> dict[str, Any]:
         """The step's figures."""
-        cold = None if self.cold is None else figures(self.cold)
+        cold = None if self.cold is None else solve_figures(self.cold)
         own = {"value": self.value, "origin": self.origin, "asked": self.asked}
-        return {**own, **figures(self.solution), "cold": cold}
+        return {**own, **solve_figures(self.solution), "cold": cold}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Continuation:
-    """All solves in the order they were made, those that failed too; ``values`` were asked for."""
+    """All solves in the order they were made, with those that failed; ``values`` are the sequence."""
 
     values: tuple[float, ...]
-    steps: tuple[Step, ...]
+    steps: tuple[ContinuationStep, ...]
 
     @property
     def solutions(self) -> dict[float, Solution]:
@@ -56,14 +56,14 @@ class Continuation:
         return len(self.solutions) == len(set(self.values))
 
     def to_dict(self) -> dict[str, Any]:
-        """Steps, their totals (all that was done), and the totals from own guesses where compared."""
+        """Steps, their totals (all solves), and the totals from default guesses where compared."""
         cold = [step.cold for step in self.steps if step.cold is not None]
         found: dict[str, Any] = {
             "values": list(self.values),
             "success": self.success,
             "steps": [step.to_dict() for step in self.steps],
-            "total": total([step.solution for step in self.steps]),
-            "cold": total(cold) if cold else None,
+            "total": total_effort([step.solution for step in self.steps]),
+            "cold": total_effort(cold) if cold else None,
         }
         if cold:
             found["cold_solved"] = sum(solution.success for solution in cold)
@@ -78,19 +78,25 @@ def continuation(
     start: Solution | str | Path | None = None,
     compare: bool = False,
     max_halvings: int = MAX_HALVINGS,
-    on_step: Callable[[Step], None] | None = None,
+    on_step: Callable[[ContinuationStep], None] | None = None,
     **settings: Any,
 ) -> Continuation:
     """Solve ``load(value)`` for every value in turn, each from the last solution.
 
-    start: a solution, or its file, for the first value; without it the first problem's own guess.
-    compare: solve every value from its own guess, too, for the time saved.
-    max_halvings: where a value is not solved, the step from the last solved one is halved up to so many
-    times; then the value's own guess is tried. on_step: called after every solve. ``settings`` are those of
-    `trajopt.solve`; limits of time and iterations are for each solve.
+    Functions are compiled once where a parameter changes numbers alone.
 
-    Functions are compiled once where a parameter changes numbers alone. Raises InputError as ``load`` and
-    `trajopt.solve` do.
+    Args:
+        load: Makes the problem at a value of the parameter.
+        values: Values in the order in which they are solved.
+        start: A solution, or its file, for the first value; default: the first problem's guess.
+        compare: Solve every value from its default guess, too, for the time saved.
+        max_halvings: Where a value is not solved, the step from the last solved one is halved up to so many
+            times; then the value's default guess is tried.
+        on_step: Called after every solve.
+        **settings: Those of `trajopt.solve`; limits of time and iterations are for each solve.
+
+    Raises:
+        InputError: As ``load`` and `trajopt.solve` do.
     """
     asked = _numbers(values)
     if not isinstance(max_halvings, int) or isinstance(max_halvings, bool) or max_halvings < 0:
@@ -119,13 +125,13 @@ class _Walk:
         self,
         load: Callable[[float], Problem],
         settings: dict[str, Any],
-        on_step: Callable[[Step], None] | None,
+        on_step: Callable[[ContinuationStep], None] | None,
         start: Solution | str | Path | None,
     ) -> None:
         self.load, self.settings, self.on_step = load, settings, on_step
         self.start = start
         self.origin: float | None = None
-        self.steps: list[Step] = []
+        self.steps: list[ContinuationStep] = []
 
     def to(self, value: float, halvings: int, compare: bool) -> bool:
         """Go on to ``value``, with steps between where needed; False when the user stops it."""
@@ -145,12 +151,12 @@ class _Walk:
             return False
         return not (compare and _stopped(self.compare(value)))
 
-    def solve(self, value: float, *, asked: bool = True, own_guess: bool = False) -> Step:
-        """One solve, from the last solution or from the problem's own guess."""
+    def solve(self, value: float, *, asked: bool = True, own_guess: bool = False) -> ContinuationStep:
+        """One solve, from the last solution or from the problem's default guess."""
         start = None if own_guess else self.start
         solution = solve(self.load(value), start=start, label=f"value {value:g}", **self.settings)
         origin = None if start is None else self.origin
-        step = Step(value=value, solution=solution, origin=origin, asked=asked)
+        step = ContinuationStep(value=value, solution=solution, origin=origin, asked=asked)
         self.steps.append(step)
         if solution.success:
             self.start, self.origin = solution, value
@@ -159,7 +165,7 @@ class _Walk:
         return step
 
     def compare(self, value: float) -> Solution:
-        """Solve from the problem's own guess, unless the last step at ``value`` did, and note it there."""
+        """Solve from the default guess, unless the last step at ``value`` did, and record it there."""
         index = max(i for i, step in enumerate(self.steps) if step.asked and step.value == value)
         last = self.steps[index]
         own = not last.solution.meta["warm_start"]

@@ -15,6 +15,8 @@ from trajopt.problem.goals import goals_meta
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
 from trajopt.robot.payload import payload_wrench
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Schedule
 from trajopt.solution.solution import Solution
 from trajopt.terms.clearance import collision_meta
 from trajopt.terrain.flat import FlatGround
@@ -105,16 +107,19 @@ def _labels(layout: Layout) -> dict[str, np.ndarray]:
     inner = np.ones(widths.sum(), dtype=bool)
     ends = np.cumsum(widths)
     inner[[*(ends - widths), *(ends - 1)]] = False
-    every = [contact.name for contact in layout.robot.contacts]
-    phases = layout.schedule.phases
-    active = np.array([[name in phase.contacts for name in every] for phase in phases], dtype=bool)
     phase = np.repeat(layout.phase_of[layout.interval_stages], widths)
     return {
         "phase": phase,
         "interval": np.repeat(np.arange(layout.n_intervals), widths),
         "collocation": inner,
-        "active": active.reshape(len(phases), len(every))[phase],
+        "active": contact_activity(layout.robot, layout.schedule)[phase],
     }
+
+
+def contact_activity(robot: Robot, schedule: Schedule) -> np.ndarray:
+    """Which contacts of a robot are active in each phase (n_phases, nc)."""
+    active = [[contact.name in phase.contacts for contact in robot.contacts] for phase in schedule.phases]
+    return np.array(active, dtype=bool).reshape(len(schedule.phases), -1)
 
 
 def _widths(layout: Layout, stages: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Coarse to fine: solve on a coarse grid, resample, refine."""
+"""Grid sequencing: solve on a coarse grid, resample the solution onto a finer one, solve again."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import solve
-from trajopt.solving.verdicts import is_start
+from trajopt.solving.verdicts import is_usable_start
 from trajopt.transcription.schemes import scheme
 
-# A rung is a scheme and a number of intervals; None is the problem's own.
-Rung = tuple[str | None, int | None]
-# What a user's interruption leaves is no rung to climb from.
+# A scheme and a number of intervals over the whole schedule; None is the problem's.
+GridLevel = tuple[str | None, int | None]
+# The status of a solve that the user interrupted: nothing starts from it.
 INTERRUPTED = "interrupted"
 # The label of a solve that others are compared with.
 OWN_GUESS = "from its own guess"
@@ -24,23 +24,27 @@ OWN_GUESS = "from its own guess"
 
 @dataclass(frozen=True, kw_only=True)
 class Ladder:
-    """Solutions of all rungs, coarse to fine, and of the finest from the problem's own guess if asked for."""
+    """Solutions on all grids, coarse to fine, and on the finest from the default guess if asked for."""
 
     rungs: tuple[Solution, ...]
     cold: Solution | None = None
 
     @property
     def solution(self) -> Solution:
-        """The finest rung's."""
+        """The solution on the finest grid."""
         return self.rungs[-1]
 
     def to_dict(self) -> dict[str, Any]:
-        """Figures of every rung and their totals, and of the solve from the problem's own guess."""
-        cold = None if self.cold is None else figures(self.cold)
-        return {"rungs": [figures(rung) for rung in self.rungs], "total": total(self.rungs), "cold": cold}
+        """Figures of every solve and their totals, and of the solve from the default guess."""
+        cold = None if self.cold is None else solve_figures(self.cold)
+        return {
+            "rungs": [solve_figures(rung) for rung in self.rungs],
+            "total": total_effort(self.rungs),
+            "cold": cold,
+        }
 
 
-def figures(solution: Solution) -> dict[str, Any]:
+def solve_figures(solution: Solution) -> dict[str, Any]:
     """How a solution was found: grid, start, status, iterations, times in s, objective."""
     meta = solution.meta
     keys = ("transcription", "warm_start", "status", "success", "iterations", "objective")
@@ -48,7 +52,7 @@ def figures(solution: Solution) -> dict[str, Any]:
     return {"intervals": solution.n_intervals, **{key: meta[key] for key in (*keys, *times)}}
 
 
-def total(solutions: Sequence[Solution]) -> dict[str, Any]:
+def total_effort(solutions: Sequence[Solution]) -> dict[str, Any]:
     """Iterations and the solver's time in s of several solves together."""
     return {
         "iterations": sum(solution.meta["iterations"] for solution in solutions),
@@ -58,7 +62,7 @@ def total(solutions: Sequence[Solution]) -> dict[str, Any]:
 
 def solve_ladder(
     problem: Problem,
-    ladder: Sequence[Rung],
+    ladder: Sequence[GridLevel],
     *,
     start: Solution | str | Path | None = None,
     compare: bool = False,
@@ -67,12 +71,18 @@ def solve_ladder(
 ) -> Ladder:
     """Solve on every grid of ``ladder`` in turn, each from the last one solved.
 
-    ladder: pairs of scheme and number of intervals over the whole schedule, None for the problem's own.
-    start: a solution, or its file, for the first rung. perturb: noise on the first rung's start.
-    compare: solve the last rung from the problem's own guess, too. ``settings`` are those of `trajopt.solve`;
-    limits of time and iterations are for each rung.
+    A solution that is not feasible does not start the next solve.
 
-    A rung that is not solved is left out as a start. Raises InputError as `trajopt.solve` does.
+    Args:
+        problem: What to solve.
+        ladder: Pairs of scheme and number of intervals over the whole schedule, None for the problem's.
+        start: A solution, or its file, for the first grid.
+        compare: Solve on the last grid from the default guess, too.
+        perturb: Noise on the first start, as in `trajopt.solve`.
+        **settings: Those of `trajopt.solve`; limits of time and iterations are for each solve.
+
+    Raises:
+        InputError: As `trajopt.solve` does, and for a ladder without grids.
     """
     rungs = [_rung(problem, entry) for entry in ladder]
     if not rungs:
@@ -84,13 +94,13 @@ def solve_ladder(
         found.append(solve(problem, **grid, start=start, perturb=noise, label=label, **settings))
         if found[-1].meta["status"] == INTERRUPTED:
             break
-        start = found[-1] if is_start(found[-1]) else start
+        start = found[-1] if is_usable_start(found[-1]) else start
     compared = compare and found[-1].meta["status"] != INTERRUPTED
     cold = solve(problem, **rungs[-1], label=OWN_GUESS, **settings) if compared else None
     return Ladder(rungs=tuple(found), cold=cold)
 
 
-def _rung(problem: Problem, entry: Rung) -> dict[str, Any]:
+def _rung(problem: Problem, entry: GridLevel) -> dict[str, Any]:
     """Arguments of a solve; wrong ones are refused before anything is solved."""
     if not isinstance(entry, tuple | list) or len(entry) != 2:
         raise InputError(f"rung {entry!r}", "allowed: (scheme, intervals), such as ('legendre:1', 15)")

@@ -1,8 +1,8 @@
 """A converged reference of a problem: finer meshes until two successive solutions agree.
 
-The first rung is the problem's own mesh. The second keeps its intervals and raises the degree, every further
-one doubles the intervals; each starts from the last. Two rungs agree when objective, durations and the whole
-motion do. The second and the first are not asked: what holds at nodes alone looks the same on their mesh.
+The first mesh is the problem's. The second keeps its intervals and raises the degree, every further one
+doubles the intervals; each solve starts from the last. Two solutions agree when objective, durations and the
+whole motion do. The first two are not compared: what holds at nodes alone looks the same on both meshes.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from trajopt.certify.accuracy.comparison import Comparison, compare
 from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.errors import InputError, TrajoptError
 from trajopt.problem.problem import Problem
+from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
-from trajopt.solving.optima import in_other_optimum
 from trajopt.solving.solving import DEFAULT_SOLVER, solve
 from trajopt.transcription.compilation import DEFAULT_LEVEL
 
@@ -33,10 +33,12 @@ TOLERANCE = 1e-9
 OBJECTIVE = 1e-5
 # Part of the robot's reach by which no point of it moves any more: half a millimetre for a dog.
 DISTANCE = 1e-3
-# Motions further apart than this part of the reach are looked at for being different optima, not meshes.
+# Motions further apart than this part of the reach are tested for being different optima.
 APART = 0.02
 # So are those that are this many times as far apart as the two before them, which meshes alone make smaller.
 GREW = 2.0
+# A solution on the coarser mesh that is nearer to the finer one than this part of the gap is in its optimum.
+SAME_SIDE = 0.25
 MAX_UNKNOWNS = 200_000
 MAX_TIME = 600.0
 # A solver that is called just before the end has this long, s, to return.
@@ -73,11 +75,11 @@ class Agreement:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rung:
-    """One solve on the way; ``apart`` is how far it is from the last solved rung, None for the first.
+class MeshSolve:
+    """One solve; ``apart`` is how far it is from the last one, None for the first.
 
-    other_optimum: on the coarser mesh of the two both optima were found, so that they differ by more than
-    their meshes; False where that was not looked for.
+    other_optimum: both optima were found on the coarser of the two meshes, so that they differ by more than
+    their meshes; False where that was not tested.
     """
 
     scheme: str
@@ -100,20 +102,20 @@ class Rung:
         if self.objective is not None:
             text += f", objective {self.objective:.9g}"
         if self.apart is not None:
-            text += f"; from the last {distances(self.apart)}"
+            text += f"; from the last {_in_words(self.apart)}"
         return text + (", another optimum" if self.other_optimum else "")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reference:
-    """A converged solution, how far it is from the rung before it, and the rungs that led to it."""
+class ConvergedReference:
+    """A converged solution, how far it is from the one before it, and all solves that led to it."""
 
     solution: Solution = field(repr=False)
     agreement: Comparison
-    rungs: tuple[Rung, ...]
+    rungs: tuple[MeshSolve, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able: agreement and rungs."""
+        """Agreement and solves, JSON-able."""
         return {"agreement": asdict(self.agreement), "rungs": [rung.to_dict() for rung in self.rungs]}
 
     def __str__(self) -> str:
@@ -122,19 +124,19 @@ class Reference:
         changed = sum(rung.other_optimum for rung in self.rungs)
         note = f"; the optimum changed {changed} times on the way" if changed else ""
         return (
-            f"{mesh}, objective {last.objective:.9g}; the last two agree to {distances(self.agreement)}{note}"
+            f"{mesh}, objective {last.objective:.9g}; the last two agree to {_in_words(self.agreement)}{note}"
         )
 
 
 class NoReferenceError(TrajoptError):
-    """No two successive meshes agreed; ``rungs`` tell how far it came."""
+    """No two successive meshes agreed; ``rungs`` are the solves that were made."""
 
-    def __init__(self, what: str, rungs: tuple[Rung, ...]) -> None:
+    def __init__(self, what: str, rungs: tuple[MeshSolve, ...]) -> None:
         self.rungs = rungs
         super().__init__(what)
 
 
-def distances(apart: Comparison) -> str:
+def _in_words(apart: Comparison) -> str:
     """A comparison in a few words."""
     gap = (
         "no objective" if apart.objective_gap is None else f"{abs(apart.objective_gap):.1e} of the objective"
@@ -145,7 +147,7 @@ def distances(apart: Comparison) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class _Solver:
-    """How a rung is solved, and what all of them together may cost."""
+    """How each mesh is solved, and the budget of all solves together."""
 
     problem: Problem
     settings: Mapping[str, Any]
@@ -169,7 +171,7 @@ class _Solver:
         )
 
 
-def reference(
+def converged_reference(
     problem: Problem,
     *,
     scheme: str = SCHEME,
@@ -181,14 +183,27 @@ def reference(
     compile: str = DEFAULT_LEVEL,
     threads: int = 1,
     start: Start = None,
-    progress: Callable[[Rung], None] | None = None,
-) -> Reference:
+    progress: Callable[[MeshSolve], None] | None = None,
+) -> ConvergedReference:
     """Refine until two successive solutions agree, and return the finer one with how far they are apart.
 
-    scheme: of all rungs but the first. agreement: bounds on objective, motion and durations. max_unknowns,
-    max_time (s): the budget of one rung, and of all. start: of the first rung, as in `solve`. progress: is
-    called with every rung. Raises `NoReferenceError`, which names how far the last two agree and whether they
-    sit in different optima, where the budget ends first or a rung is not solved; `InputError` as `solve`.
+    Args:
+        problem: What to solve.
+        scheme: Of all meshes but the first.
+        solver: As in `solve`, like ``compile`` and ``threads``.
+        tolerance: The solver's.
+        agreement: Bounds on objective, motion and durations.
+        max_unknowns: Budget of one solve.
+        max_time: Budget of all solves together, s.
+        compile: Level of compilation.
+        threads: For evaluating functions.
+        start: Of the first solve, as in `solve`.
+        progress: Called with every solve.
+
+    Raises:
+        NoReferenceError: Where the budget ends first or a mesh is not solved; it says how far the last two
+            solutions agree and whether they are different optima.
+        InputError: As `solve` does.
     """
     for name, value in (("max_time", max_time), ("max_unknowns", max_unknowns)):
         if not value > 0:
@@ -204,12 +219,12 @@ def reference(
     return _climb(run, start, progress or _ignore)
 
 
-def _ignore(_: Rung) -> None:
+def _ignore(_: MeshSolve) -> None:
     return None
 
 
-def _climb(run: _Solver, start: Start, progress: Callable[[Rung], None]) -> Reference:
-    """Rung after rung until two agree."""
+def _climb(run: _Solver, start: Start, progress: Callable[[MeshSolve], None]) -> ConvergedReference:
+    """Refine until two successive solutions agree."""
     begun = time.monotonic()
     last = _rung(run, [], start)
     rungs = [_described(last, time.monotonic() - begun)]
@@ -226,12 +241,12 @@ def _climb(run: _Solver, start: Start, progress: Callable[[Rung], None]) -> Refe
         rungs.append(rung)
         progress(rung)
         if agreed:
-            return _reference(found, apart, rungs)
+            return _recorded(found, apart, rungs)
         last = found
 
 
-def _rung(run: _Solver, rungs: list[Rung], start: Start) -> Solution:
-    """A solved rung; where it is not from ``start``, from the problem's own guess."""
+def _rung(run: _Solver, rungs: list[MeshSolve], start: Start) -> Solution:
+    """The solution on the next mesh; from the default guess where ``start`` does not lead to one."""
     scheme, intervals = _mesh(run, rungs)
     found = run(scheme, intervals, start)
     if not found.success and start is not None and run.left() > 0:
@@ -242,8 +257,8 @@ def _rung(run: _Solver, rungs: list[Rung], start: Start) -> Solution:
     return found
 
 
-def _mesh(run: _Solver, rungs: list[Rung]) -> tuple[str | None, int | None]:
-    """Scheme and intervals of the next rung, None for the problem's own; raises where the budget is spent."""
+def _mesh(run: _Solver, rungs: list[MeshSolve]) -> tuple[str | None, int | None]:
+    """Scheme and intervals of the next mesh, None for the problem's; raises where the budget is spent."""
     if not rungs:
         return None, None
     if run.left() <= 0:
@@ -254,8 +269,8 @@ def _mesh(run: _Solver, rungs: list[Rung]) -> tuple[str | None, int | None]:
     return run.scheme, finer * last.intervals
 
 
-def _is_other(run: _Solver, coarser: Rung, coarse: Solution, fine: Solution, apart: Comparison) -> bool:
-    """Whether two rungs sit in different optima: looked for where they are far apart, or ever further."""
+def _is_other(run: _Solver, coarser: MeshSolve, coarse: Solution, fine: Solution, apart: Comparison) -> bool:
+    """Whether two solutions are different optima; tested where they are far apart, or ever further."""
     grew = coarser.apart is not None and apart.farthest > GREW * coarser.apart.farthest
     far = apart.farthest > APART * NaturalUnits.of(coarse.model).length
     if run.left() <= 0 or not (far or grew):
@@ -263,9 +278,21 @@ def _is_other(run: _Solver, coarser: Rung, coarse: Solution, fine: Solution, apa
     return in_other_optimum(run.problem, coarse, fine, max_time=run.left(), **run.settings)
 
 
-def _described(found: Solution, seconds: float, apart: Comparison | None = None) -> Rung:
+def in_other_optimum(problem: Problem, coarse: Solution, fine: Solution, **settings: Any) -> bool:
+    """Whether ``coarse`` differs from a finer solution by more than its mesh: its own mesh has both optima.
+
+    The problem is solved anew on the mesh of ``coarse``, starting from ``fine``. Where that ends near
+    ``fine`` and not near ``coarse``, the two are different optima; where it is not solved nothing is known,
+    and the answer is False. settings: of `solve`. Raises `InputError` as `compare` and `solve`.
+    """
+    apart = compare(coarse, fine).farthest
+    back = solve(problem, mesh=mesh_of(coarse), start=fine, **settings)
+    return back.success and compare(back, fine).farthest < SAME_SIDE * apart
+
+
+def _described(found: Solution, seconds: float, apart: Comparison | None = None) -> MeshSolve:
     meta = found.meta
-    return Rung(
+    return MeshSolve(
         scheme=meta["transcription"],
         intervals=found.n_intervals,
         unknowns=meta["variables"],
@@ -277,16 +304,16 @@ def _described(found: Solution, seconds: float, apart: Comparison | None = None)
     )
 
 
-def _reference(found: Solution, apart: Comparison, rungs: list[Rung]) -> Reference:
-    """The reference; its file tells what it agrees to and how it was found."""
-    made = Reference(solution=found, agreement=apart, rungs=tuple(rungs))
+def _recorded(found: Solution, apart: Comparison, rungs: list[MeshSolve]) -> ConvergedReference:
+    """The reference; its file says how closely it agrees and how it was found."""
+    made = ConvergedReference(solution=found, agreement=apart, rungs=tuple(rungs))
     return replace(made, solution=replace(found, meta={**found.meta, "reference": made.to_dict()}))
 
 
-def _gives_up(why: str, rungs: list[Rung]) -> NoReferenceError:
+def _gives_up(why: str, rungs: list[MeshSolve]) -> NoReferenceError:
     text = f"no reference: {why}"
     if rungs and rungs[-1].apart is not None:
-        text += f"; the last two meshes agree to {distances(rungs[-1].apart)}"
+        text += f"; the last two meshes agree to {_in_words(rungs[-1].apart)}"
         if rungs[-1].other_optimum:
             text += " and sit in different optima: one mesh has both"
     return NoReferenceError(text, tuple(rungs))

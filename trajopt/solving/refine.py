@@ -1,4 +1,4 @@
-"""Refine a mesh until the motion is as accurate as asked for, reusing each solution for the next mesh.
+"""Refine a mesh until the motion meets a target accuracy, starting each solve from the last solution.
 
 The error of a phase is what the planned torques do in it (`accuracy.measure`: open loop by numeric Pinocchio,
 from the phase's planned start), or the drift of its contacts where that is larger: metres either way.
@@ -22,11 +22,11 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.ladder import INTERRUPTED
 from trajopt.solving.remeshing import PhaseErrors, remeshed
 from trajopt.solving.solving import solve
-from trajopt.solving.verdicts import is_start
+from trajopt.solving.verdicts import is_usable_start
 from trajopt.transcription.mesh import Mesh
 
 # The first mesh has this part of the problem's own intervals, and two a phase at least: its solution takes
-# little time and tells where the error is.
+# little time and shows where the error is.
 COARSE = 0.2
 LEAST_INTERVALS = 2
 MAX_ROUNDS = 8
@@ -143,102 +143,111 @@ def refine(
     tolerance: float | None = None,
     **settings: Any,
 ) -> Refinement:
-    """Solve a problem to an accuracy of ``target`` m in every phase, on as few unknowns as that takes.
+    """Solve a problem to an accuracy of ``target`` m in every phase, with as few unknowns as that takes.
 
-    mesh: the first one; default: a fifth of the problem's own intervals. start: a solution, or its file, from
-    which the first solve starts; without a mesh it is measured itself, and its own mesh is refined.
-    raise_degree: False only splits intervals. tolerance: the solver's; default: by the target. ``settings``
-    are `trajopt.solve`'s.
+    Args:
+        problem: What to solve.
+        target: Largest error of a phase, m.
+        mesh: The first one; default: a fifth of the problem's intervals.
+        start: A solution, or its file, from which the first solve starts; without a mesh it is measured
+            itself, and its mesh is refined.
+        raise_degree: False only splits intervals.
+        max_rounds: Limit of solves.
+        max_variables: Limit of a mesh's unknowns, about.
+        tolerance: The solver's; default: by the target.
+        **settings: Those of `trajopt.solve`.
 
-    Returns what was reached: `Refinement.reached` and ``why`` say whether and, if not, what stopped it.
-    Raises InputError for a target that is no length, and as `trajopt.solve` does.
+    Returns:
+        What was reached: `Refinement.reached`, and in ``why`` what ended the refinement.
+
+    Raises:
+        InputError: For a target that is no length, and as `trajopt.solve` does.
     """
     if not (isinstance(target, int | float) and math.isfinite(target) and target > 0):
         raise InputError(f"accuracy is {target!r} m", "allowed: finite and > 0")
     tolerance = tolerance_for(target, problem.robot.length) if tolerance is None else tolerance
     loop = _Loop(problem, float(target), raise_degree, {**settings, "tolerance": tolerance})
     known = None if start is None else solution_of(start)
-    if mesh is None and known is not None and is_start(known):
-        loop.take(known)
-        mesh, max_rounds = mesh_of(known), max_rounds + 1
-    loop.run(mesh or coarse_mesh(problem), known, max_rounds, max_variables)
-    return loop.result()
+    if mesh is None and known is not None and is_usable_start(known):
+        loop.record(mesh_of(known), known)
+        why = loop.run(mesh_of(known), known, known, max_rounds + 1, max_variables)
+    else:
+        why = loop.run(mesh or coarse_mesh(problem), known, None, max_rounds, max_variables)
+    return loop.result(why)
 
 
 class _Loop:
+    """The rounds so far, the last solution, and the best one with its measured accuracy."""
+
     def __init__(self, problem: Problem, target: float, raise_degree: bool, settings: dict[str, Any]) -> None:
         self.problem, self.target, self.raise_degree = problem, target, raise_degree
         self.settings = settings
         self.rounds: list[Round] = []
         self.best: tuple[Solution, Accuracy] | None = None
         self.last: Solution | None = None
-        self.given: Solution | None = None
-        self.why = ""
 
-    def take(self, solution: Solution) -> None:
-        """A solution that is there already, as the first round."""
-        self._record(mesh_of(solution), solution)
-        self.given = solution
-
-    def run(self, mesh: Mesh, start: Solution | None, max_rounds: int, max_variables: int) -> None:
-        """Solve, measure, remesh, until the target is met or something says stop."""
-        for _ in range(max_rounds):
-            given, self.given = self.given, None
-            solution = given or self._solve(mesh, start)
+    def run(
+        self, mesh: Mesh, start: Solution | None, found: Solution | None, rounds: int, max_variables: int
+    ) -> str:
+        """Solve (unless a solution on ``mesh`` is ``found``), measure, remesh; return why it stops."""
+        for _ in range(rounds):
+            solution = found or self._solve(mesh, start)
             if solution is None:
-                return
+                return f"a mesh was not solved: {self.rounds[-1].status.replace('_', ' ')}"
             accuracy = measure(solution)
             errors = phase_errors(accuracy)
             self.rounds[-1] = replace(self.rounds[-1], errors=errors)
             if self.best is None or max(errors) <= max(phase_errors(self.best[1])):
                 self.best = (solution, accuracy)
             if max(errors) <= self.target:
-                self.why = "the target is met"
-                return
-            made = unknowns_of(self.problem)
-            found = [
-                PhaseErrors(local=accuracy.interval_errors[own], phase=error, unknowns=sizes)
-                for own, error, sizes in zip(_intervals(mesh), errors, made, strict=True)
-            ]
-            mesh = remeshed(mesh, found, self.target, self.problem.robot.length, self.raise_degree)
-            if size_of(self.problem, mesh) > max_variables:
-                self.why = f"the next mesh would have more than {max_variables} unknowns"
-                return
-            start = solution
-        self.why = f"{max_rounds} rounds were not enough"
+                return "the target is met"
+            mesh = self._remeshed(mesh, accuracy)
+            if unknowns_on_mesh(self.problem, mesh) > max_variables:
+                return f"the next mesh would have more than {max_variables} unknowns"
+            start, found = solution, None
+        return f"{rounds} rounds were not enough"
 
-    def _record(self, mesh: Mesh, solution: Solution) -> None:
+    def _remeshed(self, mesh: Mesh, accuracy: Accuracy) -> Mesh:
+        ends = np.cumsum(mesh.counts)
+        found = [
+            PhaseErrors(local=local, phase=error, unknowns=sizes)
+            for local, error, sizes in zip(
+                np.split(accuracy.interval_errors, ends[:-1]),
+                phase_errors(accuracy),
+                _unknowns_by_phase(self.problem),
+                strict=True,
+            )
+        ]
+        return remeshed(mesh, found, self.target, self.problem.robot.length, self.raise_degree)
+
+    def record(self, mesh: Mesh, solution: Solution) -> None:
+        """Append a round, not yet measured."""
         self.rounds.append(Round.of(mesh, solution))
         self.last = solution
 
     def _solve(self, mesh: Mesh, start: Solution | None) -> Solution | None:
-        """The solution on a mesh; from the problem's own guess where ``start`` does not lead to one."""
+        """The solution on a mesh; from the problem's guess where ``start`` does not lead to one."""
         for origin in (start, None) if start is not None else (None,):
             label = f"mesh {len(self.rounds) + 1}"
             solution = solve(self.problem, mesh=mesh, start=origin, label=label, **self.settings)
-            self._record(mesh, solution)
-            if is_start(solution):
+            self.record(mesh, solution)
+            if is_usable_start(solution):
                 return solution
             if solution.meta["status"] == INTERRUPTED:
                 break
-        self.why = f"a mesh was not solved: {solution.meta['status'].replace('_', ' ')}"
         return None
 
-    def result(self) -> Refinement:
+    def result(self, why: str) -> Refinement:
+        """The refinement, recorded in its solution's meta."""
         solution, accuracy = (self.last, None) if self.best is None else self.best
         assert solution is not None
         made = Refinement(
-            target=self.target, solution=solution, accuracy=accuracy, rounds=tuple(self.rounds), why=self.why
+            target=self.target, solution=solution, accuracy=accuracy, rounds=tuple(self.rounds), why=why
         )
         return replace(made, solution=replace(solution, meta={**solution.meta, "refinement": made.to_dict()}))
 
 
-def _intervals(mesh: Mesh) -> list[slice]:
-    ends = np.cumsum(mesh.counts)
-    return [slice(int(end - count), int(end)) for end, count in zip(ends, mesh.counts, strict=True)]
-
-
-def unknowns_of(problem: Problem) -> list[tuple[int, int]]:
+def _unknowns_by_phase(problem: Problem) -> list[tuple[int, int]]:
     """Unknowns of each phase per node and per point, about: states, accelerations and wrenches."""
     robot = problem.robot
     wrenches = [
@@ -247,9 +256,9 @@ def unknowns_of(problem: Problem) -> list[tuple[int, int]]:
     return [(2 * robot.nv, robot.nv + size) for size in wrenches]
 
 
-def size_of(problem: Problem, mesh: Mesh) -> int:
+def unknowns_on_mesh(problem: Problem, mesh: Mesh) -> int:
     """Number of unknowns of a problem on a mesh, about."""
     return sum(
         phase.count * (node + phase.method.s * point)
-        for phase, (node, point) in zip(mesh.phases, unknowns_of(problem), strict=True)
+        for phase, (node, point) in zip(mesh.phases, _unknowns_by_phase(problem), strict=True)
     )

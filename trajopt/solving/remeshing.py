@@ -6,7 +6,7 @@ The local error of an interval of width h with s points is that of its quadratur
                                               Radau c_s = s (s - 1)!^4 / (2 (2 s - 1)!^3),   p = 2 s - 1
 
 (Davis and Rabinowitz, "Methods of Numerical Integration", 1984, ch. 2.7), with L the robot's length and l
-the unknown time scale of the motion there, which a measured e tells. Cut into k parts with s' points each it
+the time scale of the motion there, which follows from a measured e. Cut into k parts with s' points each it
 makes k L c_s' (x / k)^(p' + 1). The error of a phase is the sum of its local errors times the growth that was
 measured. Of all degrees and cuts that meet the target by this model, the one with fewest unknowns is
 taken; parts grow with e^(1 / (p + 1)), which spreads the error evenly (de Boor, "Good approximation
@@ -26,9 +26,9 @@ from trajopt.transcription.schemes import MAX_DEGREE
 
 # Part of the target that the model aims at: it knows neither growth nor time scale exactly.
 AIM = 0.5
-# An interval is cut into so many parts at most in one round: a coarse mesh tells little of a fine one.
+# Most parts of an interval in one round: errors on a coarse mesh predict those on a fine one only roughly.
 MOST_PARTS = 4
-# A phase that runs away tells no growth: its local errors shall be this part of themselves.
+# Where a phase diverges, growth is unknown: its local errors are to be reduced to this part.
 RUN_AWAY = 1e-2
 # Smallest local error that is told from rounding, as a part of the robot's length.
 ROUNDING = 1e-15

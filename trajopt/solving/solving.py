@@ -19,16 +19,15 @@ from trajopt.solvers.drivers import SOLVERS, check_hessian, run_solver
 from trajopt.solvers.result import Option, Result, StoppingCriteria, WarmMultipliers
 from trajopt.solvers.status import Status
 from trajopt.solving.extraction import extract
-from trajopt.solving.iterate import Watch
+from trajopt.solving.monitoring import ProgressCallback, ProgressReporter, Watch
 from trajopt.solving.multipliers import with_multipliers
-from trajopt.solving.telling import Progress, Teller
 from trajopt.solving.verdicts import (
     TRUSTED_VIOLATION,
     advice_for,
-    creep_reported,
-    finite,
-    judged,
-    locks_reported,
+    fail_on_contact_drift,
+    fail_on_gimbal_lock,
+    finite_or_none,
+    status_by_violation,
 )
 from trajopt.solving.warm_start import warm_start
 from trajopt.transcription.compilation import (
@@ -49,7 +48,7 @@ MAX_PERTURBATION = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Prepared:
+class PreparedProblem:
     """A problem ready to be solved from its guess; ``build_time`` in s is all but the C compiler."""
 
     transcription: Transcription
@@ -70,10 +69,10 @@ def prepare(
     hessian: str = DEFAULT_HESSIAN,
     threads: int = 1,
     start: Solution | str | Path | None = None,
-) -> Prepared:
-    """Transcribe, compile (or fetch from the cache) and assemble, with the Hessian of `solve`.
+) -> PreparedProblem:
+    """Transcribe, compile (or fetch from the cache) and assemble; arguments as in `solve`.
 
-    The guess is the solution ``start``, resampled, or the problem's own. Raises InputError.
+    The guess is the solution ``start``, resampled, or the problem's. Raises `InputError`.
     """
     begun = time.perf_counter()
     transcribed = transcribe(problem, transcription, intervals, mesh)
@@ -83,7 +82,7 @@ def prepare(
     nlp = assemble(transcribed, by_point, threads, hessian)
     guess, warm = _guess(transcribed, start)
     build_time = time.perf_counter() - begun - report.compile_time
-    return Prepared(
+    return PreparedProblem(
         transcription=transcribed,
         nlp=nlp,
         guess=guess,
@@ -121,31 +120,42 @@ def solve(
     hessian: str = DEFAULT_HESSIAN,
     threads: int = 1,
     options: Mapping[str, Option] | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     watch: Watch | None = None,
     label: str = "",
     start: Solution | str | Path | None = None,
 ) -> Solution:
     """Solve a problem; never raises because the solver did not converge.
 
-    transcription: scheme by name, for example ``legendre:2``, or one for each phase, separated by commas;
-        default: the problem's.
-    intervals: number over the whole schedule; default: the problem's.
-    mesh: schemes and widths of intervals by phase, instead of both.
-    solver: ``ipopt``, ``fatrop`` or ``sqp``; ``options`` are its own, refused when unknown.
-    hessian: ``exact``, ``gauss-newton`` (of costs that are squares, no curvature of rows), or with IPOPT
-        ``limited-memory`` (made up from gradients: nothing of second order is compiled).
-    tolerance: on feasibility and optimality, in natural units (weight, length, sqrt(l/g)).
-    seed, perturb: noise on the guess, standard deviation in scaled units.
-    compile: ``none``, ``quick`` or ``fast``. threads: for evaluating functions.
-    progress: called at each iteration with its figures; returns False to stop there.
-    watch: called with the guess, each iterate and the end (`trajopt.watching.Iterate`); what it raises is a
-    warning. label: which of several solves this is, for the watch.
-    start: a solution, or its file, to start from instead of the problem's guess: of the same joints and
-    phases, on any grid, scheme, durations or parameters (see ``warm_start``).
+    Args:
+        problem: What to solve.
+        transcription: Scheme by name, for example ``legendre:2``, or one for each phase, separated by commas;
+            default: the problem's.
+        intervals: Number over the whole schedule; default: the problem's.
+        mesh: Schemes and widths of intervals by phase, instead of both.
+        solver: ``ipopt``, ``fatrop`` or ``sqp``.
+        tolerance: On feasibility and optimality, in natural units (weight, length, sqrt(l/g)).
+        max_iterations: Limit of the solver's iterations.
+        max_time: Limit of the solver's wall time, s.
+        seed: Of the noise on the guess.
+        perturb: Standard deviation of that noise, scaled units.
+        compile: ``none``, ``quick`` or ``fast``.
+        hessian: ``exact``, ``gauss-newton`` (of costs that are squares, without curvature of constraints),
+            or with IPOPT ``limited-memory`` (a quasi-Newton approximation: no second derivative is compiled).
+        threads: For evaluating functions.
+        options: The solver's own; unknown ones are refused.
+        progress: Called at each iteration with its figures; returns False to stop there.
+        watch: Called with the guess, each `Iterate` and the end; what it raises becomes a warning.
+        label: Which of several solves this is, for the watch.
+        start: A solution, or its file, to start from instead of the problem's guess: of the same joints and
+            phases, on any grid, scheme, durations or parameters (see `warm_start`).
 
-    Returns a Solution whose ``meta`` has status, success, advice, iterations, objective, times and the
-    worst blocks of rows. Raises InputError for a value that is not allowed.
+    Returns:
+        A solution whose ``meta`` has status, success, advice, iterations, objective, times and the worst
+        blocks of rows.
+
+    Raises:
+        InputError: For a value that is not allowed.
     """
     check_settings(solver, tolerance, max_iterations, max_time, perturb, seed, hessian)
     prepared = prepare(
@@ -175,25 +185,33 @@ def solve(
 
 
 def solve_prepared(
-    prepared: Prepared,
+    prepared: PreparedProblem,
     start: np.ndarray,
     *,
     origin: Mapping[str, Any],
     solver: str = DEFAULT_SOLVER,
     stop: StoppingCriteria | None = None,
     options: Mapping[str, Option] | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     watch: Watch | None = None,
     label: str = "",
 ) -> Solution:
-    """Solve what `prepare` made, from the scaled unknowns ``start`` (n_unknowns,): any number of times.
+    """Solve what `prepare` made, any number of times; never raises because the solver did not converge.
 
-    origin: where the start comes from, for ``meta``: ``seed`` and ``perturb`` at least. The rest is as in
-    `solve`. Never raises because the solver did not converge.
+    Args:
+        prepared: The problem's NLP.
+        start: Scaled unknowns (n_unknowns,).
+        origin: Where the start comes from, for ``meta``: ``seed`` and ``perturb`` at least.
+        solver: As in `solve`, like what follows.
+        stop: Tolerance, and limits of iterations and time.
+        options: The solver's own.
+        progress: Called at each iteration.
+        watch: Called with the guess, each iterate and the end.
+        label: Which of several solves this is.
     """
     stop = stop or StoppingCriteria()
     place = nonfinite_place(prepared.nlp, start)
-    told = Teller(prepared.transcription, progress, watch, solver, label)
+    told = ProgressReporter(prepared.transcription, progress, watch, solver, label)
     told.see("guess", lambda: start)
     if place is None:
         result = run_solver(prepared.nlp, start, solver, stop, options or {}, told, prepared.warm)
@@ -213,6 +231,7 @@ def check_settings(
     seed: int,
     hessian: str = DEFAULT_HESSIAN,
 ) -> None:
+    """Raise `InputError` for arguments of `solve` that are not allowed."""
     if solver not in SOLVERS:
         raise InputError(f"unknown solver '{solver}'", f"allowed: {', '.join(SOLVERS)}")
     check_hessian(solver, hessian)
@@ -228,7 +247,7 @@ def check_settings(
         raise InputError(f"seed is {seed}", "allowed: 0 or more")
 
 
-def _not_finite(prepared: Prepared, x: np.ndarray) -> Result:
+def _not_finite(prepared: PreparedProblem, x: np.ndarray) -> Result:
     return Result(
         x=x,
         lam_g=np.zeros(prepared.transcription.n_rows),
@@ -243,7 +262,7 @@ def _not_finite(prepared: Prepared, x: np.ndarray) -> Result:
 
 
 def _solution(
-    prepared: Prepared,
+    prepared: PreparedProblem,
     result: Result,
     solver: str,
     tolerance: float,
@@ -253,7 +272,7 @@ def _solution(
     t, report = prepared.transcription, prepared.compilation
     violations = row_violations(prepared.nlp, result.x)
     worst = float(violations.max()) if np.all(np.isfinite(violations)) else math.nan
-    status = judged(result.status, worst, tolerance)
+    status = status_by_violation(result.status, worst, tolerance)
     success = status is Status.SOLVED
     meta = {
         "solver": solver,
@@ -263,14 +282,14 @@ def _solution(
         "success": success,
         "advice": advice_for(status, place, worst <= TRUSTED_VIOLATION * tolerance),
         "iterations": result.iterations,
-        "objective": finite(result.objective * t.objective_unit),
+        "objective": finite_or_none(result.objective * t.objective_unit),
         "tolerance": tolerance,
         "variables": t.layout.n_unknowns,
         "constraints": t.n_rows,
-        "max_violation": finite(worst),
-        "primal_infeasibility": finite(result.primal),
-        "dual_infeasibility": finite(result.dual),
-        "complementarity": finite(result.complementarity),
+        "max_violation": finite_or_none(worst),
+        "primal_infeasibility": finite_or_none(result.primal),
+        "dual_infeasibility": finite_or_none(result.dual),
+        "complementarity": finite_or_none(result.complementarity),
         "worst_blocks": worst_blocks(t, result.x, violations, 3),
         "wall_time_s": result.wall_time,
         "function_time_s": result.function_time,
@@ -283,5 +302,5 @@ def _solution(
         **origin,
     }
     found = with_multipliers(extract(t, result.x, meta), t, result.lam_g, result.lam_x)
-    found = locks_reported(found)
-    return creep_reported(found, t.problem.robot.length) if t.problem.holds_contacts else found
+    found = fail_on_gimbal_lock(found)
+    return fail_on_contact_drift(found, t.problem.robot.length) if t.problem.holds_contacts else found

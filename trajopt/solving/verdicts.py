@@ -1,4 +1,4 @@
-"""What a solve is worth: the solver's verdict, measured anew, and what a plan must not do besides."""
+"""Status of a solve: the solver's, checked against the violations, and failures of the motion itself."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ STILL_FEASIBLE = 1e-3
 # Why a solver does not end at a point that meets all rows: where they lose rank there are no multipliers.
 DEPENDENT = (
     "; all rows hold at this iterate, so they may depend on each other there, as of a goal at a singular"
-    " posture or a place that is asked for twice: trajopt diagnose names them"
+    " posture or the same goal stated twice: trajopt diagnose names them"
 )
-# A solved motion whose contacts move by more than this part of the robot's length within a phase is none: its
-# grid is too coarse to hold them. What `check` allows is far less.
+# A solved motion whose contacts move by more than this part of the robot's length within a phase has failed:
+# its grid is too coarse to hold them. What `check` allows is far less.
 MOST_CREEP = 0.25
 
 
-def judged(status: Status, worst: float, tolerance: float) -> Status:
+def status_by_violation(status: Status, worst: float, tolerance: float) -> Status:
     """The solver's status, by the largest violation ``worst`` of any row or bound, in natural units."""
     if status is Status.SOLVED and not worst <= TRUSTED_VIOLATION * tolerance:
         return Status.INACCURATE
@@ -37,18 +37,19 @@ def judged(status: Status, worst: float, tolerance: float) -> Status:
 
 
 def advice_for(status: Status, place: str | None, feasible: bool) -> str:
+    """Return what to try after a status; ``place``: of a value that is not finite."""
     if place is not None:
         return f"{status.advice}: {place}"
     stuck = feasible and status in (Status.STEP_FAILED, Status.ITERATION_LIMIT)
     return f"{status.advice}{DEPENDENT}" if stuck else status.advice
 
 
-def locks_reported(solution: Solution) -> Solution:
-    """A plan whose virtual base comes to gimbal lock is no success, whatever the solver says."""
+def fail_on_gimbal_lock(solution: Solution) -> Solution:
+    """Mark a solution whose virtual base comes near gimbal lock as failed, whatever the solver says."""
     margin = gimbal_margin_along(solution.model, solution.t, solution.q, solution.v)
     if margin is None:
         return solution
-    found: dict[str, Any] = {"gimbal_margin": finite(margin)}
+    found: dict[str, Any] = {"gimbal_margin": finite_or_none(margin)}
     if not margin >= LEAST_MARGIN:
         status = Status.SINGULAR_BASE
         found["advice"] = f"{status.advice} (margin {margin:.3f}, least {LEAST_MARGIN:g})"
@@ -59,8 +60,8 @@ def locks_reported(solution: Solution) -> Solution:
     return replace(solution, meta={**solution.meta, **found})
 
 
-def creep_reported(solution: Solution, length: float) -> Solution:
-    """A plan whose contacts leave their places by a good part of the robot's ``length`` m is no success."""
+def fail_on_contact_drift(solution: Solution, length: float) -> Solution:
+    """Mark a solution as failed whose contacts drift by a large part of the robot's ``length`` in m."""
     if not solution.success:
         return solution
     samples = sample_quantities(solution)
@@ -74,11 +75,11 @@ def creep_reported(solution: Solution, length: float) -> Solution:
     )
 
 
-def is_start(solution: Solution) -> bool:
+def is_usable_start(solution: Solution) -> bool:
     """Whether another solve can start from it: all rows hold, if only at the points of a coarse grid."""
     return solution.success or solution.meta["status"] == Status.COARSE_GRID.word
 
 
-def finite(value: float) -> float | None:
+def finite_or_none(value: float) -> float | None:
     """The value, or None where it is not finite, as JSON wants it."""
     return value if math.isfinite(value) else None

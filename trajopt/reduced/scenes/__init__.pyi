@@ -1,7 +1,7 @@
 from .goals import scene as scene
 from .report import Decision as Decision
+from .report import ProblemSize as ProblemSize
 from .report import SceneReport as SceneReport
-from .report import Size as Size
 from .smallest import Scene as Scene
 from .smallest import size_of as size_of
 from .smallest import smallest as smallest

@@ -52,18 +52,29 @@ def scene(
 ) -> Scene:
     """Return the smallest problem that takes ``robot`` through ``schedule`` to its ``goals``.
 
-    goals: what holds at the end: a pose (`pin.SE3`) or position (3,) in m for each frame by name; or a whole
-        configuration (nq,), with contacts that land in the schedule landing there; None asks for none.
-    terrain: default level ground at height 0 with friction 0.7. start: configuration (nq,), default the
-        reference; start_rates: (nv,), default at rest. rest: the motion ends at rest.
-    costs: default torques 1, contact forces, accelerations and rates 1e-2, distance from the start 1e-1, each
-        of its unit (see `costs`). terms: more of them, constraints or costs.
-    guess: motion t -> (nq,), default by inverse kinematics from the start to the goals.
-    keep, plane: as in `smallest`.
-
     Always there are effort, velocity and position limits of the robot (of its drives, if it has any),
     friction at every contact (the cone of the whole sole at surfaces), landings from the schedule, and a
-    clearance of swings of a tenth of the robot's length. Raises `InputError`.
+    clearance of swings of a tenth of the robot's length.
+
+    Args:
+        robot: The whole robot.
+        schedule: Phases with their contacts.
+        goals: What holds at the end: a pose (`pin.SE3`) or position (3,) in m for each frame by name; or a
+            configuration (nq,), with contacts that land in the schedule landing there; default: nothing.
+        terrain: Default: level ground at height 0 with friction 0.7.
+        start: Configuration (nq,); default: the reference.
+        start_rates: Rates (nv,); default: at rest.
+        rest: Whether the motion ends at rest.
+        costs: Default: torques 1, contact forces, accelerations and rates 1e-2, distance from the start 1e-1,
+            each over its natural unit.
+        terms: More constraints or costs.
+        guess: Motion t -> (nq,); default: by inverse kinematics from the start to the goals.
+        name: Of the problem.
+        keep: Joints that are never locked.
+        plane: As in `smallest`.
+
+    Raises:
+        InputError: For goals, a start or contacts that do not fit the robot.
     """
     ground = FlatGround() if terrain is None else terrain
     first = np.array(robot.reference if start is None else start, dtype=float)

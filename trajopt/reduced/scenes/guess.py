@@ -11,15 +11,17 @@ import pinocchio as pin
 
 from trajopt.dynamics.base_joint import BASE_POSITION
 from trajopt.dynamics.model_quantities import gravity_of
+from trajopt.reduced.foot_motion import FootMotion
+from trajopt.reduced.footsteps import Foothold, FootstepPlan, SupportPhase, landing_place
 from trajopt.robot.kinematics import contact_poses, contact_positions, inverse_kinematics
 from trajopt.robot.robot import Robot
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.schedule.schedule import Schedule
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.swing_profile import smooth_step
 
 # Swings rise by this part of the robot's length in the guess, more than they must.
 SWING = 0.15
-Target: TypeAlias = pin.SE3 | np.ndarray
+_Target: TypeAlias = pin.SE3 | np.ndarray
 
 
 def end_posture(
@@ -27,7 +29,7 @@ def end_posture(
     schedule: Schedule,
     ground: FlatGround,
     start: np.ndarray,
-    targets: Mapping[str, Target],
+    targets: Mapping[str, _Target],
 ) -> np.ndarray:
     """Posture at the end (nq,): goals reached, contacts of the last phase on their places.
 
@@ -53,7 +55,7 @@ def end_posture(
     return inverse_kinematics(robot, q, wanted, move_base=bool(n)).q
 
 
-def _target(robot: Robot, name: str, place: np.ndarray, start: np.ndarray) -> Target:
+def _target(robot: Robot, name: str, place: np.ndarray, start: np.ndarray) -> _Target:
     """A point's place, or a sole's pose turned as at the start."""
     if robot.contact(name).kind == "point":
         return place
@@ -76,8 +78,7 @@ def _places(
         for name in schedule.new_contacts(index):
             share = smooth_step((times[index] - phase.duration) / times[-1])
             way = (1 - share) * first[name] + share * last[name]
-            surface = phase.surface(name, ground).plane_at(way)
-            now[name] = phase.footholds.get(name, way - surface.distance(way) * surface.normal)
+            now[name] = landing_place(phase, name, ground, way)
         found.append(now)
     return found
 
@@ -89,50 +90,38 @@ class SceneGuess:
         self, robot: Robot, schedule: Schedule, ground: FlatGround, start: np.ndarray, end: np.ndarray
     ) -> None:
         self.robot, self.schedule, self.start, self.end = robot, schedule, start, end
-        self.times = [0.0, *accumulate(phase.duration for phase in schedule.phases)]
-        self.places = _places(robot, schedule, ground, start, end)
+        first, *places = _places(robot, schedule, ground, start, end)
+        supports = tuple(
+            SupportPhase(phase.name, phase.duration, {name: Foothold(place[name]) for name in phase.contacts})
+            for phase, place in zip(schedule.phases, places, strict=True)
+        )
+        self.feet = FootMotion(
+            plan=FootstepPlan(supports),
+            initial={name: Foothold(place) for name, place in first.items()},
+            clearance=SWING * robot.length,
+        )
 
     def __call__(self, t: float) -> np.ndarray:
         """Configuration at time ``t`` in s."""
         robot = self.robot
-        q = pin.interpolate(robot.model, self.start, self.end, smooth_step(t / self.times[-1]))
-        hop = self._hop(t)
+        q = pin.interpolate(robot.model, self.start, self.end, smooth_step(t / self.feet.plan.duration))
+        phase, hop = self.schedule.phases[self.feet.support_at(t)], np.array([0.0, 0.0, self._hop(t)])
         n = BASE_POSITION[robot.base]
         if n:
-            up = np.array([0.0, 0.0, hop])
-            q[:n] += up if n == 3 else up[[0, 2]]
+            q[:n] += hop if n == 3 else hop[[0, 2]]
         targets = {
-            contact.frame: _target(robot, contact.name, self._place(contact.name, t, hop), self.start)
+            contact.frame: _target(
+                robot, contact.name, self.feet.foothold(contact.name, t).position + hop, self.start
+            )
             for contact in robot.contacts
-            if n or contact.name in self._phase(t).contacts
+            if n or contact.name in phase.contacts
         }
         return inverse_kinematics(robot, q, targets).q if targets else q
 
-    def _index(self, t: float) -> int:
-        return int(np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2))
-
-    def _phase(self, t: float) -> Phase:
-        return self.schedule.phases[self._index(t)]
-
     def _hop(self, t: float) -> float:
         """Height of the parabola of a phase without contacts, m."""
-        i = self._index(t)
-        if self._phase(t).contacts or self.robot.base == "fixed":
+        i = self.feet.support_at(t)
+        if self.schedule.phases[i].contacts or self.robot.base == "fixed":
             return 0.0
-        s, duration = t - self.times[i], self.schedule.phases[i].duration
+        s, duration = t - self.feet.times[i], self.schedule.phases[i].duration
         return max(0.0, gravity_of(self.robot.model) * s * (duration - s) / 2)
-
-    def _place(self, name: str, t: float, hop: float) -> np.ndarray:
-        """Where a contact is: held, or from its last place to its next, lifted on the way."""
-        phases, now = self.schedule.phases, self._index(t)
-        if name in phases[now].contacts:
-            return self.places[now + 1][name]
-        before = next((i for i in range(now, -1, -1) if name in phases[i].contacts), -1)
-        after = next((i for i in range(now, len(phases)) if name in phases[i].contacts), None)
-        begin = self.times[before + 1]
-        over = self.times[-1] if after is None else self.times[after]
-        start = self.places[before + 1][name]
-        goal = start if after is None else self.places[after + 1][name]
-        s = min(max((t - begin) / (over - begin), 0.0), 1.0)
-        lift = np.array([0.0, 0.0, SWING * self.robot.length * 16 * s * s * (1 - s) ** 2 + hop])
-        return np.asarray((1 - smooth_step(s)) * start + smooth_step(s) * goal + lift)

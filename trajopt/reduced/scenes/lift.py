@@ -12,12 +12,12 @@ from trajopt.reduced.scenes.reduction import Reduction
 from trajopt.robot.robot import Robot
 from trajopt.solution.grid import interpolated
 from trajopt.solution.solution import Solution
-from trajopt.solving.extraction import robot_meta
+from trajopt.solving.extraction import contact_activity, robot_meta
 
-Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
+_Trajectory = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-def lifted(solution: Solution, problem: Problem, reduction: Reduction) -> Solution:
+def lift_solution(solution: Solution, problem: Problem, reduction: Reduction) -> Solution:
     """Return the motion of the whole robot of ``problem`` that a small robot's ``solution`` stands for.
 
     Configurations, rates and contact wrenches follow from the reduction. The halves of a real robot differ a
@@ -28,9 +28,7 @@ def lifted(solution: Solution, problem: Problem, reduction: Reduction) -> Soluti
     whole = reduction.whole
     q = np.array([reduction.lift_q(row) for row in solution.q])
     motion = (q, solution.v @ reduction.rates.T, solution.a @ reduction.rates.T)
-    phases = problem.schedule.phases
-    active = [[contact.name in phase.contacts for contact in whole.contacts] for phase in phases]
-    every = np.array(active, dtype=bool).reshape(len(phases), -1)[solution.phase]
+    every = contact_activity(whole, problem.schedule)[solution.phase]
     f = reduction.lift_forces(solution.f)
     if reduction.is_half:
         f = _carrying(solution, whole, motion, f, every)
@@ -53,7 +51,7 @@ def lifted(solution: Solution, problem: Problem, reduction: Reduction) -> Soluti
 
 
 def _carrying(
-    solution: Solution, robot: Robot, motion: Motion, f: np.ndarray, active: np.ndarray
+    solution: Solution, robot: Robot, motion: _Trajectory, f: np.ndarray, active: np.ndarray
 ) -> np.ndarray:
     """Wrenches (K, nc, 6) nearest to ``f`` whose base rows carry the motion at collocation points."""
     model, data, n = robot.model, robot.model.createData(), robot.n_unactuated
@@ -75,7 +73,7 @@ def _carrying(
     return interpolated(solution, corrected)
 
 
-def _torques(solution: Solution, robot: Robot, motion: Motion, f: np.ndarray) -> np.ndarray:
+def _torques(solution: Solution, robot: Robot, motion: _Trajectory, f: np.ndarray) -> np.ndarray:
     """Actuated rows (K, nu) of RNEA - J^T f at collocation points, interpolated elsewhere."""
     model, data = robot.model, robot.model.createData()
     frames = [model.getFrameId(contact.frame) for contact in robot.contacts]

@@ -9,7 +9,7 @@ import numpy as np
 from trajopt.dynamics.base_joint import BASE_COORDINATES
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.reduced.scenes.asked import Asked, Reader
+from trajopt.reduced.term_reader import TermInstance, TermReader
 from trajopt.robot.robot import Robot
 from trajopt.terms.context_symbols import Place
 from trajopt.terms.costs import (
@@ -54,11 +54,11 @@ def needed_joints(problem: Problem, keep: Sequence[str]) -> Needs:
     for phase in problem.schedule.phases:
         for contact in phase.contacts:
             _chain(robot, robot.contact(contact).frame, f"carries contact '{contact}'", found)
-    for asked in Reader(problem).every(dynamics=False):
-        for frame in asked.frames:
-            _chain(robot, frame, f"moves frame '{frame}' of {asked.term.name}", found)
-        for name in _own_joints(problem, asked):
-            found.setdefault(name, f"is in {asked.term.name}")
+    for instance in TermReader(problem).every():
+        for frame in instance.frames:
+            _chain(robot, frame, f"moves frame '{frame}' of {instance.term.name}", found)
+        for name in _own_joints(problem, instance):
+            found.setdefault(name, f"is in {instance.term.name}")
     for term in problem.terms:
         for name in _elsewhere(problem, term):
             found.setdefault(name, f"{term.name} wants it elsewhere")
@@ -71,9 +71,9 @@ def cleared_contacts(problem: Problem) -> set[str]:
     """Contacts that a term about swings keeps off the ground in some phase."""
     frames = {
         frame
-        for asked in Reader(problem).every(dynamics=False)
-        if isinstance(asked.term, SwingClearance)
-        for frame in asked.frames
+        for instance in TermReader(problem).every()
+        if isinstance(instance.term, SwingClearance)
+        for frame in instance.frames
     }
     return {contact.name for contact in problem.robot.contacts if contact.frame in frames}
 
@@ -108,11 +108,14 @@ def _chain(robot: Robot, frame: str, reason: str, found: Needs) -> None:
             found.setdefault(model.names[joint], reason)
 
 
-def _own_joints(problem: Problem, asked: Asked) -> list[str]:
+def _own_joints(problem: Problem, instance: TermInstance) -> list[str]:
     """Joints whose coordinates themselves a term of an unknown kind uses."""
-    if isinstance(asked.term, (*NO_NEED, PostureCost, TerminalState)) or asked.context.place is Place.IMPACT:
+    if (
+        isinstance(instance.term, (*NO_NEED, PostureCost, TerminalState))
+        or instance.context.place is Place.IMPACT
+    ):
         return []
-    used, model = asked.rates(), problem.robot.model
+    used, model = instance.rates(), problem.robot.model
     return [
         model.names[joint.id]
         for joint in list(model.joints)[1:]

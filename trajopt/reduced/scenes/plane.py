@@ -1,41 +1,46 @@
-"""Whether a problem can be solved in the plane: robot and task their own mirror images; and its half."""
+"""Symmetric tasks in the plane: the half of the robot, and its joints that leave the plane.
+
+A half is found where robot and task are their own mirror images. Where a limb of it moves in the plane
+without the joints that leave it (abduction, mostly), these are locked.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
 
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.reduced.scenes.half import half_robot, turned_by_mirror
-from trajopt.reduced.scenes.lock import chained, locked
+from trajopt.reduced.scenes.lock import lock_joints
 from trajopt.reduced.scenes.reduction import Reduction
-from trajopt.reduced.scenes.report import CHOICE, EXACT
-from trajopt.reduced.scenes.task import TASK, Found, require_symmetric
+from trajopt.reduced.scenes.report import CHOICE, EXACT, Decision
+from trajopt.reduced.scenes.task import TASK, Asymmetry, require_symmetric
 from trajopt.reduced.scenes.terms import reduced_problem
+from trajopt.reduced.scenes.whole_terms import HalfEnd
+from trajopt.reduced.term_reader import TermReader
+from trajopt.robot.building import leaving_plane
 from trajopt.robot.mirror import Mirror, find_mirror, limit_differences, paired_contacts, pairs
+from trajopt.terms.frames import FrameHeight
+from trajopt.terms.landing import ContactLanding
+from trajopt.terms.swing import SwingClearance
+from trajopt.terms.terminal import TerminalState
 
 # A robot may differ from its mirror image by this, parts of its mass and length: what descriptions made
 # by hand from CAD leave (Solo12 8e-6, Talos 2e-3, A1 1.1e-2), less than masses are usually known to.
 ASYMMETRY = 2e-2
 # Below this robot and task are symmetric up to rounding of descriptions and of kinematics.
 ROUNDING = 1e-9
+# Terms about frames that constrain nothing across the plane; footholds are checked separately.
+ALONG_PLANE = (ContactLanding, FrameHeight, SwingClearance)
 
 
-@dataclass(frozen=True)
-class Halved:
-    """The reduction to the half, and the decision that it is."""
+def halve_robot(problem: Problem, keep: Sequence[str]) -> tuple[Reduction, Decision]:
+    """Return the reduction to the half of a problem's robot, and the decision that it is.
 
-    reduction: Reduction
-    kind: str
-    what: str
-    why: str
-
-
-def halved(problem: Problem, keep: Sequence[str]) -> Halved:
-    """Return the half of a problem's robot. Raises `InputError` that says what is not symmetric.
-
-    ``keep`` are joints that must not be locked.
+    ``keep`` are joints that must not be locked. Raises `InputError` that says what is not symmetric.
     """
     mirror = _mirror(problem)
     turned = turned_by_mirror(problem.robot, mirror)
@@ -43,19 +48,20 @@ def halved(problem: Problem, keep: Sequence[str]) -> Halved:
     if wanted:
         raise InputError(f"joints {', '.join(wanted)} leave the plane, and are kept", "do not keep them")
     names = [contact.name for contact in problem.robot.contacts]
-    straight = locked(problem.robot, turned, names, problem.initial_q)
+    straight = lock_joints(problem.robot, turned, names, problem.initial_q)
     small = reduced_problem(problem, straight) if turned else problem
     mirror = _mirror(small) if turned else mirror
     images = paired_contacts(small.robot, mirror, TASK)
     found = require_symmetric(small, mirror, images)
     half = half_robot(small.robot, mirror, images, small.initial_q)
-    reduction = chained(straight, half) if turned else half
+    reduction = straight.then(half) if turned else half
     limits = limit_differences(small.robot, mirror)
     exact = max(mirror.asymmetry, found.difference) < ROUNDING and not limits
     what = f"the right side, which follows the left: {len(pairs(small.robot, mirror))} joints"
     if turned:
         what += f", and {', '.join(turned)} stay in the plane"
-    return Halved(reduction, EXACT if exact else CHOICE, what, _why(mirror, found, limits))
+    kind = EXACT if exact else CHOICE
+    return reduction, Decision(kind=kind, what=what, why=_why(mirror, found, limits))
 
 
 def _mirror(problem: Problem) -> Mirror:
@@ -69,10 +75,65 @@ def _mirror(problem: Problem) -> Mirror:
     return mirror
 
 
-def _why(mirror: Mirror, found: Found, limits: list[str]) -> str:
+def _why(mirror: Mirror, found: Asymmetry, limits: list[str]) -> str:
     asymmetry = f"robot within {mirror.asymmetry:.1e} of its mirror image"
     if mirror.asymmetry >= ROUNDING:
         asymmetry += f" ({mirror.worst})"
     task = f"task within {found.difference:.1e}"
     text = f"{asymmetry}, {task}; its optimum is one of the whole problem, among mirrored motions the best"
     return text + (f"; tighter limits of {', '.join(limits)}" if limits else "")
+
+
+def in_plane(problem: Problem, keep: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the joints of a half's limbs that leave the plane: those to lock, and those that cannot be.
+
+    Locked where they are, they must leave their limb joints that move in the plane, and these only: an
+    abducted leg moves in a plane of its own. Limbs with a joint in ``keep``, or of which the task asks for
+    something across the plane, stay as they are.
+    """
+    model, wanted = problem.robot.model, {*keep, *_across(problem)}
+    leaving = leaving_plane(model, 1, problem.initial_q)
+    to_lock: list[str] = []
+    stay: list[str] = []
+    for root in (j for j in range(2, model.njoints) if model.parents[j] == 1):
+        limb = [j for j in range(2, model.njoints) if root in model.supports[j]]
+        leaves = [model.names[j] for j in limb if j in leaving]
+        movable = len(leaves) < len(limb) and not any(name in wanted for name in leaves)
+        (to_lock if movable else stay).extend(leaves)
+    return tuple(to_lock), tuple(stay)
+
+
+def _across(problem: Problem) -> set[str]:
+    """Joints of limbs of which the task asks for something across the plane."""
+    robot, model = problem.robot, problem.robot.model
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, problem.initial_q)
+    frames = set()
+    for phase in problem.schedule.phases:
+        for name in phase.contacts:
+            frame = robot.contact(name).frame
+            place = data.oMf[model.getFrameId(frame)].translation
+            moved = abs(phase.footholds.get(name, place)[1] - place[1]) > TASK * robot.length
+            plane = phase.surface(name, problem.terrain).plane_at(place)
+            if moved or abs(plane.normal[1]) > TASK:
+                frames.add(frame)
+    for instance in TermReader(problem).every():
+        if instance.node is not None and not isinstance(instance.term, ALONG_PLANE):
+            frames |= set(instance.frames)
+    carriers = {int(model.frames[model.getFrameId(frame)].parentJoint) for frame in frames}
+    return {model.names[j] for carrier in carriers for j in model.supports[carrier]} | _goals(problem)
+
+
+def _goals(problem: Problem) -> set[str]:
+    """Joints that a goal wants elsewhere than at their start."""
+    found: set[str] = set()
+    for term in problem.terms:
+        if isinstance(term, HalfEnd) and isinstance(term.term, TerminalState):
+            goal = term.reduction.drop_q(np.asarray(term.term.q, dtype=float))
+            apart = np.abs(goal - problem.initial_q) > TASK
+            found |= {
+                problem.robot.model.names[j.id]
+                for j in list(problem.robot.model.joints)[2:]
+                if apart[j.idx_q : j.idx_q + j.nq].any()
+            }
+    return found

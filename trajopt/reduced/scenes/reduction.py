@@ -39,6 +39,10 @@ class Follower:
     sign: float = 1.0
     mirrored: bool = False
 
+    def behind(self, other: Follower) -> Follower:
+        """Return what is followed where the followed one follows another."""
+        return Follower(other.name, self.sign * other.sign, self.mirrored != other.mirrored)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reduction:
@@ -64,6 +68,16 @@ class Reduction:
     def y0(self) -> float:
         """Where the plane of a half is, m."""
         return float(self.start[1])
+
+    def then(self, second: Reduction) -> Reduction:
+        """Return the reduction from this one's whole robot to the small one of a second."""
+        return replace(
+            self,
+            small=second.small,
+            joints=_followed(self.joints, second.joints),
+            contacts=_followed(self.contacts, second.contacts),
+            mirrored_frames=self.mirrored_frames | second.mirrored_frames,
+        )
 
     def members(self, name: str) -> int:
         """How many joints of the whole robot follow the small one's joint of that name."""
@@ -163,6 +177,11 @@ class Reduction:
     def reflected_point(self, point: np.ndarray) -> np.ndarray:
         """Mirror image of a world position (3,) about the plane of the half, m."""
         return REFLECTION * point + np.array([0.0, 2 * self.y0, 0.0])
+
+
+def _followed(first: Mapping[str, Follower], second: Mapping[str, Follower]) -> dict[str, Follower]:
+    """What follows through both reductions."""
+    return {name: f.behind(second[f.name]) for name, f in first.items() if f.name in second}
 
 
 def whole_place(place: NodePlace, reduction: Reduction) -> NodePlace:

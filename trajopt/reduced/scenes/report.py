@@ -9,15 +9,15 @@ EXACT, CHOICE, KEPT, OFFER = "exact", "choice", "kept", "offer"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Size:
+class ProblemSize:
     """Unknowns and rows of a transcription."""
 
     variables: int
     rows: int
 
-    def less(self, other: Size) -> Size:
+    def less(self, other: ProblemSize) -> ProblemSize:
         """What the other has less than this one."""
-        return Size(variables=self.variables - other.variables, rows=self.rows - other.rows)
+        return ProblemSize(variables=self.variables - other.variables, rows=self.rows - other.rows)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ class Decision:
     kind: str
     what: str
     why: str
-    saved: Size = Size(variables=0, rows=0)
+    saved: ProblemSize = ProblemSize(variables=0, rows=0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +43,8 @@ class SceneReport:
     robot: str
     modelled: tuple[str, ...]
     decisions: tuple[Decision, ...]
-    before: Size
-    after: Size
+    before: ProblemSize
+    after: ProblemSize
     transcription: str
     intervals: int
 
@@ -73,13 +73,13 @@ class SceneReport:
         return "\n".join(lines)
 
 
-def _saving(saved: Size) -> str:
+def _saving(saved: ProblemSize) -> str:
     if not (saved.variables or saved.rows):
         return ""
     return f" (-{saved.variables} variables, -{saved.rows} rows)"
 
 
-def _change(before: Size, after: Size) -> str:
+def _change(before: ProblemSize, after: ProblemSize) -> str:
     return (
         f"{before.variables} -> {after.variables} variables, {before.rows} -> {after.rows} rows"
         if before != after

@@ -2,11 +2,11 @@
 
 Decisions are taken in this order, each on what the one before left:
 
-- costs of weight zero; four corner points of a foot as one sole (`scene_soles`);
-- contacts that are never active, joints that nothing needs (`scene_needs`, `scene_lock`);
-- the mirrored half of a symmetric robot on a symmetric task (`scene_plane`, `scene_half`);
-- joints that leave the plane, where the limb moves in it without them (`scene_flat`);
-- torques, if no term asks for them (`scene_torque`).
+- costs of weight zero; four corner points of a foot as one sole (`soles`);
+- contacts that are never active, joints that nothing needs (`needs`, `lock`);
+- the mirrored half of a symmetric robot on a symmetric task (`plane`, `half`);
+- joints that leave the plane, where the limb moves in it without them (`plane`);
+- torques, if no term asks for them.
 """
 
 from __future__ import annotations
@@ -18,22 +18,20 @@ from typing import Literal, get_args
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.reduced.scenes.facts import modelled, remarks
-from trajopt.reduced.scenes.flat import flattened
-from trajopt.reduced.scenes.lift import lifted
-from trajopt.reduced.scenes.lock import behind_base, chained, locked
+from trajopt.reduced.scenes.lift import lift_solution
+from trajopt.reduced.scenes.lock import behind_base, lock_joints
 from trajopt.reduced.scenes.needs import KEPT_AS_ASKED, cleared_contacts, needed_joints, require_lockable
-from trajopt.reduced.scenes.plane import Halved, halved
+from trajopt.reduced.scenes.plane import halve_robot, in_plane
 from trajopt.reduced.scenes.reduction import Reduction
-from trajopt.reduced.scenes.report import CHOICE, EXACT, KEPT, Decision, SceneReport, Size
+from trajopt.reduced.scenes.report import CHOICE, EXACT, KEPT, Decision, ProblemSize, SceneReport
 from trajopt.reduced.scenes.soles import Soles, with_soles
 from trajopt.reduced.scenes.terms import reduced_problem
-from trajopt.reduced.scenes.torque import without_torques
+from trajopt.reduced.term_reader import TermReader
 from trajopt.solution.solution import Solution
 from trajopt.terms.interfaces import Cost
 from trajopt.transcription.transcription import transcribe
 
 Plane = Literal["auto", True, False]
-NOTHING = Size(variables=0, rows=0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,7 +54,7 @@ class Scene:
         Its torques are those of the whole robot on this motion, locked joints' too, by inverse dynamics.
         """
         whole = self.original if self.soles is None else self.soles.problem
-        found = lifted(solution, whole, self.reduction)
+        found = lift_solution(solution, whole, self.reduction)
         return found if self.soles is None else self.soles.lift(found, self.original)
 
 
@@ -71,16 +69,21 @@ def smallest(
     transcription: str | None = None,
     intervals: int | None = None,
 ) -> Scene:
-    """Return the smallest problem with the task of ``problem``.
+    """Return the smallest problem with the task of ``problem``; nothing is solved.
 
-    keep: joints, by name, that are never locked. lock: joints that are, whatever needs them. plane: halve a
-    symmetric robot on a symmetric task if that is found possible ("auto"), must be (True), or never (False).
-    soles: four coplanar point contacts at a
-    rectangle's corners on one link become one surface contact. torques: model them although no term asks for
-    them. transcription, intervals: the grid that sizes are reported for; default the problem's.
+    Args:
+        problem: The problem of the whole robot.
+        keep: Joints, by name, that are never locked.
+        lock: Joints that are locked, whatever needs them.
+        plane: Halve a symmetric robot on a symmetric task if possible ("auto"), always (True), never (False).
+        soles: Merge four point contacts at the corners of a rectangle on one link into a surface contact.
+        torques: Model torques although no term uses them.
+        transcription: Scheme that sizes are reported for; default: the problem's.
+        intervals: Number of intervals that sizes are reported for; default: the problem's.
 
-    Nothing is solved. Raises `InputError` for an unknown joint, and with ``plane=True`` where the robot or
-    the task is not symmetric: the message says what is not.
+    Raises:
+        InputError: For an unknown joint, and with ``plane=True`` where robot or task is not symmetric; the
+            message says what is not.
     """
     if plane not in get_args(Plane) or (isinstance(plane, int) and not isinstance(plane, bool)):
         raise InputError(f"plane={plane!r} is unknown", "'auto', True or False")
@@ -88,10 +91,10 @@ def smallest(
     return made.build(tuple(lock), soles, torques)
 
 
-def size_of(problem: Problem, transcription: str | None = None, intervals: int | None = None) -> Size:
+def size_of(problem: Problem, transcription: str | None = None, intervals: int | None = None) -> ProblemSize:
     """Unknowns and rows of a problem's transcription."""
     made = transcribe(problem, transcription, intervals)
-    return Size(variables=made.layout.n_unknowns, rows=made.n_rows)
+    return ProblemSize(variables=made.layout.n_unknowns, rows=made.n_rows)
 
 
 class _Smallest:
@@ -104,7 +107,7 @@ class _Smallest:
         self.decisions: list[Decision] = []
         self.size = self.before = size_of(problem, *grid)
         names = [contact.name for contact in problem.robot.contacts]
-        self.reduction = locked(problem.robot, (), names, problem.initial_q)
+        self.reduction = lock_joints(problem.robot, (), names, problem.initial_q)
 
     def build(self, lock: tuple[str, ...], soles: bool, torques: bool) -> Scene:
         self.drop_idle_costs()
@@ -159,8 +162,11 @@ class _Smallest:
         if merged is not None:
             self.whole = self.problem = merged.problem
             names = [contact.name for contact in self.whole.robot.contacts]
-            self.reduction = locked(self.whole.robot, (), names, self.whole.initial_q)
-            self.note(merged.kind, merged.what, merged.why)
+            self.reduction = lock_joints(self.whole.robot, (), names, self.whole.initial_q)
+            corners = [f"{', '.join(sole.corners)} as sole '{sole.contact.name}'" for sole in merged.soles]
+            what = f"12 rows of four corners as 6 of a sole: {'; '.join(corners)}"
+            why = "coplanar points of one rigid link: 12 rows of rank 6; exact but for the friction model"
+            self.note(CHOICE, what, why)
         return merged
 
     def reduce(self, reduction: Reduction) -> None:
@@ -174,21 +180,21 @@ class _Smallest:
         idle = [c.name for c in robot.contacts if c.name not in needed]
         if idle:
             names = [c.name for c in robot.contacts if c.name in needed]
-            self.reduce(locked(robot, (), names, self.whole.initial_q))
+            self.reduce(lock_joints(robot, (), names, self.whole.initial_q))
             self.note(EXACT, f"contacts {', '.join(idle)}", "active in no phase, and nothing must clear them")
 
     def lock(self, wanted: tuple[str, ...]) -> None:
         robot, contacts = self.whole.robot, list(self.reduction.contacts)
         idle = [name for name in behind_base(robot) if name not in self.needs]
         if wanted:
-            self.reduce(locked(robot, wanted, contacts, self.whole.initial_q))
+            self.reduce(lock_joints(robot, wanted, contacts, self.whole.initial_q))
             self.note(CHOICE, f"{len(wanted)} joints locked: {', '.join(wanted)}", "at their start, as asked")
         idle = [name for name in idle if name not in wanted]
         if len(idle) + len(wanted) == robot.model.njoints - 1:
             why = "no joint is asked for anything, and a robot without joints is none"
             self.decisions.append(Decision(kind=KEPT, what="all other joints", why=why))
         elif idle:
-            self.reduce(locked(robot, [*wanted, *idle], contacts, self.whole.initial_q))
+            self.reduce(lock_joints(robot, [*wanted, *idle], contacts, self.whole.initial_q))
             why = (
                 "at their start: no contact, goal, clearance or other target needs them; they shift no weight"
             )
@@ -203,23 +209,26 @@ class _Smallest:
         if self.plane is False or (self.plane == "auto" and self.whole.robot.base != "freeflyer"):
             return
         try:
-            half = halved(self.problem, self._kept())
+            half, decision = halve_robot(self.problem, self._kept())
         except InputError as error:
             if self.plane is True:
                 raise
             self.decisions.append(Decision(kind=KEPT, what="left and right apart", why=str(error)))
             return
-        self._apply(half)
-        flat = flattened(self.problem, self._kept())
-        if flat.reduction is not None:
-            self.reduce(chained(self.reduction, flat.reduction))
-            self.note(CHOICE, flat.what, flat.why)
-        if flat.refused:
-            self.decisions.append(Decision(kind=KEPT, what="joints that leave the plane", why=flat.refused))
-
-    def _apply(self, half: Halved) -> None:
-        self.reduce(chained(self.reduction, half.reduction))
-        self.note(half.kind, half.what, half.why)
+        self.reduce(self.reduction.then(half))
+        self.note(decision.kind, decision.what, decision.why)
+        to_lock, stay = in_plane(self.problem, self._kept())
+        if to_lock:
+            robot = self.problem.robot
+            names = [contact.name for contact in robot.contacts]
+            self.reduce(self.reduction.then(lock_joints(robot, to_lock, names, self.problem.initial_q)))
+            what = f"{len(to_lock)} joints that leave the plane locked: {', '.join(to_lock)}"
+            why = "the limbs' other joints move in planes without them, feet do not slide"
+            self.note(CHOICE, what, f"at their start, in pairs: {why}")
+        if stay:
+            why = "their limbs' other joints leave it too, or a goal or the caller wants them"
+            what, why = "joints that leave the plane", f"{', '.join(stay)}: {why}"
+            self.decisions.append(Decision(kind=KEPT, what=what, why=why))
 
     def _kept(self) -> tuple[str, ...]:
         """Joints to keep by the names that they have now."""
@@ -227,9 +236,10 @@ class _Smallest:
         return tuple(followers[name].name for name in self.keep if name in followers)
 
     def drop_torques(self) -> None:
-        made = without_torques(self.problem)
-        if made is not None:
-            self.problem = made
+        """Accelerations as inputs: without a term about torques the problem is the same, with fewer rows."""
+        instances = TermReader(self.problem).every()
+        if self.problem.actuation == "torque" and not any(one.uses_torques for one in instances):
+            self.problem = replace(self.problem, actuation="acceleration")
             self.note(EXACT, "joint torques", "no term limits, prices or uses them: accelerations are inputs")
 
     def report(self) -> SceneReport:
@@ -240,7 +250,7 @@ class _Smallest:
             modelled=modelled(self.problem, self.whole, self.needs),
             decisions=tuple(self.decisions),
             before=self.before,
-            after=Size(variables=made.layout.n_unknowns, rows=made.n_rows),
+            after=ProblemSize(variables=made.layout.n_unknowns, rows=made.n_rows),
             transcription=made.layout.mesh.transcription,
             intervals=made.layout.n_intervals,
         )

@@ -8,22 +8,18 @@ friction pyramids along the rectangle's sides span (Caron, Pham, Nakamura, ICRA 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
-from typing import ClassVar
 
 import numpy as np
 import pinocchio as pin
 from scipy.optimize import nnls
 
 from trajopt.problem.problem import Problem
-from trajopt.reduced.scenes.report import CHOICE
 from trajopt.robot.contact import Contact
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solution.grid import interpolated
 from trajopt.solution.solution import Solution
-from trajopt.solving.extraction import robot_meta
+from trajopt.solving.extraction import contact_activity, robot_meta
 from trajopt.terms.friction import ContactConstraint, FrictionCone, FrictionPyramid, SoleCone
 from trajopt.terms.interfaces import Term
 
@@ -46,20 +42,8 @@ class Sole:
 class Soles:
     """The problem with soles in the place of corners, and the way back for its solutions."""
 
-    kind: ClassVar[str] = CHOICE
     problem: Problem
     soles: tuple[Sole, ...]
-
-    @property
-    def what(self) -> str:
-        """Which corners."""
-        parts = [f"{', '.join(sole.corners)} as sole '{sole.contact.name}'" for sole in self.soles]
-        return f"12 rows of four corners as 6 of a sole: {'; '.join(parts)}"
-
-    @property
-    def why(self) -> str:
-        """The reason."""
-        return "coplanar points of one rigid link: 12 rows of rank 6; exact but for the friction model"
 
     def lift(self, solution: Solution, original: Problem) -> Solution:
         """The solution with forces on corners, as even as friction pyramids on them allow."""
@@ -74,14 +58,12 @@ class Soles:
                 turn = data.oMf[model.getFrameId(sole.contact.frame)].rotation
                 forces |= _corner_forces(sole, turn, forces.pop(sole.contact.name), original)
             f[k] = [forces[contact.name] for contact in robot.contacts]
-        phases = original.schedule.phases
-        active = [[c.name in phase.contacts for c in robot.contacts] for phase in phases]
         return replace(
             solution,
             meta={**solution.meta, **robot_meta(original)},
             model_text=robot.limited_model().saveToString(),
             f=interpolated(solution, f),
-            active=np.array(active, dtype=bool).reshape(len(phases), -1)[solution.phase],
+            active=contact_activity(robot, original.schedule)[solution.phase],
         )
 
 
@@ -151,11 +133,7 @@ def _phase(phase: Phase, soles: list[Sole]) -> Phase:
             places = [footholds.pop(name) for name in sole.corners if name in footholds]
             if len(places) == len(sole.corners):
                 footholds[sole.contact.name] = np.mean(places, axis=0)
-    return replace(phase, contacts=tuple(contacts), footholds=_frozen(footholds))
-
-
-def _frozen(footholds: dict[str, np.ndarray]) -> Mapping[str, np.ndarray]:
-    return MappingProxyType(footholds)
+    return replace(phase, contacts=tuple(contacts), footholds=footholds)
 
 
 def _soles(problem: Problem) -> list[Sole]:

@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.reduced.scenes.asked import Asked, Reader
+from trajopt.reduced.term_reader import TermInstance, TermReader
 from trajopt.robot.contact import Contact
 from trajopt.robot.mirror import REFLECTION, TWIST, Mirror, mirrored_configuration, mirrored_rows
 from trajopt.schedule.schedule import Phase
@@ -30,14 +30,14 @@ HEADING = 1e-6
 
 
 @dataclass(frozen=True)
-class Found:
+class Asymmetry:
     """The largest difference between a part of the task and its mirror image, and which part."""
 
     difference: float
     where: str
 
 
-def require_symmetric(problem: Problem, mirror: Mirror, images: Sequence[int]) -> Found:
+def require_symmetric(problem: Problem, mirror: Mirror, images: Sequence[int]) -> Asymmetry:
     """Return how far a task is from its mirror image; raises `InputError` that says what is asymmetric.
 
     ``images`` are those of the contacts. The plane is y = initial_q[1], the heading the world's x.
@@ -45,10 +45,10 @@ def require_symmetric(problem: Problem, mirror: Mirror, images: Sequence[int]) -
     found = [_start(problem, mirror)]
     for phase in problem.schedule.phases:
         found.append(_contacts(problem, phase, images))
-    groups: dict[tuple[object, ...], list[Asked]] = {}
-    for asked in Reader(problem).every(dynamics=False):
-        place = asked.node.index if asked.node is not None else asked.context.place
-        groups.setdefault((asked.term.name, asked.phase, place), []).append(asked)
+    groups: dict[tuple[object, ...], list[TermInstance]] = {}
+    for instance in TermReader(problem).every():
+        place = instance.node.index if instance.node is not None else instance.context.place
+        groups.setdefault((instance.term.name, instance.phase, place), []).append(instance)
     found += [_terms(problem, group, mirror, images) for group in groups.values()]
     return max(found, key=lambda entry: entry.difference)
 
@@ -57,7 +57,7 @@ def _refuse(what: str, difference: float) -> InputError:
     return InputError(f"{what} is not its own mirror image: off by {difference:.2g}", "a symmetric task")
 
 
-def _start(problem: Problem, mirror: Mirror) -> Found:
+def _start(problem: Problem, mirror: Mirror) -> Asymmetry:
     robot, q = problem.robot, problem.initial_q
     rotation = pin.Quaternion(*q[[6, 3, 4, 5]]).toRotationMatrix()
     if not rotation[1, 1] > 1 - HEADING**2:
@@ -68,10 +68,10 @@ def _start(problem: Problem, mirror: Mirror) -> Found:
     moving = float(np.abs(problem.initial_v - sign * problem.initial_v[index]).max())
     if not max(apart, moving) <= TASK:
         raise _refuse("the start", max(apart, moving))
-    return Found(max(apart, moving), "the start")
+    return Asymmetry(max(apart, moving), "the start")
 
 
-def _contacts(problem: Problem, phase: Phase, images: Sequence[int]) -> Found:
+def _contacts(problem: Problem, phase: Phase, images: Sequence[int]) -> Asymmetry:
     """Contacts of a phase in pairs, each on the mirror image of the other's surface."""
     if phase.patches or not isinstance(problem.terrain, FlatGround):
         raise InputError(
@@ -99,36 +99,36 @@ def _contacts(problem: Problem, phase: Phase, images: Sequence[int]) -> Found:
         if own.bilateral != other.bilateral or not max(apart) <= TASK:
             raise _refuse(f"what '{name}' touches in phase '{phase.name}'", max(apart))
         worst = max(worst, *apart)
-    return Found(worst, f"surfaces of phase '{phase.name}'")
+    return Asymmetry(worst, f"surfaces of phase '{phase.name}'")
 
 
-def _terms(problem: Problem, group: list[Asked], mirror: Mirror, images: Sequence[int]) -> Found:
+def _terms(problem: Problem, group: list[TermInstance], mirror: Mirror, images: Sequence[int]) -> Asymmetry:
     """Compare terms of one kind at one place, together, at random inputs and at their mirror images."""
     where = f"{group[0].term.name} of phase '{problem.schedule.phases[group[0].phase].name}'"
-    filled = [asked for asked in group if asked.expression.numel()]
+    filled = [instance for instance in group if instance.expression.numel()]
     if not filled:
-        return Found(0.0, where)
-    functions, generator = [asked.function() for asked in filled], np.random.default_rng(0)
+        return Asymmetry(0.0, where)
+    functions, generator = [instance.function() for instance in filled], np.random.default_rng(0)
     worst = 0.0
     for _ in range(STATES):
         inputs = _mirrored_inputs(problem, filled[0], mirror, images, generator)
         sides = [[np.array(function(z)).ravel() for function in functions] for z in inputs]
         own, image = (_comparable(filled, values) for values in sides)
         worst = max(worst, float((np.abs(own - image) / (1.0 + np.abs(own))).max()))
-    uses_dynamics = any(asked.uses_dynamics for asked in filled)
+    uses_dynamics = any(instance.uses_dynamics for instance in filled)
     if not worst <= TASK + (PASSED_ON * mirror.asymmetry if uses_dynamics else 0.0):
         raise _refuse(where, worst)
-    return Found(0.0 if uses_dynamics else worst, where)
+    return Asymmetry(0.0 if uses_dynamics else worst, where)
 
 
-def _comparable(group: list[Asked], values: list[np.ndarray]) -> np.ndarray:
+def _comparable(group: list[TermInstance], values: list[np.ndarray]) -> np.ndarray:
     """What does not depend on the order of rows: the cost; sorted slacks; the norm of equations."""
     costs, slacks, equations = 0.0, [np.zeros(0)], [np.zeros(0)]
-    for asked, value in zip(group, values, strict=True):
-        if asked.rows is None:
+    for instance, value in zip(group, values, strict=True):
+        if instance.rows is None:
             costs += float(value.sum())
             continue
-        lower, upper = (bound / asked.rows.unit for bound in (asked.rows.lower, asked.rows.upper))
+        lower, upper = (bound / instance.rows.unit for bound in (instance.rows.lower, instance.rows.upper))
         equal = lower == upper
         slacks += [(value - lower)[~equal], (upper - value)[~equal]]
         equations.append((value - lower)[equal])
@@ -139,13 +139,13 @@ def _comparable(group: list[Asked], values: list[np.ndarray]) -> np.ndarray:
 
 def _mirrored_inputs(
     problem: Problem,
-    asked: Asked,
+    instance: TermInstance,
     mirror: Mirror,
     images: Sequence[int],
     generator: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Random inputs z of a place, near the start, and their mirror image."""
-    robot, context = problem.robot, asked.context
+    robot, context = problem.robot, instance.context
     coordinates, y0 = context.coordinates, float(problem.initial_q[1])
     index, sign = mirrored_rows(robot, mirror)
     q = pin.integrate(robot.model, problem.initial_q, generator.uniform(-0.5, 0.5, robot.nv))

@@ -1,8 +1,8 @@
 """Terms of a whole robot's problem as those of a small one's, each kind with what becomes of it.
 
 Limits and goals are stated anew for the small robot, so that no row comes twice; costs, and constraints of a
-kind that is not known here, are evaluated on the whole robot's motion (`scene_view`). A term of one's own may
-say better what becomes of it: a method ``reduced(reduction) -> Term | None``.
+kind that is not known here, are evaluated on the whole robot's motion (`whole_terms`). A user's term may say
+better what becomes of it, by a method ``reduced(reduction) -> Term | None``.
 """
 
 from __future__ import annotations
@@ -17,8 +17,14 @@ import numpy as np
 
 from trajopt.problem.problem import Problem
 from trajopt.reduced.scenes.reduction import Reduction
-from trajopt.reduced.scenes.terminal import HalfEnd
-from trajopt.reduced.scenes.view import WholeNodeCost, WholeNodeRows, WholePointRows, whole_cost
+from trajopt.reduced.scenes.whole_terms import (
+    HalfEnd,
+    WholeCost,
+    WholeImpactCost,
+    WholeNodeCost,
+    WholeNodeRows,
+    WholePointRows,
+)
 from trajopt.schedule.schedule import Motion, Phase, Schedule
 from trajopt.terms.drives import DriveLimits
 from trajopt.terms.dynamics import BaseDynamics, ContactAcceleration, ContactVelocity, ImpactDynamics
@@ -31,7 +37,7 @@ from trajopt.terms.node_interfaces import NodeConstraint
 from trajopt.terms.swing import SwingClearance
 from trajopt.terms.terminal import TerminalRest, TerminalState
 
-Value = TypeVar("Value")
+_Value = TypeVar("_Value")
 
 UNCHANGED = (
     BaseDynamics, ContactAcceleration, ContactVelocity, ImpactDynamics, VelocityLimits, PositionLimits,
@@ -70,7 +76,7 @@ def _phase(phase: Phase, reduction: Reduction) -> Phase:
     )
 
 
-def _renamed(given: Mapping[str, Value], kept: Mapping[str, str]) -> Mapping[str, Value]:
+def _renamed(given: Mapping[str, _Value], kept: Mapping[str, str]) -> Mapping[str, _Value]:
     return MappingProxyType({kept[name]: value for name, value in given.items() if name in kept})
 
 
@@ -88,7 +94,8 @@ def _reduced(term: Term, reduction: Reduction) -> Term | None:
     if isinstance(term, UNCHANGED):
         return term
     if isinstance(term, Cost):
-        return whole_cost(term, reduction)
+        kind = WholeCost if term.acts_at_points else WholeImpactCost
+        return kind(weight=term.weight, phases=term.phases, term=term, reduction=reduction)
     if isinstance(term, NodeCost):
         return WholeNodeCost(weight=term.weight, phases=term.phases, term=term, reduction=reduction)
     if isinstance(term, NodeConstraint):

@@ -1,32 +1,26 @@
 """The whole robot as a function of the small one's symbols: what terms written for the whole see.
 
 A cost keeps its meaning, its unit and its mean over all joints when it is evaluated on the whole robot's
-motion, which follows from the small one's (see `scene_reduction`). Torques that hold locked joints are left
+motion, which follows from the small one's (see `reduction`). Torques that hold locked joints are left
 out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.rerooting import joint_slices
-from trajopt.reduced.scenes.reduction import Reduction, whole_place
+from trajopt.reduced.scenes.reduction import Reduction
 from trajopt.robot.mirror import REFLECTION, TWIST
-from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.context_symbols import FrameSymbols, Place
-from trajopt.terms.interfaces import Cost, PointConstraint, Rows
-from trajopt.terms.node_costs import NodeCost
-from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
-from trajopt.transcription.robot_layers import robot_layers
 
 # Random points at which rows are compared, and what rounding leaves of rows that are equal, natural units.
 SAMPLES = 3
@@ -36,7 +30,9 @@ SAME = 1e-9
 class WholeView(Context):
     """A context of the whole robot whose symbols are expressions in a context of the small one.
 
-    Rotations of the base are its present orientation, so that local coordinates are zero there.
+    Rotations of the base are its present orientation, so that local coordinates are zero there. Torques of
+    drives are each image's share, zero at locked joints; wrenches and frames of images are mirrored.
+    Parameters and squares are those of the small robot's context.
     """
 
     def __init__(self, context: Context, reduction: Reduction) -> None:
@@ -87,21 +83,21 @@ class WholeView(Context):
         return ca.vertcat(*parts) if parts else ca.SX(0, 1)
 
     @property
+    @override
     def torque(self) -> ca.SX:
-        """Torques (nu,) that drives deliver, N m: each image's share; zero at locked joints."""
         return ca.mtimes(ca.DM(self.reduction.shares), self.small.torque)
 
     @property
+    @override
     def generalized_forces(self) -> ca.SX:
-        """Those that the small robot has, (nv,): the base's within the plane, joints' shares."""
         own, unactuated = self.small.generalized_forces, self.reduction.small.n_unactuated
         base = ca.mtimes(ca.DM(self.reduction.rates[:, :unactuated]), own[:unactuated])
         joints = ca.mtimes(ca.DM(self.reduction.shares), own[unactuated:])
         return ca.vertcat(base[: self.robot.n_unactuated], joints)
 
     @cached_property
+    @override
     def wrenches(self) -> dict[str, ca.SX]:
-        """Wrench of every active contact of the whole robot: its share, mirrored for an image."""
         if self.place is Place.NODE:
             return {}
         found = {}
@@ -111,8 +107,8 @@ class WholeView(Context):
             found[contact.name] = ca.DM(TWIST[: share.numel()]) * share if follower.mirrored else share
         return found
 
+    @override
     def frame(self, name: str) -> FrameSymbols:
-        """Symbols of a frame of the small robot, mirrored if it is on a limb that is an image."""
         frame = self.small.frame(name)
         if name not in self.reduction.mirrored_frames:
             return frame
@@ -124,153 +120,14 @@ class WholeView(Context):
             twist * frame.acceleration,
         )
 
+    @override
     def parameter(self, value: np.ndarray | float) -> ca.SX:
-        """A parameter of the small robot's context."""
         return self.small.parameter(value)
 
+    @override
     def square(self, residual: ca.SX, weight: ca.SX) -> None:
-        """Tell Gauss-Newton of a cost in the small robot's context."""
         self.small.square(residual, weight)
 
+    @override
     def varying(self, value: Callable[[float], np.ndarray], size: int) -> ca.SX:
-        """A parameter of the small robot's context that varies in time."""
         return self.small.varying(value, size)
-
-
-@dataclass(frozen=True, kw_only=True)
-class WholeCost(Cost):
-    """A running cost of the whole robot, on the motion of the small one."""
-
-    term: Cost
-    reduction: Reduction
-
-    @property
-    def name(self) -> str:
-        return self.term.name
-
-    def residual(self, context: Context, units: Units) -> ca.SX:
-        return self.term.residual(WholeView(context, self.reduction), self._units(context))
-
-    def value(self, context: Context, units: Units) -> ca.SX:
-        return self.term.value(WholeView(context, self.reduction), self._units(context))
-
-    def _units(self, context: Context) -> Units:
-        units = Units(self.reduction.whole)
-        return units.impulsive() if context.place is Place.IMPACT else units
-
-
-@dataclass(frozen=True, kw_only=True)
-class WholeImpactCost(WholeCost):
-    """The same of a cost of impacts."""
-
-    acts_at_points: ClassVar[bool] = False
-    acts_at_impacts: ClassVar[bool] = True
-
-
-def whole_cost(term: Cost, reduction: Reduction) -> Cost:
-    """Return the cost as the small robot's problem has it."""
-    kind = WholeCost if term.acts_at_points else WholeImpactCost
-    return kind(weight=term.weight, phases=term.phases, term=term, reduction=reduction)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class WholeNodeCost(NodeCost):
-    """A cost at nodes of the whole robot, on the motion of the small one."""
-
-    term: NodeCost
-    reduction: Reduction
-
-    @property
-    def name(self) -> str:
-        return self.term.name
-
-    def acts_at(self, place: NodePlace) -> bool:
-        return self.term.acts_at(place)
-
-    def quantity(self, context: Context, units: Units, place: NodePlace) -> ca.SX:
-        view, own = WholeView(context, self.reduction), Units(self.reduction.whole)
-        return self.term.quantity(view, own, whole_place(place, self.reduction))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class WholePointRows(PointConstraint):
-    """A point constraint of the whole robot on the small one's motion, without rows that bind nothing."""
-
-    term: PointConstraint
-    reduction: Reduction
-
-    @property
-    def name(self) -> str:
-        return self.term.name
-
-    def rows(self, context: Context, units: Units) -> Rows | None:
-        found = self.term.rows(WholeView(context, self.reduction), Units(self.reduction.whole))
-        return None if found is None else distinct(found, context)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class WholeNodeTerm(NodeConstraint):
-    """A node constraint of the whole robot on the motion of the small one: its name, and where it acts."""
-
-    term: NodeConstraint
-    reduction: Reduction
-
-    @property
-    def name(self) -> str:
-        return self.term.name
-
-    def acts_at(self, place: NodePlace) -> bool:
-        return self.term.acts_at(place)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class WholeNodeRows(WholeNodeTerm):
-    """Its rows, without those that bind nothing."""
-
-    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
-        view, own = WholeView(context, self.reduction), Units(self.reduction.whole)
-        found = self.term.rows(view, own, whole_place(place, self.reduction))
-        return distinct(found, context)
-
-
-def distinct(rows: Rows, context: Context) -> Rows:
-    """Return the rows without those that the small robot meets whatever it does, and without repetitions.
-
-    Found by values and gradients at random points: what is the same at all of them, up to rounding, is the
-    same everywhere, since the functions are analytic.
-    """
-    function = _values_and_gradients(ca.SX(rows.expression) / ca.DM(rows.unit), context)
-    generator = np.random.default_rng(0)
-    sampled = [np.array(function(_random_inputs(context, generator))) for _ in range(SAMPLES)]
-    lower, upper = rows.lower / rows.unit, rows.upper / rows.unit
-    chosen: list[int] = []
-    for i in range(len(lower)):
-        own = np.array([sample[i] for sample in sampled])
-        fixed = np.abs(own[:, 1:]).max(initial=0.0) < SAME and lower[i] - SAME <= own[0, 0] <= upper[i] + SAME
-        repeated = any(
-            np.abs(own - [sample[j] for sample in sampled]).max() < SAME
-            and (lower[i], upper[i]) == (lower[j], upper[j])
-            for j in chosen
-        )
-        if not (fixed or repeated):
-            chosen.append(i)
-    return Rows(rows.expression[chosen], rows.lower[chosen], rows.upper[chosen], rows.unit[chosen])
-
-
-def _values_and_gradients(expression: ca.SX, context: Context) -> ca.Function:
-    """z -> (n, 1 + n_z) values and gradients of rows at the parameters' present values."""
-    o, layers = robot_layers(context, expression)
-    terms = ca.Function("terms", [context.z, o, context.parameters], [expression])
-    z = value = ca.SX.sym("z", context.z.numel())
-    for layer in layers:
-        value = layer(value)
-    found = terms(z, value if layers else ca.SX(0, 1), ca.DM(context.parameter_values))
-    return ca.Function("rows", [z], [ca.densify(ca.horzcat(found, ca.jacobian(found, z)))])
-
-
-def _random_inputs(context: Context, generator: np.random.Generator) -> np.ndarray:
-    """Inputs of a point with unit rotations and positive clocks."""
-    z = generator.uniform(0.1, 1.0, context.z.numel())
-    for i in range(context.coordinates.n_rotations):
-        z[4 * i : 4 * i + 4] /= np.linalg.norm(z[4 * i : 4 * i + 4])
-    return z

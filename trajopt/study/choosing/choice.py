@@ -15,7 +15,7 @@ from typing import Any
 
 from trajopt.problem.problem import Problem
 from trajopt.robot.units import Units
-from trajopt.solving.refine import size_of
+from trajopt.solving.refine import unknowns_on_mesh
 from trajopt.study.sweep.calibration import Load
 from trajopt.study.sweep.front import Filter, Front, Measured, load_front, packaged_fronts
 from trajopt.study.sweep.likeness import motion_kind
@@ -138,5 +138,5 @@ def _choice(problem: Problem, name: str, front: Front, point: Measured, speed: f
         measured=point,
         mesh=mesh,
         predicted_error=point.relative_error * units.length,
-        predicted_time=point.time * speed * size_of(problem, mesh) / point.variables,
+        predicted_time=point.time * speed * unknowns_on_mesh(problem, mesh) / point.variables,
     )

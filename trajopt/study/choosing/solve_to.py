@@ -15,7 +15,7 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.ladder import INTERRUPTED
 from trajopt.solving.refine import Refinement, Round, phase_errors, refine
 from trajopt.solving.solving import solve
-from trajopt.solving.verdicts import is_start
+from trajopt.solving.verdicts import is_usable_start
 from trajopt.study.choosing.choice import Choice, choices_by_time, choose_for_accuracy
 from trajopt.study.sweep.front import Filter
 
@@ -104,10 +104,10 @@ def solve_to_accuracy(
     else:
         further = {name: value for name, value in solver.items() if name != "tolerance"}
         origin: dict[str, Any] = {"start": first}
-        if not is_start(first):
+        if not is_usable_start(first):
             origin = {"mesh": choice.mesh, "start": start}
         made = refine(problem, accuracy, **origin, **further, **settings)
-        if not is_start(first):
+        if not is_usable_start(first):
             made = replace(made, rounds=(Round.of(choice.mesh, first), *made.rounds))
     return _finished(
         Aimed(

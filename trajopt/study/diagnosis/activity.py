@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
 
-from trajopt.study.diagnosis.names import Names, Site
+from trajopt.study.diagnosis.names import NlpNames, Site
 from trajopt.study.diagnosis.snapshot import Snapshot
 
 BOUNDS = "bounds"
@@ -55,88 +55,71 @@ class ActiveLimit:
 def active_limits(snapshot: Snapshot) -> list[ActiveLimit]:
     """All active inequalities and bounds, those with the largest multipliers first."""
     t, names = snapshot.transcription, snapshot.names
-    rows = np.flatnonzero(snapshot.row_side)
-    slack = np.minimum(snapshot.g - t.lower_g, t.upper_g - snapshot.g)
-    entries = [
-        (names.block(row), names.row(row).about, int(snapshot.row_side[row]), names.row_sites[row])
-        for row in rows.tolist()
-    ]
-    strict = snapshot.strict(slack, snapshot.row_multiplier)[rows]
-    paid = _of(snapshot.row_multiplier, rows)
-    found = _grouped(names, entries, paid, strict, _stated_rows(snapshot))
-    unknowns = np.flatnonzero(snapshot.bound_side)
-    slack = np.minimum(snapshot.x - t.lower_x, t.upper_x - snapshot.x)
-    entries = [
-        (BOUNDS, str(names.unknown_labels[i]), int(snapshot.bound_side[i]), names.unknown_sites[i])
-        for i in unknowns.tolist()
-    ]
-    strict = snapshot.strict(slack, snapshot.bound_multiplier)[unknowns]
-    paid = _of(snapshot.bound_multiplier, unknowns)
-    found += _grouped(names, entries, paid, strict, _stated_bounds(snapshot))
+    rows = [(names.block(row), names.row_sites[row]) for row in range(t.n_rows)]
+    bounds = [(BOUNDS, site) for site in names.unknown_sites]
+    bounded = (np.isfinite(t.lower_x) | np.isfinite(t.upper_x)) & ~snapshot.fixed
+    found = _grouped(
+        snapshot,
+        [(*rows[row], names.row(row).about, row) for row in np.flatnonzero(snapshot.row_side).tolist()],
+        snapshot.row_side,
+        snapshot.row_multiplier,
+        np.minimum(snapshot.g - t.lower_g, t.upper_g - snapshot.g),
+        {rows[row] for row in np.flatnonzero(~snapshot.equality).tolist()},
+    )
+    found += _grouped(
+        snapshot,
+        [(*bounds[i], str(names.unknown_labels[i]), i) for i in np.flatnonzero(snapshot.bound_side).tolist()],
+        snapshot.bound_side,
+        snapshot.bound_multiplier,
+        np.minimum(snapshot.x - t.lower_x, t.upper_x - snapshot.x),
+        {bounds[i] for i in np.flatnonzero(bounded).tolist()},
+    )
     return sorted(found, key=lambda limit: (-(limit.multiplier or 0.0), -limit.places))
 
 
-def _of(multiplier: np.ndarray | None, which: np.ndarray) -> np.ndarray | None:
-    return None if multiplier is None else np.abs(multiplier[which])
-
-
-def _stated_rows(snapshot: Snapshot) -> dict[tuple[str, int], int]:
-    """Number of places in a phase at which a block has inequalities."""
-    names = snapshot.names
-    places = {(names.block(row), names.row_sites[row]) for row in np.flatnonzero(~snapshot.equality).tolist()}
-    return _counted(names, places)
-
-
-def _stated_bounds(snapshot: Snapshot) -> dict[tuple[str, int], int]:
-    t, names = snapshot.transcription, snapshot.names
-    bounded = (np.isfinite(t.lower_x) | np.isfinite(t.upper_x)) & ~snapshot.fixed
-    places = {(BOUNDS, names.unknown_sites[i]) for i in np.flatnonzero(bounded).tolist()}
-    return _counted(names, places)
-
-
-def _counted(names: Names, places: Iterable[tuple[str, Site]]) -> dict[tuple[str, int], int]:
-    found: dict[tuple[str, int], int] = {}
-    for block, site in places:
-        key = (block, names.phase_index(site.stage))
-        found[key] = found.get(key, 0) + 1
-    return found
-
-
 def _grouped(
-    names: Names,
-    entries: list[tuple[str, str, int, Site]],
+    snapshot: Snapshot,
+    active: list[tuple[str, Site, str, int]],
+    side: np.ndarray,
     multiplier: np.ndarray | None,
-    strict: np.ndarray,
-    stated: dict[tuple[str, int], int],
+    slack: np.ndarray,
+    stated: set[tuple[str, Site]],
 ) -> list[ActiveLimit]:
-    groups: dict[tuple[str, str, int, int], list[int]] = {}
-    for index, (block, about, side, site) in enumerate(entries):
-        groups.setdefault((block, about, side, names.phase_index(site.stage)), []).append(index)
+    """Active limits (block, place, subject, index) by phase; ``stated``: blocks and places that have some."""
+    names, strict = snapshot.names, snapshot.strict(slack, multiplier)
+    of = Counter((block, names.phase_index(site.stage)) for block, site in stated)
+    groups: dict[tuple[str, str, int, int], list[tuple[int, Site]]] = {}
+    for block, site, about, index in active:
+        key = (block, about, int(side[index]), names.phase_index(site.stage))
+        groups.setdefault(key, []).append((index, site))
     found = []
-    for (block, about, side, phase), members in groups.items():
-        sites = [entries[index][3] for index in members]
+    for (block, about, sign, phase), members in groups.items():
+        sites = {site for _, site in members}
         times = [names.time(site) for site in sites]
-        largest = None if multiplier is None else members[int(np.argmax(multiplier[members]))]
+        largest = at = None
+        if multiplier is not None:
+            index, site = max(members, key=lambda member: abs(multiplier[member[0]]))
+            largest, at = abs(float(multiplier[index])), names.time(site)
         found.append(
             ActiveLimit(
                 block=block,
                 about=about,
-                side=SIDES[side],
+                side=SIDES[sign],
                 phase=names.layout.schedule.phases[phase].name,
-                places=len(set(sites)),
-                of=stated[block, phase],
-                strict=int(strict[members].sum()),
-                duration=float(sum(_share(names, site) for site in set(sites))),
+                places=len(sites),
+                of=of[block, phase],
+                strict=int(sum(strict[index] for index, _ in members)),
+                duration=float(sum(_share(names, site) for site in sites)),
                 first=min(times),
                 last=max(times),
-                multiplier=None if multiplier is None or largest is None else float(multiplier[largest]),
-                at=None if largest is None else names.time(entries[largest][3]),
+                multiplier=largest,
+                at=at,
             )
         )
     return found
 
 
-def _share(names: Names, site: Site) -> float:
+def _share(names: NlpNames, site: Site) -> float:
     """Time for which a point stands, s: its weight in the integral; none for a node."""
     if site.point < 0:
         return 0.0

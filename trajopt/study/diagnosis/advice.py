@@ -10,7 +10,7 @@ from trajopt.study.diagnosis.diagnosis import Advice
 
 if TYPE_CHECKING:
     from trajopt.study.diagnosis.activity import ActiveLimit
-    from trajopt.study.diagnosis.conflict import Conflict, Party
+    from trajopt.study.diagnosis.conflict import Conflict, ConflictMember
     from trajopt.study.diagnosis.diagnosis import Diagnosis
     from trajopt.study.diagnosis.findings import DependentRows
 
@@ -41,7 +41,7 @@ REMEDIES = {
     BOUNDS: "widen that bound",
 }
 BOUND_OF = {"rate": "velocity_limits", "position": "position_limits"}
-# A limit that holds for this part of its places decides the motion; so many of them are named.
+# A limit active at this part of its places determines the motion; most of them that are named.
 SATURATED, MOST_SATURATED = 0.5, 3
 # An interval that errs by more than this (m) is too wide: the tolerance of a check on drift.
 COARSE = 1e-3
@@ -158,11 +158,11 @@ def _parties(clash: Conflict) -> str:
     return f"{giving}{where}" + (f"; against it stand {against}" if against else "")
 
 
-def _block(party: Party) -> str:
+def _block(party: ConflictMember) -> str:
     return party.what.split(" [", 1)[0]
 
 
-def _remedy(party: Party) -> str:
+def _remedy(party: ConflictMember) -> str:
     return _remedy_of(_block(party), party.what, f"ask less of {_block(party)}")
 
 

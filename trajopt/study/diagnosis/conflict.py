@@ -1,10 +1,10 @@
-"""Which rows stand in each other's way: the elastic minimum of the linearised constraints.
+"""Which rows contradict each other: the elastic minimum of the linearised constraints.
 
 About an iterate, within a box of natural units, the least sum of violations of the linearised rows,
 
     min sum w (s+ + s-)    lower <= g + J p + s+ - s- <= upper,    |p| <= box,  bounds of unknowns
 
-w is 1, and large for the motion itself (defects and dynamics): nature does not give way, goals and limits do.
+w is 1, and large for the motion itself (defects and dynamics): goals and limits are relaxed first.
 Rows with s > 0 have to give way. Its multipliers y, at most w in magnitude, are a certificate of Farkas'
 kind: rows weighted with y add up to a contradiction, so that the rows and bounds with large ones are those
 that stand against the rows that give way. (Gill, Murray, Saunders, "SNOPT", SIAM Review 2005, elastic mode.)
@@ -38,7 +38,7 @@ NAMED = 6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Party:
+class ConflictMember:
     """Rows or bounds of one block and subject in one phase.
 
     amount: the violation that they cannot do without, natural units; 0 for those that stand against it.
@@ -67,8 +67,8 @@ class Conflict:
 
     before: float
     after: float
-    giving: tuple[Party, ...]
-    against: tuple[Party, ...]
+    giving: tuple[ConflictMember, ...]
+    against: tuple[ConflictMember, ...]
     edge: float
 
     @property
@@ -144,21 +144,23 @@ def _elastic(
     return np.array(found.x), weights, np.array(at_bound)
 
 
-def _giving(snapshot: Snapshot, give: np.ndarray) -> tuple[Party, ...]:
+def _giving(snapshot: Snapshot, give: np.ndarray) -> tuple[ConflictMember, ...]:
     order = [row for row in np.argsort(-give).tolist() if give[row] > 0]
-    parties: dict[tuple[str, str], Party] = {}
+    parties: dict[tuple[str, str], ConflictMember] = {}
     for row in order:
         name = snapshot.names.row(row)
         key = (name.what, snapshot.names.phase(name.site.stage))
         if key not in parties and len(parties) < NAMED:
             place = snapshot.names.place(name.site)
-            parties[key] = Party(what=key[0], phase=key[1], amount=float(give[row]), weight=1.0, place=place)
+            parties[key] = ConflictMember(
+                what=key[0], phase=key[1], amount=float(give[row]), weight=1.0, place=place
+            )
     return tuple(parties.values())
 
 
 def _against(
     snapshot: Snapshot, give: np.ndarray, weights: np.ndarray, free: np.ndarray, bounds: np.ndarray
-) -> tuple[Party, ...]:
+) -> tuple[ConflictMember, ...]:
     """Limits, bounds and goals with the largest multipliers, added up over time."""
     names, giving = snapshot.names, {snapshot.names.block(row) for row in np.flatnonzero(give).tolist()}
     found: dict[tuple[str, str], list[tuple[float, Site]]] = {}
@@ -176,7 +178,7 @@ def _against(
     largest = max(sums.values(), default=0.0)
     order = sorted((key for key in sums if sums[key] > PART * largest), key=lambda key: -sums[key])
     return tuple(
-        Party(
+        ConflictMember(
             what=what,
             phase=phase,
             amount=0.0,

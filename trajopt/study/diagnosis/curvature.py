@@ -21,15 +21,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg, sparse
+from scipy.sparse import linalg as sparse_linalg
 
 from trajopt.study.diagnosis.rank import DENSE, RANK_TOLERANCE, quiet_factor
 
-# Curvature below this part of the largest is none: of a Hessian in natural units it is rounding, or the price
-# of something that nobody should pay attention to.
+# Curvature below this part of the largest counts as zero: rounding of a Hessian in natural units, or
+# a cost of negligible weight.
 FLAT = 1e-8
 BETA = 1e-14
-# Lanczos steps with full orthogonalisation, and directions that are named.
-STEPS = 40
+# Lanczos vectors, relative error at which an eigenvalue has converged, restarts; directions that are named.
+STEPS, CONVERGED, RESTARTS = 40, 1e-8, 30
 NAMED = 4
 # Ritz vectors of different runs that differ by less than this are one: their difference is rounding.
 DISTINCT = 1e-5
@@ -57,17 +58,17 @@ class Curvature:
 
     @property
     def flat(self) -> float:
-        """Curvature below which there is none."""
+        """Curvature below this magnitude counts as zero."""
         return FLAT * max(abs(self.largest or 0.0), abs(self.smallest or 0.0))
 
     @property
     def negative(self) -> bool:
-        """Whether some direction curves downwards: the second-order condition does not hold."""
+        """Whether some direction has negative curvature: the second-order condition does not hold."""
         return self.smallest is not None and self.smallest < -self.flat
 
     @property
     def holds(self) -> bool:
-        """Whether every free direction curves upwards: the second-order sufficient condition."""
+        """Whether every free direction has positive curvature: the second-order sufficient condition."""
         return self.smallest is None or self.smallest > self.flat
 
 
@@ -142,36 +143,17 @@ def _operator(first: sparse.csc_matrix, active: sparse.csc_matrix) -> Operator |
     return lambda p: factor.solve(np.concatenate([p, rest]))[:n]
 
 
-def lanczos(operator: Operator, start: np.ndarray, steps: int = STEPS) -> np.ndarray:
-    """Ritz vectors (n, k) of a symmetric operator at both ends of its spectrum, from one Krylov space."""
+def lanczos(operator: Operator, start: np.ndarray) -> np.ndarray:
+    """Eigenvectors (n, k) of a symmetric operator at both ends of its spectrum, those that converge."""
     n = len(start)
-    steps = min(steps, n)
-    basis = np.zeros((n, steps))
-    basis[:, 0] = start / np.linalg.norm(start)
-    size = steps
-    images = np.zeros((n, steps))
-    for j in range(steps):
-        image = operator(basis[:, j])
-        images[:, j] = image
-        if not np.isfinite(image).all():
-            size = j
-            break
-        rest = image
-        for _ in range(2):
-            rest = rest - basis[:, : j + 1] @ (basis[:, : j + 1].T @ rest)
-        length = np.linalg.norm(rest)
-        if j + 1 == steps or length <= 1e-12 * np.linalg.norm(image):
-            size = j + 1
-            break
-        basis[:, j + 1] = rest / length
-    if size == 0:
+    symmetric = sparse_linalg.LinearOperator((n, n), matvec=operator, dtype=float)
+    settings = {"which": "BE", "v0": start, "ncv": min(STEPS, n), "tol": CONVERGED, "maxiter": RESTARTS}
+    try:
+        return np.asarray(sparse_linalg.eigsh(symmetric, k=min(4 * NAMED, n - 1), **settings)[1])
+    except sparse_linalg.ArpackNoConvergence as error:
+        return np.asarray(error.eigenvectors).reshape(n, -1)
+    except sparse_linalg.ArpackError:
         return np.zeros((n, 0))
-    small = basis[:, :size].T @ images[:, :size]
-    _, vectors = np.linalg.eigh((small + small.T) / 2)
-    ends = np.unique(
-        np.concatenate([np.arange(min(2 * NAMED, size)), np.arange(max(0, size - 2 * NAMED), size)])
-    )
-    return basis[:, :size] @ vectors[:, ends]
 
 
 def _from_vectors(

@@ -1,4 +1,4 @@
-"""A diagnosis: the NLP of a solution rebuilt, looked at from every side, and put into words."""
+"""Diagnose a solution: rebuild its NLP, analyse it at the iterate, and report in words."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from trajopt.solution.grid import mesh_of
 from trajopt.solution.input import solution_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.extraction import extract
-from trajopt.solving.solving import Prepared, prepare
+from trajopt.solving.solving import PreparedProblem, prepare
 from trajopt.solving.verdicts import STILL_FEASIBLE
 from trajopt.study.diagnosis.activity import active_limits
 from trajopt.study.diagnosis.advice import advice
@@ -43,17 +43,22 @@ SAME = 1e-4
 
 
 def diagnose(
-    what: Solution | Prepared | str | Path, problem: Problem | None = None, *, compile: str | None = None
+    what: Solution | PreparedProblem | str | Path,
+    problem: Problem | None = None,
+    *,
+    compile: str | None = None,
 ) -> Diagnosis:
     """Say what is wrong, or well, with an NLP at an iterate.
 
-    what: a solution or its file, solved or not; or a prepared problem, looked at at its guess.
-    problem: of the solution; default: that of the catalogue which the file names, with its parameters.
-    compile: level at which functions are compiled; default: the file's if it is in the cache, as where it was
-    solved, else none. Raises InputError where the problem is unknown, or of other joints or phases than the
-    solution.
+    Args:
+        what: A solution or its file, solved or not; or a prepared problem, which is diagnosed at its guess.
+        problem: Of the solution; default: that of the catalogue which the file names, with its parameters.
+        compile: Level of compilation; default: the file's if that is in the cache, else ``none``.
+
+    Raises:
+        InputError: Where the problem is unknown, or has other joints or phases than the solution.
     """
-    if isinstance(what, Prepared):
+    if isinstance(what, PreparedProblem):
         return _diagnosed(at_guess(what), None, f"guess of {what.transcription.problem.name}")
     solution = solution_of(what)
     source = str(what) if isinstance(what, str | Path) else "solution"

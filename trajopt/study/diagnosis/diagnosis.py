@@ -39,7 +39,7 @@ class Violation:
 class Diagnosis:
     """All that was found at one iterate; parts that need finite values are None where they are not.
 
-    source: what was looked at. status: the solver's, None for a guess. free: number of free unknowns at the
+    source: what was diagnosed. status: the solver's, None for a guess. free: number of free unknowns at the
     iterate. local_error: per phase the largest error in m that one interval makes, of a solved motion.
     """
 
@@ -88,7 +88,6 @@ class Diagnosis:
         return {**asdict(self), "clean": self.clean, "feasible": self.feasible}
 
     def __str__(self) -> str:
-
         return "\n".join(_lines(self))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from trajopt.problem.problem import Problem
 from trajopt.study.diagnosis.curvature import Curvature
 from trajopt.study.diagnosis.names import Site
-from trajopt.study.diagnosis.rank import Dependency, dependencies, spectrum
+from trajopt.study.diagnosis.rank import RowDependency, dependencies, spectrum
 from trajopt.study.diagnosis.snapshot import Snapshot
 from trajopt.terms.limits import PositionLimits
 
@@ -97,7 +97,7 @@ def rank_report(snapshot: Snapshot, phase: int | None) -> RankReport:
     blind, seen = rows[~seeing], rows[seeing]
     found = spectrum(matrix[seeing])
     groups = [(seen[group.rows], group) for group in dependencies(found.vectors)]
-    alone = Dependency(rows=np.zeros(1, dtype=int), share=np.ones(1), excess=1)
+    alone = RowDependency(rows=np.zeros(1, dtype=int), share=np.ones(1), excess=1)
     merged = _merged(snapshot, groups, fixed=False) + _merged(
         snapshot, [(np.array([row]), alone) for row in blind], fixed=True
     )
@@ -117,11 +117,11 @@ def rank_report(snapshot: Snapshot, phase: int | None) -> RankReport:
 
 
 def _merged(
-    snapshot: Snapshot, groups: list[tuple[np.ndarray, Dependency]], *, fixed: bool
+    snapshot: Snapshot, groups: list[tuple[np.ndarray, RowDependency]], *, fixed: bool
 ) -> list[DependentRows]:
     """Groups of the same rows at different places are one finding."""
     names = snapshot.names
-    kinds: dict[tuple[tuple[str, ...], str], list[tuple[np.ndarray, Dependency]]] = {}
+    kinds: dict[tuple[tuple[str, ...], str], list[tuple[np.ndarray, RowDependency]]] = {}
     for rows, group in groups:
         what = sorted({names.row(int(row)).what for row in rows})
         phase = names.phase(names.row_sites[int(rows[0])].stage)

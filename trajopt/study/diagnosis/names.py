@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -47,7 +48,7 @@ class RowName:
 
 
 @dataclass(frozen=True)
-class Names:
+class NlpNames:
     """Names of one transcription; ``times`` (n_stages + 1,) s of its nodes.
 
     A row's subject is read off the symbols in its term's expression, so that terms of users are named too.
@@ -226,7 +227,8 @@ class Names:
             return
         if k < layout.n_stages and layout.stages[k].kind is StageKind.IMPACT:
             yield self._phase_subjects(layout.stages[k].phase, Place.IMPACT, k)
-        yield self._node_subjects(k)
+        if layout.place(k) is not None:
+            yield self._subjects_of(layout.place_phase(k), Place.NODE, k)
 
     @cached_property
     def functions(self) -> TermFunctions:
@@ -235,29 +237,33 @@ class Names:
         robots = {id(form.robot): form.robot for form in layout.forms}
         return TermFunctions(problem, layout, {key: Units(r, problem.robot) for key, r in robots.items()})
 
+    def units_at(self, place: Place, k: int) -> Units:
+        """Units of the terms at a place of stage k."""
+        units = self.functions.units[id(self.layout.forms[k].robot)]
+        return units.impulsive() if place is Place.IMPACT else units
+
+    def acting_terms(self, phase: int, place: Place, k: int) -> list[Any]:
+        """Costs and constraints that act at a place of stage k."""
+        problem, at = self.transcription.problem, self.layout.place(k)
+        if place is Place.NODE:
+            candidates: tuple[Any, ...] = (*problem.node_constraints, *problem.node_costs)
+            return [term for term in candidates if at is not None and term.acts_at(at)]
+        name, impact = problem.schedule.phases[phase].name, place is Place.IMPACT
+        costs = problem.impact_costs if impact else problem.costs
+        acting: list[Any] = [t for t in (*costs, *problem.point_constraints) if t.acts_in(name)]
+        return [ImpactDynamics(), *(t for t in acting if t.acts_at_impacts)] if impact else acting
+
     def _phase_subjects(self, phase: int, place: Place, k: int) -> dict[str, list[str]]:
         key = (phase, place)
         if key not in self._by_terms:
-            problem, form = self.transcription.problem, self.layout.forms[k]
-            name, units = problem.schedule.phases[phase].name, self.functions.units[id(form.robot)]
-            terms = [term for term in problem.point_constraints if term.acts_in(name)]
-            if place is Place.IMPACT:
-                terms = [ImpactDynamics(), *(term for term in terms if term.acts_at_impacts)]
-                units = units.impulsive()
-            context = self.functions.context(phase, form, place)
-            rows = [(term.name, term.rows(context, units)) for term in terms]
-            self._by_terms[key] = _subjects(SymbolNames(context, form, self.clocks), rows)
+            self._by_terms[key] = self._subjects_of(phase, place, k)
         return self._by_terms[key]
 
-    def _node_subjects(self, k: int) -> dict[str, list[str]]:
-        layout, problem = self.layout, self.transcription.problem
-        place, phase, form = layout.place(k), layout.place_phase(k), layout.forms[k]
-        if place is None:
-            return {}
-        terms = [term for term in problem.node_constraints if term.acts_at(place)]
-        context = self.functions.context(phase, form, Place.NODE)
-        units = self.functions.units[id(form.robot)]
-        rows = [(term.name, term.rows(context, units, place)) for term in terms]
+    def _subjects_of(self, phase: int, place: Place, k: int) -> dict[str, list[str]]:
+        form, at = self.layout.forms[k], (self.layout.place(k),) if place is Place.NODE else ()
+        context, units = self.functions.context(phase, form, place), self.units_at(place, k)
+        constraints = [term for term in self.acting_terms(phase, place, k) if hasattr(term, "rows")]
+        rows = [(term.name, term.rows(context, units, *at)) for term in constraints]
         return _subjects(SymbolNames(context, form, self.clocks), rows)
 
 

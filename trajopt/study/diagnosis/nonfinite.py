@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trajopt.study.diagnosis.names import Names, Site
+from trajopt.study.diagnosis.names import NlpNames, Site
 from trajopt.study.diagnosis.symbols import (
     Label,
     coordinate_labels,
@@ -15,7 +15,12 @@ from trajopt.study.diagnosis.symbols import (
     node_labels,
     rotation_labels,
 )
-from trajopt.study.diagnosis.term_values import Value, guilty_terms, slopes_of, values_of
+from trajopt.study.diagnosis.term_values import (
+    Evaluation,
+    derivative_function,
+    nonfinite_terms,
+    value_function,
+)
 from trajopt.terms.context_symbols import Place
 from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.timeline import NodeLayout, StageKind
@@ -31,7 +36,7 @@ MOST_NAMED = 6
 
 
 @dataclass(frozen=True, kw_only=True)
-class GuiltyInput:
+class SuspectInput:
     """An input of the function: name, value (SI units, true or nominal time as the unknown is)."""
 
     name: str
@@ -57,7 +62,7 @@ class NonFinite:
     point: int | None
     time: float
     place: str
-    inputs: tuple[GuiltyInput, ...]
+    inputs: tuple[SuspectInput, ...]
     kinds: tuple[str, ...] = ()
 
     def __str__(self) -> str:
@@ -79,12 +84,12 @@ class _Where:
     labels: Sequence[Label]
 
 
-def first_nonfinite(nlp: Nlp, names: Names, x: np.ndarray) -> NonFinite | None:
+def first_nonfinite(nlp: Nlp, names: NlpNames, x: np.ndarray) -> NonFinite | None:
     """The first function of the NLP that is not finite at scaled unknowns x (n_unknowns,), or None."""
-    found = nlp.engine.first_nonfinite(x)
-    if found is None:
+    first = nlp.engine.first_nonfinite(x)
+    if first is None:
         return _unknown_itself(names, x)
-    number, position, output, index = found
+    number, position, output, index = first
     t = nlp.transcription
     where = _where(t, names, number, position)
     inputs = _inputs(t, where, x)
@@ -93,34 +98,18 @@ def first_nonfinite(nlp: Nlp, names: Names, x: np.ndarray) -> NonFinite | None:
         row = names.row(int(where.group.rows[position, index])).about
     guilty = []
     if where.place is not None:
-        guilty = guilty_terms(names, where.site, where.form, where.place, inputs)
+        guilty = nonfinite_terms(names, where.site, where.form, where.place, inputs)
     functions = [value for _, value in guilty] or _whole(where)
     wrong = _wrong_unknowns(names, where, x)
     causes, kinds = (wrong, ()) if wrong else _causes(functions, where, inputs)
     terms = tuple(name for name, _ in guilty) or (() if where.place else ("defect",))
+    found = _at(names, where.site, output, causes)
+    return replace(found, terms=terms, row=row, kinds=kinds)
+
+
+def _at(names: NlpNames, site: Site, output: str, inputs: tuple[SuspectInput, ...]) -> NonFinite:
     return NonFinite(
         output=output,
-        terms=terms,
-        row=row,
-        phase=names.phase(where.site.stage),
-        node=where.site.stage,
-        point=where.site.point if where.site.point >= 0 else None,
-        time=names.time(where.site),
-        place=names.place(where.site),
-        inputs=causes,
-        kinds=kinds,
-    )
-
-
-def _unknown_itself(names: Names, x: np.ndarray) -> NonFinite | None:
-    """An unknown that is not finite and that no function sees."""
-    wrong = np.flatnonzero(~np.isfinite(x))
-    if not len(wrong):
-        return None
-    first = int(wrong[0])
-    site = names.unknown_sites[first]
-    return NonFinite(
-        output="unknown",
         terms=(),
         row="",
         phase=names.phase(site.stage),
@@ -128,11 +117,23 @@ def _unknown_itself(names: Names, x: np.ndarray) -> NonFinite | None:
         point=site.point if site.point >= 0 else None,
         time=names.time(site),
         place=names.place(site),
-        inputs=(GuiltyInput(name=str(names.unknown_labels[first]), value=float(x[first])),),
+        inputs=inputs,
     )
 
 
-def _where(t: Transcription, names: Names, number: int, position: int) -> _Where:
+def _unknown_itself(names: NlpNames, x: np.ndarray) -> NonFinite | None:
+    """An unknown that is not finite and that no function sees."""
+    wrong = np.flatnonzero(~np.isfinite(x))
+    if not len(wrong):
+        return None
+    return _at(names, names.unknown_sites[int(wrong[0])], "unknown", _suspects(names, x, wrong[:1]))
+
+
+def _suspects(names: NlpNames, x: np.ndarray, which: np.ndarray) -> tuple[SuspectInput, ...]:
+    return tuple(SuspectInput(name=str(names.unknown_labels[i]), value=float(x[i])) for i in which.tolist())
+
+
+def _where(t: Transcription, names: NlpNames, number: int, position: int) -> _Where:
     group, layout = t.groups[number], t.layout
     k = int(group.stages[position])
     form = layout.forms[k]
@@ -168,7 +169,7 @@ def _point_of(t: Transcription, group: FunctionGroup, k: int) -> int:
 
 
 def _labels(
-    t: Transcription, names: Names, group: FunctionGroup, k: int, place: Place | None
+    t: Transcription, names: NlpNames, group: FunctionGroup, k: int, place: Place | None
 ) -> Sequence[Label]:
     layout, form = t.layout, t.layout.forms[k]
     if place is not None:
@@ -194,24 +195,22 @@ def _inputs(t: Transcription, where: _Where, x: np.ndarray) -> np.ndarray:
 # Inputs
 
 
-def _wrong_unknowns(names: Names, where: _Where, x: np.ndarray) -> tuple[GuiltyInput, ...]:
+def _wrong_unknowns(names: NlpNames, where: _Where, x: np.ndarray) -> tuple[SuspectInput, ...]:
     """Unknowns of the function that are not finite themselves."""
     start = int(names.layout.node_offset[where.site.stage])
     own = np.arange(start, start + where.group.gather.shape[1])
-    wrong = own[~np.isfinite(x[own])][:MOST_NAMED]
-    labels = names.unknown_labels
-    return tuple(GuiltyInput(name=str(labels[int(i)]), value=float(x[i])) for i in wrong)
+    return _suspects(names, x, own[~np.isfinite(x[own])][:MOST_NAMED])
 
 
-def _whole(where: _Where) -> list[Value]:
-    """Values and derivatives of the group's function, where no term of it is to be had."""
+def _whole(where: _Where) -> list[Evaluation]:
+    """Values and derivatives of the group's function, where no single term is to blame."""
     parameters = where.group.parameters[where.position]
-    return [values_of(where.group.point, parameters), slopes_of(where.group.point, parameters)]
+    return [value_function(where.group.point, parameters), derivative_function(where.group.point, parameters)]
 
 
 def _causes(
-    functions: Sequence[Value], where: _Where, inputs: np.ndarray
-) -> tuple[tuple[GuiltyInput, ...], tuple[str, ...]]:
+    functions: Sequence[Evaluation], where: _Where, inputs: np.ndarray
+) -> tuple[tuple[SuspectInput, ...], tuple[str, ...]]:
     """Inputs of which one alone makes all finite, or, without any, kinds of inputs."""
     units = np.abs(where.group.gather).max(axis=1).toarray().ravel()
     units[units == 0] = 1.0
@@ -231,7 +230,7 @@ def _causes(
     return (), tuple(found)
 
 
-def _mended(functions: Sequence[Value], inputs: np.ndarray, which: list[int], steps: np.ndarray) -> bool:
+def _mended(functions: Sequence[Evaluation], inputs: np.ndarray, which: list[int], steps: np.ndarray) -> bool:
     """Whether all functions are finite when these inputs alone are changed, one way or the other."""
     for sign in (1.0, -1.0):
         trial = inputs.copy()
@@ -241,7 +240,7 @@ def _mended(functions: Sequence[Value], inputs: np.ndarray, which: list[int], st
     return False
 
 
-def _named(where: _Where, inputs: np.ndarray, which: np.ndarray) -> tuple[GuiltyInput, ...]:
+def _named(where: _Where, inputs: np.ndarray, which: np.ndarray) -> tuple[SuspectInput, ...]:
     return tuple(
-        GuiltyInput(name=str(where.labels[int(j)]), value=float(inputs[int(j)])) for j in which[:MOST_NAMED]
+        SuspectInput(name=str(where.labels[int(j)]), value=float(inputs[int(j)])) for j in which[:MOST_NAMED]
     )

@@ -32,7 +32,7 @@ FIRST, MOST = 8, 256
 ITERATIONS, CONVERGED = 12, 1e-3
 # Entries of a projector on dependent rows: rows are dependent on each other where they are coupled.
 COUPLED = 1e-2
-# Shares that agree to so many digits are equal: which of two rows comes first is no matter of rounding.
+# Digits to which shares are compared: rounding must not decide which of two rows comes first.
 SHARE_DIGITS = 3
 
 
@@ -65,7 +65,7 @@ class Spectrum:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Dependency:
+class RowDependency:
     """Rows that depend on each other: their indices, each one's share (0 to 1), and how many are too many."""
 
     rows: np.ndarray
@@ -154,7 +154,7 @@ def _iterated(
     return values, basis
 
 
-def dependencies(vectors: np.ndarray) -> list[Dependency]:
+def dependencies(vectors: np.ndarray) -> list[RowDependency]:
     """Groups of rows that depend on each other, from an orthonormal basis (m, k) of their left null space.
 
     The projector V V^T on that space does not depend on the basis; rows of different groups are not coupled
@@ -174,7 +174,7 @@ def dependencies(vectors: np.ndarray) -> list[Dependency]:
         rows = members[which == group]
         order = np.lexsort((rows, -np.round(share[rows], SHARE_DIGITS)))
         excess = max(1, round(float(share[rows].sum())))
-        found.append(Dependency(rows=rows[order], share=share[rows][order], excess=excess))
+        found.append(RowDependency(rows=rows[order], share=share[rows][order], excess=excess))
     return found
 
 

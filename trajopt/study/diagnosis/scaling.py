@@ -59,8 +59,11 @@ class BlockScale:
 
 @dataclass(frozen=True, kw_only=True)
 class KindScale:
-    """Unknowns of one kind: number, scaled values, SI value of a scaled unit, column norms of the Jacobian,
-    diagonal entries of the Lagrangian's Hessian."""
+    """Unknowns of one kind, by ranges.
+
+    value: scaled values. unit: SI value of a scaled unit. column_norm: of the Jacobian. hessian: diagonal
+    entries of the Lagrangian's Hessian.
+    """
 
     kind: str
     unknowns: int

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from trajopt.study.diagnosis.names import Names
+from trajopt.study.diagnosis.names import NlpNames
 from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.transcription import Transcription
 from trajopt.transcription.violations import row_violations
@@ -44,10 +44,10 @@ class Snapshot:
         return self.nlp.transcription
 
     @cached_property
-    def names(self) -> Names:
+    def names(self) -> NlpNames:
         """Unknowns and rows in words."""
         t = self.transcription
-        return Names(t, t.layout.times(self.x * t.scale), self._slopes)
+        return NlpNames(t, t.layout.times(self.x * t.scale), self._slopes)
 
     def _slopes(self, row: int) -> tuple[np.ndarray, np.ndarray]:
         own = slice(self.jacobian.indptr[row], self.jacobian.indptr[row + 1])

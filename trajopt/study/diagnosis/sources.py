@@ -7,7 +7,7 @@ import numpy as np
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
-from trajopt.solving.solving import Prepared
+from trajopt.solving.solving import PreparedProblem
 from trajopt.solving.warm_start import warm_start
 from trajopt.study.diagnosis.snapshot import Snapshot
 from trajopt.transcription.compilation import LEVELS, in_cache
@@ -44,12 +44,12 @@ def cached_level(problem: Problem, mesh: Mesh, level: str) -> str:
     return level if in_cache(points.values(), level) else "none"
 
 
-def at_guess(prepared: Prepared) -> Snapshot:
+def at_guess(prepared: PreparedProblem) -> Snapshot:
     """The NLP of a prepared problem at its guess."""
     return Snapshot(nlp=prepared.nlp, x=prepared.guess)
 
 
-def at_solution(prepared: Prepared, solution: Solution) -> Snapshot:
+def at_solution(prepared: PreparedProblem, solution: Solution) -> Snapshot:
     """The solution's own unknowns, and its multipliers where they are of the same rows."""
     t = prepared.transcription
     found = warm_start(t, solution)

@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from trajopt.study.diagnosis.names import Names, Site
+from trajopt.study.diagnosis.names import NlpNames, Site
 from trajopt.terms.context_symbols import Place
-from trajopt.terms.dynamics import ImpactDynamics
 from trajopt.transcription.stage_functions import PointFunction, derivatives, point_function
 from trajopt.transcription.timeline import NodeLayout
 
-Value = Callable[[np.ndarray], np.ndarray]
+Evaluation = Callable[[np.ndarray], np.ndarray]
 
 
-def guilty_terms(
-    names: Names, site: Site, form: NodeLayout, place: Place, inputs: np.ndarray
-) -> list[tuple[str, Value]]:
+def nonfinite_terms(
+    names: NlpNames, site: Site, form: NodeLayout, place: Place, inputs: np.ndarray
+) -> list[tuple[str, Evaluation]]:
     """Terms whose own values at z = ``inputs`` are not finite, with what evaluates them.
 
     Where all values are finite, those whose derivatives are not.
     """
     made = list(_terms(names, site, form, place))
-    for kind in (values_of, slopes_of):
+    for kind in (value_function, derivative_function):
         found = [(name, kind(function, parameters)) for name, function, parameters in made]
         guilty = [(name, value) for name, value in found if not np.isfinite(value(inputs)).all()]
         if guilty:
@@ -33,7 +31,7 @@ def guilty_terms(
     return []
 
 
-def values_of(function: PointFunction, parameters: np.ndarray) -> Value:
+def value_function(function: PointFunction, parameters: np.ndarray) -> Evaluation:
     """All values of a point function at z in one column."""
 
     def values(z: np.ndarray) -> np.ndarray:
@@ -46,7 +44,7 @@ def values_of(function: PointFunction, parameters: np.ndarray) -> Value:
     return values
 
 
-def slopes_of(function: PointFunction, parameters: np.ndarray) -> Value:
+def derivative_function(function: PointFunction, parameters: np.ndarray) -> Evaluation:
     """All its first and second derivatives in one column."""
     made = derivatives(function)
     first, second, ones = made.first, made.second, np.ones(function.n_rows)
@@ -59,16 +57,13 @@ def slopes_of(function: PointFunction, parameters: np.ndarray) -> Value:
 
 
 def _terms(
-    names: Names, site: Site, form: NodeLayout, place: Place
+    names: NlpNames, site: Site, form: NodeLayout, place: Place
 ) -> Iterator[tuple[str, PointFunction, np.ndarray]]:
     """Name, function and parameters' values of every term that acts at a place."""
     layout, k = names.layout, site.stage
-    units = names.functions.units[id(form.robot)]
-    if place is Place.IMPACT:
-        units = units.impulsive()
     phase = layout.place_phase(k) if place is Place.NODE else layout.stages[k].phase
-    more = (layout.place(k),) if place is Place.NODE else ()
-    for term in _acting(names, site, place, phase):
+    units, more = names.units_at(place, k), (layout.place(k),) if place is Place.NODE else ()
+    for term in names.acting_terms(phase, place, k):
         context = names.functions.context(phase, form, place)
         cost, rows = ca.SX(0), []
         if hasattr(term, "rows"):
@@ -81,19 +76,7 @@ def _terms(
             yield term.name, function, context.parameter_values_at(_nominal_time(names, site))
 
 
-def _acting(names: Names, site: Site, place: Place, phase: int) -> list[Any]:
-    problem = names.transcription.problem
-    if place is Place.NODE:
-        at = names.layout.place(site.stage)
-        candidates: tuple[Any, ...] = (*problem.node_constraints, *problem.node_costs)
-        return [term for term in candidates if at is not None and term.acts_at(at)]
-    name, impact = problem.schedule.phases[phase].name, place is Place.IMPACT
-    costs = problem.impact_costs if impact else problem.costs
-    acting: list[Any] = [t for t in (*costs, *problem.point_constraints) if t.acts_in(name)]
-    return [ImpactDynamics(), *(t for t in acting if t.acts_at_impacts)] if impact else acting
-
-
-def _nominal_time(names: Names, site: Site) -> float:
+def _nominal_time(names: NlpNames, site: Site) -> float:
     layout = names.layout
     time = float(layout.node_times[site.stage])
     if site.point >= 0:

@@ -21,8 +21,8 @@ from trajopt.problem.catalogue import families
 from trajopt.problem.family import choose
 from trajopt.solution.solution import Solution
 from trajopt.solvers.result import StoppingCriteria
-from trajopt.solving.solving import Prepared, prepare, solve_prepared
-from trajopt.solving.telling import Progress
+from trajopt.solving.monitoring import ProgressCallback
+from trajopt.solving.solving import PreparedProblem, prepare, solve_prepared
 from trajopt.study.suite.cases import Case
 from trajopt.study.suite.failure import mode_of
 from trajopt.study.suite.optima import described
@@ -45,7 +45,7 @@ def run(
     *,
     own: bool = True,
     seeds: Sequence[int] | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     folder: Path | None = None,
 ) -> None:
     """Run one pair and tell its events: stages as they begin, figures as they are known.
@@ -85,11 +85,11 @@ def measure(case: Case, settings: Settings) -> Outcome:
 
 
 def _solve(
-    prepared: Prepared,
+    prepared: PreparedProblem,
     start: np.ndarray,
     settings: Settings,
     origin: Mapping[str, Any],
-    progress: Progress | None,
+    progress: ProgressCallback | None,
 ) -> Solution:
     stop = StoppingCriteria(
         tolerance=settings.tolerance, max_iterations=settings.max_iterations, max_time=settings.max_time
@@ -99,7 +99,7 @@ def _solve(
     )
 
 
-def _grid(prepared: Prepared) -> Grid:
+def _grid(prepared: PreparedProblem) -> Grid:
     t = prepared.transcription
     return Grid(
         scheme=t.layout.mesh.transcription,
@@ -162,7 +162,7 @@ def worst_figure(report: CheckReport) -> tuple[str, float]:
     return worst, float(used[worst])
 
 
-def _physics(case: Case, prepared: Prepared, solution: Solution, folder: Path | None) -> Physics:
+def _physics(case: Case, prepared: PreparedProblem, solution: Solution, folder: Path | None) -> Physics:
     """What physics makes of a solution of a legged robot; nothing of others, or of what is not solved."""
     if not solution.success or prepared.transcription.problem.robot.base == "fixed":
         return Physics()

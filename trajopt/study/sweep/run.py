@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from trajopt.problem.problem import Problem
-from trajopt.reduced.two_stage import recover_torques, without_torques
-from trajopt.reduced.wrench_distribution import redistributed
+from trajopt.reduced.two_stage import base_rows_problem, recover_torques
+from trajopt.reduced.wrench_distribution import redistribute_wrenches
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import prepare, solve
 from trajopt.solving.warm_start import warm_start
@@ -86,7 +86,7 @@ def run(problem: Problem, setting: Setting, job: Job, limits: Limits, file: Path
 def compiled(problem: Problem, setting: Setting) -> dict[str, Any]:
     """Compile what a setting needs, where it is not in the cache: times in s, and how many functions."""
     asked = with_cone(problem, setting.cone)
-    first = without_torques(asked) if setting.model == "two-stage" else asked
+    first = base_rows_problem(asked) if setting.model == "two-stage" else asked
     groups = transcribe(first, setting.transcription, setting.intervals).groups
     points = {id(group.point): group.point for group in groups}
     _, report = compile_points(points.values(), setting.compile, setting.hessian)
@@ -117,7 +117,7 @@ def _preparation(first: _Made) -> dict[str, Any]:
 
 def _solve(problem: Problem, setting: Setting, job: Job, limits: Limits) -> _Made:
     """The solve of a setting with what it needs before and after."""
-    first = without_torques(problem) if setting.model == "two-stage" else problem
+    first = base_rows_problem(problem) if setting.model == "two-stage" else problem
     arguments: dict[str, Any] = {
         "transcription": setting.transcription,
         "solver": setting.solver,
@@ -148,7 +148,7 @@ def with_torques(problem: Problem, solution: Solution) -> Solution:
     A solution has the torques of its actuated rows already, whether its rows held them or not.
     """
     _, report = recover_torques(problem, solution)
-    return solution if report.within_limits else redistributed(problem, solution)
+    return solution if report.within_limits else redistribute_wrenches(problem, solution)
 
 
 def objective_of(problem: Problem, setting: Setting, solution: Solution) -> float:

@@ -10,7 +10,7 @@ from typing import Any
 from trajopt.problem.catalogue import families as catalogue
 from trajopt.problem.family import Family, choose
 from trajopt.problem.problem import Problem
-from trajopt.solving.reference import reference
+from trajopt.solving.reference import converged_reference
 from trajopt.study.sweep.calibration import Load
 from trajopt.study.sweep.cores import unpin
 from trajopt.study.sweep.figures import figures
@@ -53,7 +53,7 @@ def _accuracy(task: Task) -> dict[str, Any]:
 
 
 def _reference(task: Task) -> dict[str, Any]:
-    found = reference(_problem(task), max_time=task["max_time"], compile=task["compile"])
+    found = converged_reference(_problem(task), max_time=task["max_time"], compile=task["compile"])
     found.solution.save(Path(task["file"]))
     return {"text": str(found)}
 

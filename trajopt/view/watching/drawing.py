@@ -12,7 +12,7 @@ import pinocchio as pin
 from trajopt.errors import TrajoptError
 from trajopt.robot.building import reach
 from trajopt.solution.solution import Solution
-from trajopt.solving.iterate import Iterate
+from trajopt.solving.monitoring import Iterate
 from trajopt.view.replay.caption import page_facts, title
 from trajopt.view.replay.commands import Animation, Recorder, ViewerCommand
 from trajopt.view.replay.copies import GHOST_COLOUR, GHOST_OPACITY, messages_below, tint

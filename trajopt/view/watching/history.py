@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field
 
-from trajopt.solving.iterate import Iterate
+from trajopt.solving.monitoring import Iterate
 
 FIGURES = (
     "objective",

@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import TextIO
 
 from trajopt.errors import InputError
-from trajopt.solving.iterate import Iterate
+from trajopt.solving.monitoring import Iterate
 from trajopt.view.watching.history import FIGURES, History
 
 COLUMNS = ("solve", "label", "scheme", "intervals", "solver", "iteration", "time_s", *FIGURES)

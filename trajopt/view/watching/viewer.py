@@ -14,7 +14,7 @@ import zmq
 
 from trajopt.solution.solution import Solution
 from trajopt.solving.interruption import LOOK
-from trajopt.solving.iterate import Iterate
+from trajopt.solving.monitoring import Iterate
 from trajopt.view.replay.caption import page_facts
 from trajopt.view.replay.commands import ViewerCommand
 from trajopt.view.replay.live import LiveWindow

@@ -1,4 +1,7 @@
-"""What a watch is given: one iterate of a solve, whose motion costs nothing until it is asked for."""
+"""Monitoring a solve: iterates, the callbacks that see them, and the solver's own callback that calls these.
+
+The motion of an iterate is computed when it is first used.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +15,17 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.solution.solution import Solution
+from trajopt.solvers.result import Result
 from trajopt.solving.extraction import extract
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.transcription import Transcription
 
-Stage = Literal["guess", "iteration", "end"]
+# Seconds after its time limit that a solver may take to finish a step.
+GRACE = 30.0
+
+IterateStage = Literal["guess", "iteration", "end"]
+# Called with the figures of each iteration; returns False to stop there.
+ProgressCallback = Callable[[dict[str, float]], bool]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,7 +38,7 @@ class Iterate:
     label: which of several solves this is, or empty. status: how it ended, in words, or empty.
     """
 
-    stage: Stage
+    stage: IterateStage
     transcription: Transcription
     read: Callable[[], np.ndarray] = field(repr=False)
     figures: Mapping[str, float] = field(default_factory=dict)
@@ -78,7 +87,7 @@ class Iterate:
 Watch = Callable[[Iterate], None]
 
 
-def combined(*watches: Watch | None) -> Watch:
+def combine_watches(*watches: Watch | None) -> Watch:
     """One watch that calls several, each guarded: one that fails is left out, with one warning.
 
     What a watch does must not end a solve; an interrupt from the keyboard goes through.
@@ -95,6 +104,60 @@ def combined(*watches: Watch | None) -> Watch:
                 warnings.warn(f"watching has stopped, solving goes on: {text}", stacklevel=2)
 
     return call
+
+
+class ProgressReporter:
+    """The solver's callback: calls progress and watch, with the objective in the problem's weights."""
+
+    def __init__(
+        self,
+        transcription: Transcription,
+        progress: ProgressCallback | None,
+        watch: Watch | None,
+        solver: str,
+        label: str,
+    ) -> None:
+        self.transcription, self.solver, self.label = transcription, solver, label
+        self.progress = progress
+        self.watch = None if watch is None else combine_watches(watch)
+
+    def __call__(self, figures: dict[str, float], unknowns: Callable[[], np.ndarray]) -> bool:
+        """One iteration; ``unknowns`` may be called before this returns. False stops the solver."""
+        told = {**figures, "objective": self.transcription.objective_unit * figures["objective"]}
+        go_on = self.progress is None or self.progress(told)
+        self.see("iteration", unknowns, told)
+        return go_on
+
+    def end(self, result: Result, status: str) -> None:
+        """Show the watch the solver's result."""
+        figures = {
+            "iteration": result.iterations,
+            "objective": self.transcription.objective_unit * result.objective,
+            "primal": result.primal,
+            "dual": result.dual,
+        }
+        self.see("end", lambda: result.x, figures, status.replace("_", " "))
+
+    def see(
+        self,
+        stage: IterateStage,
+        read: Callable[[], np.ndarray],
+        figures: Mapping[str, float] | None = None,
+        status: str = "",
+    ) -> None:
+        """Show the watch an iterate."""
+        if self.watch is not None:
+            self.watch(
+                Iterate(
+                    stage=stage,
+                    transcription=self.transcription,
+                    read=read,
+                    figures=figures or {},
+                    solver=self.solver,
+                    label=self.label,
+                    status=status,
+                )
+            )
 
 
 def configurations(transcription: Transcription, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

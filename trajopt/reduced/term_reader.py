@@ -1,4 +1,4 @@
-"""What terms ask of a robot: their expressions in every phase, read by their symbols.
+"""What terms use of a robot: their expressions in every phase, read by their symbols.
 
 Nothing is known about a term but what it does: it is written over a context in each phase, at points, nodes
 and impacts, and the symbols in what it returns say which frames, joints, torques and contacts it uses.
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -17,8 +18,9 @@ from trajopt.dynamics.manifold import Coordinates
 from trajopt.problem.problem import Problem
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
-from trajopt.terms.context_symbols import Actuation, Place
+from trajopt.terms.context_symbols import Place
 from trajopt.terms.interfaces import Cost, PointConstraint, Rows, Term
+from trajopt.terms.node_costs import NodeCost
 from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
 from trajopt.transcription.mesh import equal_fractions
 from trajopt.transcription.robot_layers import robot_layers
@@ -28,21 +30,20 @@ NODE_INTERVALS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
-    """A term at one place: its context, and its rows or the value of its cost."""
+class TermInstance:
+    """A term at one place: its context, and its rows or the value of its cost.
+
+    expression: rows over their units, or the cost. rows: None of a cost, and where the term has none. times:
+    at which parameters are read, s; those of a cost may vary.
+    """
 
     term: Term
     phase: int
     context: Context
     node: NodePlace | None
-    rows: Rows | None
-
-    @property
-    def expression(self) -> ca.SX:
-        """Rows over their units, or the cost."""
-        if self.rows is not None:
-            return ca.SX(self.rows.expression) / ca.DM(self.rows.unit)
-        return ca.SX(0, 1)
+    expression: ca.SX
+    rows: Rows | None = None
+    times: tuple[float, ...] = (0.0,)
 
     @cached_property
     def _symbols(self) -> set[int]:
@@ -74,6 +75,12 @@ class Asked:
         """Whether generalised forces are in it."""
         return self.context.uses_dynamics and self.uses(self.context.generalized_forces)
 
+    @property
+    def uses_torques(self) -> bool:
+        """Whether generalised forces of actuated joints are in it."""
+        unactuated = self.context.robot.n_unactuated
+        return self.uses_dynamics and self.uses(self.context.generalized_forces[unactuated:])
+
     def function(self) -> ca.Function:
         """The expression as a function of the place's inputs z."""
         expression = self.expression
@@ -84,41 +91,20 @@ class Asked:
         for layer in layers:
             value = layer(value)
         found = value if layers else ca.SX(0, 1)
-        values = [self.context.parameter_values_at(t) for t in self._moments]
-        return ca.Function("asked", [z], [ca.vertcat(*[terms(z, found, ca.DM(own)) for own in values])])
-
-    @property
-    def _moments(self) -> tuple[float, ...]:
-        """Times at which the parameters are read, s: rows have none that vary."""
-        return (0.0,)
+        values = [self.context.parameter_values_at(t) for t in self.times]
+        return ca.Function("instance", [z], [ca.vertcat(*[terms(z, found, ca.DM(own)) for own in values])])
 
 
-@dataclass(frozen=True, eq=False)
-class AskedCost(Asked):
-    """A cost at one place, read at some ``times``, s: what it follows may vary."""
-
-    value: ca.SX
-    times: tuple[float, ...]
-
-    @property
-    def expression(self) -> ca.SX:
-        return self.value
-
-    @property
-    def _moments(self) -> tuple[float, ...]:
-        return self.times
-
-
-class Reader:
+class TermReader:
     """Reads the terms of a problem without modes, as its transcription will."""
 
-    def __init__(self, problem: Problem, actuation: Actuation | None = None) -> None:
-        self.problem, self.actuation = problem, actuation or problem.actuation
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
         self.coordinates, self.units = Coordinates(problem.robot.model), Units(problem.robot)
         self.clocks = problem.schedule.clocks
         self.n_clocks = sum(clock is not None for clock in self.clocks)
 
-    def context(self, phase: int, place: Place) -> Context:
+    def _context(self, phase: int, place: Place) -> Context:
         """A fresh context of the whole robot in a phase."""
         robot, where = self.problem.robot, self.problem.schedule.phases[phase]
         active = () if place is Place.NODE else tuple(robot.contact(name) for name in where.contacts)
@@ -128,56 +114,51 @@ class Reader:
             active,
             place=place,
             clocks=(self.n_clocks, self.clocks[phase]),
-            actuation=self.actuation,
+            actuation=self.problem.actuation,
             surfaces=self.problem.surfaces_of(phase),
         )
 
-    def every(self, *, dynamics: bool = True) -> Iterator[Asked]:
-        """Every term where it acts; ``dynamics`` also the rows that are always there."""
-        rows = self.problem.motion_rows if dynamics else ()
-        own = [term for term in self.problem.terms if isinstance(term, Cost | PointConstraint)]
+    def every(self) -> Iterator[TermInstance]:
+        """Every term where it acts, without the rows of the motion itself."""
+        terms = [term for term in self.problem.terms if isinstance(term, Cost | PointConstraint)]
         for phase, where in enumerate(self.problem.schedule.phases):
-            for term in (*rows, *own):
+            for term in terms:
                 if not term.acts_in(where.name):
                     continue
                 if term.acts_at_points:
-                    yield self.read(term, phase, Place.POINT)
+                    yield self._instance(term, phase, Place.POINT)
                 if term.acts_at_impacts and where.impact:
-                    yield self.read(term, phase, Place.IMPACT)
-            yield from self.nodes(phase)
+                    yield self._instance(term, phase, Place.IMPACT)
+            yield from self._at_nodes(phase)
 
-    def read(self, term: Cost | PointConstraint, phase: int, place: Place) -> Asked:
-        """A cost or a point constraint in a phase."""
-        context = self.context(phase, place)
-        units = self.units.impulsive() if place is Place.IMPACT else self.units
-        if isinstance(term, Cost):
-            return AskedCost(term, phase, context, None, None, term.value(context, units), self.times(phase))
-        return Asked(term, phase, context, None, term.rows(context, units))
-
-    def nodes(self, phase: int) -> Iterator[Asked]:
-        """Node constraints and costs in a phase, at the first node where they act and at one more inside."""
+    def _at_nodes(self, phase: int) -> Iterator[TermInstance]:
+        """Node constraints and costs in a phase, at those of some nodes where they act."""
         phases = self.problem.schedule.phases
-        for index in range(NODE_INTERVALS + (phase == len(phases) - 1)):
+        ends = phase == len(phases) - 1
+        terms: tuple[NodeConstraint | NodeCost, ...] = (
+            *self.problem.node_constraints,
+            *self.problem.node_costs,
+        )
+        for index in range(NODE_INTERVALS + ends):
             last = index == NODE_INTERVALS
-            place = NodePlace(
-                phases[phase], index, equal_fractions(NODE_INTERVALS), last, phase == len(phases) - 1
-            )
-            for term in self.problem.node_constraints:
-                if term.acts_at(place):
-                    yield self.node(term, phase, place)
-            for cost in self.problem.node_costs:
-                if cost.acts_at(place):
-                    context = self.context(phase, Place.NODE)
-                    value = cost.value(context, self.units, place)
-                    yield AskedCost(cost, phase, context, place, None, value, self.times(phase))
+            node = NodePlace(phases[phase], index, equal_fractions(NODE_INTERVALS), last, ends)
+            for term in terms:
+                if term.acts_at(node):
+                    yield self._instance(term, phase, Place.NODE, node)
 
-    def times(self, phase: int) -> tuple[float, ...]:
+    def _instance(self, term: Any, phase: int, place: Place, node: NodePlace | None = None) -> TermInstance:
+        context = self._context(phase, place)
+        units = self.units.impulsive() if place is Place.IMPACT else self.units
+        arguments = (context, units) if node is None else (context, units, node)
+        if isinstance(term, Cost | NodeCost):
+            value = term.value(*arguments)
+            return TermInstance(term, phase, context, node, value, times=self._times(phase))
+        rows = term.rows(*arguments)
+        expression = ca.SX(0, 1) if rows is None else ca.SX(rows.expression) / ca.DM(rows.unit)
+        return TermInstance(term, phase, context, node, expression, rows)
+
+    def _times(self, phase: int) -> tuple[float, ...]:
         """Nominal times in a phase at which costs are read, s: its ends, and some between."""
         durations = [where.duration for where in self.problem.schedule.phases]
         start = sum(durations[:phase])
         return tuple(start + i / NODE_INTERVALS * durations[phase] for i in range(NODE_INTERVALS + 1))
-
-    def node(self, term: NodeConstraint, phase: int, place: NodePlace) -> Asked:
-        """A node constraint at one node."""
-        context = self.context(phase, Place.NODE)
-        return Asked(term, phase, context, place, term.rows(context, self.units, place))
