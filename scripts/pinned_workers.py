@@ -10,18 +10,19 @@ from __future__ import annotations
 
 import statistics
 import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import click
 
-from trajopt.catalogue import families
-from trajopt.family import choose
 from trajopt.sweep.cores import physical_cores
+from trajopt.sweep.engine import MODULES
 from trajopt.sweep.plan import own_setting
-from trajopt.sweep.process import Pool
-from trajopt.sweep.result import Job, Run
+from trajopt.sweep.records import SweepRequest
+from trajopt.sweep.result import Job, TimedRun
+from trajopt.sweep.run import run_job
+from trajopt.workers import ProcessPerTaskExecutor
+from trajopt.workers.task import announced
 
 LIMIT = 600.0
 FIGURES = ("wall_time", "function_time", "calibration")
@@ -50,26 +51,26 @@ class Disturbance:
 
 def measure(problem: str, repeats: int) -> Disturbance:
     """The problem's own setting from its own guess, alone and on all cores in turn."""
-    setting = own_setting(choose(families(), problem).load({}))
-    cores = physical_cores()
-    with tempfile.TemporaryDirectory() as folder, Pool(cores) as pool:
+    request = SweepRequest(problem=problem)
+    setting = own_setting(request.load())
+    job, cores = Job(setting=setting.name, start=0), physical_cores()
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        ProcessPerTaskExecutor(len(cores), cores=cores, preload=MODULES) as executor,
+    ):
 
-        def task(number: int) -> dict[str, Any]:
-            return {
-                "task": "run", "problem": problem, "values": {}, "setting": setting.to_dict(),
-                "job": asdict(Job(setting=setting.name, start=0)), "limit": LIMIT,
-                "file": str(Path(folder) / f"{number}.npz"),
-                "limits": {"sigma": 0.1, "max_iterations": 500, "max_time": 60.0},
-            }  # fmt: skip
-
-        def together(count: int) -> list[Run]:
-            for number in range(count):
-                pool.start(None, task(number))
-            return [Run.from_dict(pool.take()[1]["run"]) for _ in range(count)]
+        def together(count: int) -> list[TimedRun]:
+            futures = [
+                executor.submit(
+                    announced, str(k), LIMIT, run_job, request, setting, job, Path(folder) / f"{k}.npz"
+                )
+                for k in range(count)
+            ]
+            return [future.result() for future in futures]
 
         together(len(cores))  # compiles where the cache is empty
-        alone: list[Run] = []
-        crowded: list[Run] = []
+        alone: list[TimedRun] = []
+        crowded: list[TimedRun] = []
         for _ in range(repeats):
             alone += together(1)
             crowded += together(len(cores))
@@ -83,7 +84,7 @@ def measure(problem: str, repeats: int) -> Disturbance:
     )
 
 
-def _medians(runs: list[Run]) -> dict[str, float]:
+def _medians(runs: list[TimedRun]) -> dict[str, float]:
     return {name: statistics.median(getattr(run, name) for run in runs) for name in FIGURES}
 
 

@@ -10,7 +10,6 @@ Interrupted, the same command goes on where it was: every start that has ended i
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from collections import Counter
@@ -23,7 +22,8 @@ import click
 from trajopt.errors import InputError
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.suite.outcome import Outcome, quantile
-from trajopt.suite.records import FILE
+from trajopt.suite.records import FILE, outcomes_of
+from trajopt.workers.records import JsonLines
 
 # Problem and robot; of the biped the one whose solves are fastest.
 PAIRS = {"ur5-reach": "ur5", "solo12-jump": "solo12", "hopper-hop": "hopper", "biped-squat": "bolt"}
@@ -58,17 +58,8 @@ def run(solver: str, starts: int, sigma: float, work: Path) -> None:
 
 def outcomes(results: Path, starts: int) -> dict[str, Outcome]:
     """Results by problem, the last ones of each; those of other numbers of starts are passed over."""
-    file, found = results / FILE, {}
-    if not file.is_file():
-        return {}
-    for line in file.read_text(encoding="utf-8").splitlines():
-        try:
-            outcome = Outcome.from_dict(json.loads(line)["outcome"])
-        except (ValueError, KeyError, TypeError):
-            continue
-        if len(outcome.starts) == starts:
-            found[outcome.problem] = outcome
-    return found
+    known = outcomes_of(JsonLines(results / FILE).read())
+    return {outcome.problem: outcome for outcome in known if len(outcome.starts) == starts}
 
 
 def cells(outcome: Outcome, solver: str, sigma: float) -> list[str]:

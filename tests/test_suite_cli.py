@@ -7,13 +7,13 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import suite_problems
 from click.testing import CliRunner, Result
+from task_processes import needs_proc, task_processes, task_processes_left
 
 from trajopt.cli import main
 from trajopt.suite import data
@@ -111,7 +111,6 @@ class Running:
     """``trajopt suite`` in a process of its own on a good pair and one that hangs."""
 
     def __init__(self, package: Path) -> None:
-        self.package = package
         path = os.pathsep.join([str(package), str(Path(__file__).parent)])
         command = [sys.executable, "-m", "trajopt", "suite", "--problems", "t-reach,t-hanging", "--json"]
         self.popen = subprocess.Popen(
@@ -122,22 +121,7 @@ class Running:
         )  # fmt: skip
         assert self.popen.stderr is not None
         assert self.popen.stderr.readline().startswith("1/2 t-reach@arm: solved")
-        assert self.workers()
-
-    def workers(self) -> list[int]:
-        """Processes of the suite, known by the path that they are given."""
-        found = []
-        for folder in Path("/proc").glob("[0-9]*"):
-            try:
-                given, command = (folder / "environ").read_bytes(), (folder / "cmdline").read_bytes()
-            except OSError:
-                continue
-            if str(self.package).encode() in given and b"trajopt.suite.worker" in command:
-                found.append(int(folder.name))
-        return found
-
-
-needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="no /proc to look at")
+        assert task_processes(package)
 
 
 @needs_proc
@@ -150,7 +134,7 @@ def test_ctrl_c_prints_what_is_done_and_leaves_no_process(package: Path):
     assert errors == "trajopt: cancelled, 1 of 2 pairs are done\n"
     assert found["complete"] is False
     assert [pair["problem"] for pair in found["pairs"]] == ["t-reach"]
-    assert running.workers() == []
+    assert task_processes_left(package, WAIT) == []
 
 
 @needs_proc
@@ -158,7 +142,4 @@ def test_no_process_outlives_a_suite_that_is_killed(package: Path):
     running = Running(package)
     running.popen.kill()
     running.popen.communicate(timeout=WAIT)
-    deadline = time.monotonic() + WAIT
-    while running.workers() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert running.workers() == []
+    assert task_processes_left(package, WAIT) == []

@@ -5,6 +5,7 @@ Each entry names a module with ``families() -> dict[str, Family]``; the library 
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
@@ -37,6 +38,11 @@ def families() -> dict[str, Family]:
             "install the package that offers them again"
         )
     return dict(sorted(found.items()))
+
+
+def problem_modules() -> tuple[str, ...]:
+    """The modules of all packages that this process has loaded, for others to load."""
+    return tuple(entry.module for entry in entry_points(group=GROUP) if entry.module in sys.modules)
 
 
 def robot(name: str) -> Robot:

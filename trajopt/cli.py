@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
 
 from trajopt import cli_report
 from trajopt.cli_aim import aim_options, solve_aimed, wants_aim
@@ -140,9 +139,7 @@ def list_problems(problems: tuple[str, ...], robot: str | None, brief: bool, as_
     if as_json:
         click.echo(cli_report.to_json(cli_report.list_dict(found)))
         return
-    console = Console(highlight=False, markup=False)
-    if not console.is_terminal:
-        console.width = PIPE_WIDTH
+    console = cli_report.results_console(PIPE_WIDTH)
     if brief:
         console.print(cli_report.family_table(found))
         return

@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
 from rich.table import Table
 
 from trajopt.cli_input import COUNT, GRID, THREADS, WholeNumber, check_output, options_of, values_of
-from trajopt.cli_report import to_json
+from trajopt.cli_report import results_console, to_json
 from trajopt.cli_warm import cost
 from trajopt.cli_watch import kept, opened, watch_options
 from trajopt.errors import InputError
@@ -161,9 +160,7 @@ def _saved(found: Continuation, folder: Path, stem: str) -> dict[str, str]:
 
 
 def _print(found: Continuation, problem: str, name: str, files: dict[str, str]) -> None:
-    console = Console(highlight=False, markup=False)
-    if not console.is_terminal:
-        console.width = PIPE_WIDTH
+    console = results_console(PIPE_WIDTH)
     table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0))
     compared = any(step.cold is not None for step in found.steps)
     titles = (name, "from", "status", "iterations", "time s", "objective")

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import math
 import shlex
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.console import Console
 from rich.table import Table
 
 if TYPE_CHECKING:
@@ -55,6 +57,14 @@ KEY_FIGURES = {
     "open_loop_orientation": "orientation",
     "open_loop_joints": "joints",
 }
+
+
+def results_console(pipe_width: int) -> Console:
+    """A console for tables on stdout, of that many columns where it is no terminal, which tells no width."""
+    console = Console(highlight=False, markup=False)
+    if not sys.stdout.isatty():
+        console.width = pipe_width
+    return console
 
 
 def to_json(value: object) -> str:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from trajopt.cli_report import worst_block
 from trajopt.solvers.drivers import FEASIBILITY_SHARE
 from trajopt.solvers.status import Status
 from trajopt.verdicts import STILL_FEASIBLE
@@ -52,6 +53,11 @@ def mode_of(meta: Mapping[str, Any]) -> str:
         meta["tolerance"],
         share * meta["tolerance"],
     )
+
+
+def failure_text(meta: Mapping[str, Any]) -> str:
+    """Status and worst block of a solve that failed, in words; nothing of one that did not."""
+    return "" if meta["success"] else f"{meta['status']}: {worst_block(meta['worst_blocks'][0])}"
 
 
 def worst_condition(
