@@ -49,33 +49,23 @@ def losing() -> Problem:
     return replace(problem, guess=guess)
 
 
-def parricidal() -> Problem:
-    """Built in a worker's child it ends the worker."""
-    os.kill(os.getppid(), signal.SIGKILL)
-    return reach()
-
-
 def weighed(*, gravity: float) -> Problem:
     return replace(reach(gravity=gravity > 0), name="s-reach")
 
 
 def families() -> dict[str, Family]:
     """The families by name; one of them has a parameter."""
-    builders = {
-        "s-losing": losing,
-        "s-parricidal": parricidal,
-    }
-    found = {
-        name: Family(name=name, phases=("only",), summary="", parameters=(), build=build, robot="arm")
-        for name, build in builders.items()
-    }
     gravity = Parameter(
         name="gravity", default=1.0, unit="", lower=0.0, upper=1.0, meaning="1 with, 0 without"
     )
-    found["s-reach"] = Family(
-        name="s-reach", phases=("reach",), summary="", parameters=(gravity,), build=weighed, robot="arm"
-    )
-    return found
+    return {
+        "s-losing": Family(
+            name="s-losing", phases=("only",), summary="", parameters=(), build=losing, robot="arm"
+        ),
+        "s-reach": Family(
+            name="s-reach", phases=("reach",), summary="", parameters=(gravity,), build=weighed, robot="arm"
+        ),
+    }
 
 
 def install(folder: Path) -> None:

@@ -6,20 +6,56 @@ Functions run on CasADi's virtual machine: compiling those of a pair takes longe
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from trajopt.problem.catalogue import families
 from trajopt.study.suite import data
-from trajopt.study.suite.cases import Case, all_cases, representatives
+from trajopt.study.suite.cases import Case, all_cases
 from trajopt.study.suite.run import measure
-from trajopt.study.suite.settings import Settings
+from trajopt.study.suite.settings import SuiteSettings
 
 DATA = Path(__file__).parent / "data" / "suite.csv"
-SETTINGS = Settings(compile="none")
+SETTINGS = SuiteSettings(compile="none")
 CASES = all_cases(families())
 UPDATE = f"trajopt suite --perturbed 20 --update {DATA.relative_to(Path(__file__).parents[1])}"
+
+
+def representatives(cases: Sequence[Case]) -> tuple[Case, ...]:
+    """A subset with every problem once and every robot at least once, the same on every machine.
+
+    Problems in order of their number of robots, then by name: each takes the robot that has been taken
+    least often, of equals the first by name. Robots that are left then take their first problem.
+    """
+    by_problem: dict[str, list[Case]] = {}
+    for case in sorted(cases):
+        by_problem.setdefault(case.problem, []).append(case)
+    taken: Counter[str] = Counter()
+    chosen = []
+    for group in sorted(by_problem.values(), key=len):
+        case = min(group, key=lambda one: taken[one.robot])
+        taken[case.robot] += 1
+        chosen.append(case)
+    for case in sorted(cases):
+        if not taken[case.robot]:
+            taken[case.robot] += 1
+            chosen.append(case)
+    return tuple(sorted(chosen))
+
+
+def test_representatives_hold_every_problem_and_every_robot():
+    chosen = representatives(CASES)
+    assert {one.problem for one in chosen} == {one.problem for one in CASES}
+    assert {one.robot for one in chosen} == {one.robot for one in CASES}
+    assert (
+        len(chosen)
+        == len(set(chosen))
+        <= len({one.problem for one in CASES}) + len({one.robot for one in CASES})
+    )
+    assert representatives(CASES[::-1]) == chosen
 
 
 @pytest.mark.slow

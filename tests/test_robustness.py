@@ -21,10 +21,11 @@ from trajopt.study.suite.cases import Case
 from trajopt.study.suite.optima import SAME_MOTION, counted, described, distances, embedded
 from trajopt.study.suite.outcome import Attempt, Outcome
 from trajopt.study.suite.pool import run_all
-from trajopt.study.suite.records import Records
-from trajopt.study.suite.settings import Settings
+from trajopt.study.suite.records import SuiteRecords
+from trajopt.study.suite.settings import SuiteSettings
+from trajopt.study.workers.display import TaskDisplay
 
-STARTS = Settings(compile="none", perturbed=3)
+STARTS = SuiteSettings(compile="none", perturbed=3)
 CASE = Case(problem="t-reach", robot="arm", takes_robot=False)
 # Single precision of what is recorded of a motion.
 SINGLE = 1e-6
@@ -103,32 +104,33 @@ def test_solves_of_one_problem_from_two_starts_are_one_optimum():
 # Runs that go on
 
 
-class Listening:
-    """A display that keeps what it is told, and stops after so many starts."""
+class Interrupted(SuiteRecords):
+    """Records that are interrupted after so many starts."""
 
-    def __init__(self, records: Records, most: int) -> None:
-        self.records, self.most, self.starts = records, most, list[int]()
+    def interrupt_after(self, most: int) -> list[int]:
+        self.most, self.starts = most, list[int]()
+        return self.starts
 
-    def event(self, slot: int, case: Case, event: dict[str, Any]) -> None:
-        self.records.told(case, event)
+    def told(self, pair: str, event: dict[str, Any]) -> None:
+        super().told(pair, event)
         if event["event"] == "start":
             self.starts.append(event["values"]["seed"])
             if len(self.starts) == self.most:
                 raise KeyboardInterrupt
 
-    def finished(self, slot: int, outcome: Outcome) -> None:
-        self.records.add(outcome)
-
 
 def pursue(folder: Path, most: int) -> tuple[list[Outcome], list[int]]:
-    records = Records(folder, STARTS, {"version": "1"})
+    records = Interrupted(folder, STARTS, {"version": "1"})
     records.open(resume=True)
-    shown = Listening(records, most)
+    starts = records.interrupt_after(most)
     try:
-        found = list(run_all([CASE], STARTS, jobs=1, display=shown, known=records.unfinished()))
+        display = TaskDisplay("suite", 1)
+        found = list(run_all([CASE], STARTS, jobs=1, records=records, display=display))
     except KeyboardInterrupt:
         found = []
-    return found, shown.starts
+    for outcome in found:
+        records.add(outcome)
+    return found, starts
 
 
 def test_a_pair_that_was_interrupted_goes_on_with_the_starts_that_are_left(tmp_path):
@@ -149,10 +151,10 @@ def test_events_of_other_settings_or_damaged_ones_are_not_taken(tmp_path):
     pursue(tmp_path, 1)
     with (tmp_path / "events.jsonl").open("a") as stream:
         stream.write("{no json\n" + json.dumps({"pair": "x", "told": {"event": "start"}}) + "\n")
-    assert list(Records(tmp_path, STARTS, {"version": "1"}).unfinished()) == [CASE.name]
-    assert Records(tmp_path, replace(STARTS, sigma=0.2), {"version": "1"}).unfinished() == {}
-    Records(tmp_path, STARTS, {"version": "1"}).open(resume=False)
-    assert Records(tmp_path, STARTS, {"version": "1"}).unfinished() == {}
+    assert list(SuiteRecords(tmp_path, STARTS, {"version": "1"}).unfinished()) == [CASE.name]
+    assert SuiteRecords(tmp_path, replace(STARTS, sigma=0.2), {"version": "1"}).unfinished() == {}
+    SuiteRecords(tmp_path, STARTS, {"version": "1"}).open(resume=False)
+    assert SuiteRecords(tmp_path, STARTS, {"version": "1"}).unfinished() == {}
 
 
 # The table

@@ -12,15 +12,15 @@ import pytest
 from test_suite_data import outcome_of
 
 from trajopt import Solution
-from trajopt.cli.commands import main
+from trajopt.cli import main
 from trajopt.errors import InputError
 from trajopt.study.suite import data
 from trajopt.study.suite.cases import Case
 from trajopt.study.suite.outcome import Ledger, Outcome
 from trajopt.study.suite.physics import FELL, OFF, TRACKED, WORDS, Physics
-from trajopt.study.suite.records import Records
+from trajopt.study.suite.records import SuiteRecords
 from trajopt.study.suite.run import SIMULATED, run
-from trajopt.study.suite.settings import Settings
+from trajopt.study.suite.settings import SuiteSettings
 from trajopt.study.suite.table import line, summary, table
 from trajopt.study.suite.versions import versions
 
@@ -30,7 +30,7 @@ pytest.importorskip("mujoco")
 MOST_BASE_ERROR = 0.05
 # The same distance from two files: rounding.
 ROUNDING = 1e-9
-SETTINGS = Settings(compile="none", simulate=True)
+SETTINGS = SuiteSettings(compile="none", simulate=True)
 ROBOTS = ("solo12", "go2", "anymal_c")
 
 
@@ -114,11 +114,11 @@ def test_data_with_an_unknown_word_are_refused(tmp_path: Path):
 def test_an_outcome_with_physics_survives_json_and_a_resumed_run(tmp_path: Path):
     outcome = found()
     assert Outcome.from_dict(json.loads(json.dumps(outcome.to_dict()))) == outcome
-    records = Records(tmp_path, SETTINGS, {})
+    records = SuiteRecords(tmp_path, SETTINGS, {})
     records.open(resume=False)
     records.add(outcome)
-    assert Records(tmp_path, SETTINGS, {}).open(resume=True) == (outcome,)
-    assert Records(tmp_path, replace(SETTINGS, simulate=False), {}).open(resume=True) == ()
+    assert SuiteRecords(tmp_path, SETTINGS, {}).open(resume=True) == {outcome.name: outcome}
+    assert SuiteRecords(tmp_path, replace(SETTINGS, simulate=False), {}).open(resume=True) == {}
 
 
 def test_line_table_and_summary_tell_of_physics():
@@ -137,7 +137,7 @@ def test_a_fall_fails_a_suite_unless_the_data_know_of_it(
     word: str, before: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     outcome = replace(found(word), problem="hopper-hop", robot="hopper", starts=())
-    records = Records(tmp_path, SETTINGS, versions())
+    records = SuiteRecords(tmp_path, SETTINGS, versions())
     records.open(resume=False)
     records.add(outcome)  # taken over below: nothing is solved here
     arguments = ["suite", "--problems", "hopper-hop", "--robots", "hopper", "--simulate", "--json"]

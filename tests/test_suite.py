@@ -16,14 +16,15 @@ from trajopt.errors import InputError
 from trajopt.problem.catalogue import families
 from trajopt.solvers.status import Status
 from trajopt.study.suite import failure
-from trajopt.study.suite.cases import Case, all_cases, representatives, select
+from trajopt.study.suite.cases import Case, all_cases, select
 from trajopt.study.suite.outcome import Outcome
-from trajopt.study.suite.pool import run_all
-from trajopt.study.suite.process import Limits
+from trajopt.study.suite.pool import LIMITS, run_all
+from trajopt.study.suite.records import SuiteRecords
 from trajopt.study.suite.run import measure
-from trajopt.study.suite.settings import Settings
+from trajopt.study.suite.settings import SuiteSettings
+from trajopt.study.workers.display import TaskDisplay
 
-VIRTUAL_MACHINE = Settings(compile="none")
+VIRTUAL_MACHINE = SuiteSettings(compile="none")
 STARTS = replace(VIRTUAL_MACHINE, perturbed=3)
 # Seconds until a hanging build is killed: nothing else runs there.
 BUILD = 2.0
@@ -31,16 +32,6 @@ BUILD = 2.0
 SAME = 1e-12
 # IPOPT's rows with two bounds meet slacks, which are a little inside their bounds.
 SLACK = 1e-2
-
-
-class Silent:
-    """A display that shows nothing."""
-
-    def event(self, slot: int, case: Case, event: dict[str, Any]) -> None:
-        pass
-
-    def finished(self, slot: int, outcome: Outcome) -> None:
-        pass
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -57,10 +48,17 @@ def case(problem: str, robot: str = "arm") -> Case:
     return Case(problem=problem, robot=robot, takes_robot=problem == "t-robots")
 
 
-def run_pairs(names: list[str], settings: Settings, build: float = 120.0) -> dict[str, Outcome]:
-    cases = [case(name) for name in names]
-    limits = Limits(build=build)
-    found = run_all(cases, settings, jobs=2, display=Silent(), limits=limits)
+def run_pairs(
+    names: list[str], settings: SuiteSettings, build: float = 120.0, folder: Path | None = None
+) -> dict[str, Outcome]:
+    found = run_all(
+        [case(name) for name in names],
+        settings,
+        jobs=2,
+        records=SuiteRecords(folder, settings, {}),
+        display=TaskDisplay("suite", len(names)),
+        limits={**LIMITS, "build": build},
+    )
     return {outcome.problem: outcome for outcome in found}
 
 
@@ -105,19 +103,6 @@ def test_an_unknown_pair_is_one_line(patterns: list[str], robots: list[str], wor
     with pytest.raises(InputError) as caught:
         select(families(), patterns, robots)
     assert str(caught.value).startswith(words)
-
-
-def test_representatives_hold_every_problem_and_every_robot():
-    cases = all_cases(families())
-    chosen = representatives(cases)
-    assert {one.problem for one in chosen} == {one.problem for one in cases}
-    assert {one.robot for one in chosen} == {one.robot for one in cases}
-    assert (
-        len(chosen)
-        == len(set(chosen))
-        <= len({one.problem for one in cases}) + len({one.robot for one in cases})
-    )
-    assert representatives(cases[::-1]) == chosen
 
 
 # Failure modes
@@ -218,7 +203,7 @@ def test_a_lost_start_leaves_the_others():
 def test_a_pair_is_solved_as_the_library_solves_it(tmp_path: Path):
     """Own guess and starts against `trajopt.solve`; the file that is written is the solution's."""
     settings = replace(VIRTUAL_MACHINE, perturbed=2, sigma=0.2)
-    (outcome,) = run_all([case("t-coarse")], settings, jobs=1, display=Silent(), folder=tmp_path)
+    outcome = run_pairs(["t-coarse"], settings, folder=tmp_path)["t-coarse"]
     for start in (outcome.own, *outcome.starts):
         noise = {} if start.seed is None else {"seed": start.seed, "perturb": 0.2}
         solution = solve(suite_problems.coarse(), compile="none", **noise)

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 import suite_problems
 from click.testing import CliRunner, Result
-from processes_for_tests import TRAJOPT, Running, needs_proc, processes, until
+from task_processes import needs_proc, task_processes, task_processes_left
 
 from trajopt.cli import main
 from trajopt.study.suite import data
 
+WAIT = 120.0
 FAST = ("--compile", "none")
 
 
@@ -104,38 +107,39 @@ def test_results_are_printed_written_resumed_and_compared(tmp_path: Path):
     assert "outside its bands: t-reach@arm: solved with legendre:2, 10 intervals" in other.stdout
 
 
-@contextmanager
-def hanging(package: Path) -> Iterator[Running]:
-    """``trajopt suite`` on a good pair, which has ended, and one that hangs."""
-    command = ("suite", "--problems", "t-reach,t-hanging", "--json", *FAST, "--jobs", "2")
-    path = os.pathsep.join([str(package), str(Path(__file__).parent)])
-    with Running(*TRAJOPT, *command, env={**os.environ, "PYTHONPATH": path}) as running:
-        assert running.line().startswith("1/2 t-reach@arm: solved")
-        assert workers(package)
-        yield running
+class Running:
+    """``trajopt suite`` in a process of its own on a good pair and one that hangs."""
 
-
-def workers(package: Path) -> dict[int, str]:
-    """Processes of the suite, known by the path that they are given."""
-    return processes(str(package), "trajopt.suite.worker")
+    def __init__(self, package: Path) -> None:
+        path = os.pathsep.join([str(package), str(Path(__file__).parent)])
+        command = [sys.executable, "-m", "trajopt", "suite", "--problems", "t-reach,t-hanging", "--json"]
+        self.popen = subprocess.Popen(
+            [*command, *FAST, "--jobs", "2"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            env={**os.environ, "PYTHONPATH": path},
+            # Ctrl-C works as in a terminal, also where the tests themselves run under nohup.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        )  # fmt: skip
+        assert self.popen.stderr is not None
+        assert self.popen.stderr.readline().startswith("1/2 t-reach@arm: solved")
+        assert task_processes(package)
 
 
 @needs_proc
 def test_ctrl_c_prints_what_is_done_and_leaves_no_process(package: Path):
-    with hanging(package) as running:
-        running.press()
-        status, output, errors = running.finish()
+    running = Running(package)
+    running.popen.send_signal(signal.SIGINT)
+    output, errors = running.popen.communicate(timeout=WAIT)
     found = json.loads(output)
-    assert status == 130
+    assert running.popen.returncode == 130
     assert errors == "trajopt: cancelled, 1 of 2 pairs are done\n"
     assert found["complete"] is False
     assert [pair["problem"] for pair in found["pairs"]] == ["t-reach"]
-    assert not workers(package)
+    assert task_processes_left(package, WAIT) == []
 
 
 @needs_proc
 def test_no_process_outlives_a_suite_that_is_killed(package: Path):
-    with hanging(package) as running:
-        running.kill()
-        running.finish()
-    assert until(lambda: not workers(package))
+    running = Running(package)
+    running.popen.kill()
+    running.popen.communicate(timeout=WAIT)
+    assert task_processes_left(package, WAIT) == []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +16,13 @@ from problems_for_tests import reach
 from trajopt import check, solve
 from trajopt.errors import InputError
 from trajopt.study.suite import data
-from trajopt.study.suite.cases import Case
 from trajopt.study.suite.outcome import Attempt, Checked, Grid, Outcome, quantile
-from trajopt.study.suite.records import Records, left
+from trajopt.study.suite.records import SuiteRecords
 from trajopt.study.suite.run import worst_figure
-from trajopt.study.suite.settings import Settings
+from trajopt.study.suite.settings import SuiteSettings
 from trajopt.study.suite.versions import versions
 
-VIRTUAL_MACHINE = Settings(compile="none")
+VIRTUAL_MACHINE = SuiteSettings(compile="none")
 STARTS = replace(VIRTUAL_MACHINE, perturbed=3)
 
 
@@ -69,31 +68,30 @@ def test_an_outcome_survives_json(changes: dict[str, Any]):
 
 
 def test_a_resumed_suite_takes_over_what_is_done(tmp_path: Path):
-    records = Records(tmp_path / "new", VIRTUAL_MACHINE, {"casadi": "3"})
-    assert records.open(resume=True) == ()
+    records = SuiteRecords(tmp_path / "new", VIRTUAL_MACHINE, {"casadi": "3"})
+    assert records.open(resume=True) == {}
     done, lost = outcome_of(), outcome_of(robot="cat", own=None, check=None, error="crash: SIGKILL")
     records.add(done)
     records.add(lost)
     with (tmp_path / "new" / "results.jsonl").open("a") as stream:
         stream.write('{"settings": {"perturbed"')  # the machine stopped here
-    again = Records(tmp_path / "new", VIRTUAL_MACHINE, {"casadi": "3"})
-    assert again.open(resume=True) == (done,)
+    again = SuiteRecords(tmp_path / "new", VIRTUAL_MACHINE, {"casadi": "3"})
+    assert again.open(resume=True) == {done.name: done}
     again.add(newer := replace(done, total_time=2.0))
-    assert again.open(resume=True) == (newer,)
-    cases = [Case(problem="jump", robot=robot, takes_robot=True) for robot in ("cat", "dog")]
-    assert left(cases, (done,)) == ((cases[0],), (done,))
-    assert left(cases[:1], (done,)) == ((cases[0],), ())
+    assert again.open(resume=True) == {done.name: newer}
 
 
 def test_results_of_other_settings_or_versions_are_not_taken_over(tmp_path: Path):
-    records = Records(tmp_path, VIRTUAL_MACHINE, {"casadi": "3"})
+    records = SuiteRecords(tmp_path, VIRTUAL_MACHINE, {"casadi": "3"})
     records.open(resume=False)
     records.add(outcome_of())
-    assert Records(tmp_path, STARTS, {"casadi": "3"}).open(resume=True) == ()
-    assert Records(tmp_path, VIRTUAL_MACHINE, {"casadi": "4"}).open(resume=True) == ()
-    assert Records(tmp_path, VIRTUAL_MACHINE, {"casadi": "3"}).open(resume=True) == (outcome_of(),)
-    assert Records(tmp_path, VIRTUAL_MACHINE, {"casadi": "3"}).open(resume=False) == ()
-    assert Records(tmp_path, VIRTUAL_MACHINE, {"casadi": "3"}).open(resume=True) == ()
+    assert SuiteRecords(tmp_path, STARTS, {"casadi": "3"}).open(resume=True) == {}
+    assert SuiteRecords(tmp_path, VIRTUAL_MACHINE, {"casadi": "4"}).open(resume=True) == {}
+    assert SuiteRecords(tmp_path, VIRTUAL_MACHINE, {"casadi": "3"}).open(resume=True) == {
+        "jump@dog": outcome_of()
+    }
+    assert SuiteRecords(tmp_path, VIRTUAL_MACHINE, {"casadi": "3"}).open(resume=False) == {}
+    assert SuiteRecords(tmp_path, VIRTUAL_MACHINE, {"casadi": "3"}).open(resume=True) == {}
 
 
 def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path):
@@ -101,7 +99,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path):
     with pytest.raises(
         InputError, match=r"cannot write .*results\.jsonl: File exists; allowed: a folder that can be written"
     ):
-        Records(tmp_path / "file", VIRTUAL_MACHINE, {}).open(resume=False)
+        SuiteRecords(tmp_path / "file", VIRTUAL_MACHINE, {}).open(resume=False)
 
 
 # Bands
@@ -130,7 +128,7 @@ def test_what_is_outside_its_band_is_named():
     inside = outcome_of()
     entries = {inside.name: data.entry_of(inside, VIRTUAL_MACHINE)}
 
-    def said(settings: Settings = VIRTUAL_MACHINE, **changes: Any) -> str:
+    def said(settings: SuiteSettings = VIRTUAL_MACHINE, **changes: Any) -> str:
         changed = replace(inside, own=replace(inside.own, **changes))
         return data.deviation(changed, settings, entries[inside.name])
 
@@ -172,10 +170,5 @@ def test_a_foreign_table_is_one_line(text: str, tmp_path: Path):
 )
 def test_a_bad_setting_is_one_line(changes: dict[str, Any], words: str):
     with pytest.raises(InputError) as caught:
-        Settings(**changes)
+        SuiteSettings(**changes)
     assert str(caught.value).startswith(words)
-
-
-def test_settings_survive_json():
-    assert Settings.from_dict(json.loads(json.dumps(STARTS.to_dict()))) == STARTS
-    assert asdict(STARTS) == STARTS.to_dict()

@@ -6,7 +6,7 @@ import csv
 import itertools
 import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +16,10 @@ from problems_for_tests import hop, reach
 from trajopt.errors import InputError
 from trajopt.study.sweep.front import load_front, packaged_fronts
 from trajopt.study.sweep.pareto import dominators, front
-from trajopt.study.sweep.plan import OTHER_SCHEMES, Plan, make_plan, own_setting
+from trajopt.study.sweep.plan import OTHER_SCHEMES, SweepPlan, make_plan, own_setting
 from trajopt.study.sweep.plot import plot
-from trajopt.study.sweep.records import Asked, Found, Records
-from trajopt.study.sweep.result import Job, Run
+from trajopt.study.sweep.records import SweepRecords, SweepRequest, SweepResults
+from trajopt.study.sweep.result import Job, TimedRun
 from trajopt.study.sweep.setting import WORDS, Setting
 from trajopt.study.sweep.summary import Scale, disturbance, median_run, summarize
 from trajopt.study.sweep.tables import write_tables
@@ -215,17 +215,17 @@ def test_terms_of_both_kinds_are_told_apart():
 # Summaries
 
 
-def run(setting: Setting, start: int, time: float, **values: object) -> Run:
+def run(setting: Setting, start: int, time: float, **values: object) -> TimedRun:
     known = {
         "status": "solved", "success": True, "iterations": 5, "variables": 50, "calibration": 1e-3,
         "cpu_share": 1.0,
     }  # fmt: skip
-    return Run(setting=setting.name, start=start, attempt=0, wall_time=time, **{**known, **values})
+    return TimedRun(setting=setting.name, start=start, attempt=0, wall_time=time, **{**known, **values})
 
 
-def found(*runs: Run, errors: dict[str, float] | None = None) -> Found:
+def found(*runs: TimedRun, errors: dict[str, float] | None = None) -> SweepResults:
     """Runs and the errors of their medians, by setting's name."""
-    made = Found(runs={one.job: one for one in runs})
+    made = SweepResults(runs={one.job: one for one in runs})
     for name, error in (errors or {}).items():
         median = median_run(made, name, range(3))
         assert median is not None
@@ -261,10 +261,10 @@ FAST, FINE, SLOW, FAILED = (
     replace(BASE, **changes)
     for changes in ({"intervals": 5}, {"intervals": 20}, {"solver": "fatrop"}, {"tolerance": 1e-3})
 )
-PLAN = Plan(base=BASE, settings=(BASE, FAST, FINE, SLOW, FAILED))
+PLAN = SweepPlan(base=BASE, settings=(BASE, FAST, FINE, SLOW, FAILED))
 
 
-def measured() -> Found:
+def measured() -> SweepResults:
     failed = {"success": False, "status": "lost", "detail": "crash: SIGSEGV"}
     return found(
         run(BASE, 0, 1.0), run(FAST, 0, 0.1), run(FINE, 0, 4.0), run(SLOW, 0, 3.0),
@@ -356,31 +356,32 @@ def test_without_figures_there_is_no_plot(tmp_path: Path):
     assert not (tmp_path / "front.png").exists()
 
 
-# Records
+# SweepRecords
 
 
-def records(folder: Path, *, resume: bool, **changes: object) -> Records:
-    asked = Asked(problem="reach", values={"x": "1"}, **changes)
-    return Records(folder, asked.head(PLAN, {"trajopt": "1"}), resume=resume)
+def records(folder: Path, *, resume: bool, **changes: object) -> SweepRecords:
+    asked = SweepRequest(problem="reach", values={"x": "1"}, **changes)
+    return SweepRecords(folder, asked.head(PLAN, {"trajopt": "1"}), resume=resume)
 
 
 def test_records_are_read_back(tmp_path: Path):
     first = records(tmp_path, resume=False)
     for one in measured().runs.values():
-        first.add_run(one)
-    first.add_accuracy(Job(setting=BASE.name, start=0), True, {"open_loop_m": 1e-3, "distance_m": None})
-    first.add_reference({"ok": False, "text": "none"})
-    first.add_calibrations([1e-3, 2e-3])
+        first.add(run=asdict(one))
+    job = asdict(Job(setting=BASE.name, start=0))
+    first.add(accuracy=[job, True, {"open_loop_m": 1e-3, "distance_m": None}])
+    first.add(reference={"ok": False, "text": "none"})
+    first.add(calibrations=[1e-3, 2e-3])
     with (tmp_path / "record.jsonl").open("a") as stream:
         stream.write('{"run": {"setting": "cut')  # as a crash leaves it
     again = records(tmp_path, resume=True)
     assert again.found == first.found
-    again.add_calibrations([3e-3])
+    again.add(calibrations=[3e-3])
     assert records(tmp_path, resume=True).found.calibrations == [1e-3, 2e-3, 3e-3]
 
 
 def test_a_new_sweep_forgets_the_old_one(tmp_path: Path):
-    records(tmp_path, resume=False).add_calibrations([1.0])
+    records(tmp_path, resume=False).add(calibrations=[1.0])
     assert not records(tmp_path, resume=False).found.calibrations
 
 
@@ -399,7 +400,7 @@ def test_another_sweep_is_not_resumed(tmp_path: Path, changes: dict[str, object]
 
 
 def test_another_plan_and_no_sweep_at_all_are_not_resumed(tmp_path: Path):
-    head = Asked(problem="reach", values={"x": "1"}).head(
+    head = SweepRequest(problem="reach", values={"x": "1"}).head(
         replace(PLAN, settings=PLAN.settings[:2]), {"trajopt": "1"}
     )
     (tmp_path / "record.jsonl").write_text(json.dumps({"head": head}) + "\n")

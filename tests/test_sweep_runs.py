@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 import json
 import os
+import signal
+import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ import pytest
 import sweep_problems
 from click.testing import CliRunner, Result
 from problems_for_tests import hop
-from processes_for_tests import LIMIT, TRAJOPT, Running, needs_proc, processes, until
+from task_processes import needs_proc, task_processes, task_processes_left
 
 from trajopt import solve
 from trajopt.certify.accuracy.measures import measure
@@ -27,12 +28,13 @@ from trajopt.solution.solution import Solution
 from trajopt.study.sweep.cores import cores_for, physical_cores
 from trajopt.study.sweep.engine import Sweep
 from trajopt.study.sweep.plan import make_plan
-from trajopt.study.sweep.process import Pool
-from trajopt.study.sweep.records import Asked, Records
+from trajopt.study.sweep.records import SweepRecords, SweepRequest
 from trajopt.study.sweep.result import LOST, REFUSED, Job
-from trajopt.study.sweep.run import Limits, objective_of, run, with_torques
+from trajopt.study.sweep.run import objective_of, run, with_torques
 from trajopt.study.sweep.setting import Setting
+from trajopt.study.workers.display import TaskDisplay
 
+WAIT = 120.0
 # The same arithmetic, called in another way.
 SAME = 1e-12
 # From all starts the reach is the same to the solver's tolerance, of errors of 1e-4 m.
@@ -41,7 +43,7 @@ CONVERGED = 1e-2
 SHORT = 3.0
 # A rate of change of the objective along the motion that a resampled solution leaves: rounding.
 RESAMPLED = 1e-9
-LIMITS = Limits(sigma=0.1, max_iterations=200, max_time=60.0)
+REQUEST = SweepRequest(problem="s-reach", max_iterations=200)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -52,25 +54,6 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)
         yield folder
-
-
-class Silent:
-    """A display that shows nothing but remembers its notes."""
-
-    def __init__(self) -> None:
-        self.notes: list[str] = []
-
-    def note(self, text: str) -> None:
-        self.notes.append(text)
-
-    def left(self, count: int) -> None:
-        pass
-
-    def started(self, text: str) -> None:
-        pass
-
-    def finished(self, text: str) -> None:
-        pass
 
 
 def sweep(*arguments: object) -> Result:
@@ -95,8 +78,8 @@ QUICK = ("--compile", "none", "--repeats", 1)
 def test_a_run_is_what_the_library_solves(tmp_path: Path):
     setting = Setting(transcription="legendre:2", intervals=6, compile="none")
     for start in (0, 3):
-        found = run(weighed(), setting, Job(setting=setting.name, start=start), LIMITS, tmp_path / "run.npz")
-        noise = {"seed": start, "perturb": LIMITS.sigma} if start else {}
+        found = run(weighed(), setting, Job(setting=setting.name, start=start), REQUEST, tmp_path / "run.npz")
+        noise = {"seed": start, "perturb": REQUEST.sigma} if start else {}
         known = solve(weighed(), intervals=6, compile="none", **noise)
         assert (found.iterations, found.variables) == (known.meta["iterations"], known.meta["variables"])
         assert found.objective == pytest.approx(known.meta["objective"], rel=SAME)
@@ -107,7 +90,7 @@ def test_a_run_is_what_the_library_solves(tmp_path: Path):
 
 def test_a_warm_start_costs_what_made_it(tmp_path: Path):
     setting = Setting(transcription="legendre:2", intervals=8, compile="none", start="warm")
-    found = run(weighed(), setting, Job(setting=setting.name, start=0), LIMITS, tmp_path / "run.npz")
+    found = run(weighed(), setting, Job(setting=setting.name, start=0), REQUEST, tmp_path / "run.npz")
     coarse = solve(weighed(), intervals=4, compile="none")
     fine = solve(weighed(), intervals=8, compile="none", start=coarse)
     assert found.iterations == coarse.meta["iterations"] + fine.meta["iterations"]
@@ -119,7 +102,7 @@ def test_a_warm_start_costs_what_made_it(tmp_path: Path):
 def test_two_stages_are_judged_by_the_whole_problem(tmp_path: Path):
     """Objective of the full problem, computed by another way: torques as unknowns of no NLP."""
     setting = Setting(transcription="legendre:2", intervals=8, compile="none", model="two-stage")
-    found = run(hop(), setting, Job(setting=setting.name, start=0), LIMITS, tmp_path / "run.npz")
+    found = run(hop(), setting, Job(setting=setting.name, start=0), REQUEST, tmp_path / "run.npz")
     assert found.success
     assert found.stage_two_time > 0
     full = solve(hop(), intervals=8, compile="none")
@@ -133,7 +116,7 @@ def test_two_stages_are_judged_by_the_whole_problem(tmp_path: Path):
 def test_a_setting_that_does_not_fit_is_refused(tmp_path: Path):
     setting = Setting(transcription="legendre:2", intervals=8, solver="fatrop", hessian="limited-memory")
     with pytest.raises(InputError):
-        run(weighed(), setting, Job(setting=setting.name, start=0), LIMITS, tmp_path / "run.npz")
+        run(weighed(), setting, Job(setting=setting.name, start=0), REQUEST, tmp_path / "run.npz")
 
 
 # Processes
@@ -143,12 +126,11 @@ def test_a_lost_run_loses_no_other(tmp_path: Path):
     """Settings are lost on their grids from every start, and given up after two lost runs or a refusal."""
     grids = {"intervals": [3, 4, 7, 11, 13], "compile": ["none"]}
     plan = make_plan(sweep_problems.losing(), grids)
-    asked = Asked(
+    asked = SweepRequest(
         problem="s-losing", values={}, repeats=2, max_time=1.0, build_time=SHORT, reference_time=0.0
     )
-    records = Records(tmp_path, asked.head(plan, {}), resume=False)
-    with Pool(cores_for(1)) as pool:
-        Sweep(asked, plan, records, pool, Silent()).run()
+    records = SweepRecords(tmp_path, asked.head(plan, {}), resume=False)
+    Sweep(asked, plan, records, cores_for(1), TaskDisplay("sweep")).run()
     first = [one for one in records.found.runs.values() if one.attempt == 0]
     found = {
         setting.intervals: [(one.status, one.detail) for one in first if one.setting == setting.name]
@@ -162,14 +144,6 @@ def test_a_lost_run_loses_no_other(tmp_path: Path):
         11: [(LOST, "crash: RuntimeError: first line second line")] * 2,
         13: [(LOST, f"killed after {SHORT + 1:g} s")] * 2,
     }
-
-
-def test_a_worker_that_dies_is_replaced():
-    with Pool(cores_for(1)) as pool:
-        run = {"task": "run", "problem": "s-parricidal", "values": {}, "limit": LIMIT}
-        assert pool.ask(run) == {"kind": LOST, "detail": "crash of the worker"}
-        assert pool.ask({"task": "calibration"}) == {"kind": LOST, "detail": "crash: KeyError: 'limit'"}
-        assert len(pool.ask({"task": "calibration", "count": 3, "limit": LIMIT})["seconds"]) == 3
 
 
 def test_timed_processes_get_cores_of_their_own():
@@ -262,40 +236,39 @@ def test_an_unsolved_default_has_exit_status_one(tmp_path: Path):
     assert not (tmp_path / "front.png").exists()
 
 
-def many(folder: Path) -> tuple[str, ...]:
-    """A sweep of many settings into a folder."""
-    grids = ("--intervals", "4,5,6,7,8,9")
-    return ("s-reach", *map(str, QUICK), "--reference", "0", "--output-dir", str(folder), *grids)
+class Running:
+    """A sweep of many settings in a process of its own, some of whose runs have ended."""
 
-
-@contextmanager
-def begun(package: Path, folder: Path) -> Iterator[Running]:
-    """Such a sweep, some of whose runs have ended."""
-    path = os.pathsep.join([str(package), str(Path(__file__).parent), *sys.path])
-    command = (*TRAJOPT, "sweep", *many(folder))
-    with Running(*command, env={**os.environ, "PYTHONPATH": path}) as running:
-        while "solved" not in (line := running.line()):
-            assert line, "the sweep has ended"
-        yield running
-
-
-def workers(package: Path) -> dict[int, str]:
-    """Processes of the sweep, known by the path that they are given."""
-    return processes(str(package), "trajopt.sweep.worker")
+    def __init__(self, package: Path, folder: Path) -> None:
+        path = [str(package), str(Path(__file__).parent), *sys.path]
+        self.arguments = (
+            "s-reach", "--compile", "none", "--repeats", "1", "--reference", "0", "--output-dir", str(folder),
+            "--intervals", "4,5,6,7,8,9",
+        )  # fmt: skip
+        self.popen = subprocess.Popen(
+            [sys.executable, "-m", "trajopt", "sweep", *self.arguments],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(path)},
+            # Ctrl-C works as in a terminal, also where the tests themselves run under nohup.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        )  # fmt: skip
+        assert self.popen.stderr is not None
+        while "solved" not in self.popen.stderr.readline():
+            assert self.popen.poll() is None
 
 
 @needs_proc
 def test_ctrl_c_keeps_what_is_there_and_leaves_no_process(package: Path, tmp_path: Path):
-    with begun(package, tmp_path) as running:
-        assert workers(package)
-        running.press()
-        status, _, errors = running.finish()
-    assert status == 130
+    running = Running(package, tmp_path)
+    assert task_processes(package)
+    running.popen.send_signal(signal.SIGINT)
+    _, errors = running.popen.communicate(timeout=WAIT)
+    assert running.popen.returncode == 130
     assert errors.endswith(f"trajopt: cancelled; --resume --output-dir {tmp_path} goes on\n")
-    assert not workers(package)
+    assert task_processes_left(package, WAIT) == []
     done = rows(tmp_path / "runs.csv")
     assert 0 < len(done) < 14
-    result = sweep(*many(tmp_path), "--resume")
+    result = sweep(*running.arguments, "--resume")
     assert result.exit_code == 0
     runs = rows(tmp_path / "runs.csv")
     assert runs[: len(done)] == done
@@ -304,7 +277,7 @@ def test_ctrl_c_keeps_what_is_there_and_leaves_no_process(package: Path, tmp_pat
 
 @needs_proc
 def test_no_process_outlives_a_sweep_that_is_killed(package: Path, tmp_path: Path):
-    with begun(package, tmp_path) as running:
-        running.kill()
-        running.finish()
-    assert until(lambda: not workers(package))
+    running = Running(package, tmp_path)
+    running.popen.kill()
+    running.popen.communicate(timeout=WAIT)
+    assert task_processes_left(package, WAIT) == []

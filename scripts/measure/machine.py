@@ -7,7 +7,6 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 
 import click
@@ -16,9 +15,13 @@ import numpy as np
 from scripts.measure.shared import head, row
 from trajopt.solving.solving import prepare
 from trajopt.study.sweep.cores import physical_cores
+from trajopt.study.sweep.engine import MODULES
 from trajopt.study.sweep.plan import own_setting
-from trajopt.study.sweep.process import Pool
-from trajopt.study.sweep.result import Job, Run
+from trajopt.study.sweep.records import SweepRequest
+from trajopt.study.sweep.result import Job, TimedRun
+from trajopt.study.sweep.run import run_job
+from trajopt.study.workers.executor import ProcessPerTaskExecutor
+from trajopt.study.workers.task import announced
 from trajopt.transcription.compilation import CACHE_VARIABLE, LEVELS
 from trajopt_library import problems
 
@@ -66,19 +69,23 @@ def pinned(problem: str, repeats: int) -> None:
 
 def disturbance(problem: str, repeats: int) -> list[str]:
     """Medians of the solver's time, the functions' and the calibration beside it, alone and together."""
-    setting, cores = own_setting(problems.load(problem)), physical_cores()
-    limits = {"sigma": 0.1, "max_iterations": 500, "max_time": 60.0}
-    job = asdict(Job(setting=setting.name, start=0))
-    task = {"task": "run", "problem": problem, "values": {}, "setting": setting.to_dict(), "job": job}
-    alone: list[Run] = []
-    together: list[Run] = []
-    with tempfile.TemporaryDirectory() as folder, Pool(cores) as pool:
+    request, cores = SweepRequest(problem=problem), physical_cores()
+    setting = own_setting(request.load())
+    job = Job(setting=setting.name, start=0)
+    alone: list[TimedRun] = []
+    together: list[TimedRun] = []
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        ProcessPerTaskExecutor(len(cores), cores=cores, preload=MODULES) as executor,
+    ):
 
-        def run(count: int) -> list[Run]:
-            for number in range(count):
-                file = str(Path(folder) / f"{number}.npz")
-                pool.start(None, {**task, "limit": LIMIT, "limits": limits, "file": file})
-            return [Run.from_dict(pool.take()[1]["run"]) for _ in range(count)]
+        def run(count: int) -> list[TimedRun]:
+            tasks = [
+                (announced, str(k), LIMIT, run_job, request, setting, job, Path(folder) / f"{k}.npz")
+                for k in range(count)
+            ]
+            futures = [executor.submit(*task) for task in tasks]
+            return [future.result() for future in futures]
 
         run(len(cores))  # compiles where the cache is empty
         for _ in range(repeats):

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
 
 from trajopt.cli.input import COUNT, THREADS
-from trajopt.cli.report import to_json
+from trajopt.cli.report import console, to_json
 from trajopt.errors import InputError
 from trajopt.solution.output import check_output
 from trajopt.solving.interruption import CANCELLED, interruptible
@@ -21,11 +19,11 @@ from trajopt.solving.interruption import CANCELLED, interruptible
 if TYPE_CHECKING:
     from trajopt.study.suite.cases import Case
     from trajopt.study.suite.outcome import Outcome
-    from trajopt.study.suite.records import Records
-    from trajopt.study.suite.settings import Settings
+    from trajopt.study.suite.records import SuiteRecords
+    from trajopt.study.suite.settings import SuiteSettings
 
 NOT_REACHED = 1
-# Columns of the table where it goes to a file or a pipe, which tells no width: no column is folded.
+# Columns of the table where it goes to a file or a pipe: no column is folded.
 PIPE_WIDTH = 170
 # Options that take every word up to the next option, as in ``--robots solo12 go2``.
 LISTS = ("--problems", "--robots")
@@ -62,12 +60,7 @@ def _each(option: str, words: str) -> list[str]:
 @click.option("--problems", multiple=True, metavar="GLOB...", help="Names or patterns.  [default: all]")
 @click.option("--robots", multiple=True, metavar="NAME...", help="Robots, or .py files.  [default: all]")
 @click.option(
-    "--perturbed",
-    type=COUNT,
-    default=0,
-    metavar="K",
-    show_default=True,
-    help="Noisy starts of each pair.",
+    "--perturbed", type=COUNT, default=0, metavar="K", show_default=True, help="Noisy starts of each pair."
 )
 @click.option(
     "--sigma", type=float, default=0.1, metavar="SIGMA", show_default=True, help="Their noise, scaled units."
@@ -78,12 +71,7 @@ def _each(option: str, words: str) -> list[str]:
     "--max-iterations", type=COUNT, default=500, metavar="N", show_default=True, help="Iteration limit."
 )
 @click.option(
-    "--max-time",
-    type=float,
-    default=300.0,
-    metavar="S",
-    show_default=True,
-    help="Time limit of a solve.",
+    "--max-time", type=float, default=300.0, metavar="S", show_default=True, help="Time limit of a solve."
 )
 @click.option("--compile", default="quick", metavar="LEVEL", show_default=True, help="none, quick or fast.")
 @click.option("--simulate", is_flag=True, help="Run what is solved of legged robots in MuJoCo, too.")
@@ -113,13 +101,16 @@ def suite(
     fall), 1 when not, 130 after Ctrl-C: what is done by then is printed.
     """
     from trajopt.problem.catalogue import families
-    from trajopt.study.suite.cases import select
-    from trajopt.study.suite.records import Records
-    from trajopt.study.suite.settings import Settings
+    from trajopt.study.suite import data
+    from trajopt.study.suite.cases import all_cases, select
+    from trajopt.study.suite.physics import FELL
+    from trajopt.study.suite.records import SuiteRecords
+    from trajopt.study.suite.settings import SuiteSettings
+    from trajopt.study.suite.table import to_dict
     from trajopt.study.suite.versions import versions
 
-    settings = Settings(**arguments)
-    cases = select(families(), problems, robots)
+    settings, known = SuiteSettings(**arguments), families()
+    cases = select(known, problems, robots)
     if only_list:
         _print_cases(cases, as_json)
         return 0
@@ -128,27 +119,27 @@ def suite(
     if settings.simulate:
         from trajopt.certify.simulation.bodies import mujoco_package
 
-        mujoco_package()  # refused before anything is run
-    bands = Bands(update, compare)
-    records = Records(output_dir, settings, versions())
+        mujoco_package()  # refused before anything is run, as are files that cannot be read or written
+    target = None if update is None else check_output(update)
+    old = data.read(target)[0] if target is not None and target.exists() else {}
+    bands = None if compare is None else data.read(compare)[0]
+    records = SuiteRecords(output_dir, settings, versions())
     outcomes, complete = _run(cases, settings, records, resume, jobs or _processors())
-    outside = bands.compare(outcomes, settings)
+    outside = None if bands is None else data.deviations(outcomes, settings, bands)
     if as_json:
-        click.echo(to_json(_found(outcomes, settings, complete, outside)))
+        found = {"complete": complete, "outside": outside, **to_dict(outcomes, settings, versions())}
+        click.echo(to_json(found))
     else:
         _print(outcomes, outside)
-    if complete:
-        bands.update(outcomes, settings)
-        fallen = compare is None and any(_fell(outcome) for outcome in outcomes)
-        return NOT_REACHED if outside or fallen or not all(outcome.ok for outcome in outcomes) else 0
-    click.echo(f"trajopt: cancelled, {len(outcomes)} of {len(cases)} pairs are done", err=True)
-    return CANCELLED
-
-
-def _fell(outcome: Outcome) -> bool:
-    from trajopt.study.suite.physics import FELL
-
-    return outcome.physics is not None and outcome.physics.word == FELL
+    if not complete:
+        click.echo(f"trajopt: cancelled, {len(outcomes)} of {len(cases)} pairs are done", err=True)
+        return CANCELLED
+    if target is not None:
+        names = [case.name for case in all_cases(known)]
+        data.write(target, data.updated(old, outcomes, settings, names), versions())
+    words = [outcome.physics.word for outcome in outcomes if outcome.physics is not None]
+    fallen = bands is None and FELL in words
+    return NOT_REACHED if outside or fallen or not all(outcome.ok for outcome in outcomes) else 0
 
 
 def _processors() -> int:
@@ -156,28 +147,28 @@ def _processors() -> int:
 
 
 def _run(
-    cases: Sequence[Case], settings: Settings, records: Records, resume: bool, jobs: int
+    cases: Sequence[Case], settings: SuiteSettings, records: SuiteRecords, resume: bool, jobs: int
 ) -> tuple[list[Outcome], bool]:
     """Outcomes sorted by pair, and whether they are all: Ctrl-C leaves those that are done."""
-    from trajopt.study.suite.display import Recorded, display
     from trajopt.study.suite.pool import run_all
-    from trajopt.study.suite.records import left
+    from trajopt.study.suite.table import line
+    from trajopt.study.workers.display import TaskDisplay
 
-    missing, known = left(cases, records.open(resume=resume))
-    outcomes, complete = list(known), True
-    jobs = max(1, min(jobs, len(missing)))
+    known = records.open(resume=resume)
+    missing = [case for case in cases if case.name not in known]
+    outcomes = [known[case.name] for case in cases if case.name in known]
+    jobs, complete = max(1, min(jobs, len(missing))), False
     with interruptible() as interruption, interruption.recording():
         try:
             with (
-                display(len(cases), len(known), jobs, settings.perturbed) as shown,
+                TaskDisplay("suite", len(cases), len(outcomes)) as display,
                 closing(
                     run_all(
                         missing,
                         settings,
                         jobs=jobs,
-                        display=Recorded(shown, records),
-                        folder=records.folder,
-                        known=records.unfinished(),
+                        records=records,
+                        display=display,
                         check=interruption.check,
                     )
                 ) as running,
@@ -185,38 +176,13 @@ def _run(
                 for outcome in running:
                     records.add(outcome)
                     outcomes.append(outcome)
+                    display.finished(outcome.name, f"{len(outcomes)}/{len(cases)} {line(outcome)}")
             records.close()
+            complete = True
         except KeyboardInterrupt:
             complete = False
         interruption.answer()  # also one that came when all was done
     return sorted(outcomes, key=lambda outcome: outcome.name), complete
-
-
-class Bands:
-    """The files of --update and --compare; both are tried before anything is run."""
-
-    def __init__(self, update: Path | None, compare: Path | None) -> None:
-        from trajopt.study.suite import data
-
-        self._data = data
-        self._target = None if update is None else check_output(update)
-        self._old = data.read(update)[0] if update is not None and update.exists() else {}
-        self._entries = None if compare is None else data.read(compare)[0]
-
-    def compare(self, outcomes: Sequence[Outcome], settings: Settings) -> dict[str, str] | None:
-        """What is outside its bands by pair; None where nothing is compared."""
-        return None if self._entries is None else self._data.deviations(outcomes, settings, self._entries)
-
-    def update(self, outcomes: Sequence[Outcome], settings: Settings) -> None:
-        """Write the bands of the pairs that are solved; the others keep theirs."""
-        from trajopt.problem.catalogue import families
-        from trajopt.study.suite.cases import all_cases
-        from trajopt.study.suite.versions import versions
-
-        if self._target is not None:
-            names = [case.name for case in all_cases(families())]
-            entries = self._data.updated(self._old, outcomes, settings, names)
-            self._data.write(self._target, entries, versions())
 
 
 def _print_cases(cases: Sequence[Case], as_json: bool) -> None:
@@ -229,24 +195,13 @@ def _print_cases(cases: Sequence[Case], as_json: bool) -> None:
     click.echo(f"{len(cases)} pairs", err=True)
 
 
-def _found(
-    outcomes: Sequence[Outcome], settings: Settings, complete: bool, outside: dict[str, str] | None
-) -> dict[str, Any]:
-    from trajopt.study.suite.table import to_dict
-    from trajopt.study.suite.versions import versions
-
-    return {"complete": complete, "outside": outside, **to_dict(outcomes, settings, versions())}
-
-
 def _print(outcomes: Sequence[Outcome], outside: dict[str, str] | None) -> None:
     from trajopt.study.suite.table import summary_lines, table
 
-    console = Console(highlight=False, markup=False)
-    if not sys.stdout.isatty():
-        console.width = PIPE_WIDTH
+    shown = console(PIPE_WIDTH)
     if outcomes:
-        console.print(table(outcomes, console.width))
+        shown.print(table(outcomes, shown.width))
     for text in summary_lines(outcomes):
-        console.print(text, soft_wrap=True)
+        shown.print(text, soft_wrap=True)
     for name, text in (outside or {}).items():
-        console.print(f"outside its bands: {name}: {text}", soft_wrap=True)
+        shown.print(f"outside its bands: {name}: {text}", soft_wrap=True)

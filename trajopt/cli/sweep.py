@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
 
 from trajopt.cli.input import COUNT, THREADS, parse_settings
-from trajopt.cli.report import to_json
+from trajopt.cli.report import console, to_json
 from trajopt.solving.interruption import CANCELLED, interruptible
 
 if TYPE_CHECKING:
-    from trajopt.study.sweep.plan import Plan
-    from trajopt.study.sweep.records import Asked, Records
-    from trajopt.study.sweep.summary import Scale, Summary
+    from trajopt.study.sweep.plan import SweepPlan
+    from trajopt.study.sweep.records import SweepRecords, SweepRequest
+    from trajopt.study.sweep.summary import Summary
 
 NOT_REACHED = 1
-# Columns of the table where it goes to a file or a pipe, which tells no width: no column is folded.
+# Columns of the table where it goes to a file or a pipe: no column is folded.
 PIPE_WIDTH = 150
 PLOT = "front.png"
 
@@ -110,91 +107,78 @@ def sweep(
     runs.csv, settings.csv, front.csv and front.png. Exit status 0 when the problem's own setting was solved,
     1 when not, 130 after Ctrl-C: what is done by then is written, and --resume goes on from it.
     """
-    from trajopt.problem.catalogue import families
-    from trajopt.problem.family import choose
     from trajopt.study.suite.versions import versions
     from trajopt.study.sweep.cores import cores_for
     from trajopt.study.sweep.plan import AXES, make_plan
-    from trajopt.study.sweep.records import Asked, Records
-    from trajopt.study.sweep.summary import Scale
+    from trajopt.study.sweep.plot import plot
+    from trajopt.study.sweep.records import SweepRecords, SweepRequest
+    from trajopt.study.sweep.summary import Scale, summarize
+    from trajopt.study.sweep.tables import write_tables
 
-    chosen = parse_settings(values, "--set")
-    loaded = choose(families(), problem).load(chosen)
     named = {axis: arguments.pop(axis) for axis in AXES}
+    request = SweepRequest(problem=problem, values=parse_settings(values, "--set"), **arguments)
+    loaded = request.load()
     plan = make_plan(loaded, named, also=also, full=full)
-    asked = Asked(problem=problem, values=chosen, **arguments)
     cores = cores_for(jobs)
     if only_list:
-        _print_plan(plan, asked, as_json)
+        _print_plan(plan, request, as_json)
         return 0
     folder = output_dir or Path(f"{problem}-sweep")
-    records = Records(folder, asked.head(plan, versions()), resume=resume)
-    output = Output(problem, plan, asked, records, Scale.of(loaded))
-    complete = _run(output, cores)
-    rows = output.write()
-    output.print(rows, complete, as_json)
+    records = SweepRecords(folder, request.head(plan, versions()), resume=resume)
+    complete = _run(request, plan, records, cores)
+    rows, scale = summarize(plan, records.found, request.starts), Scale.of(loaded)
+    settings = write_tables(records.folder, problem, records.found, rows, scale)
+    plot(rows, f"{problem} on {scale.robot}", records.folder / PLOT)
+    if as_json:
+        click.echo(to_json({"problem": problem, "complete": complete, **_found(plan, records, settings)}))
+    else:
+        _print(plan, records, rows)
     if not complete:
         click.echo(f"trajopt: cancelled; --resume --output-dir {folder} goes on", err=True)
         return CANCELLED
     return 0 if any(row.is_default and math.isfinite(row.time) for row in rows) else NOT_REACHED
 
 
-@dataclass(frozen=True)
-class Output:
-    """What is written and printed at the end of a sweep, complete or not."""
+def _run(request: SweepRequest, plan: SweepPlan, records: SweepRecords, cores: Sequence[int]) -> bool:
+    """Run what is missing; False after Ctrl-C."""
+    from trajopt.study.sweep.engine import Sweep
+    from trajopt.study.workers.display import TaskDisplay
 
-    problem: str
-    plan: Plan
-    asked: Asked
-    records: Records
-    scale: Scale
-
-    def write(self) -> tuple[Summary, ...]:
-        """The tables and the plot, from what is recorded."""
-        from trajopt.study.sweep.plot import plot
-        from trajopt.study.sweep.summary import summarize
-        from trajopt.study.sweep.tables import write_tables
-
-        found, folder = self.records.found, self.records.folder
-        rows = summarize(self.plan, found, self.asked.starts)
-        write_tables(folder, self.problem, found, rows, self.scale)
-        plot(rows, f"{self.problem} on {self.scale.robot}", folder / PLOT)
-        return rows
-
-    def print(self, rows: Sequence[Summary], complete: bool, as_json: bool) -> None:
-        """The table, or one JSON object."""
-        from trajopt.study.sweep.summary import disturbance
-        from trajopt.study.sweep.tables import setting_rows, table
-
-        found = self.records.found
-        quiet = disturbance(found)
-        if as_json:
-            settings = setting_rows(self.problem, rows, self.scale)
-            click.echo(
-                to_json(
-                    {
-                        "problem": self.problem,
-                        "complete": complete,
-                        "folder": str(self.records.folder),
-                        "settings": settings,
-                        "front": [row.label for row in rows if row.on_front],
-                        "reference": found.reference,
-                        "machine": quiet,
-                        "left_out": list(self.plan.left_out),
-                    }
+    settings, starts = len(plan.settings), len(request.starts)
+    complete = True
+    with interruptible() as interruption, interruption.recording():
+        try:
+            with TaskDisplay(f"sweep of {request.problem}") as display:
+                display.note(
+                    f"{settings} settings, {starts} starts each: {settings * starts} runs, "
+                    f"{len(cores)} at a time, on core {', '.join(map(str, cores))}"
                 )
-            )
-            return
-        console = Console(highlight=False, markup=False)
-        if not sys.stdout.isatty():
-            console.width = PIPE_WIDTH
-        console.print(table(rows))
-        for text in (*_notes(self.plan, found.reference, quiet), f"tables and plot in {self.records.folder}"):
-            console.print(text, soft_wrap=True)
+                Sweep(request, plan, records, cores, display, interruption.check).run()
+        except KeyboardInterrupt:
+            complete = False
+        interruption.answer()  # also one that came when all was done
+    return complete
 
 
-def _notes(plan: Plan, reference: dict[str, Any] | None, quiet: dict[str, Any]) -> list[str]:
-    """What to know beside the table."""
+def _found(plan: SweepPlan, records: SweepRecords, settings: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    from trajopt.study.sweep.summary import disturbance
+
+    return {
+        "folder": str(records.folder),
+        "settings": settings,
+        "front": [row["label"] for row in settings if row["on_front"]],
+        "reference": records.found.reference,
+        "machine": disturbance(records.found),
+        "left_out": plan.left_out,
+    }
+
+
+def _print(plan: SweepPlan, records: SweepRecords, rows: Sequence[Summary]) -> None:
+    """The table, and what to know beside it."""
+    from trajopt.study.sweep.summary import disturbance
+    from trajopt.study.sweep.tables import table
+
+    reference, quiet = records.found.reference, disturbance(records.found)
     notes = [f"left out: {text}" for text in plan.left_out]
     if reference is not None:
         notes.append(f"reference: {reference['text']}")
@@ -205,34 +189,14 @@ def _notes(plan: Plan, reference: dict[str, Any] | None, quiet: dict[str, Any]) 
             f"{quiet['calibration_90']:.2f} at 90 %; "
             f"{quiet['disturbed']} of {quiet['runs']} runs were disturbed"
         )
-    return notes
+    shown = console(PIPE_WIDTH)
+    shown.print(table(rows))
+    for text in (*notes, f"tables and plot in {records.folder}"):
+        shown.print(text, soft_wrap=True)
 
 
-def _run(output: Output, cores: Sequence[int]) -> bool:
-    """Run what is missing; False after Ctrl-C."""
-    from trajopt.study.sweep.display import Lines
-    from trajopt.study.sweep.engine import Sweep
-    from trajopt.study.sweep.process import Pool
-
-    count = len(output.plan.settings)
-    complete = True
-    with interruptible() as interruption, interruption.recording():
-        try:
-            with Lines(f"sweep of {output.problem}") as shown, Pool(cores, interruption.check) as pool:
-                shown.note(
-                    f"{count} settings, {len(output.asked.starts)} starts each: "
-                    f"{count * len(output.asked.starts)} runs, {len(cores)} at a time, "
-                    f"on core {', '.join(map(str, cores))}"
-                )
-                Sweep(output.asked, output.plan, output.records, pool, shown).run()
-        except KeyboardInterrupt:
-            complete = False
-        interruption.answer()  # also one that came when all was done
-    return complete
-
-
-def _print_plan(plan: Plan, asked: Asked, as_json: bool) -> None:
-    runs = len(plan.settings) * len(asked.starts)
+def _print_plan(plan: SweepPlan, request: SweepRequest, as_json: bool) -> None:
+    runs = len(plan.settings) * len(request.starts)
     if as_json:
         settings = [{"label": setting.label(plan.base), **setting.to_dict()} for setting in plan.settings]
         click.echo(to_json({"settings": settings, "runs": runs, "left_out": list(plan.left_out)}))

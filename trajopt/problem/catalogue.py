@@ -5,6 +5,7 @@ Each entry names a module with ``families() -> dict[str, Family]``; the library 
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
@@ -48,6 +49,11 @@ def _families_of(entry: EntryPoint) -> Mapping[str, Family]:
         warnings.warn(f"problems of '{entry.value}' cannot be loaded: {reason}", stacklevel=3)
         return {}
     return offered
+
+
+def problem_modules() -> tuple[str, ...]:
+    """Return the modules of all packages that this process has loaded, for other processes to load."""
+    return tuple(entry.module for entry in entry_points(group=GROUP) if entry.module in sys.modules)
 
 
 def load(name: str, **parameters: object) -> Problem:

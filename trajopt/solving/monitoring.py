@@ -20,9 +20,6 @@ from trajopt.solving.extraction import extract
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.transcription import Transcription
 
-# Seconds after its time limit that a solver may take to finish a step.
-GRACE = 30.0
-
 IterateStage = Literal["guess", "iteration", "end"]
 # Called with the figures of each iteration; returns False to stop there.
 ProgressCallback = Callable[[dict[str, float]], bool]

@@ -30,7 +30,7 @@ TRIES, LOADS = 5, 5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Choice:
+class ChosenSetting:
     """A measured setting on the problem's own grid, and what is predicted of it: error in m, time in s."""
 
     front: str
@@ -78,7 +78,7 @@ def front_for(problem: Problem, front: str | Path | None = None) -> tuple[str, F
 
 def choose_for_accuracy(
     problem: Problem, accuracy: float, *, front: str | Path | None = None, where: Filter | None = None
-) -> Choice:
+) -> ChosenSetting:
     """The fastest setting whose error is predicted to be at most ``accuracy`` m, or the most accurate one.
 
     where: settings that are allowed, such as those of one solver.
@@ -92,7 +92,7 @@ def choose_for_accuracy(
 
 def choices_by_time(
     problem: Problem, *, front: str | Path | None = None, where: Filter | None = None
-) -> tuple[Choice, ...]:
+) -> tuple[ChosenSetting, ...]:
     """The front's settings with what they are predicted to take, fastest first."""
     name, known = front_for(problem, front)
     speed = machine_speed(known)
@@ -128,12 +128,12 @@ def _points(front: Front, allowed: Filter) -> tuple[Measured, ...]:
     return front.best(allowed, LEAST_SUCCESS) or (front.default,)
 
 
-def _choice(problem: Problem, name: str, front: Front, point: Measured, speed: float) -> Choice:
+def _choice(problem: Problem, name: str, front: Front, point: Measured, speed: float) -> ChosenSetting:
     units = Units(problem.robot)
     total = round(point.density * problem.schedule.duration / units.time)
     least = len(problem.schedule.phases)
     mesh = Mesh.uniform(point.setting.transcription, problem.schedule.intervals(max(total, least)))
-    return Choice(
+    return ChosenSetting(
         front=name,
         measured=point,
         mesh=mesh,

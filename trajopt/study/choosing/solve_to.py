@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from trajopt.certify.accuracy.measures import Accuracy, measure
 from trajopt.errors import InputError
-from trajopt.problem.problem import Problem
+from trajopt.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.solving.ladder import INTERRUPTED
-from trajopt.solving.refine import Refinement, Round, phase_errors, refine
+from trajopt.solving.refine import Round, phase_errors, refine
 from trajopt.solving.solving import solve
 from trajopt.solving.verdicts import is_usable_start
-from trajopt.study.choosing.choice import Choice, choices_by_time, choose_for_accuracy
+from trajopt.study.choosing.choice import ChosenSetting, choices_by_time, choose_for_accuracy
 from trajopt.study.sweep.front import Filter
 
 # What is predicted for a setting may be this part of what is left: predictions err.
@@ -37,7 +37,7 @@ class Aimed:
 
     goal: str
     wanted: float
-    choices: tuple[Choice, ...]
+    choices: tuple[ChosenSetting, ...]
     rounds: tuple[Round, ...]
     solution: Solution
     accuracy: Accuracy | None
@@ -91,35 +91,18 @@ def solve_to_accuracy(
     """
     _require(accuracy, "accuracy", "m")
     choice = choose_for_accuracy(problem, accuracy, front=front, where=where)
-    solver = choice.solver
-    first = solve(problem, mesh=choice.mesh, start=start, label="chosen mesh", **solver, **settings)
+    first = solve(problem, mesh=choice.mesh, start=start, label="chosen mesh", **choice.solver, **settings)
+    begun: tuple[Round, ...] = (Round.of(choice.mesh, first),)
     if first.meta["status"] == INTERRUPTED:
-        made = Refinement(
-            target=accuracy,
-            solution=first,
-            accuracy=None,
-            rounds=(Round.of(choice.mesh, first),),
-            why="interrupted",
-        )
+        return _aimed("accuracy", accuracy, [choice], begun, first, None, "interrupted")
+    own = {name: value for name, value in choice.solver.items() if name != "tolerance"}
+    if is_usable_start(first):
+        made = refine(problem, accuracy, start=first, **own, **settings)
+        begun = ()  # refinement has taken it for its own first round
     else:
-        further = {name: value for name, value in solver.items() if name != "tolerance"}
-        origin: dict[str, Any] = {"start": first}
-        if not is_usable_start(first):
-            origin = {"mesh": choice.mesh, "start": start}
-        made = refine(problem, accuracy, **origin, **further, **settings)
-        if not is_usable_start(first):
-            made = replace(made, rounds=(Round.of(choice.mesh, first), *made.rounds))
-    return _finished(
-        Aimed(
-            goal="accuracy",
-            wanted=float(accuracy),
-            choices=(choice,),
-            rounds=made.rounds,
-            solution=made.solution,
-            accuracy=made.accuracy,
-            why=made.why,
-        )
-    )
+        made = refine(problem, accuracy, mesh=choice.mesh, start=start, **own, **settings)
+    rounds = (*begun, *made.rounds)
+    return _aimed("accuracy", accuracy, [choice], rounds, made.solution, made.accuracy, made.why)
 
 
 def solve_within(
@@ -138,85 +121,57 @@ def solve_within(
     """
     _require(budget, "budget", "s")
     settings.pop("max_time", None)
-    search = _Search(problem, float(budget), settings)
-    search.run(choices_by_time(problem, front=front, where=where), start)
-    return search.result()
+    remaining = choices_by_time(problem, front=front, where=where)
+    tried: list[ChosenSetting] = []
+    rounds: list[Round] = []
+    best: Solution | None = None
+    left, ratio, why = float(budget), 1.0, "the time is used"
+    pick: ChosenSetting | None = remaining[0]
+    while pick is not None and len(tried) < MOST_SETTINGS:
+        tried.append(pick)
+        own = {"label": f"setting {len(tried)}", "max_time": max(left, LEAST_TIME), **pick.solver}
+        found = solve(problem, mesh=pick.mesh, start=best or start, **own, **settings)
+        rounds.append(Round.of(pick.mesh, found))
+        best = found if found.success else best
+        if found.meta["status"] == INTERRUPTED:
+            why = "interrupted"
+            break
+        # What it took corrects what is predicted of the others.
+        ratio = max(rounds[-1].wall_time / pick.predicted_time, ratio if best is None else 0.0)
+        left -= rounds[-1].wall_time
+        remaining = remaining[remaining.index(pick) + 1 :]
+        fitting = [choice for choice in remaining if ratio * choice.predicted_time <= MOST_SHARE * left]
+        pick = fitting[-1] if fitting else None
+        if not remaining:
+            why = "the most accurate measured setting is reached"
+        elif not fitting:
+            why = "no better setting is predicted to fit into what is left"
+    if best is None:
+        return _aimed("budget", budget, tried, rounds, found, None, "nothing was solved in that time")
+    return _aimed("budget", budget, tried, rounds, best, measure(best), why)
 
 
-class _Search:
-    def __init__(self, problem: Problem, budget: float, settings: dict[str, Any]) -> None:
-        self.problem, self.budget, self.settings = problem, budget, settings
-        self.tried: list[Choice] = []
-        self.rounds: list[Round] = []
-        self.best: Solution | None = None
-        self.last: Solution | None = None
-        self.why = "the time is used"
-
-    @property
-    def left(self) -> float:
-        return self.budget - sum(own.wall_time for own in self.rounds)
-
-    def run(self, choices: tuple[Choice, ...], start: Solution | str | Path | None) -> None:
-        """A fast setting, then the most accurate that fits into what is left, by corrected predictions."""
-        remaining, pick, ratio = list(choices), choices[0], 1.0
-        for _ in range(MOST_SETTINGS):
-            remaining = remaining[remaining.index(pick) + 1 :]
-            took = self._solve(pick, self.best or start)
-            if self.last is not None and self.last.meta["status"] == INTERRUPTED:
-                self.why = "interrupted"
-                return
-            ratio = max(took / pick.predicted_time, ratio if self.best is None else 0.0)
-            fitting = [
-                choice for choice in remaining if ratio * choice.predicted_time <= MOST_SHARE * self.left
-            ]
-            if not fitting:
-                self.why = (
-                    "no better setting is predicted to fit into what is left"
-                    if remaining
-                    else ("the most accurate measured setting is reached")
-                )
-                return
-            pick = fitting[-1]
-
-    def _solve(self, choice: Choice, start: Solution | str | Path | None) -> float:
-        begin = time.perf_counter()
-        found = solve(
-            self.problem,
-            mesh=choice.mesh,
-            start=start,
-            label=f"setting {len(self.tried) + 1}",
-            max_time=max(self.left, LEAST_TIME),
-            **choice.solver,
-            **self.settings,
-        )
-        self.tried.append(choice)
-        self.rounds.append(Round.of(choice.mesh, found))
-        self.last = found
-        if found.success:
-            self.best = found
-        return min(found.meta["wall_time_s"], time.perf_counter() - begin)
-
-    def result(self) -> Aimed:
-        solution = self.best or self.last
-        assert solution is not None
-        accuracy = measure(solution) if solution.success else None
-        return _finished(
-            Aimed(
-                goal="budget",
-                wanted=self.budget,
-                choices=tuple(self.tried),
-                rounds=tuple(self.rounds),
-                solution=solution,
-                accuracy=accuracy,
-                why=self.why if solution.success else "nothing was solved in that time",
-            )
-        )
-
-
-def _finished(aimed: Aimed) -> Aimed:
-    """With what was aimed at and reached in the solution's meta."""
-    meta = {name: value for name, value in aimed.solution.meta.items() if name != "refinement"}
-    return replace(aimed, solution=replace(aimed.solution, meta={**meta, "aimed": aimed.to_dict()}))
+def _aimed(
+    goal: str,
+    wanted: float,
+    choices: Sequence[ChosenSetting],
+    rounds: Sequence[Round],
+    solution: Solution,
+    accuracy: Accuracy | None,
+    why: str,
+) -> Aimed:
+    """What was aimed at and reached, in the solution's meta too."""
+    aimed = Aimed(
+        goal=goal,
+        wanted=float(wanted),
+        choices=tuple(choices),
+        rounds=tuple(rounds),
+        solution=solution,
+        accuracy=accuracy,
+        why=why,
+    )
+    meta = {name: value for name, value in solution.meta.items() if name != "refinement"}
+    return replace(aimed, solution=replace(solution, meta={**meta, "aimed": aimed.to_dict()}))
 
 
 def _require(value: float, name: str, unit: str) -> None:

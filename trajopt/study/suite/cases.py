@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -118,25 +117,3 @@ def _unknown(kind: str, name: str, known: Iterable[str]) -> InputError:
     close = difflib.get_close_matches(name, names, 1)
     hint = f"did you mean {close[0]}? " if close else ""
     return InputError(f"{kind} '{name}' is unknown", f"{hint}allowed: {', '.join(names)}")
-
-
-def representatives(cases: Sequence[Case]) -> tuple[Case, ...]:
-    """A subset with every problem once and every robot at least once, the same on every machine.
-
-    Problems in order of their number of robots, then by name: each takes the robot that has been taken
-    least often, of equals the first by name. Robots that are left then take their first problem.
-    """
-    by_problem: dict[str, list[Case]] = {}
-    for case in sorted(cases):
-        by_problem.setdefault(case.problem, []).append(case)
-    taken: Counter[str] = Counter()
-    chosen = []
-    for group in sorted(by_problem.values(), key=len):
-        case = min(group, key=lambda one: taken[one.robot])
-        taken[case.robot] += 1
-        chosen.append(case)
-    for case in sorted(cases):
-        if not taken[case.robot]:
-            taken[case.robot] += 1
-            chosen.append(case)
-    return tuple(sorted(chosen))

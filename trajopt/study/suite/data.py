@@ -24,7 +24,7 @@ from typing import TypeGuard
 from trajopt.errors import InputError
 from trajopt.study.suite.outcome import Outcome, quantile
 from trajopt.study.suite.physics import WORDS, Physics, in_words
-from trajopt.study.suite.settings import Settings
+from trajopt.study.suite.settings import SuiteSettings
 
 OBJECTIVE_BAND = 1e-3
 FEWEST, MOST = 0.5, 2.0
@@ -36,7 +36,7 @@ OBJECTIVE_FLOOR = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entry:
+class PairBands:
     """One line: a pair, how it was solved, and its bands (both ends included)."""
 
     problem: str
@@ -56,7 +56,7 @@ class Entry:
         return f"{self.problem}@{self.robot}"
 
 
-def entry_of(outcome: Outcome, settings: Settings) -> Entry:
+def entry_of(outcome: Outcome, settings: SuiteSettings) -> PairBands:
     """The line of a pair that was solved and is within the check."""
     assert outcome.own is not None
     assert outcome.own.objective is not None
@@ -66,7 +66,7 @@ def entry_of(outcome: Outcome, settings: Settings) -> Entry:
     most = max(own + LEAST_MARGIN, math.ceil(MOST * own))
     others = sorted(start.iterations for start in outcome.starts if start.solved) or [own]
     width = max(OBJECTIVE_BAND * abs(objective), OBJECTIVE_FLOOR)
-    return Entry(
+    return PairBands(
         problem=outcome.problem,
         robot=outcome.robot,
         scheme=outcome.grid.scheme,
@@ -84,7 +84,7 @@ def _rounded(value: float) -> float:
     return float(f"{value:.{DIGITS}g}")
 
 
-def deviation(outcome: Outcome, settings: Settings, entry: Entry | None) -> str:
+def deviation(outcome: Outcome, settings: SuiteSettings, entry: PairBands | None) -> str:
     """In words, how a pair differs from its line; empty where it does not.
 
     A pair that is not solved or not within the check is outside whatever its line says. Intervals, scheme and
@@ -128,7 +128,7 @@ def _grid(grid: tuple[str, int, str]) -> str:
 
 
 def deviations(
-    outcomes: Iterable[Outcome], settings: Settings, entries: Mapping[str, Entry]
+    outcomes: Iterable[Outcome], settings: SuiteSettings, entries: Mapping[str, PairBands]
 ) -> dict[str, str]:
     """What is outside its bands, by pair."""
     found = {outcome.name: deviation(outcome, settings, entries.get(outcome.name)) for outcome in outcomes}
@@ -136,8 +136,11 @@ def deviations(
 
 
 def updated(
-    entries: Mapping[str, Entry], outcomes: Sequence[Outcome], settings: Settings, names: Iterable[str]
-) -> dict[str, Entry]:
+    entries: Mapping[str, PairBands],
+    outcomes: Sequence[Outcome],
+    settings: SuiteSettings,
+    names: Iterable[str],
+) -> dict[str, PairBands]:
     """The lines with those of ``outcomes`` put in; a pair that failed keeps its old line.
 
     names: all pairs of the catalogue; lines of others are dropped.
@@ -152,7 +155,7 @@ def updated(
     return {name: entry for name, entry in {**entries, **new}.items() if name in known}
 
 
-def read(path: Path) -> tuple[dict[str, Entry], dict[str, str]]:
+def read(path: Path) -> tuple[dict[str, PairBands], dict[str, str]]:
     """Lines by pair, and the versions at the head. Raises InputError for a file that is none."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -170,22 +173,22 @@ def read(path: Path) -> tuple[dict[str, Entry], dict[str, str]]:
     return {entry.name: entry for entry in entries}, versions
 
 
-def _entry(path: Path, number: int, row: Mapping[str, str]) -> Entry:
+def _entry(path: Path, number: int, row: Mapping[str, str]) -> PairBands:
     kinds = {"int": int, "float": float, "str": str}
     try:
         row = {"physics": "", **row}
-        values = {field.name: kinds[str(field.type)](row[field.name]) for field in fields(Entry)}
+        values = {field.name: kinds[str(field.type)](row[field.name]) for field in fields(PairBands)}
         if values["physics"] not in ("", *WORDS):
             raise ValueError(values["physics"])
     except (KeyError, ValueError):
-        names = ", ".join(field.name for field in fields(Entry))
+        names = ", ".join(field.name for field in fields(PairBands))
         raise InputError(f"line {number} of the table in {path} is not one", f"columns: {names}") from None
-    return Entry(**values)
+    return PairBands(**values)
 
 
-def write(path: Path, entries: Mapping[str, Entry], versions: Mapping[str, str]) -> None:
+def write(path: Path, entries: Mapping[str, PairBands], versions: Mapping[str, str]) -> None:
     """Write the table. Raises InputError where that cannot be."""
-    titles = [field.name for field in fields(Entry)]
+    titles = [field.name for field in fields(PairBands)]
     rows = [titles] + [
         [_text(value) for value in asdict(entry).values()] for _, entry in sorted(entries.items())
     ]

@@ -9,6 +9,7 @@ from typing import Any
 from trajopt.solvers.result import FEASIBILITY_SHARE
 from trajopt.solvers.status import Status
 from trajopt.solving.verdicts import STILL_FEASIBLE
+from trajopt.transcription.violations import describe_block
 
 SOLVED = ""
 PRIMAL = "primal"
@@ -52,6 +53,11 @@ def mode_of(meta: Mapping[str, Any]) -> str:
         meta["tolerance"],
         share * meta["tolerance"],
     )
+
+
+def failure_text(meta: Mapping[str, Any]) -> str:
+    """Status and worst block of a solve that failed, in words; nothing of one that did not."""
+    return "" if meta["success"] else f"{meta['status']}: {describe_block(meta['worst_blocks'][0])}"
 
 
 def worst_condition(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -19,7 +19,7 @@ class Attempt:
     """One solve from one start; ``seed`` is None for the own guess, ``mode`` empty when solved.
 
     wall_time: the solver's, s. detail: status, and the worst block of rows when not solved. motion: of a
-    solved run, see `trajopt.study.suite.optima`.
+    solved run, see `trajopt.suite.optima`.
     """
 
     seed: int | None
@@ -50,6 +50,9 @@ class Checked:
     failures: tuple[str, ...] = ()
     error: str = ""
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "failures", tuple(self.failures))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
@@ -64,11 +67,15 @@ class Grid:
     compile_time: float
 
 
+# What is known of a pair but for its perturbed starts, by the event that tells it.
+PARTS: dict[str, Callable[..., Any]] = {"grid": Grid, "own": Attempt, "check": Checked, "physics": Physics}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Starts:
     """Figures over the perturbed starts; iterations, optima and motions over those solved.
 
-    optima, motions: see `trajopt.study.suite.optima`. median_time: s, of the solver.
+    optima, motions: see `trajopt.suite.optima`. median_time: s, of the solver.
     """
 
     count: int
@@ -163,18 +170,9 @@ class Outcome:
     def from_dict(cls, found: Mapping[str, Any]) -> Outcome:
         """The inverse of `to_dict`. Raises KeyError, TypeError or ValueError for anything else."""
         values = {field.name: found[field.name] for field in fields(cls)}
-        values["grid"] = None if values["grid"] is None else Grid(**values["grid"])
-        values["own"] = None if values["own"] is None else Attempt(**values["own"])
-        values["check"] = None if values["check"] is None else checked_from(values["check"])
-        physics = values.get("physics")
-        values["physics"] = None if physics is None else Physics(**physics)
+        values |= {name: kind(**values[name]) for name, kind in PARTS.items() if values[name] is not None}
         values["starts"] = tuple(Attempt(**start) for start in values["starts"])
         return cls(**values)
-
-
-def checked_from(values: Mapping[str, Any]) -> Checked:
-    """A `Checked` from JSON."""
-    return Checked(**{**values, "failures": tuple(values["failures"])})
 
 
 def quantile(ordered: Sequence[int], part: float) -> int:
@@ -187,51 +185,24 @@ class Ledger:
 
     def __init__(self, case: Case) -> None:
         self.case = case
-        self._found: dict[str, Any] = {}
-        self._starts: dict[int, Attempt] = {}
+        self.found: dict[str, Any] = {}
+        self.starts: dict[int | None, Attempt] = {}
 
     def add(self, event: Mapping[str, Any]) -> None:
-        """Take one event of `trajopt.study.suite.run`; those without figures are passed over."""
-        kind, values = event["event"], event.get("values", {})
-        if kind == "grid":
-            self._found.setdefault("grid", Grid(**values))
-        elif kind == "own":
-            self._found["own"] = Attempt(**values)
-        elif kind == "check":
-            self._found["check"] = checked_from(values)
-        elif kind == "physics":
-            self._found["physics"] = Physics(**values)
-        elif kind == "start":
-            self.add_start(Attempt(**values))
-
-    def fail(self, error: str, mode: str) -> None:
-        """The pair has come to an early end."""
-        self._found |= {"error": error, "error_mode": mode}
-
-    def add_start(self, start: Attempt) -> None:
-        """Take one perturbed start."""
-        assert start.seed is not None
-        self._starts[start.seed] = start
-
-    @property
-    def own_known(self) -> bool:
-        """Whether the solve from the own guess and its check are known."""
-        return "own" in self._found and "check" in self._found
-
-    @property
-    def physics_known(self) -> bool:
-        """Whether it is known what physics makes of the own solution."""
-        return "physics" in self._found
-
-    @property
-    def seeds(self) -> frozenset[int]:
-        """The perturbed starts that are known."""
-        return frozenset(self._starts)
+        """Take one event of `trajopt.suite.run`; those without figures are passed over."""
+        kind = event["event"]
+        if kind == "start":
+            start = Attempt(**event["values"])
+            self.starts[start.seed] = start
+        elif kind in PARTS and (kind != "grid" or kind not in self.found):  # built anew it is compiled
+            self.found[kind] = PARTS[kind](**event["values"])
 
     def outcome(self, total_time: float) -> Outcome:
         """What is known by now."""
-        starts = tuple(self._starts[seed] for seed in sorted(self._starts))
-        case = self.case
         return Outcome(
-            problem=case.problem, robot=case.robot, starts=starts, total_time=total_time, **self._found
+            problem=self.case.problem,
+            robot=self.case.robot,
+            starts=tuple(sorted(self.starts.values(), key=lambda start: start.seed or 0)),
+            total_time=total_time,
+            **self.found,
         )

@@ -6,193 +6,163 @@ kept, and the perturbed starts that were left go on in a new one.
 
 from __future__ import annotations
 
-import queue
-import threading
 import time
-from collections.abc import Callable, Generator, Mapping, Sequence
-from dataclasses import asdict
-from functools import partial
+from collections import Counter
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from concurrent.futures import Future
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any
 
-from trajopt.solving.interruption import LOOK
+from trajopt.problem.catalogue import problem_modules
 from trajopt.study.suite.cases import Case
+from trajopt.study.suite.failure import ERROR, TIME
 from trajopt.study.suite.outcome import Attempt, Ledger, Outcome
-from trajopt.study.suite.process import Limits, LostError, Worker
-from trajopt.study.suite.settings import Settings
+from trajopt.study.suite.physics import Physics
+from trajopt.study.suite.records import SuiteRecords
+from trajopt.study.suite.run import Event, run_case
+from trajopt.study.suite.settings import SuiteSettings
+from trajopt.study.workers.display import TaskDisplay
+from trajopt.study.workers.executor import ProcessPerTaskExecutor, first_ended
+from trajopt.study.workers.task import RefusedTaskError, TaskError, TaskTimeoutError
 
+# Seconds that a stage may take before its process is ended. Building: transcription and the C compiler on a
+# busy machine, an order of magnitude above what the largest robots take. A solve: see `run_case`.
+LIMITS = {"build": 600.0, "check": 300.0, "physics": 300.0}
 # After so many lost processes the rest of a pair's starts count as failed without being run.
 MOST_LOST = 3
-
-
-class Display(Protocol):
-    """What shows the progress; called from the main thread alone."""
-
-    def event(self, slot: int, case: Case, event: dict[str, Any]) -> None:
-        """A pair's process has told something."""
-
-    def finished(self, slot: int, outcome: Outcome) -> None:
-        """A pair has ended."""
-
-
-class Pending:
-    """Pairs that wait. One on a robot that is not being run comes first: two that start together on one
-    robot would compile the same functions twice."""
-
-    def __init__(self, cases: Sequence[Case]) -> None:
-        self._waiting, self._busy = list(cases), list[str]()
-        self._lock = threading.Lock()
-
-    def take(self) -> Case | None:
-        """The next pair, or None."""
-        with self._lock:
-            if not self._waiting:
-                return None
-            case = next((one for one in self._waiting if one.robot not in self._busy), self._waiting[0])
-            self._waiting.remove(case)
-            self._busy.append(case.robot)
-            return case
-
-    def done(self, case: Case) -> None:
-        """The pair has ended."""
-        with self._lock:
-            self._busy.remove(case.robot)
+STAGES = {
+    "build": "building and compiling",
+    "own": "own guess",
+    "check": "checking",
+    "physics": "simulating",
+    "start": "start",
+}
 
 
 def run_all(
     cases: Sequence[Case],
-    settings: Settings,
+    settings: SuiteSettings,
     *,
     jobs: int,
-    display: Display,
-    limits: Limits | None = None,
-    folder: Path | None = None,
-    known: Mapping[str, Sequence[Mapping[str, Any]]] = MappingProxyType({}),
+    records: SuiteRecords,
+    display: TaskDisplay,
+    limits: Mapping[str, float] = LIMITS,
     check: Callable[[], object] = bool,
 ) -> Generator[Outcome, None, None]:
-    """Yield the outcome of each pair as it ends. Closing the iterator kills all processes.
+    """Yield the outcome of each pair as it ends. Closing the iterator ends all processes.
 
-    known: events of an earlier run by pair; what they tell is not run again. check: called several times a
-    second; what it raises ends the run.
+    records: what they have of interrupted pairs is not run again; events are added to them as they come.
+    limits: seconds by stage, see `LIMITS`. check: called several times a second; what it raises ends the run.
     """
-    pending, told = Pending(cases), queue.Queue[tuple[int, Case, Any]]()
-    cancelled = threading.Event()
+    known = records.unfinished()
+    pairs = {case.name: _Pair(case, settings, known.get(case.name, ())) for case in _interleaved(cases)}
 
-    def tell(slot: int, case: Case, event: dict[str, Any]) -> None:
-        told.put((slot, case, event))
+    def hear(told: tuple[str, Event]) -> None:
+        name, event = told
+        records.told(name, event)
+        pairs[name].add(event)
+        _show(display, name, event, 1 + settings.perturbed)
 
-    def serve(slot: int) -> None:
-        while not cancelled.is_set() and (case := pending.take()) is not None:
-            tell(slot, case, {"event": "stage", "stage": "build"})
-            try:
-                pair = _Pair(case, settings, limits or Limits(), folder, cancelled)
-                for event in known.get(case.name, ()):
-                    pair.ledger.add(event)
-                outcome: Any = pair.run(partial(tell, slot, case))
-            except BaseException as error:  # of the suite itself: raised where it can be seen
-                outcome = error
-            pending.done(case)
-            told.put((slot, case, outcome))
+    preload = (*problem_modules(), "trajopt.study.suite.run")
+    with ProcessPerTaskExecutor(jobs, preload=preload, on_event=hear) as executor:
+        running: dict[Future[None], _Pair] = {}
+        waiting = list(pairs.values())
+        while waiting or running:
+            for pair in waiting:
+                if pair.is_done:
+                    yield pair.outcome()
+                else:
+                    running[executor.submit(run_case, *pair.task(limits, records.folder))] = pair
+            ended = first_ended(running, check)
+            waiting = [running.pop(future) for future in ended]
+            for pair, future in zip(waiting, ended, strict=True):
+                pair.end(future.exception())
 
-    threads = [threading.Thread(target=serve, args=(slot,)) for slot in range(min(jobs, len(cases)))]
-    for thread in threads:
-        thread.start()
-    left = len(cases)
-    try:
-        while left:
-            check()
-            try:
-                slot, case, news = told.get(timeout=LOOK)
-            except queue.Empty:
-                continue
-            if isinstance(news, dict):
-                display.event(slot, case, news)
-                continue
-            if isinstance(news, BaseException):
-                raise news
-            left -= 1
-            yield news
-            display.finished(slot, news)  # shown when it is recorded: Ctrl-C in between would lose it
-    finally:
-        cancelled.set()
-        for thread in threads:
-            thread.join()
+
+def _interleaved(cases: Sequence[Case]) -> list[Case]:
+    """The cases in turns over robots: two that start together on one would compile the same functions."""
+    turns: Counter[str] = Counter()
+
+    def turn(case: Case) -> int:
+        turns[case.robot] += 1
+        return turns[case.robot]
+
+    return sorted(cases, key=turn)
+
+
+def _show(display: TaskDisplay, name: str, event: Event, solves: int) -> None:
+    """Show what a pair's process has told."""
+    kind = event["event"]
+    if kind == "stage":
+        seed = event.get("seed")
+        state = STAGES[event["stage"]] + ("" if seed is None else f" {seed}")
+        display.show(name, state, steps=solves)
+    elif kind == "iteration":
+        display.show(name, f"iteration {event['iteration']}")
+    elif kind in ("own", "start"):
+        display.show(name, "", advance=1)
 
 
 class _Pair:
-    """One pair and the processes it takes."""
+    """One pair and the processes it takes: what is known of it, and what is left to run."""
 
-    def __init__(
-        self, case: Case, settings: Settings, limits: Limits, folder: Path | None, cancelled: threading.Event
-    ) -> None:
-        self.case, self.settings, self.limits = case, settings, limits
-        self.folder, self.cancelled = folder, cancelled
-        self.ledger = Ledger(case)
-        self.stage: str = "build"
-        self.seed: int | None = None
+    def __init__(self, case: Case, settings: SuiteSettings, known: Iterable[Mapping[str, Any]]) -> None:
+        self._settings, self._ledger = settings, Ledger(case)
+        for event in known:
+            self._ledger.add(event)
+        needed = {"own", "check", "physics"} if settings.simulate else {"own", "check"}
+        self._own = not needed <= self._ledger.found.keys()
+        self._seeds = self._unknown()
+        self._stage: str = "build"
+        self._seed: int | None = None
+        self._begin: float | None = None
+        self._lost, self._seconds = 0, 0.0
 
-    def run(self, tell: Callable[[dict[str, Any]], None]) -> Outcome:
-        """Run to the end, or until cancelled."""
-        begin = time.perf_counter()
-        known = self.ledger.own_known and (self.ledger.physics_known or not self.settings.simulate)
-        own, lost = not known, 0
-        seeds = [seed for seed in self.settings.seeds if seed not in self.ledger.seeds]
-        while own or seeds:
-            error = self._process(own, seeds, tell)
-            if error is None:
-                break
-            lost += 1
-            self._record(error)
-            seeds = [seed for seed in seeds if seed not in self.ledger.seeds]
-            if not seeds or self.stage == "build" or lost == MOST_LOST:
-                self._give_up(seeds, error)
-                break
-            own = False
-        return self.ledger.outcome(time.perf_counter() - begin)
+    @property
+    def is_done(self) -> bool:
+        return not (self._own or self._seeds)
 
-    def _process(
-        self, own: bool, seeds: Sequence[int], tell: Callable[[dict[str, Any]], None]
-    ) -> LostError | None:
-        """One process, to its end; the error where it was lost."""
-        self.stage, self.seed = "build", None
-        folder = None if self.folder is None else str(self.folder.resolve())
-        job = {
-            "case": asdict(self.case),
-            "settings": self.settings.to_dict(),
-            "own": own,
-            "seeds": list(seeds),
-            "folder": folder,
-        }
-        worker = Worker(job)
-        try:
-            for event in worker.events(self.settings, self.limits):
-                if self.cancelled.is_set():
-                    return None
-                if event is not None:
-                    self._take(event)
-                    tell(event)
-        except LostError as error:
-            return error
-        finally:
-            worker.kill()
-        return None
+    def _unknown(self) -> list[int]:
+        return [seed for seed in self._settings.seeds if seed not in self._ledger.starts]
 
-    def _take(self, event: dict[str, Any]) -> None:
+    def task(self, limits: Mapping[str, float], folder: Path | None) -> tuple[Any, ...]:
+        """The arguments of `run_case` for what is left."""
+        self._stage, self._seed, self._begin = "build", None, None
+        place = None if folder is None else folder.resolve()
+        return self._ledger.case, self._settings, dict(limits), self._own, self._seeds, place
+
+    def add(self, event: Mapping[str, Any]) -> None:
+        """Take what its process has told."""
+        self._begin = self._begin or time.perf_counter()
         if event["event"] == "stage":
-            self.stage, self.seed = event["stage"], event.get("seed")
-        self.ledger.add(event)
+            self._stage, self._seed = event["stage"], event.get("seed")
+        self._ledger.add(event)
 
-    def _record(self, error: LostError) -> None:
-        """What was lost: a perturbed start, or the pair's own solve or check."""
-        if self.stage == "physics":
-            self.ledger.add({"event": "physics", "values": {"detail": f"lost: {error.text}"}})
-        elif self.seed is None:
-            self.ledger.fail(error.text, error.mode)
+    def end(self, error: BaseException | None) -> None:
+        """Its process has ended, with an error where it was lost; raises one that is none of a task."""
+        now = time.perf_counter()
+        self._seconds += now - (self._begin or now)
+        self._own, self._seeds = False, self._unknown()
+        if error is None:
+            return
+        if not isinstance(error, TaskError):
+            raise error
+        self._lost += 1
+        text = f"bad input: {error}" if isinstance(error, RefusedTaskError) else str(error)
+        mode = TIME if isinstance(error, TaskTimeoutError) else ERROR
+        if self._stage == "physics":
+            self._ledger.found["physics"] = Physics(detail=f"lost: {text}")
+        elif self._seed is None:
+            self._ledger.found |= {"error": text, "error_mode": mode}
         else:
-            self.ledger.add_start(Attempt(seed=self.seed, mode=error.mode, status="lost", detail=error.text))
+            self._fail(self._seed, mode, "lost", text)
+        if self._stage == "build" or self._lost == MOST_LOST:
+            for seed in self._unknown():
+                self._fail(seed, mode, "not_run", f"not run: {text}")
+        self._seeds = self._unknown()
 
-    def _give_up(self, seeds: Sequence[int], error: LostError) -> None:
-        for seed in seeds:
-            text = f"not run: {error.text}"
-            self.ledger.add_start(Attempt(seed=seed, mode=error.mode, status="not_run", detail=text))
+    def _fail(self, seed: int, mode: str, status: str, detail: str) -> None:
+        self._ledger.starts[seed] = Attempt(seed=seed, mode=mode, status=status, detail=detail)
+
+    def outcome(self) -> Outcome:
+        return self._ledger.outcome(self._seconds)

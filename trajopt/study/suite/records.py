@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from trajopt.errors import InputError
 from trajopt.study.suite.cases import Case
 from trajopt.study.suite.outcome import Ledger, Outcome
-from trajopt.study.suite.settings import Settings
+from trajopt.study.suite.settings import SuiteSettings
+from trajopt.study.workers.records import JsonLines
 
 FILE = "results.jsonl"
 # What is known of pairs that have not ended: their events as they come.
@@ -18,98 +18,63 @@ EVENTS = "events.jsonl"
 LASTING = ("grid", "own", "check", "physics", "start")
 
 
-class Records:
+class SuiteRecords:
     """The results of one suite in a folder, or nowhere where there is none.
 
     versions: of what solves. A result of other settings or versions is not one of this suite.
     Raises InputError for a folder that cannot be written.
     """
 
-    def __init__(self, folder: Path | None, settings: Settings, versions: Mapping[str, str]) -> None:
-        self._head = {"settings": settings.to_dict(), "versions": dict(versions)}
+    def __init__(self, folder: Path | None, settings: SuiteSettings, versions: Mapping[str, str]) -> None:
+        self._head = {"settings": asdict(settings), "versions": dict(versions)}
         self.folder = folder
-        self._file = None if folder is None else folder / FILE
-        self._events = None if folder is None else folder / EVENTS
+        self._results = JsonLines(None if folder is None else folder / FILE)
+        self._events = JsonLines(None if folder is None else folder / EVENTS)
 
-    def open(self, *, resume: bool) -> tuple[Outcome, ...]:
-        """Make the folder; return what is known from before when resumed, otherwise begin anew.
+    def open(self, *, resume: bool) -> dict[str, Outcome]:
+        """Make the folder; return what is known from before by pair when resumed, otherwise begin anew.
 
         A pair that ended with an error (bad input, a lost process) is not taken over: it is tried again.
         """
-        if self.folder is None or self._file is None:
-            return ()
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            if not resume:
-                self._file.write_text("", encoding="utf-8")
-                self.close()
-            with self._file.open("a+", encoding="utf-8") as stream:
-                stream.seek(0)
-                text = stream.read()
-                if not text.endswith("\n"):  # a line cut off by a crash
-                    stream.write("\n")
-        except OSError as error:
-            raise InputError(
-                f"cannot write {self._file}: {error.strerror or error}",
-                "allowed: a folder that can be written",
-            ) from None
-        return tuple(self._matching(text).values())
+        entries = self._results.open(resume=resume)
+        if not resume:
+            self.close()
+        known = outcomes_of(entry for entry in entries if self._is_own(entry))
+        return {outcome.name: outcome for outcome in known if not outcome.error}
 
-    def told(self, case: Case, event: Mapping[str, Any]) -> None:
+    def told(self, pair: str, event: Mapping[str, Any]) -> None:
         """Append one event of a pair that is running; those without figures are passed over."""
-        if self._events is not None and event["event"] in LASTING:
-            with self._events.open("a", encoding="utf-8") as stream:
-                stream.write(json.dumps({**self._head, "pair": case.name, "told": dict(event)}) + "\n")
+        if event["event"] in LASTING:
+            self._events.append({**self._head, "pair": pair, "told": dict(event)})
 
     def close(self) -> None:
         """All pairs have ended: their events are in their results."""
-        if self._events is not None:
-            self._events.unlink(missing_ok=True)
+        self._events.remove()
 
     def unfinished(self) -> dict[str, list[Mapping[str, Any]]]:
         """Events of this suite's settings and versions by pair; what is no event is passed over."""
         found: dict[str, list[Mapping[str, Any]]] = {}
-        if self._events is None or not self._events.is_file():
-            return found
-        for line in self._events.read_text(encoding="utf-8").splitlines():
+        for entry in filter(self._is_own, self._events.read()):
             try:
-                entry = json.loads(line)
                 pair, event = entry["pair"], entry["told"]
                 Ledger(Case(problem="", robot="", takes_robot=False)).add(event)
             except (ValueError, KeyError, TypeError):
                 continue
-            if {key: entry.get(key) for key in self._head} == self._head:
-                found.setdefault(pair, []).append(event)
+            found.setdefault(pair, []).append(event)
         return found
 
     def add(self, outcome: Outcome) -> None:
         """Append one result."""
-        if self._file is not None:
-            with self._file.open("a", encoding="utf-8") as stream:
-                stream.write(self._line(outcome))
+        self._results.append({**self._head, "outcome": outcome.to_dict()})
 
-    def _line(self, outcome: Outcome) -> str:
-        return json.dumps({**self._head, "outcome": outcome.to_dict()}) + "\n"
-
-    def _matching(self, text: str) -> dict[str, Outcome]:
-        """Results of this suite's settings and versions by pair; what is no result is passed over."""
-        found = {}
-        for line in text.splitlines():
-            try:
-                entry = json.loads(line)
-                outcome = Outcome.from_dict(entry["outcome"])
-            except (ValueError, KeyError, TypeError):
-                continue
-            if {key: entry.get(key) for key in self._head} == self._head and not outcome.error:
-                found[outcome.name] = outcome
-        return found
+    def _is_own(self, entry: Mapping[str, Any]) -> bool:
+        return {key: entry.get(key) for key in self._head} == self._head
 
 
-def left(cases: Sequence[Case], known: Sequence[Outcome]) -> tuple[tuple[Case, ...], tuple[Outcome, ...]]:
-    """The cases that are still to be run, and those known results that are among the cases."""
-    results = {outcome.name: outcome for outcome in known}
-    names = {case.name for case in cases}
-    return (
-        tuple(case for case in cases if case.name not in results),
-        tuple(outcome for name, outcome in results.items() if name in names),
-    )
+def outcomes_of(entries: Iterable[Mapping[str, Any]]) -> Iterator[Outcome]:
+    """The results among the objects of a file of results; what is none is passed over."""
+    for entry in entries:
+        try:
+            yield Outcome.from_dict(entry["outcome"])
+        except (ValueError, KeyError, TypeError):
+            continue

@@ -21,27 +21,60 @@ from trajopt.problem.catalogue import families
 from trajopt.problem.family import choose
 from trajopt.solution.solution import Solution
 from trajopt.solvers.result import StoppingCriteria
+from trajopt.solving.interruption import GRACE
 from trajopt.solving.monitoring import ProgressCallback
 from trajopt.solving.solving import PreparedProblem, prepare, solve_prepared
 from trajopt.study.suite.cases import Case
-from trajopt.study.suite.failure import mode_of
+from trajopt.study.suite.failure import failure_text, mode_of
 from trajopt.study.suite.optima import described
 from trajopt.study.suite.outcome import Attempt, Checked, Grid, Ledger, Outcome
 from trajopt.study.suite.physics import Physics, simulated
-from trajopt.study.suite.settings import Settings
+from trajopt.study.suite.settings import SuiteSettings
+from trajopt.study.workers.task import limit_time, tell
 from trajopt.transcription.guess import perturbed
-from trajopt.transcription.violations import describe_block
 
 Event = dict[str, Any]
-Tell = Callable[[Event], None]
 # Ending of the name of a file with a simulated motion.
 SIMULATED = "-simulated"
+# Iterations are told at most this often, s: a display needs no more.
+PAUSE = 0.2
+
+
+def run_case(
+    case: Case,
+    settings: SuiteSettings,
+    limits: Mapping[str, float],
+    own: bool,
+    seeds: Sequence[int],
+    folder: Path | None,
+) -> None:
+    """Run one pair as a task: its events are told with its name, and each stage has a time limit.
+
+    limits: seconds by stage; a solve has its own limit, which it checks between steps, and `GRACE`.
+    """
+    last = 0.0
+
+    def hear(event: Event) -> None:
+        if event["event"] == "stage":
+            stage = event["stage"]
+            limit_time(limits.get(stage, settings.max_time + GRACE), stage)
+        tell((case.name, event))
+
+    def progress(figures: dict[str, float]) -> bool:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= PAUSE:
+            last = now
+            tell((case.name, {"event": "iteration", "iteration": int(figures["iteration"])}))
+        return True
+
+    run(case, settings, hear, own=own, seeds=seeds, progress=progress, folder=folder)
 
 
 def run(
     case: Case,
-    settings: Settings,
-    tell: Tell,
+    settings: SuiteSettings,
+    hear: Callable[[Event], None],
     *,
     own: bool = True,
     seeds: Sequence[int] | None = None,
@@ -54,30 +87,30 @@ def run(
     seeds: perturbed starts, default those of the settings. folder: where the solution file is written.
     Raises TrajoptError where the pair cannot be built.
     """
-    tell({"event": "stage", "stage": "build"})
+    hear({"event": "stage", "stage": "build"})
     problem = choose(families(), case.problem).load(case.values)
     prepared = prepare(problem, compile=settings.compile)
-    tell({"event": "grid", "values": asdict(_grid(prepared))})
+    hear({"event": "grid", "values": asdict(_grid(prepared))})
     if own:
-        tell({"event": "stage", "stage": "own"})
+        hear({"event": "stage", "stage": "own"})
         solution = _solve(prepared, prepared.guess, settings, {"seed": 0, "perturb": 0.0}, progress)
-        tell({"event": "own", "values": asdict(attempt(solution, None))})
-        tell({"event": "stage", "stage": "check"})
-        tell({"event": "check", "values": asdict(checked(solution))})
+        hear({"event": "own", "values": asdict(attempt(solution, None))})
+        hear({"event": "stage", "stage": "check"})
+        hear({"event": "check", "values": asdict(checked(solution))})
         if folder is not None:
             _save(solution, folder / f"{case.problem}@{Path(case.robot).stem}.npz")
         if settings.simulate:
-            tell({"event": "stage", "stage": "physics"})
-            tell({"event": "physics", "values": asdict(_physics(case, prepared, solution, folder))})
+            hear({"event": "stage", "stage": "physics"})
+            hear({"event": "physics", "values": asdict(_physics(case, prepared, solution, folder))})
     for seed in settings.seeds if seeds is None else seeds:
-        tell({"event": "stage", "stage": "start", "seed": seed})
+        hear({"event": "stage", "stage": "start", "seed": seed})
         start = perturbed(prepared.transcription, prepared.guess, seed, settings.sigma)
         origin = {"seed": seed, "perturb": settings.sigma}
         solution = _solve(prepared, start, settings, origin, progress)
-        tell({"event": "start", "values": asdict(attempt(solution, seed))})
+        hear({"event": "start", "values": asdict(attempt(solution, seed))})
 
 
-def measure(case: Case, settings: Settings) -> Outcome:
+def measure(case: Case, settings: SuiteSettings) -> Outcome:
     """Run one pair here, in this process. Raises TrajoptError where the pair cannot be built."""
     ledger, begin = Ledger(case), time.perf_counter()
     run(case, settings, ledger.add)
@@ -87,7 +120,7 @@ def measure(case: Case, settings: Settings) -> Outcome:
 def _solve(
     prepared: PreparedProblem,
     start: np.ndarray,
-    settings: Settings,
+    settings: SuiteSettings,
     origin: Mapping[str, Any],
     progress: ProgressCallback | None,
 ) -> Solution:
@@ -116,7 +149,6 @@ def attempt(solution: Solution, seed: int | None) -> Attempt:
     """The figures of one solve."""
     meta = solution.meta
     mode = mode_of(meta)
-    worst = "" if not mode else f"{meta['status']}: {describe_block(meta['worst_blocks'][0])}"
     return Attempt(
         seed=seed,
         mode=mode,
@@ -127,7 +159,7 @@ def attempt(solution: Solution, seed: int | None) -> Attempt:
         primal=meta["primal_infeasibility"],
         dual=meta["dual_infeasibility"],
         complementarity=meta["complementarity"],
-        detail=worst,
+        detail=failure_text(meta),
         motion="" if mode else described(solution),
     )
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 from trajopt.errors import InputError
 from trajopt.solving.solving import check_settings
@@ -20,7 +18,7 @@ DEFAULT_MAX_TIME = 300.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class SuiteSettings:
     """One choice for all pairs; no pair has options of its own.
 
     perturbed: number of perturbed starts besides the own guess, seeds 0 to perturbed - 1.
@@ -50,12 +48,3 @@ class Settings:
     def seeds(self) -> tuple[int, ...]:
         """Seeds of the perturbed starts."""
         return tuple(range(self.perturbed))
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able values by name."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Settings:
-        """The inverse of `to_dict`."""
-        return cls(**values)

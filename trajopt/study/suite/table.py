@@ -5,13 +5,14 @@ from __future__ import annotations
 import statistics
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from rich.table import Table
 
 from trajopt.study.suite.outcome import Outcome
 from trajopt.study.suite.physics import WORDS, in_words
-from trajopt.study.suite.settings import Settings
+from trajopt.study.suite.settings import SuiteSettings
 
 # Columns of a table with the names of the figures, of the longest ones.
 NAMED_WIDTH = 140
@@ -168,12 +169,14 @@ def _modes(failures: Mapping[str, int]) -> str:
     return "".join(f", {mode} {count}" for mode, count in failures.items())
 
 
-def to_dict(outcomes: Sequence[Outcome], settings: Settings, versions: Mapping[str, str]) -> dict[str, Any]:
+def to_dict(
+    outcomes: Sequence[Outcome], settings: SuiteSettings, versions: Mapping[str, str]
+) -> dict[str, Any]:
     """The JSON of a suite."""
     ordered = sorted(outcomes, key=lambda one: (one.problem, one.robot))
     return {
         "versions": dict(versions),
-        "settings": settings.to_dict(),
+        "settings": asdict(settings),
         "summary": summary(ordered),
         "pairs": [outcome.to_dict() for outcome in ordered],
     }

@@ -36,19 +36,3 @@ def cores_for(jobs: int) -> tuple[int, ...]:
             f"jobs is {jobs}", f"allowed: 1 to {most} here, the physical cores but one: timed runs share none"
         )
     return cores[-jobs:]
-
-
-# What this process may use, before it is pinned.
-_ALLOWED = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else None
-
-
-def unpin() -> None:
-    """Let this process and its children use all cores again."""
-    if _ALLOWED is not None:
-        os.sched_setaffinity(0, _ALLOWED)
-
-
-def pin(core: int) -> None:
-    """Keep this process and its children on that core, where the system can."""
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {core})

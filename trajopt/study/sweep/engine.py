@@ -9,16 +9,22 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import Future
 from dataclasses import asdict, replace
-from typing import Any, Protocol
+from typing import Any
 
+from trajopt.problem.catalogue import problem_modules
 from trajopt.solving.interruption import GRACE
-from trajopt.study.sweep.plan import Plan
-from trajopt.study.sweep.process import Pool
-from trajopt.study.sweep.records import Asked, Records
-from trajopt.study.sweep.result import LOST, NOT_COMPILED, Job, Run
+from trajopt.study.sweep.figures import figures
+from trajopt.study.sweep.plan import SweepPlan
+from trajopt.study.sweep.records import SweepRecords, SweepRequest
+from trajopt.study.sweep.result import DONE, LOST, NOT_COMPILED, REFUSED, Job, TimedRun
+from trajopt.study.sweep.run import calibrations, compiled, run_job, solve_reference
 from trajopt.study.sweep.summary import median_run
+from trajopt.study.workers.display import TaskDisplay
+from trajopt.study.workers.executor import ProcessPerTaskExecutor, first_ended
+from trajopt.study.workers.task import RefusedTaskError, TaskError, announced
 
 # Beyond this multiple of the fastest calibration the machine is not what it was; on an idle machine they
 # spread by a few per cent (docs/front.md).
@@ -36,71 +42,86 @@ ACCURACY_TIME = 300.0
 LEAST_SECONDS = 0.3
 # Calibrations of the machine at rest, before anything is run.
 CALIBRATIONS = 20
-
-
-class Display(Protocol):
-    """What shows the progress; called from the main thread alone."""
-
-    def note(self, text: str) -> None:
-        """Something to say."""
-
-    def left(self, count: int) -> None:
-        """So many tasks are left."""
-
-    def started(self, text: str) -> None:
-        """A task begins."""
-
-    def finished(self, text: str) -> None:
-        """A task has ended."""
+# All that runs need is loaded before they begin; the last by the first re-integration otherwise.
+MODULES = ("trajopt.study.sweep.engine", "scipy.integrate")
+Task = Callable[..., dict[str, Any]]
 
 
 class Sweep:
-    """One sweep, run step by step; what is found is in ``records`` at once."""
+    """One sweep, run step by step; what is found is in ``records`` at once.
 
-    def __init__(self, asked: Asked, plan: Plan, records: Records, pool: Pool, display: Display) -> None:
-        self._asked, self._plan, self._records = asked, plan, records
-        self._pool, self._display = pool, display
+    cores: the processors of timed processes. check: called several times a second while tasks run; what it
+    raises ends the sweep.
+    """
+
+    def __init__(
+        self,
+        request: SweepRequest,
+        plan: SweepPlan,
+        records: SweepRecords,
+        cores: Sequence[int],
+        display: TaskDisplay,
+        check: Callable[[], object] = bool,
+    ) -> None:
+        self._check = check
+        self._request, self._plan, self._records = request, plan, records
+        self._cores, self._display = cores, display
         self._settings = {setting.name: setting for setting in plan.settings}
         self._labels = {name: setting.label(plan.base) for name, setting in self._settings.items()}
         self._lost: Counter[str] = Counter()
         self._given_up: set[str] = set()
         self._told = False
         repeated = sum(run.attempt > 0 for run in records.found.runs.values())
-        self._again = math.ceil(MOST_AGAIN * len(plan.settings) * len(asked.starts)) - repeated
+        self._again = math.ceil(MOST_AGAIN * len(plan.settings) * len(request.starts)) - repeated
 
     def run(self) -> None:
-        """Everything that is not recorded yet."""
-        self._compile()
-        self._calibrate()
-        self._runs()
-        if self._asked.reference_time > 0:
-            self._reference()
-        self._accuracy()
+        """Everything that is not recorded yet; compilers have all cores."""
+        with self._tasks(1) as self._executor:
+            self._compile()
+        with self._tasks(len(self._cores), self._cores) as self._executor:
+            self._calibrate()
+            self._runs()
+            if self._request.reference_time > 0:
+                self._reference()
+            self._accuracy()
+
+    def _tasks(self, jobs: int, cores: Sequence[int] = ()) -> ProcessPerTaskExecutor:
+        modules = (*problem_modules(), *MODULES)
+        return ProcessPerTaskExecutor(jobs, cores=cores, preload=modules, on_event=self._display.show)
+
+    def _values(self, name: str, limit: float, function: Task, *args: Any) -> dict[str, Any]:
+        """What one task has found while nothing else runs."""
+        self._display.more()
+        future = self._executor.submit(announced, name, limit, function, *args)
+        first_ended([future], self._check)
+        return _values(future)
 
     def _compile(self) -> None:
-        """Functions of all settings, before anything is timed, by compilers on all cores.
+        """Functions of all settings, before anything is timed.
 
         Settings whose functions cannot be had are given up: a run that says so is recorded.
         """
-        asked, found = self._asked, self._records.found
+        request, found = self._request, self._records.found
         for name, setting in self._settings.items():
-            if setting.functions not in found.compiled and not found.attempts(name, 0):
-                self._display.started(f"{self._labels[name]}: compiling")
-                task = {"task": "compile", "setting": setting.to_dict(), "limit": asked.build_time}
-                answer = self._pool.ask({**self._problem_of_task(), **task})
-                self._records.add_compiled(setting.functions, answer)
-                if answer.get("functions_compiled"):
-                    self._display.finished(f"{setting.functions}: compiled in {answer['compile_time']:.1f} s")
-            answer = found.compiled.get(setting.functions, {"kind": "done"})
-            if answer["kind"] != "done" and not found.attempts(name, 0):
-                job = Job(setting=name, start=0)
-                self._records.add_run(Run(**asdict(job), status=NOT_COMPILED, detail=answer["detail"]))
-                self._display.finished(f"{self._labels[name]}: not compiled ({answer['detail']})")
+            if found.attempts(name, 0):
+                continue
+            if setting.functions not in found.compiled:
+                values = self._values("compiling", request.build_time, compiled, request, setting)
+                self._records.add(compiled=[setting.functions, values])
+                text = f"{setting.functions}: compiled in {values.get('compile_time', 0):.1f} s"
+                self._display.finished("compiling", text if values.get("functions_compiled") else "")
+            values = found.compiled[setting.functions]
+            if values["kind"] != DONE:
+                job = asdict(Job(setting=name, start=0))
+                run = TimedRun(**job, status=NOT_COMPILED, detail=values["detail"])
+                self._records.add(run=asdict(run))
+                self._display.note(f"{self._labels[name]}: not compiled ({values['detail']})")
 
     def _calibrate(self) -> None:
         if not self._records.found.calibrations:
-            answer = self._pool.ask({"task": "calibration", "count": CALIBRATIONS, "limit": GRACE})
-            self._records.add_calibrations(answer.get("seconds", []))
+            values = self._values("fixed load", GRACE, calibrations, CALIBRATIONS)
+            self._records.add(calibrations=values.get("seconds", []))
+            self._display.finished("fixed load")
 
     @property
     def _least_load(self) -> float:
@@ -110,31 +131,41 @@ class Sweep:
         return min([*found.calibrations, *known], default=float("inf"))
 
     def _runs(self) -> None:
-        waiting = deque(self._missing())
-        begun: dict[Job, float] = {}
-        while waiting or self._pool.is_busy:
-            while waiting and self._pool.has_free:
+        waiting, begin = deque(self._missing()), time.perf_counter()
+        self._display.more(len(waiting))
+        running: dict[Future[TimedRun], Job] = {}
+        while waiting or running:
+            while waiting and len(running) < len(self._cores):
                 job = waiting.popleft()
-                if job.setting not in self._given_up:
-                    begun[job] = time.perf_counter()
-                    self._display.left(len(waiting) + 1)
-                    self._display.started(f"{self._labels[job.setting]}, {_start_text(job)}")
-                    self._pool.start(job, self._run_task(job))
-            if not self._pool.is_busy:
-                continue
-            job, answer = self._pool.take()
-            run = self._judged(job, answer)
-            self._records.add_run(run)
-            self._display.finished(f"{self._labels[job.setting]}, {_start_text(job)}: {run_text(run)}")
-            self._estimate(run, time.perf_counter() - begun[job], waiting)
-            if run.disturbed and job.attempt < RETRIES and self._again > 0:
-                self._again -= 1
-                waiting.append(replace(job, attempt=job.attempt + 1))
+                if job.setting in self._given_up:
+                    self._display.more(-1)
+                else:
+                    running[self._submit(job)] = job
+            for future in first_ended(running, self._check):
+                job = running.pop(future)
+                run = self._judged(job, future)
+                self._records.add(run=asdict(run))
+                self._display.finished(self._name(job), f"{self._name(job)}: {run_text(run)}")
+                self._estimate(run, time.perf_counter() - begin, waiting)
+                if run.disturbed and job.attempt < RETRIES and self._again > 0:
+                    self._again -= 1
+                    waiting.append(replace(job, attempt=job.attempt + 1))
+                    self._display.more()
+
+    def _submit(self, job: Job) -> Future[TimedRun]:
+        request, setting = self._request, self._settings[job.setting]
+        solves = 2 if setting.start == "warm" else 1
+        limit = solves * request.max_time + request.build_time
+        file = self._records.solution_file(setting, job)
+        return self._executor.submit(announced, self._name(job), limit, run_job, request, setting, job, file)
+
+    def _name(self, job: Job) -> str:
+        return f"{self._labels[job.setting]}, {_start_text(job)}"
 
     def _missing(self) -> list[Job]:
-        """Jobs of all rounds that are neither recorded nor given up; attempts go on where they ended."""
+        """Jobs of all rounds that are not recorded; attempts go on where they ended."""
         jobs, found = [], self._records.found
-        for start in self._asked.starts:
+        for start in self._request.starts:
             for name in self._settings:
                 tried = found.attempts(name, start)
                 for run in tried:
@@ -146,40 +177,25 @@ class Sweep:
                     jobs.append(Job(setting=name, start=start, attempt=tried[-1].attempt + 1))
         return jobs
 
-    def _run_task(self, job: Job) -> dict[str, Any]:
-        asked, setting = self._asked, self._settings[job.setting]
-        solves = 2 if setting.start == "warm" else 1
-        return {
-            **self._problem_of_task(),
-            "task": "run",
-            "setting": setting.to_dict(),
-            "job": asdict(job),
-            "limits": {name: getattr(asked, name) for name in ("sigma", "max_iterations", "max_time")},
-            "file": str(self._records.solution_file(setting, job)),
-            "limit": solves * asked.max_time + asked.build_time,
-        }
-
-    def _problem_of_task(self) -> dict[str, Any]:
-        return {"problem": self._asked.problem, "values": dict(self._asked.values)}
-
-    def _judged(self, job: Job, answer: Mapping[str, Any]) -> Run:
-        """The run of an answer, with what the calibrations say of it."""
-        if "run" not in answer:
-            run = Run(**asdict(job), status=answer["kind"], detail=answer["detail"])
+    def _judged(self, job: Job, future: Future[TimedRun]) -> TimedRun:
+        """The run of a future, with what the calibrations say of it."""
+        try:
+            run = future.result()
+        except TaskError as error:
+            run = TimedRun(**asdict(job), status=_kind(error), detail=str(error))
         else:
-            run = Run.from_dict(answer["run"])
             slow = (run.calibration or 0.0) > DISTURBED_LOAD * self._least_load
             run = replace(run, disturbed=slow or (run.cpu_share or 1.0) < LEAST_SHARE)
         self._count(run)
         return run
 
-    def _count(self, run: Run) -> None:
+    def _count(self, run: TimedRun) -> None:
         """A setting that is refused, or lost too often, is given up."""
         self._lost[run.setting] += run.status == LOST
         if run.is_final or self._lost[run.setting] >= MOST_LOST:
             self._given_up.add(run.setting)
 
-    def _estimate(self, run: Run, seconds: float, waiting: deque[Job]) -> None:
+    def _estimate(self, run: TimedRun, seconds: float, waiting: Collection[Job]) -> None:
         """Say once, after the first run, how long the others will take: as long by collocation points."""
         if self._told or not waiting:
             return
@@ -193,52 +209,41 @@ class Sweep:
 
     def _reference(self) -> None:
         """The converged reference, once; a failure is recorded: it tells why its figures are missing."""
-        known = self._records.found.reference
-        if known is not None and (self._records.reference_file.exists() or not known["ok"]):
+        known, file = self._records.found.reference, self._records.reference_file
+        if known is not None and (file.exists() or not known["ok"]):
             return
-        self._display.started("reference")
-        limit = self._asked.reference_time
-        answer = self._pool.ask(
-            {
-                **self._problem_of_task(),
-                "task": "reference",
-                "file": str(self._records.reference_file),
-                "compile": self._plan.base.compile,
-                "max_time": limit,
-                "limit": limit + self._asked.build_time,
-            }
-        )
-        ok = answer["kind"] == "done"
-        text = answer["text"] if ok else answer["detail"]
-        self._records.add_reference({"ok": ok, "text": text})
-        self._display.finished(f"reference: {text}")
+        request, level = self._request, self._plan.base.compile
+        limit = request.reference_time + request.build_time
+        values = self._values("reference", limit, solve_reference, request, level, file)
+        ok = values["kind"] == DONE
+        text = values["text"] if ok else values["detail"]
+        self._records.add(reference={"ok": ok, "text": text})
+        self._display.finished("reference", f"reference: {text}")
 
     def _accuracy(self) -> None:
         """The accuracy of each setting's median run."""
-        waiting = deque(self._unmeasured())
         reference = self._records.reference_file if self._records.reference_file.exists() else None
-        while waiting or self._pool.is_busy:
-            while waiting and self._pool.has_free:
-                run = waiting.popleft()
-                self._display.left(len(waiting) + 1)
-                self._display.started(f"{self._labels[run.setting]}: accuracy")
-                task = {
-                    "task": "accuracy",
-                    "file": str(self._records.solution_file(self._settings[run.setting], run.job)),
-                    "reference": None if reference is None else str(reference),
-                    "limit": ACCURACY_TIME,
-                }
-                self._pool.start(run, task)
-            run, answer = self._pool.take()
-            self._records.add_accuracy(run.job, reference is not None, answer.get("figures", {}))
-            if "figures" not in answer:
-                self._display.note(f"{self._labels[run.setting]}: no accuracy: {answer['detail']}")
+        running: dict[Future[dict[str, Any]], TimedRun] = {}
+        for run in self._unmeasured():
+            file = self._records.solution_file(self._settings[run.setting], run.job)
+            name = f"{self._labels[run.setting]}: accuracy"
+            task = (ACCURACY_TIME, figures, file, reference)
+            running[self._executor.submit(announced, name, *task)] = run
+        self._display.more(len(running))
+        while running:
+            for future in first_ended(running, self._check):
+                run, text = running.pop(future), ""
+                label, values = self._labels[run.setting], _values(future)
+                if values.pop("kind") != DONE:
+                    text = f"{label}: no accuracy: {values.pop('detail')}"
+                self._records.add(accuracy=[asdict(run.job), reference is not None, values])
+                self._display.finished(f"{label}: accuracy", text)
 
-    def _unmeasured(self) -> list[Run]:
+    def _unmeasured(self) -> list[TimedRun]:
         found, missing = self._records.found, []
         has_reference = self._records.reference_file.exists()
         for name in self._settings:
-            run = median_run(found, name, self._asked.starts)
+            run = median_run(found, name, self._request.starts)
             if run is not None and run.success:
                 job, against, _ = found.accuracy.get(name, (None, False, {}))
                 if job != run.job or against != has_reference:
@@ -246,12 +251,24 @@ class Sweep:
         return missing
 
 
+def _kind(error: TaskError) -> str:
+    return REFUSED if isinstance(error, RefusedTaskError) else LOST
+
+
+def _values(future: Future[dict[str, Any]]) -> dict[str, Any]:
+    """What a task has found, as a record keeps it: of a kind, with the detail of one that was lost."""
+    try:
+        return {"kind": DONE, **future.result()}
+    except TaskError as error:
+        return {"kind": _kind(error), "detail": str(error)}
+
+
 def _start_text(job: Job) -> str:
     start = "own guess" if job.start == 0 else f"start {job.start}"
     return start + (f", attempt {job.attempt + 1}" if job.attempt else "")
 
 
-def run_text(run: Run) -> str:
+def run_text(run: TimedRun) -> str:
     """A run in a few words."""
     if run.wall_time is None:
         return f"{run.status} ({run.detail})"

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from trajopt.problem.problem import Problem
 
-KINDS = ("arm", "gait", "flight", "stance")
-
 
 def motion_kind(problem: Problem) -> str:
     """``arm`` (a fixed base), ``gait`` (periodic), ``flight`` (a phase without contacts) or ``stance``."""

@@ -44,7 +44,7 @@ MOST_SETTINGS = 2000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
+class SweepPlan:
     """The settings of a sweep, the base first; ``left_out`` says what the problem does not have."""
 
     base: Setting
@@ -58,7 +58,7 @@ def make_plan(
     *,
     also: Sequence[str] = (),
     full: bool = False,
-) -> Plan:
+) -> SweepPlan:
     """The settings to run.
 
     named: values by axis (`AXES`). One value holds for all settings; several are tried. Without an axis of
@@ -88,7 +88,7 @@ def make_plan(
     chosen = tuple(dict.fromkeys([base, *settings, *extra]))
     if len(chosen) > MOST_SETTINGS:
         raise InputError(f"the plan has {len(chosen)} settings", f"allowed: at most {MOST_SETTINGS}")
-    return Plan(base=base, settings=chosen, left_out=tuple(notes))
+    return SweepPlan(base=base, settings=chosen, left_out=tuple(notes))
 
 
 def own_setting(problem: Problem) -> Setting:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -10,12 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from trajopt.errors import InputError
+from trajopt.problem import Problem
+from trajopt.problem.catalogue import families
+from trajopt.problem.family import choose
 from trajopt.solvers.result import StoppingCriteria
 from trajopt.solving.solving import DEFAULT_SOLVER, check_settings
 from trajopt.study.suite.settings import MOST_STARTS
-from trajopt.study.sweep.plan import Plan
-from trajopt.study.sweep.result import Job, Run
+from trajopt.study.sweep.plan import SweepPlan
+from trajopt.study.sweep.result import Job, TimedRun
 from trajopt.study.sweep.setting import Setting
+from trajopt.study.workers.records import JsonLines
 
 FILE = "record.jsonl"
 SOLUTIONS = "solutions"
@@ -35,7 +38,7 @@ HEAD = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asked:
+class SweepRequest:
     """What is swept: the problem by name with values of its parameters, and how its settings are run.
 
     repeats: perturbed starts besides the own guess, with seeds 1 to repeats: the same ones for every setting.
@@ -45,7 +48,7 @@ class Asked:
     """
 
     problem: str
-    values: Mapping[str, str]
+    values: Mapping[str, str] = field(default_factory=dict)
     repeats: int = 2
     sigma: float = 0.1
     max_iterations: int = 500
@@ -69,7 +72,11 @@ class Asked:
         """Every setting's starts, 0 the own guess."""
         return tuple(range(self.repeats + 1))
 
-    def head(self, plan: Plan, versions: Mapping[str, str]) -> dict[str, Any]:
+    def load(self) -> Problem:
+        """The problem. Raises InputError for a name or values that are none."""
+        return choose(families(), self.problem).load(self.values)
+
+    def head(self, plan: SweepPlan, versions: Mapping[str, str]) -> dict[str, Any]:
         """What a folder must agree in for a sweep to go on in it."""
         values = {name: value for name, value in asdict(self).items() if name != "reference_time"}
         settings = [setting.name for setting in plan.settings]
@@ -77,7 +84,7 @@ class Asked:
 
 
 @dataclass(kw_only=True)
-class Found:
+class SweepResults:
     """All that is known: runs by job, accuracy by setting, s of calibrations, the reference's text.
 
     ``compiled`` are times and counts of what was compiled before the runs, by `Setting.functions`.
@@ -86,18 +93,18 @@ class Found:
     and the figures by column, None where they could not be had.
     """
 
-    runs: dict[Job, Run] = field(default_factory=dict)
+    runs: dict[Job, TimedRun] = field(default_factory=dict)
     accuracy: dict[str, tuple[Job, bool, dict[str, float | None]]] = field(default_factory=dict)
     calibrations: list[float] = field(default_factory=list)
     reference: dict[str, Any] | None = None
     compiled: dict[str, dict[str, Any]] = field(default_factory=dict)
 
-    def attempts(self, setting: str, start: int) -> list[Run]:
+    def attempts(self, setting: str, start: int) -> list[TimedRun]:
         """Runs of one setting from one start, in order."""
         found = [run for run in self.runs.values() if (run.setting, run.start) == (setting, start)]
         return sorted(found, key=lambda run: run.attempt)
 
-    def best(self, setting: str, start: int) -> Run | None:
+    def best(self, setting: str, start: int) -> TimedRun | None:
         """The attempt that was disturbed least: the first that was not, else that of the fastest machine."""
         tried = self.attempts(setting, start)
         calm = [run for run in tried if not run.disturbed]
@@ -105,27 +112,58 @@ class Found:
             return calm[0]
         return min(tried, key=lambda run: run.calibration or float("inf")) if tried else None
 
+    def add(self, entry: Mapping[str, Any]) -> None:
+        """Take one object of a record.
 
-class Records:
+        One of: run, by its fields; accuracy, a job by its fields, whether against the reference, and figures;
+        reference, ``ok`` and a ``text``; compiled, what was and what that took; calibrations, in s.
+        Raises KeyError, TypeError or ValueError for one that is damaged.
+        """
+        if "run" in entry:
+            run = TimedRun(**entry["run"])
+            self.runs[run.job] = run
+        elif "accuracy" in entry:
+            job, against_reference, figures = entry["accuracy"]
+            self.accuracy[job["setting"]] = (Job(**job), bool(against_reference), dict(figures))
+        elif "reference" in entry:
+            self.reference = dict(entry["reference"])
+        elif "compiled" in entry:
+            functions, values = entry["compiled"]
+            self.compiled[functions] = dict(values)
+        elif "calibrations" in entry:
+            self.calibrations += [float(value) for value in entry["calibrations"]]
+
+
+class SweepRecords:
     """The folder of a sweep. Raises InputError where it cannot be written, or holds another sweep."""
 
     def __init__(self, folder: Path, head: Mapping[str, Any], *, resume: bool) -> None:
-        self.folder, self._head = folder.expanduser(), dict(head)
-        self._file = self.folder / FILE
-        self.found = Found()
-        try:
-            (self.folder / SOLUTIONS).mkdir(parents=True, exist_ok=True)
-            if resume and self._file.exists():
-                self._read()
-            else:
-                self._file.write_text(json.dumps({"head": self._head}) + "\n", encoding="utf-8")
-                for stale in (self.reference_file, *(self.folder / SOLUTIONS).glob("*.npz")):
-                    stale.unlink(missing_ok=True)
-        except OSError as error:
-            raise InputError(
-                f"cannot write {self._file}: {error.strerror or error}",
-                "allowed: a folder that can be written",
-            ) from None
+        self.folder = folder.expanduser()
+        self.found = SweepResults()
+        file = self.folder / FILE
+        self._lines = JsonLines(file)
+        resume = resume and file.exists()
+        first, *entries = self._lines.open(resume=resume) or [{}]
+        (self.folder / SOLUTIONS).mkdir(exist_ok=True)
+        if not resume:
+            self._lines.append({"head": dict(head)})
+            for stale in (self.reference_file, *(self.folder / SOLUTIONS).glob("*.npz")):
+                stale.unlink(missing_ok=True)
+            return
+        self._require(first.get("head"), head)
+        for entry in entries:
+            try:
+                self.found.add(entry)
+            except (ValueError, KeyError, TypeError):  # it is done again
+                continue
+
+    def _require(self, known: Any, head: Mapping[str, Any]) -> None:
+        for name, words in HEAD.items():
+            if not isinstance(known, dict) or known.get(name) != head[name]:
+                raise InputError(
+                    f"{self.folder} holds a sweep with {words}",
+                    "allowed: the same command with --resume, or another --output-dir",
+                )
 
     @property
     def reference_file(self) -> Path:
@@ -136,64 +174,7 @@ class Records:
         """Where the solution of a run lies."""
         return self.folder / SOLUTIONS / f"{setting.slug()}.{job.start}.{job.attempt}.npz"
 
-    def add_run(self, run: Run) -> None:
-        """Keep one run."""
-        self._take({"run": run.to_dict()})
-
-    def add_accuracy(self, job: Job, against_reference: bool, figures: Mapping[str, float | None]) -> None:
-        """Keep the figures of one solution."""
-        self._take({"accuracy": [asdict(job), against_reference, dict(figures)]})
-
-    def add_reference(self, values: Mapping[str, Any]) -> None:
-        """Keep what is known of the reference: ``ok`` and a ``text``."""
-        self._take({"reference": dict(values)})
-
-    def add_compiled(self, functions: str, values: Mapping[str, Any]) -> None:
-        """Keep what compiling some functions took."""
-        self._take({"compiled": [functions, dict(values)]})
-
-    def add_calibrations(self, seconds: list[float]) -> None:
-        """Keep calibrations of a machine at rest."""
-        self._take({"calibrations": seconds})
-
-    def _take(self, entry: dict[str, Any]) -> None:
-        with self._file.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(entry) + "\n")
-        self._apply(entry)
-
-    def _apply(self, entry: Mapping[str, Any]) -> None:
-        if "run" in entry:
-            run = Run.from_dict(entry["run"])
-            self.found.runs[run.job] = run
-        elif "accuracy" in entry:
-            job, against_reference, figures = entry["accuracy"]
-            self.found.accuracy[job["setting"]] = (Job(**job), bool(against_reference), dict(figures))
-        elif "reference" in entry:
-            self.found.reference = dict(entry["reference"])
-        elif "compiled" in entry:
-            functions, values = entry["compiled"]
-            self.found.compiled[functions] = dict(values)
-        elif "calibrations" in entry:
-            self.found.calibrations += [float(value) for value in entry["calibrations"]]
-
-    def _read(self) -> None:
-        text = self._file.read_text(encoding="utf-8")
-        lines = text.splitlines()
-        try:
-            head = json.loads(lines[0])["head"]
-        except (ValueError, KeyError, TypeError, IndexError):
-            head = {}
-        for name, words in HEAD.items():
-            if not isinstance(head, dict) or head.get(name) != self._head[name]:
-                raise InputError(
-                    f"{self.folder} holds a sweep with {words}",
-                    "allowed: the same command with --resume, or another --output-dir",
-                )
-        for line in lines[1:]:
-            try:
-                self._apply(json.loads(line))
-            except (ValueError, KeyError, TypeError):  # a line cut off by a crash: it is done again
-                continue
-        if not text.endswith("\n"):
-            with self._file.open("a", encoding="utf-8") as stream:
-                stream.write("\n")
+    def add(self, **entry: Any) -> None:
+        """Keep what has been found, see `SweepResults.add`."""
+        self._lines.append(entry)
+        self.found.add(entry)

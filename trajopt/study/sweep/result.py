@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
-# Statuses besides the solver's: the settings do not fit the problem, or the process was lost.
+# What became of a task. Of a run, besides the solver's statuses: the settings do not fit the problem, or the
+# process was lost.
+DONE = "done"
 REFUSED = "refused"
 LOST = "lost"
 NOT_COMPILED = "not_compiled"
@@ -22,7 +22,7 @@ class Job:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run:
+class TimedRun:
     """One solve and its times in s; what is not known is None.
 
     setting, start, attempt: see `Job`. wall_time, function_time: the solver's. start_time: of the solve that
@@ -71,12 +71,3 @@ class Run:
         if not self.success or self.wall_time is None:
             return float("inf")
         return self.wall_time + self.start_time + self.stage_two_time
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able values by name."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Run:
-        """The inverse of `to_dict`. Raises KeyError or TypeError for anything else."""
-        return cls(**{entry.name: values[entry.name] for entry in fields(cls)})

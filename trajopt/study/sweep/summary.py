@@ -8,13 +8,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from trajopt.problem.problem import Problem
+from trajopt.problem import Problem
 from trajopt.robot.units import Units
 from trajopt.study.sweep.likeness import motion_kind
 from trajopt.study.sweep.pareto import GAIN, dominators, front, is_measured
-from trajopt.study.sweep.plan import Plan
-from trajopt.study.sweep.records import Found
-from trajopt.study.sweep.result import Run
+from trajopt.study.sweep.plan import SweepPlan
+from trajopt.study.sweep.records import SweepResults
+from trajopt.study.sweep.result import TimedRun
 from trajopt.study.sweep.setting import Setting
 
 Figures = dict[str, float | None]
@@ -33,15 +33,15 @@ class Summary:
     setting: Setting
     label: str
     is_default: bool
-    runs: tuple[Run, ...]
-    median: Run | None
+    runs: tuple[TimedRun, ...]
+    median: TimedRun | None
     accuracy: Figures = field(default_factory=dict)
     compiled: dict[str, Any] = field(default_factory=dict)
     on_front: bool = False
     dominated_by: str = ""
 
     @property
-    def solved(self) -> list[Run]:
+    def solved(self) -> list[TimedRun]:
         """The runs with a solution."""
         return [run for run in self.runs if run.success]
 
@@ -106,13 +106,13 @@ class Scale:
         )
 
 
-def median_run(found: Found, setting: str, starts: Iterable[int]) -> Run | None:
+def median_run(found: SweepResults, setting: str, starts: Iterable[int]) -> TimedRun | None:
     """The run of the (upper) median time over all starts; failed ones are the slowest."""
     runs = [run for start in starts if (run := found.best(setting, start)) is not None]
     return sorted(runs, key=lambda run: (run.time, run.start))[len(runs) // 2] if runs else None
 
 
-def summarize(plan: Plan, found: Found, starts: Sequence[int]) -> tuple[Summary, ...]:
+def summarize(plan: SweepPlan, found: SweepResults, starts: Sequence[int]) -> tuple[Summary, ...]:
     """All settings of a plan, in its order."""
     rows = [_summary(plan, found, starts, setting) for setting in plan.settings]
     points = [row.objectives for row in rows]
@@ -124,7 +124,7 @@ def summarize(plan: Plan, found: Found, starts: Sequence[int]) -> tuple[Summary,
     )
 
 
-def _summary(plan: Plan, found: Found, starts: Sequence[int], setting: Setting) -> Summary:
+def _summary(plan: SweepPlan, found: SweepResults, starts: Sequence[int], setting: Setting) -> Summary:
     name = setting.name
     median = median_run(found, name, starts)
     job, _, figures = found.accuracy.get(name, (None, False, {}))
@@ -140,7 +140,7 @@ def _summary(plan: Plan, found: Found, starts: Sequence[int], setting: Setting) 
     )
 
 
-def disturbance(found: Found) -> dict[str, Any]:
+def disturbance(found: SweepResults) -> dict[str, Any]:
     """How steady the machine was: calibrations over the fastest one, and the runs beyond the bounds."""
     known = sorted(run.calibration for run in found.runs.values() if run.calibration is not None)
     shares = [run.cpu_share for run in found.runs.values() if run.cpu_share is not None]

@@ -15,19 +15,18 @@ from rich.table import Table
 
 from trajopt.errors import InputError
 from trajopt.study.sweep.figures import COLUMNS
-from trajopt.study.sweep.records import Found
-from trajopt.study.sweep.result import Run
+from trajopt.study.sweep.records import SweepResults
+from trajopt.study.sweep.result import TimedRun
 from trajopt.study.sweep.setting import Setting
 from trajopt.study.sweep.summary import Scale, Summary
 
 RUNS, SETTINGS, FRONT = "runs.csv", "settings.csv", "front.csv"
-AXES = tuple(axis.name for axis in fields(Setting))
-RUN_FIGURES = tuple(entry.name for entry in fields(Run) if entry.name != "setting")
+RUN_FIGURES = tuple(entry.name for entry in fields(TimedRun) if entry.name != "setting")
 SECONDS = ("wall_time", "start_time", "stage_two_time", "function_time", "build_time")
 Row = dict[str, Any]
 
 
-def run_rows(problem: str, settings: Sequence[Setting], found: Found) -> list[Row]:
+def run_rows(problem: str, settings: Sequence[Setting], found: SweepResults) -> list[Row]:
     """All runs in the order in which they were made, disturbed attempts among them."""
     by_name = {setting.name: setting for setting in settings}
     rows = []
@@ -90,9 +89,12 @@ def _setting_row(problem: str, row: Summary, scale: Scale, default: float) -> Ro
 
 
 def write_tables(
-    folder: Path, problem: str, found: Found, summaries: Sequence[Summary], scale: Scale
-) -> None:
-    """Write ``runs.csv``, ``settings.csv`` and ``front.csv``. Raises InputError where that cannot be."""
+    folder: Path, problem: str, found: SweepResults, summaries: Sequence[Summary], scale: Scale
+) -> list[Row]:
+    """Write ``runs.csv``, ``settings.csv`` and ``front.csv``; the rows of the second.
+
+    Raises InputError where that cannot be.
+    """
     rows = setting_rows(problem, summaries, scale)
     write(folder / RUNS, run_rows(problem, [summary.setting for summary in summaries], found))
     write(folder / SETTINGS, rows)
@@ -101,6 +103,7 @@ def write_tables(
         sorted((row for row in rows if row["on_front"]), key=lambda row: row["time_s"]),
         list(rows[0]),
     )
+    return rows
 
 
 def write(path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None) -> None:

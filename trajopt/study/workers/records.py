@@ -1,0 +1,65 @@
+"""What has been found, on disk: one line of JSON for each thing, appended at once, to go on from."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from trajopt.errors import InputError
+
+
+class JsonLines:
+    """A file of JSON objects, one a line; or nowhere, where there is no path. Any thread may append.
+
+    Raises InputError where it cannot be written.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+        self._lock = threading.Lock()
+
+    def open(self, *, resume: bool) -> list[dict[str, Any]]:
+        """Make the folder, and the file unless it is resumed; what it holds."""
+        if self.path is None:
+            return []
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            with self.path.open("a+" if resume else "w+", encoding="utf-8") as stream:
+                stream.seek(0)
+                text = stream.read()
+                if text and not text.endswith("\n"):  # a line cut off by a crash
+                    stream.write("\n")
+        except OSError as error:
+            raise InputError(
+                f"cannot write {self.path}: {error.strerror or error}",
+                "allowed: a folder that can be written",
+            ) from None
+        return self.read()
+
+    def read(self) -> list[dict[str, Any]]:
+        """All objects; lines that are none are passed over: what they told is found again."""
+        if self.path is None or not self.path.is_file():
+            return []
+        found = []
+        for line in self.path.read_text(encoding="utf-8").splitlines():
+            try:
+                entry = json.loads(line)
+            except ValueError:
+                continue
+            if isinstance(entry, dict):
+                found.append(entry)
+        return found
+
+    def append(self, entry: Mapping[str, Any]) -> None:
+        """Write one object."""
+        if self.path is not None:
+            with self._lock, self.path.open("a", encoding="utf-8") as stream:
+                stream.write(json.dumps(entry) + "\n")
+
+    def remove(self) -> None:
+        """Delete the file."""
+        if self.path is not None:
+            self.path.unlink(missing_ok=True)
