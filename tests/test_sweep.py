@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from problems_for_tests import hop, reach
+from problems_for_tests import REACH_TIME, hop, reach
 
 from trajopt.errors import InputError
+from trajopt.robot.units import Units
 from trajopt.study.sweep.front import load_front, packaged_fronts
 from trajopt.study.sweep.pareto import dominators, front
 from trajopt.study.sweep.plan import OTHER_SCHEMES, SweepPlan, make_plan, own_setting
@@ -21,13 +22,15 @@ from trajopt.study.sweep.plot import plot
 from trajopt.study.sweep.records import SweepRecords, SweepRequest, SweepResults
 from trajopt.study.sweep.result import Job, TimedRun
 from trajopt.study.sweep.setting import WORDS, Setting
-from trajopt.study.sweep.summary import Scale, disturbance, median_run, summarize
+from trajopt.study.sweep.summary import disturbance, median_run, summarize
 from trajopt.study.sweep.tables import write_tables
 from trajopt.study.sweep.variants import cone_of, with_cone
 from trajopt.terms import FrictionCone, FrictionPyramid
 
 BASE = Setting(transcription="legendre:2", intervals=10)
 NAN, INF = math.nan, math.inf
+# Tables have six digits.
+DIGITS = 1e-5
 
 
 # Fronts
@@ -288,21 +291,25 @@ def test_figures_of_another_run_are_not_the_medians():
     assert not rows[1].on_front
 
 
-SCALE = Scale(robot="arm", kind="arm", n_velocities=1, length=0.5, natural_time=0.2, duration=1.0)
-
-
 def test_a_front_is_read_back_as_it_was_written(tmp_path: Path):
     known = measured()
-    write_tables(tmp_path, "reach", known, summarize(PLAN, known, (0,)), SCALE)
+    problem = reach()
+    units = Units(problem.robot)
+    write_tables(tmp_path, "reach", problem, known, summarize(PLAN, known, (0,)))
     read = load_front(tmp_path / "settings.csv")
-    assert (read.problem, read.robot, read.natural_time, read.length) == ("reach", "arm", 0.2, 0.5)
+    assert (read.problem, read.robot, read.kind) == ("reach", problem.robot.name, "arm")
+    assert (read.n_velocities, read.natural_time, read.length) == (
+        problem.robot.nv,
+        pytest.approx(units.time, rel=DIGITS),
+        pytest.approx(units.length, rel=DIGITS),
+    )
     assert [point.setting for point in read.points] == [FAST, BASE, SLOW, FINE]
     assert [point.setting for point in read.best()] == [FAST, BASE, FINE]
     assert [point.setting for point in read.best(lambda one: one.solver == "fatrop")] == [SLOW]
     assert read.default.setting == BASE
     assert read.points[0].relative_time == pytest.approx(0.1)
-    assert read.points[0].relative_error == pytest.approx(1e-2 / 0.5)
-    assert read.points[0].density == pytest.approx(5 * 0.2 / 1.0)
+    assert read.points[0].relative_error == pytest.approx(1e-2 / units.length, rel=DIGITS)
+    assert read.points[0].density == pytest.approx(5 * units.time / REACH_TIME, rel=DIGITS)
     assert read.for_accuracy(2e-3).setting == BASE
     assert read.for_accuracy(1e-9) is None
     assert read.for_budget(0.5).setting == FAST

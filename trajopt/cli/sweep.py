@@ -112,7 +112,7 @@ def sweep(
     from trajopt.study.sweep.plan import AXES, make_plan
     from trajopt.study.sweep.plot import plot
     from trajopt.study.sweep.records import SweepRecords, SweepRequest
-    from trajopt.study.sweep.summary import Scale, summarize
+    from trajopt.study.sweep.summary import summarize
     from trajopt.study.sweep.tables import write_tables
 
     named = {axis: arguments.pop(axis) for axis in AXES}
@@ -126,9 +126,9 @@ def sweep(
     folder = output_dir or Path(f"{problem}-sweep")
     records = SweepRecords(folder, request.head(plan, versions()), resume=resume)
     complete = _run(request, plan, records, cores)
-    rows, scale = summarize(plan, records.found, request.starts), Scale.of(loaded)
-    settings = write_tables(records.folder, problem, records.found, rows, scale)
-    plot(rows, f"{problem} on {scale.robot}", records.folder / PLOT)
+    rows = summarize(plan, records.found, request.starts)
+    settings = write_tables(records.folder, problem, loaded, records.found, rows)
+    plot(rows, f"{problem} on {loaded.robot.name}", records.folder / PLOT)
     if as_json:
         click.echo(to_json({"problem": problem, "complete": complete, **_found(plan, records, settings)}))
     else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -161,11 +161,7 @@ class Family:
         known = {parameter.name: parameter for parameter in self.parameters}
         for name in values:
             if name not in known:
-                close = difflib.get_close_matches(name, known, 1)
-                hint = f"did you mean {close[0]}? " if close else ""
-                raise InputError(
-                    f"{self.name} has no parameter '{name}'", f"{hint}allowed: {', '.join(known)}"
-                )
+                raise not_among(known, name, f"{self.name} has no parameter '{name}'")
         chosen: dict[str, float | str | None] = {name: own.default for name, own in known.items()}
         chosen |= {name: known[name].parse(value) for name, value in values.items()}
         problem = self.build(**chosen)
@@ -175,7 +171,13 @@ class Family:
 def choose(families: Mapping[str, Family], name: str) -> Family:
     """The family of that name; raises InputError that lists the known names."""
     if name not in families:
-        close = difflib.get_close_matches(name, families, 1)
-        hint = f"did you mean {close[0]}? " if close else ""
-        raise InputError(f"problem '{name}' is unknown", f"{hint}allowed: {', '.join(families)}")
+        raise not_among(families, name, f"problem '{name}' is unknown")
     return families[name]
+
+
+def not_among(known: Iterable[str], name: str, what: str) -> InputError:
+    """The error of a name that is none of those known, with the one that may have been meant."""
+    names = list(known)
+    close = difflib.get_close_matches(name, names, 1)
+    hint = f"did you mean {close[0]}? " if close else ""
+    return InputError(what, f"{hint}allowed: {', '.join(names)}")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 from trajopt.errors import InputError
-from trajopt.problem.family import Family
+from trajopt.problem.family import Family, not_among
 from trajopt.robot.catalogue import robot_kind
 
 # A robot that no family names may be given as a file that builds it.
@@ -72,7 +71,7 @@ def select(
 def _fitting(families: Mapping[str, Family], patterns: Sequence[str]) -> dict[str, Family]:
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in families):
-            raise _unknown("problem", pattern, families)
+            raise not_among(sorted(families), pattern, f"problem '{pattern}' is unknown")
     return {
         name: family
         for name, family in families.items()
@@ -83,15 +82,11 @@ def _fitting(families: Mapping[str, Family], patterns: Sequence[str]) -> dict[st
 def _unnamed(robot: str, families: Mapping[str, Family], known: Iterable[str]) -> set[Case]:
     """A robot that no family names on those that take a robot and name one of its kind."""
     if robot.endswith(ROBOT_FILE):
-        _require_file(robot)
+        if not Path(robot).expanduser().is_file():
+            raise InputError(f"there is no robot file {robot}", "allowed: a .py file with build()")
         kind = robot_kind(robot)
-    else:
-        try:
-            kind = robot_kind(robot)
-        except InputError:
-            raise _unknown("robot", robot, known) from None
-        if kind is None:
-            raise _unknown("robot", robot, known)
+    elif (kind := _kind(robot)) is None:
+        raise not_among(sorted(known), robot, f"robot '{robot}' is unknown")
     return {
         Case(problem=family.name, robot=robot, takes_robot=True)
         for family in families.values()
@@ -100,20 +95,8 @@ def _unnamed(robot: str, families: Mapping[str, Family], known: Iterable[str]) -
 
 
 def _kind(robot: str) -> str | None:
-    """Kind of a robot that a family names; None for one that no package of robots knows."""
+    """Kind of a robot by name; None for one that no package of robots knows."""
     try:
         return robot_kind(robot)
     except InputError:
         return None
-
-
-def _require_file(robot: str) -> None:
-    if not Path(robot).expanduser().is_file():
-        raise InputError(f"there is no robot file {robot}", "allowed: a .py file with build()")
-
-
-def _unknown(kind: str, name: str, known: Iterable[str]) -> InputError:
-    names = sorted(known)
-    close = difflib.get_close_matches(name, names, 1)
-    hint = f"did you mean {close[0]}? " if close else ""
-    return InputError(f"{kind} '{name}' is unknown", f"{hint}allowed: {', '.join(names)}")

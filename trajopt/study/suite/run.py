@@ -90,10 +90,14 @@ def run(
     hear({"event": "stage", "stage": "build"})
     problem = choose(families(), case.problem).load(case.values)
     prepared = prepare(problem, compile=settings.compile)
+    stop = StoppingCriteria(
+        tolerance=settings.tolerance, max_iterations=settings.max_iterations, max_time=settings.max_time
+    )
+    shared: dict[str, Any] = {"solver": settings.solver, "stop": stop, "progress": progress}
     hear({"event": "grid", "values": asdict(_grid(prepared))})
     if own:
         hear({"event": "stage", "stage": "own"})
-        solution = _solve(prepared, prepared.guess, settings, {"seed": 0, "perturb": 0.0}, progress)
+        solution = solve_prepared(prepared, prepared.guess, origin={"seed": 0, "perturb": 0.0}, **shared)
         hear({"event": "own", "values": asdict(attempt(solution, None))})
         hear({"event": "stage", "stage": "check"})
         hear({"event": "check", "values": asdict(checked(solution))})
@@ -106,7 +110,7 @@ def run(
         hear({"event": "stage", "stage": "start", "seed": seed})
         start = perturbed(prepared.transcription, prepared.guess, seed, settings.sigma)
         origin = {"seed": seed, "perturb": settings.sigma}
-        solution = _solve(prepared, start, settings, origin, progress)
+        solution = solve_prepared(prepared, start, origin=origin, **shared)
         hear({"event": "start", "values": asdict(attempt(solution, seed))})
 
 
@@ -115,21 +119,6 @@ def measure(case: Case, settings: SuiteSettings) -> Outcome:
     ledger, begin = Ledger(case), time.perf_counter()
     run(case, settings, ledger.add)
     return ledger.outcome(time.perf_counter() - begin)
-
-
-def _solve(
-    prepared: PreparedProblem,
-    start: np.ndarray,
-    settings: SuiteSettings,
-    origin: Mapping[str, Any],
-    progress: ProgressCallback | None,
-) -> Solution:
-    stop = StoppingCriteria(
-        tolerance=settings.tolerance, max_iterations=settings.max_iterations, max_time=settings.max_time
-    )
-    return solve_prepared(
-        prepared, start, origin=origin, solver=settings.solver, stop=stop, progress=progress
-    )
 
 
 def _grid(prepared: PreparedProblem) -> Grid:

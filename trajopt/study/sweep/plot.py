@@ -12,11 +12,14 @@ from trajopt.study.sweep.summary import Summary
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.legend import Legend
     from matplotlib.transforms import Bbox
 
 FRONT_COLOR, DOMINATED_COLOR, DEFAULT_COLOR = "#0b5394", "#a0a0a0", "#cc0000"
 SIZE, DOTS = (9.0, 6.0), 150
 FRONT_FONT, OTHER_FONT = 8.5, 6.5
+# Pixels that a marker takes on each side.
+MARKER = 4.0 * DOTS / 72
 # Directions and distances (points of 1/72 inch) in which a label may stand off its marker, best first.
 DIRECTIONS = ((1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (0, 1), (-1, 0), (0, -1))
 DISTANCES = (7.0, 16.0, 28.0, 44.0, 64.0, 90.0)
@@ -40,10 +43,10 @@ def plot(summaries: Sequence[Summary], title: str, path: Path) -> Path | None:
     axes.set_ylabel("open-loop error, worst phase, m")
     axes.grid(which="both", alpha=0.25, linewidth=0.5)
     axes.margins(0.12, 0.1)
-    axes.legend(loc="upper right", fontsize=8, framealpha=0.9)
+    legend = axes.legend(loc="upper right", fontsize=8, framealpha=0.9)
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
-    _labels(axes, rows)
+    _labels(axes, rows, legend)
     try:
         figure.savefig(path)
     except OSError as error:
@@ -71,42 +74,25 @@ def _xy(rows: Sequence[Summary]) -> tuple[list[float], list[float]]:
     return [row.time for row in rows], [row.error for row in rows]
 
 
-def _labels(axes: Axes, rows: Sequence[Summary]) -> None:
+def _labels(axes: Axes, rows: Sequence[Summary], legend: Legend) -> None:
     """Labels of the front and of the default where there is room, then of the others if any is left.
 
-    Each takes the first place, near to far, where it covers neither a marker nor another label.
+    Each takes the first place, near to far, where it covers neither a marker, the line through the front nor
+    another label.
     """
-    taken = [_around(axes, row) for row in rows]
-    legend = axes.get_legend()
-    if legend is not None:
-        taken.append(legend.get_window_extent())
-    best = sorted((row for row in rows if row.on_front), key=lambda row: row.time)
-    taken += _steps(axes, best)
-    first = [*best, *(row for row in rows if row.is_default and not row.on_front)]
-    for row in first:
-        _label(axes, row, taken, must=True)
-    for row in rows:
-        if not (row.on_front or row.is_default):
-            _label(axes, row, taken, must=False)
-
-
-def _around(axes: Axes, row: Summary, half: float = 4.0) -> Bbox:
     from matplotlib.transforms import Bbox
 
-    x, y = axes.transData.transform((row.time, row.error))
-    pixels = half * DOTS / 72
-    return Bbox([[x - pixels, y - pixels], [x + pixels, y + pixels]])
+    def pixels(shown: Sequence[Summary]) -> Any:
+        return axes.transData.transform([(row.time, row.error) for row in shown])
 
-
-def _steps(axes: Axes, best: Sequence[Summary]) -> list[Bbox]:
-    """Boxes of the line through the front."""
-    from matplotlib.transforms import Bbox
-
-    places = axes.transData.transform([(row.time, row.error) for row in best])
-    boxes = []
-    for (x, y), (x_next, y_next) in pairwise(places):
-        boxes += [Bbox([[x, y], [x_next, y + 1]]), Bbox([[x_next, y_next], [x_next + 1, y]])]
-    return boxes
+    ordered = sorted(rows, key=lambda row: (not row.on_front, row.on_front and row.time, not row.is_default))
+    best = [row for row in ordered if row.on_front]
+    taken = [Bbox([place - MARKER, place + MARKER]) for place in pixels(rows)]
+    taken.append(legend.get_window_extent())
+    for (x, y), (right, below) in pairwise(pixels(best)):
+        taken += [Bbox([[x, y], [right, y + 1]]), Bbox([[right, below], [right + 1, y]])]
+    for row in ordered:
+        _label(axes, row, taken, must=row.on_front or row.is_default)
 
 
 def _label(axes: Axes, row: Summary, taken: list[Bbox], *, must: bool) -> None:

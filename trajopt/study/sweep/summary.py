@@ -8,9 +8,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from trajopt.problem import Problem
-from trajopt.robot.units import Units
-from trajopt.study.sweep.likeness import motion_kind
 from trajopt.study.sweep.pareto import GAIN, dominators, front, is_measured
 from trajopt.study.sweep.plan import SweepPlan
 from trajopt.study.sweep.records import SweepResults
@@ -76,34 +73,6 @@ class Summary:
         """Median of a figure over the runs with a solution."""
         known = [value for run in self.solved if (value := getattr(run, name)) is not None]
         return float(statistics.median(known)) if known else None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scale:
-    """What makes figures of one robot and motion those of others: m, s, and the motion's duration in s.
-
-    kind: of `likeness.motion_kind`. n_velocities: nv.
-    """
-
-    robot: str
-    kind: str
-    n_velocities: int
-    length: float
-    natural_time: float
-    duration: float
-
-    @classmethod
-    def of(cls, problem: Problem) -> Scale:
-        """The scale of a problem, at the nominal durations of its phases."""
-        units = Units(problem.robot)
-        return cls(
-            robot=problem.robot.name,
-            kind=motion_kind(problem),
-            n_velocities=problem.robot.nv,
-            length=units.length,
-            natural_time=units.time,
-            duration=problem.schedule.duration,
-        )
 
 
 def median_run(found: SweepResults, setting: str, starts: Iterable[int]) -> TimedRun | None:

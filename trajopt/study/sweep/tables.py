@@ -14,11 +14,14 @@ from typing import Any
 from rich.table import Table
 
 from trajopt.errors import InputError
+from trajopt.problem import Problem
+from trajopt.robot.units import Units
 from trajopt.study.sweep.figures import COLUMNS
+from trajopt.study.sweep.likeness import motion_kind
 from trajopt.study.sweep.records import SweepResults
 from trajopt.study.sweep.result import TimedRun
 from trajopt.study.sweep.setting import Setting
-from trajopt.study.sweep.summary import Scale, Summary
+from trajopt.study.sweep.summary import Summary
 
 RUNS, SETTINGS, FRONT = "runs.csv", "settings.csv", "front.csv"
 RUN_FIGURES = tuple(entry.name for entry in fields(TimedRun) if entry.name != "setting")
@@ -40,27 +43,32 @@ def run_rows(problem: str, settings: Sequence[Setting], found: SweepResults) -> 
     return rows
 
 
-def setting_rows(problem: str, summaries: Sequence[Summary], scale: Scale) -> list[Row]:
-    """A row a setting; docs/front.md says what each column is."""
+def setting_rows(name: str, problem: Problem, summaries: Sequence[Summary]) -> list[Row]:
+    """A row a setting of the problem of that name; docs/front.md says what each column is."""
+    robot, units = problem.robot, Units(problem.robot)
     default = next((row.time for row in summaries if row.is_default), math.nan)
-    return [_setting_row(problem, summary, scale, default) for summary in summaries]
+    head = {
+        "problem": name,
+        "robot": robot.name,
+        "kind": motion_kind(problem),
+        "n_velocities": robot.nv,
+    }
+    return [
+        {**head, **_setting_row(summary, units, problem.schedule.duration, default)} for summary in summaries
+    ]
 
 
-def _setting_row(problem: str, row: Summary, scale: Scale, default: float) -> Row:
+def _setting_row(row: Summary, units: Units, duration: float, default: float) -> Row:
     setting, own = row.setting, next((run for run in row.runs if run.start == 0), None)
     times = [run.time for run in row.solved]
     return {
-        "problem": problem,
-        "robot": scale.robot,
-        "kind": scale.kind,
-        "n_velocities": scale.n_velocities,
         "label": row.label,
         **setting.to_dict(),
         "is_default": row.is_default,
         "points": setting.points,
-        "intervals_per_natural_time": setting.intervals * scale.natural_time / scale.duration,
-        "natural_time_s": scale.natural_time,
-        "length_m": scale.length,
+        "intervals_per_natural_time": setting.intervals * units.time / duration,
+        "natural_time_s": units.time,
+        "length_m": units.length,
         "variables": row.median_of("variables"),
         "constraints": row.median_of("constraints"),
         "runs": len(row.runs),
@@ -81,7 +89,7 @@ def _setting_row(problem: str, row: Summary, scale: Scale, default: float) -> Ro
         "objective": None if row.median is None else row.median.objective,
         **{column: row.accuracy.get(column) for column in COLUMNS.values()},
         "error_m": row.error,
-        "relative_error": row.error / scale.length,
+        "relative_error": row.error / units.length,
         "on_front": row.on_front,
         "dominated_by": row.dominated_by,
         "failure": row.failure,
@@ -89,20 +97,17 @@ def _setting_row(problem: str, row: Summary, scale: Scale, default: float) -> Ro
 
 
 def write_tables(
-    folder: Path, problem: str, found: SweepResults, summaries: Sequence[Summary], scale: Scale
+    folder: Path, name: str, problem: Problem, found: SweepResults, summaries: Sequence[Summary]
 ) -> list[Row]:
     """Write ``runs.csv``, ``settings.csv`` and ``front.csv``; the rows of the second.
 
     Raises InputError where that cannot be.
     """
-    rows = setting_rows(problem, summaries, scale)
-    write(folder / RUNS, run_rows(problem, [summary.setting for summary in summaries], found))
+    rows = setting_rows(name, problem, summaries)
+    best = sorted((row for row in rows if row["on_front"]), key=lambda row: row["time_s"])
+    write(folder / RUNS, run_rows(name, [summary.setting for summary in summaries], found))
     write(folder / SETTINGS, rows)
-    write(
-        folder / FRONT,
-        sorted((row for row in rows if row["on_front"]), key=lambda row: row["time_s"]),
-        list(rows[0]),
-    )
+    write(folder / FRONT, best, list(rows[0]))
     return rows
 
 

@@ -16,7 +16,6 @@ from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
-from types import TracebackType
 from typing import IO, Any, TypeVar
 
 from trajopt.solving.interruption import LOOK
@@ -32,7 +31,7 @@ ENVIRONMENT = {
     "PYTHONSAFEPATH": "1",
     "PYTHONWARNINGS": "ignore",
 }
-# Seconds after which a server that ends whenever it is asked for a process is not started again.
+# Seconds that a process may take to end, and a server that ends to be replaced.
 PATIENCE = 5.0
 # `multiprocessing` keeps its children in a set and reads their status once: one thread at a time.
 _processes = threading.Lock()
@@ -84,9 +83,7 @@ class ProcessPerTaskExecutor(Executor):
                     _kill(process)
         self._threads.shutdown(wait, cancel_futures=cancel_futures)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         self.shutdown(cancel_futures=kind is not None)
 
     def _run(self, task: bytes) -> Any:
@@ -161,7 +158,8 @@ def _fork(process: ForkServerProcess) -> None:
         with _environment(ENVIRONMENT):
             forkserver.ensure_running()
         try:
-            return process.start()
+            process.start()
+            return
         except (EOFError, ConnectionError) as error:  # the server has just ended
             if time.monotonic() > deadline:
                 raise LostTaskError(f"crash: no process can be started: {error}") from None
@@ -184,14 +182,15 @@ def _environment(values: Mapping[str, str]) -> Iterator[None]:
 def _kill(process: ForkServerProcess) -> None:
     """End a process, and its group where it has one yet."""
     process.kill()
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(process.pid or 0, signal.SIGKILL)
+    if process.pid is not None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
 
 
 def _lost(process: ForkServerProcess, limit: str, said: IO[bytes]) -> LostTaskError:
     """How a process ended that told no end."""
     with _processes:
-        process.join()
+        process.join(PATIENCE)
     code = process.exitcode or 0
     if code == -signal.SIGALRM:
         return TaskTimeoutError(limit)

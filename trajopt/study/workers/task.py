@@ -70,6 +70,8 @@ def serve(answers: Connection, said: str, core: int | None, task: bytes) -> None
     """
     global _answers
     os.setsid()  # a group of its own, so that the compilers it starts end with it
+    for number in (signal.SIGALRM, signal.SIGIO):  # whoever ignores them: here they end the process
+        signal.signal(number, signal.SIG_DFL)
     _end_with_parent()
     output = os.open(said, os.O_WRONLY | os.O_APPEND)
     os.dup2(output, 1)
