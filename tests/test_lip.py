@@ -15,7 +15,7 @@ from trajopt.errors import InputError
 from trajopt.reduced.com_planning import analytic_motion, distance_outside
 from trajopt.reduced.com_program import CenterOfMassProgram
 from trajopt.reduced.foot_motion import FootMotion, FootSwing, guess_from_lip
-from trajopt.reduced.footsteps import Foothold, FootstepPlan, SupportPhase, Walk, feet_of, support_vertices
+from trajopt.reduced.footsteps import Foothold, FootstepPlan, StepPhase, Walk, feet_of, support_vertices
 from trajopt.reduced.lip import Pendulum, PendulumMotion, dcm_at_steps
 from trajopt.robot.contact import Contact
 from trajopt.robot.data import robot_file
@@ -229,10 +229,10 @@ def test_point_feet_walk_on_segments_and_points_without_double_support_too() -> 
     moved = feet | {"FL": Foothold(position=feet["FL"].position + aside)}
     plan = FootstepPlan(
         (
-            SupportPhase(name="both", duration=0.3, feet=feet),
-            SupportPhase(name="right", duration=0.2, feet={"FR": feet["FR"]}),
-            SupportPhase(name="left", duration=0.2, feet={"FL": moved["FL"]}),
-            SupportPhase(name="end", duration=0.5, feet=moved),
+            StepPhase(name="both", duration=0.3, feet=feet),
+            StepPhase(name="right", duration=0.2, feet={"FR": feet["FR"]}),
+            StepPhase(name="left", duration=0.2, feet={"FL": moved["FL"]}),
+            StepPhase(name="end", duration=0.5, feet=moved),
         )
     )
     program = CenterOfMassProgram(
@@ -317,8 +317,8 @@ def test_guess_puts_feet_on_their_path_and_the_com_on_its_motion() -> None:
             assert foot.yaw == pytest.approx(feet.foothold(name, t).yaw, abs=1e-8)
 
 
-def flight() -> SupportPhase:
-    return SupportPhase(name="flight", duration=0.1)
+def flight() -> StepPhase:
+    return StepPhase(name="flight", duration=0.1)
 
 
 BAD = {
@@ -331,8 +331,8 @@ BAD = {
     "no contact": lambda: Walk(first="tail").plan(talos_legs()),
     "without being lifted": lambda: FootstepPlan(
         (
-            SupportPhase(name="a", duration=1.0, feet={"left": Foothold(position=np.zeros(3))}),
-            SupportPhase(name="b", duration=1.0, feet={"left": Foothold(position=np.ones(3))}),
+            StepPhase(name="a", duration=1.0, feet={"left": Foothold(position=np.zeros(3))}),
+            StepPhase(name="b", duration=1.0, feet={"left": Foothold(position=np.ones(3))}),
         )
     ),
     "no foot": lambda: support_vertices(talos_legs(), flight()),

@@ -15,7 +15,7 @@ import pytest
 from trajopt.problem.catalogue import families
 from trajopt.study.suite import data
 from trajopt.study.suite.cases import Case, all_cases
-from trajopt.study.suite.run import measure
+from trajopt.study.suite.run import measure_case
 from trajopt.study.suite.settings import SuiteSettings
 
 DATA = Path(__file__).parent / "data" / "suite.csv"
@@ -61,7 +61,7 @@ def test_representatives_hold_every_problem_and_every_robot():
 @pytest.mark.slow
 @pytest.mark.parametrize("case", representatives(CASES), ids=lambda case: case.name)
 def test_pair_is_solved_and_checked_within_its_bands(case: Case) -> None:
-    outcome = measure(case, SETTINGS)
+    outcome = measure_case(case, SETTINGS)
     entries, _ = data.read(DATA)
     assert data.deviation(outcome, SETTINGS, entries.get(case.name)) == ""
 
@@ -74,5 +74,5 @@ def test_every_pair_has_its_bands() -> None:
 def test_data_are_as_they_are_written(tmp_path: Path) -> None:
     """Sorted and padded, so that a change of one band is a change of one line."""
     entries, versions = data.read(DATA)
-    data.write(tmp_path / "suite.csv", entries, versions)
+    data.write_bands(tmp_path / "suite.csv", entries, versions)
     assert (tmp_path / "suite.csv").read_text() == DATA.read_text()

@@ -19,9 +19,9 @@ from trajopt.study.suite.cases import Case
 from trajopt.study.suite.outcome import Ledger, Outcome
 from trajopt.study.suite.physics import FELL, OFF, TRACKED, WORDS, Physics
 from trajopt.study.suite.records import SuiteRecords
-from trajopt.study.suite.run import SIMULATED, run
+from trajopt.study.suite.run import SIMULATED, run_stages
 from trajopt.study.suite.settings import SuiteSettings
-from trajopt.study.suite.table import line, summary, table
+from trajopt.study.suite.table import line, outcome_table, summary
 from trajopt.study.suite.versions import versions
 
 pytest.importorskip("mujoco")
@@ -36,7 +36,7 @@ ROBOTS = ("solo12", "go2", "anymal_c")
 
 def gated(problem: str, robot: str, folder: Path) -> Outcome:
     ledger = Ledger(Case(problem=problem, robot=robot, takes_robot=True))
-    run(ledger.case, SETTINGS, ledger.add, folder=folder)
+    run_stages(ledger.case, SETTINGS, ledger.add, folder=folder)
     return ledger.outcome(0.0)
 
 
@@ -57,13 +57,13 @@ def test_physics_tracks_jumps_and_trots_without_a_fall(problem: str, robot: str,
 
 def test_a_fixed_base_has_no_physics(tmp_path: Path):
     ledger = Ledger(Case(problem="double-pendulum", robot="double_pendulum", takes_robot=False))
-    run(ledger.case, SETTINGS, ledger.add)
+    run_stages(ledger.case, SETTINGS, ledger.add)
     assert ledger.outcome(0.0).physics == Physics()
 
 
 def test_nothing_is_simulated_that_was_not_asked_for():
     ledger = Ledger(Case(problem="double-pendulum", robot="double_pendulum", takes_robot=False))
-    run(ledger.case, replace(SETTINGS, simulate=False), ledger.add)
+    run_stages(ledger.case, replace(SETTINGS, simulate=False), ledger.add)
     assert ledger.outcome(0.0).physics is None
 
 
@@ -90,7 +90,7 @@ def test_bands_say_nothing_of_physics_that_was_not_asked_for():
 
 def test_data_with_physics_survive_a_file_and_an_update_without_it(tmp_path: Path):
     entries = data.updated({}, [found(OFF)], SETTINGS, ["jump@dog"])
-    data.write(tmp_path / "bands.csv", entries, {"casadi": "3"})
+    data.write_bands(tmp_path / "bands.csv", entries, {"casadi": "3"})
     known, _ = data.read(tmp_path / "bands.csv")
     assert known == entries
     kept = data.updated(known, [outcome_of()], SETTINGS, ["jump@dog"])
@@ -99,14 +99,14 @@ def test_data_with_physics_survive_a_file_and_an_update_without_it(tmp_path: Pat
 
 
 def test_data_from_before_physics_are_read_as_unknown(tmp_path: Path):
-    data.write(tmp_path / "bands.csv", {"jump@dog": data.entry_of(found(), SETTINGS)}, {})
+    data.write_bands(tmp_path / "bands.csv", {"jump@dog": data.entry_of(found(), SETTINGS)}, {})
     text = (tmp_path / "bands.csv").read_text().splitlines()
     (tmp_path / "old.csv").write_text("\n".join(row.rpartition(",")[0] for row in text) + "\n")
     assert data.read(tmp_path / "old.csv")[0]["jump@dog"].physics == ""
 
 
 def test_data_with_an_unknown_word_are_refused(tmp_path: Path):
-    data.write(tmp_path / "bands.csv", {"jump@dog": data.entry_of(found("swam"), SETTINGS)}, {})
+    data.write_bands(tmp_path / "bands.csv", {"jump@dog": data.entry_of(found("swam"), SETTINGS)}, {})
     with pytest.raises(InputError, match="line 1"):
         data.read(tmp_path / "bands.csv")
 
@@ -126,9 +126,9 @@ def test_line_table_and_summary_tell_of_physics():
     outcomes = [found(), found(FELL, detail="it fell at 0.500 s"), found("", detail="cannot be simulated")]
     assert summary(outcomes)["physics"] == {TRACKED: 1, OFF: 0, FELL: 1}
     assert summary([outcome_of()])["physics"] is None
-    titles = [str(column.header) for column in table(outcomes, 200).columns]
+    titles = [str(column.header) for column in outcome_table(outcomes, 200).columns]
     assert titles[-10:-6] == ["physics", "base end", "most", "slips"]
-    assert "physics" not in [str(column.header) for column in table([outcome_of()], 200).columns]
+    assert "physics" not in [str(column.header) for column in outcome_table([outcome_of()], 200).columns]
 
 
 @pytest.mark.parametrize("word", WORDS)
@@ -144,7 +144,7 @@ def test_a_fall_fails_a_suite_unless_the_data_know_of_it(
     arguments += ["--compile", "none", "--output-dir", str(tmp_path), "--resume"]
     if before is not None:
         entry = replace(data.entry_of(outcome, SETTINGS), physics=before)
-        data.write(tmp_path / "bands.csv", {entry.name: entry}, {})
+        data.write_bands(tmp_path / "bands.csv", {entry.name: entry}, {})
         arguments += ["--compare", str(tmp_path / "bands.csv")]
     with pytest.raises(SystemExit) as ended:
         main(arguments)

@@ -20,7 +20,7 @@ from trajopt.study.suite.cases import Case, all_cases, select
 from trajopt.study.suite.outcome import Outcome
 from trajopt.study.suite.pool import LIMITS, run_all
 from trajopt.study.suite.records import SuiteRecords
-from trajopt.study.suite.run import measure
+from trajopt.study.suite.run import measure_case
 from trajopt.study.suite.settings import SuiteSettings
 from trajopt.study.workers.display import TaskDisplay
 
@@ -147,7 +147,7 @@ def test_every_status_has_a_mode(status: Status):
     ],
 )
 def test_a_failed_solve_has_its_mode(problem: str, changes: dict[str, Any], mode: str, detail: str):
-    outcome = measure(case(problem), replace(VIRTUAL_MACHINE, **changes))
+    outcome = measure_case(case(problem), replace(VIRTUAL_MACHINE, **changes))
     assert outcome.mode == mode
     assert outcome.detail.startswith(detail)
     assert outcome.ok == (mode == "")
@@ -163,7 +163,7 @@ def test_the_primal_figure_is_the_largest_violation_of_a_row(solver: str):
 
 def test_a_problem_that_cannot_be_built_is_an_error_here():
     with pytest.raises(InputError, match="moon"):
-        measure(case("t-refused"), VIRTUAL_MACHINE)
+        measure_case(case("t-refused"), VIRTUAL_MACHINE)
 
 
 # Processes

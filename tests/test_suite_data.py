@@ -116,7 +116,7 @@ def test_bands_hold_the_solve_and_the_middle_of_its_starts():
 def test_bands_survive_their_file(tmp_path: Path):
     outcomes = [outcome_of(), outcome_of(robot="a-long-name"), outcome_of(problem="a")]
     entries = data.updated({}, outcomes, VIRTUAL_MACHINE, [outcome.name for outcome in outcomes])
-    data.write(tmp_path / "bands.csv", entries, versions())
+    data.write_bands(tmp_path / "bands.csv", entries, versions())
     found, head = data.read(tmp_path / "bands.csv")
     assert found == entries
     assert list(found) == sorted(found)

@@ -30,7 +30,7 @@ from trajopt.study.sweep.engine import Sweep
 from trajopt.study.sweep.plan import make_plan
 from trajopt.study.sweep.records import SweepRecords, SweepRequest
 from trajopt.study.sweep.result import LOST, REFUSED, Job
-from trajopt.study.sweep.run import objective_of, run, with_torques
+from trajopt.study.sweep.run import objective_of, with_torques
 from trajopt.study.sweep.setting import Setting
 from trajopt.study.workers.display import TaskDisplay
 
@@ -78,7 +78,9 @@ QUICK = ("--compile", "none", "--repeats", 1)
 def test_a_run_is_what_the_library_solves(tmp_path: Path):
     setting = Setting(transcription="legendre:2", intervals=6, compile="none")
     for start in (0, 3):
-        found = run(weighed(), setting, Job(setting=setting.name, start=start), REQUEST, tmp_path / "run.npz")
+        found = run_setting(
+            weighed(), setting, Job(setting=setting.name, start=start), REQUEST, tmp_path / "run.npz"
+        )
         noise = {"seed": start, "perturb": REQUEST.sigma} if start else {}
         known = solve(weighed(), intervals=6, compile="none", **noise)
         assert (found.iterations, found.variables) == (known.meta["iterations"], known.meta["variables"])
@@ -90,7 +92,7 @@ def test_a_run_is_what_the_library_solves(tmp_path: Path):
 
 def test_a_warm_start_costs_what_made_it(tmp_path: Path):
     setting = Setting(transcription="legendre:2", intervals=8, compile="none", start="warm")
-    found = run(weighed(), setting, Job(setting=setting.name, start=0), REQUEST, tmp_path / "run.npz")
+    found = run_setting(weighed(), setting, Job(setting=setting.name, start=0), REQUEST, tmp_path / "run.npz")
     coarse = solve(weighed(), intervals=4, compile="none")
     fine = solve(weighed(), intervals=8, compile="none", start=coarse)
     assert found.iterations == coarse.meta["iterations"] + fine.meta["iterations"]
@@ -102,7 +104,7 @@ def test_a_warm_start_costs_what_made_it(tmp_path: Path):
 def test_two_stages_are_judged_by_the_whole_problem(tmp_path: Path):
     """Objective of the full problem, computed by another way: torques as unknowns of no NLP."""
     setting = Setting(transcription="legendre:2", intervals=8, compile="none", model="two-stage")
-    found = run(hop(), setting, Job(setting=setting.name, start=0), REQUEST, tmp_path / "run.npz")
+    found = run_setting(hop(), setting, Job(setting=setting.name, start=0), REQUEST, tmp_path / "run.npz")
     assert found.success
     assert found.stage_two_time > 0
     full = solve(hop(), intervals=8, compile="none")
@@ -116,7 +118,7 @@ def test_two_stages_are_judged_by_the_whole_problem(tmp_path: Path):
 def test_a_setting_that_does_not_fit_is_refused(tmp_path: Path):
     setting = Setting(transcription="legendre:2", intervals=8, solver="fatrop", hessian="limited-memory")
     with pytest.raises(InputError):
-        run(weighed(), setting, Job(setting=setting.name, start=0), REQUEST, tmp_path / "run.npz")
+        run_setting(weighed(), setting, Job(setting=setting.name, start=0), REQUEST, tmp_path / "run.npz")
 
 
 # Processes

@@ -136,7 +136,7 @@ def suite(
         return CANCELLED
     if target is not None:
         names = [case.name for case in all_cases(known)]
-        data.write(target, data.updated(old, outcomes, settings, names), versions())
+        data.write_bands(target, data.updated(old, outcomes, settings, names), versions())
     words = [outcome.physics.word for outcome in outcomes if outcome.physics is not None]
     fallen = bands is None and FELL in words
     return NOT_REACHED if outside or fallen or not all(outcome.ok for outcome in outcomes) else 0
@@ -196,11 +196,11 @@ def _print_cases(cases: Sequence[Case], as_json: bool) -> None:
 
 
 def _print(outcomes: Sequence[Outcome], outside: dict[str, str] | None) -> None:
-    from trajopt.study.suite.table import summary_lines, table
+    from trajopt.study.suite.table import outcome_table, summary_lines
 
     shown = console(PIPE_WIDTH)
     if outcomes:
-        shown.print(table(outcomes, shown.width))
+        shown.print(outcome_table(outcomes, shown.width))
     for text in summary_lines(outcomes):
         shown.print(text, soft_wrap=True)
     for name, text in (outside or {}).items():

@@ -176,7 +176,7 @@ def _found(plan: SweepPlan, records: SweepRecords, settings: Sequence[dict[str, 
 def _print(plan: SweepPlan, records: SweepRecords, rows: Sequence[Summary]) -> None:
     """The table, and what to know beside it."""
     from trajopt.study.sweep.summary import disturbance
-    from trajopt.study.sweep.tables import table
+    from trajopt.study.sweep.tables import summary_table
 
     reference, quiet = records.found.reference, disturbance(records.found)
     notes = [f"left out: {text}" for text in plan.left_out]
@@ -190,7 +190,7 @@ def _print(plan: SweepPlan, records: SweepRecords, rows: Sequence[Summary]) -> N
             f"{quiet['disturbed']} of {quiet['runs']} runs were disturbed"
         )
     shown = console(PIPE_WIDTH)
-    shown.print(table(rows))
+    shown.print(summary_table(rows))
     for text in (*notes, f"tables and plot in {records.folder}"):
         shown.print(text, soft_wrap=True)
 

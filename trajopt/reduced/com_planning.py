@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.reduced.footsteps import FootstepPlan, SupportPhase, support_vertices
+from trajopt.reduced.footsteps import FootstepPlan, StepPhase, support_vertices
 from trajopt.reduced.lip import Pendulum, PendulumMotion, first_zmp_for
 from trajopt.robot.robot import Robot
 
@@ -104,7 +104,7 @@ def analytic_motion(
     )
 
 
-def _shared_middle(robot: Robot, support: SupportPhase, other: SupportPhase) -> np.ndarray | None:
+def _shared_middle(robot: Robot, support: StepPhase, other: StepPhase) -> np.ndarray | None:
     """Middle (2,) of the feet that both supports have, or None without any."""
     feet = {name: foot for name, foot in support.feet.items() if name in other.feet}
     return support_vertices(robot, replace(support, feet=feet)).mean(axis=0) if feet else None
@@ -121,7 +121,7 @@ def distance_outside(point: np.ndarray, vertices: np.ndarray) -> float:
     return float(nnls(centred, np.array([0.0, 0.0, 1.0]))[1])
 
 
-def _require_inside(point: np.ndarray, vertices: np.ndarray, support: SupportPhase) -> None:
+def _require_inside(point: np.ndarray, vertices: np.ndarray, support: StepPhase) -> None:
     if distance_outside(point, vertices) > INSIDE:
         raise InputError(
             f"from rest the ZMP would begin outside support '{support.name}', at {np.round(point, 3)} m",

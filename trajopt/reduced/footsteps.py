@@ -32,7 +32,7 @@ class Foothold:
 
 
 @dataclass(frozen=True)
-class SupportPhase:
+class StepPhase:
     """A stretch of time, s, with a constant set of feet on the ground by contact name; none in flight."""
 
     name: str
@@ -49,7 +49,7 @@ class SupportPhase:
 class FootstepPlan:
     """Supports in time order; a foot that is in two consecutive ones stays where it is."""
 
-    supports: tuple[SupportPhase, ...]
+    supports: tuple[StepPhase, ...]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "supports", tuple(self.supports))
@@ -96,7 +96,7 @@ def landing_place(phase: Phase, name: str, terrain: Terrain, point: np.ndarray) 
     return np.asarray(point - float(surface.distance(point)) * surface.normal)
 
 
-def support_vertices(robot: Robot, support: SupportPhase, shrink: float = 0.0) -> np.ndarray:
+def support_vertices(robot: Robot, support: StepPhase, shrink: float = 0.0) -> np.ndarray:
     """Points (n, 2) in m whose convex hull is the support polygon: contact points, corners of soles.
 
     ``shrink`` in [0, 1) is the part of a sole's half sizes kept as a margin. Raises InputError in flight.
@@ -174,18 +174,18 @@ class Walk:
                 f"robot '{robot.name}' has {len(start)} contacts", "allowed: a biped, 2 contacts"
             )
         swing = robot.contacts[0].name if self.first is None else robot.contact(self.first).name
-        supports, feet = [SupportPhase(name="shift", duration=self.shift_time, feet=start)], start
+        supports, feet = [StepPhase(name="shift", duration=self.shift_time, feet=start)], start
         path = _Path(start, self.width)
         for step in range(1, self.steps + 1):
             stance = next(name for name in feet if name != swing)
             held = {stance: feet[stance]}
-            supports.append(SupportPhase(name=f"step_{step}", duration=self.step_time, feet=held))
+            supports.append(StepPhase(name=f"step_{step}", duration=self.step_time, feet=held))
             if step < self.steps:
                 path.advance(self.length, self.turn)
             feet = {name: path.foothold(name) if name == swing else feet[name] for name in start}
             last = step == self.steps
             name, duration = ("settle", self.settle_time) if last else (f"double_{step}", self.double_support)
-            supports.append(SupportPhase(name=name, duration=duration, feet=feet))
+            supports.append(StepPhase(name=name, duration=duration, feet=feet))
             swing = stance
         return FootstepPlan(tuple(supports))
 

@@ -24,7 +24,7 @@ from trajopt.dynamics.rotations import rotation_matrix
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.reduced.foot_motion import require_free_flyer
-from trajopt.reduced.footsteps import Foothold, FootstepPlan, SupportPhase, feet_of, landing_place
+from trajopt.reduced.footsteps import Foothold, FootstepPlan, StepPhase, feet_of, landing_place
 from trajopt.robot.kinematics import frame_pose, inverse_kinematics
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
@@ -134,7 +134,7 @@ def footholds_of(problem: Problem) -> FootstepPlan:
             place = landing_place(phase, name, problem.terrain, guessed[name].position)
             current[name] = replace(guessed[name], position=place)
         feet = {name: current[name] for name in phase.contacts}
-        supports.append(SupportPhase(name=phase.name, duration=phase.duration, feet=feet))
+        supports.append(StepPhase(name=phase.name, duration=phase.duration, feet=feet))
         t += phase.duration
     return FootstepPlan(tuple(supports))
 

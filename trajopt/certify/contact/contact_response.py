@@ -28,7 +28,7 @@ WELL_CONDITIONED = 1e-8
 
 
 @dataclass(frozen=True, kw_only=True)
-class RowDependency:
+class DependentContactRow:
     """Rows that depend on each other, the ``contacts`` they belong to, and how many are too many."""
 
     rows: tuple[str, ...]
@@ -49,7 +49,7 @@ class ContactRank:
     jacobian: int
     delassus: int
     condition: float
-    dependencies: tuple[RowDependency, ...]
+    dependencies: tuple[DependentContactRow, ...]
 
     @property
     def redundant(self) -> bool:
@@ -138,7 +138,7 @@ def contact_rank(contacts: ContactSet, jacobian: np.ndarray, found: ContactRespo
     )
 
 
-def _dependencies(contacts: ContactSet, projector: np.ndarray) -> tuple[RowDependency, ...]:
+def _dependencies(contacts: ContactSet, projector: np.ndarray) -> tuple[DependentContactRow, ...]:
     """Blocks of the projector (n_rows, n_rows) onto internal wrenches."""
     coupled = np.abs(projector) > COUPLED
     owner = np.repeat(np.array(contacts.names, dtype=str), contacts.dimensions).tolist()
@@ -152,7 +152,7 @@ def _dependencies(contacts: ContactSet, projector: np.ndarray) -> tuple[RowDepen
         rows = sorted(group)
         remaining -= group
         found.append(
-            RowDependency(
+            DependentContactRow(
                 rows=tuple(contacts.row_names[row] for row in rows),
                 contacts=tuple(dict.fromkeys(owner[row] for row in rows)),
                 excess=round(float(projector[rows, rows].sum())),

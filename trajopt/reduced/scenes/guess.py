@@ -12,7 +12,7 @@ import pinocchio as pin
 from trajopt.dynamics.base_joint import BASE_POSITION
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.reduced.foot_motion import FootMotion
-from trajopt.reduced.footsteps import Foothold, FootstepPlan, SupportPhase, landing_place
+from trajopt.reduced.footsteps import Foothold, FootstepPlan, StepPhase, landing_place
 from trajopt.robot.kinematics import contact_poses, contact_positions, inverse_kinematics
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Schedule
@@ -92,7 +92,7 @@ class SceneGuess:
         self.robot, self.schedule, self.start, self.end = robot, schedule, start, end
         first, *places = _places(robot, schedule, ground, start, end)
         supports = tuple(
-            SupportPhase(phase.name, phase.duration, {name: Foothold(place[name]) for name in phase.contacts})
+            StepPhase(phase.name, phase.duration, {name: Foothold(place[name]) for name in phase.contacts})
             for phase, place in zip(schedule.phases, places, strict=True)
         )
         self.feet = FootMotion(

@@ -17,7 +17,7 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.units import Units
 from trajopt.solving.refine import unknowns_on_mesh
 from trajopt.study.sweep.calibration import Load
-from trajopt.study.sweep.front import Filter, Front, Measured, load_front, packaged_fronts
+from trajopt.study.sweep.front import Front, Measured, SettingFilter, load_front, packaged_fronts
 from trajopt.study.sweep.likeness import motion_kind
 from trajopt.study.sweep.setting import Setting
 from trajopt.transcription.mesh import Mesh
@@ -77,7 +77,7 @@ def front_for(problem: Problem, front: str | Path | None = None) -> tuple[str, F
 
 
 def choose_for_accuracy(
-    problem: Problem, accuracy: float, *, front: str | Path | None = None, where: Filter | None = None
+    problem: Problem, accuracy: float, *, front: str | Path | None = None, where: SettingFilter | None = None
 ) -> ChosenSetting:
     """The fastest setting whose error is predicted to be at most ``accuracy`` m, or the most accurate one.
 
@@ -91,7 +91,7 @@ def choose_for_accuracy(
 
 
 def choices_by_time(
-    problem: Problem, *, front: str | Path | None = None, where: Filter | None = None
+    problem: Problem, *, front: str | Path | None = None, where: SettingFilter | None = None
 ) -> tuple[ChosenSetting, ...]:
     """The front's settings with what they are predicted to take, fastest first."""
     name, known = front_for(problem, front)
@@ -107,7 +107,7 @@ def machine_speed(front: Front) -> float:
     return min(load.seconds(LOADS) for _ in range(TRIES)) / front.calibration
 
 
-def _allowed(problem: Problem, front: Front, where: Filter | None) -> Filter:
+def _allowed(problem: Problem, front: Front, where: SettingFilter | None) -> SettingFilter:
     """Settings that the problem can take: its own terms, the whole model, a cold start.
 
     How functions are compiled is the caller's to say, at every solve alike.
@@ -123,7 +123,7 @@ def _allowed(problem: Problem, front: Front, where: Filter | None) -> Filter:
     return allowed
 
 
-def _points(front: Front, allowed: Filter) -> tuple[Measured, ...]:
+def _points(front: Front, allowed: SettingFilter) -> tuple[Measured, ...]:
     """The front among the settings that are allowed, fastest first; the default at least."""
     return front.best(allowed, LEAST_SUCCESS) or (front.default,)
 

@@ -17,7 +17,7 @@ from trajopt.solving.refine import Round, phase_errors, refine
 from trajopt.solving.solving import solve
 from trajopt.solving.verdicts import is_usable_start
 from trajopt.study.choosing.choice import ChosenSetting, choices_by_time, choose_for_accuracy
-from trajopt.study.sweep.front import Filter
+from trajopt.study.sweep.front import SettingFilter
 
 # What is predicted for a setting may be this part of what is left: predictions err.
 MOST_SHARE = 0.8
@@ -78,7 +78,7 @@ def solve_to_accuracy(
     accuracy: float,
     *,
     front: str | Path | None = None,
-    where: Filter | None = None,
+    where: SettingFilter | None = None,
     start: Solution | str | Path | None = None,
     **settings: Any,
 ) -> Aimed:
@@ -110,7 +110,7 @@ def solve_within(
     budget: float,
     *,
     front: str | Path | None = None,
-    where: Filter | None = None,
+    where: SettingFilter | None = None,
     start: Solution | str | Path | None = None,
     **settings: Any,
 ) -> Aimed:

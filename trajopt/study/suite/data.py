@@ -186,7 +186,7 @@ def _entry(path: Path, number: int, row: Mapping[str, str]) -> PairBands:
     return PairBands(**values)
 
 
-def write(path: Path, entries: Mapping[str, PairBands], versions: Mapping[str, str]) -> None:
+def write_bands(path: Path, entries: Mapping[str, PairBands], versions: Mapping[str, str]) -> None:
     """Write the table. Raises InputError where that cannot be."""
     titles = [field.name for field in fields(PairBands)]
     rows = [titles] + [

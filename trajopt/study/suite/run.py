@@ -68,10 +68,10 @@ def run_case(
             tell((case.name, {"event": "iteration", "iteration": int(figures["iteration"])}))
         return True
 
-    run(case, settings, hear, own=own, seeds=seeds, progress=progress, folder=folder)
+    run_stages(case, settings, hear, own=own, seeds=seeds, progress=progress, folder=folder)
 
 
-def run(
+def run_stages(
     case: Case,
     settings: SuiteSettings,
     hear: Callable[[Event], None],
@@ -114,10 +114,10 @@ def run(
         hear({"event": "start", "values": asdict(attempt(solution, seed))})
 
 
-def measure(case: Case, settings: SuiteSettings) -> Outcome:
+def measure_case(case: Case, settings: SuiteSettings) -> Outcome:
     """Run one pair here, in this process. Raises TrajoptError where the pair cannot be built."""
     ledger, begin = Ledger(case), time.perf_counter()
-    run(case, settings, ledger.add)
+    run_stages(case, settings, ledger.add)
     return ledger.outcome(time.perf_counter() - begin)
 
 

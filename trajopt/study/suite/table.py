@@ -34,7 +34,7 @@ def line(outcome: Outcome) -> str:
     return f"{outcome.name}: {'; '.join(parts)}"
 
 
-def table(outcomes: Sequence[Outcome], width: int) -> Table:
+def outcome_table(outcomes: Sequence[Outcome], width: int) -> Table:
     """The pairs, sorted, in ``width`` columns: without room the worst figure of the check has no name.
 
     ``check`` is the part of its tolerance that this figure uses. Columns on perturbed starts (median, 90 %

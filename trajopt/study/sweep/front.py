@@ -21,7 +21,7 @@ from trajopt.study.sweep.setting import Setting
 FOLDER = Path(__file__).parent / "fronts"
 SUFFIX = ".csv"
 
-Filter = Callable[[Setting], bool]
+SettingFilter = Callable[[Setting], bool]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,7 @@ class Front:
         """Median time of the unchanging load over all settings, s: how fast the machine was."""
         return statistics.median(point.calibration for point in self.points)
 
-    def best(self, where: Filter | None = None, least_success: float = 0.0) -> tuple[Measured, ...]:
+    def best(self, where: SettingFilter | None = None, least_success: float = 0.0) -> tuple[Measured, ...]:
         """The settings that no other dominates, fastest first, among those that ``where`` accepts.
 
         least_success: part of the runs that must have been solved.
@@ -85,13 +85,13 @@ class Front:
         return tuple(chosen[i] for i in front([point.objectives for point in chosen], GAIN))
 
     def for_accuracy(
-        self, relative_error: float, where: Filter | None = None, least_success: float = 0.0
+        self, relative_error: float, where: SettingFilter | None = None, least_success: float = 0.0
     ) -> Measured | None:
         """The fastest setting with at most that error over the robot's length; None where there is none."""
         best = self.best(where, least_success)
         return next((point for point in best if point.relative_error <= relative_error), None)
 
-    def for_budget(self, relative_time: float, where: Filter | None = None) -> Measured | None:
+    def for_budget(self, relative_time: float, where: SettingFilter | None = None) -> Measured | None:
         """The most accurate setting with at most that time over the default's; None where there is none."""
         fitting = [point for point in self.best(where) if point.relative_time <= relative_time]
         return fitting[-1] if fitting else None

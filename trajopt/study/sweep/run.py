@@ -54,10 +54,10 @@ class _Made:
 
 def run_job(request: SweepRequest, setting: Setting, job: Job, file: Path) -> TimedRun:
     """One run as a task, see `run`."""
-    return run(request.load(), setting, job, request, file)
+    return run_setting(request.load(), setting, job, request, file)
 
 
-def run(problem: Problem, setting: Setting, job: Job, request: SweepRequest, file: Path) -> TimedRun:
+def run_setting(problem: Problem, setting: Setting, job: Job, request: SweepRequest, file: Path) -> TimedRun:
     """Solve, timed between two calibrations, and write the solution where there is one.
 
     request: noise of perturbed starts, limits of a solve.

@@ -105,13 +105,13 @@ def write_tables(
     """
     rows = setting_rows(name, problem, summaries)
     best = sorted((row for row in rows if row["on_front"]), key=lambda row: row["time_s"])
-    write(folder / RUNS, run_rows(name, [summary.setting for summary in summaries], found))
-    write(folder / SETTINGS, rows)
-    write(folder / FRONT, best, list(rows[0]))
+    write_csv(folder / RUNS, run_rows(name, [summary.setting for summary in summaries], found))
+    write_csv(folder / SETTINGS, rows)
+    write_csv(folder / FRONT, best, list(rows[0]))
     return rows
 
 
-def write(path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None) -> None:
+def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None) -> None:
     """Write a table at once or not at all; truth as 1 and 0, what is not known or not finite as nothing."""
     titles = list(columns or (rows[0] if rows else ()))
     try:
@@ -138,7 +138,7 @@ def _cell(value: Any) -> str:
     return str(value)
 
 
-def table(summaries: Iterable[Summary]) -> Table:
+def summary_table(summaries: Iterable[Summary]) -> Table:
     """The settings, those of the front first, fastest first; then by time, those that failed last."""
     found = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     found.add_column("setting", no_wrap=True)

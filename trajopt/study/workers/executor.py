@@ -19,9 +19,9 @@ from multiprocessing.context import ForkServerProcess
 from typing import IO, Any, TypeVar
 
 from trajopt.solving.interruption import LOOK
-from trajopt.study.workers.task import DONE, EVENT, LIMIT, LostTaskError, TaskTimeoutError, serve
+from trajopt.study.workers.task import DONE, EVENT, LIMIT, LostTaskError, TaskTimeoutError, serve_task
 
-Result = TypeVar("Result")
+_Result = TypeVar("_Result")
 # Of the server, and so of all tasks: one thread each, because there is a task for each processor, and no
 # modules from the working directory.
 ENVIRONMENT = {
@@ -61,7 +61,7 @@ class ProcessPerTaskExecutor(Executor):
         on_event: Callable[[Any], None] = lambda event: None,
     ) -> None:
         self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload([serve.__module__, *preload])
+        self._context.set_forkserver_preload([serve_task.__module__, *preload])
         self._threads = ThreadPoolExecutor(max_workers)
         self._on_event = on_event
         self._running: set[ForkServerProcess] = set()
@@ -70,7 +70,7 @@ class ProcessPerTaskExecutor(Executor):
         for place in range(max_workers):
             self._cores.put(cores[place] if cores else None)
 
-    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
+    def submit(self, fn: Callable[..., _Result], /, *args: Any, **kwargs: Any) -> Future[_Result]:
         """The future of ``fn(*args, **kwargs)``, called in another process."""
         return self._threads.submit(self._run, pickle.dumps((fn, args, kwargs)))
 
@@ -92,7 +92,7 @@ class ProcessPerTaskExecutor(Executor):
         try:
             receiver, sender = self._context.Pipe(duplex=False)
             with receiver, tempfile.NamedTemporaryFile() as said:
-                process = self._context.Process(target=serve, args=(sender, said.name, core, task))
+                process = self._context.Process(target=serve_task, args=(sender, said.name, core, task))
                 with sender:
                     self._start(process)
                 try:
@@ -135,8 +135,8 @@ class ProcessPerTaskExecutor(Executor):
 
 
 def first_ended(
-    futures: Collection[Future[Result]], check: Callable[[], object] = bool
-) -> set[Future[Result]]:
+    futures: Collection[Future[_Result]], check: Callable[[], object] = bool
+) -> set[Future[_Result]]:
     """Wait until some of ``futures`` have ended and return these; ``check`` is called several times a second.
 
     What it raises ends the wait.

@@ -19,7 +19,7 @@ from trajopt.errors import TrajoptError
 # What a task's process sends: something told, a limit that begins, the result, why there is none.
 EVENT, LIMIT, DONE, FAILED = "event", "limit", "done", "failed"
 
-Result = TypeVar("Result")
+_Result = TypeVar("_Result")
 _answers: Connection | None = None
 
 
@@ -56,14 +56,14 @@ def limit_time(seconds: float, stage: str = "") -> None:
         signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
-def announced(name: str, seconds: float, function: Callable[..., Result], *args: Any) -> Result:
+def announced(name: str, seconds: float, function: Callable[..., _Result], *args: Any) -> _Result:
     """The result of a function, as a task that tells its name first and may take so many seconds."""
     tell(name)
     limit_time(seconds)
     return function(*args)
 
 
-def serve(answers: Connection, said: str, core: int | None, task: bytes) -> None:
+def serve_task(answers: Connection, said: str, core: int | None, task: bytes) -> None:
     """Do a pickled ``(function, args, kwargs)`` as the only task of this process.
 
     said: a file for what libraries print. core: the processor it is pinned to, where the system can.
