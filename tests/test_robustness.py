@@ -12,14 +12,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import suite_problems
-from click.testing import CliRunner
 from problems_for_tests import hop, hopper, planar_hopper, reach
 
-from scripts import robustness
-from trajopt import InputError, solve
+from trajopt import solve
 from trajopt.study.suite.cases import Case
 from trajopt.study.suite.optima import SAME_MOTION, counted, described, distances, embedded
-from trajopt.study.suite.outcome import Attempt, Outcome
+from trajopt.study.suite.outcome import Outcome
 from trajopt.study.suite.pool import run_all
 from trajopt.study.suite.records import SuiteRecords
 from trajopt.study.suite.settings import SuiteSettings
@@ -155,42 +153,3 @@ def test_events_of_other_settings_or_damaged_ones_are_not_taken(tmp_path):
     assert SuiteRecords(tmp_path, replace(STARTS, sigma=0.2), {"version": "1"}).unfinished() == {}
     SuiteRecords(tmp_path, STARTS, {"version": "1"}).open(resume=False)
     assert SuiteRecords(tmp_path, STARTS, {"version": "1"}).unfinished() == {}
-
-
-# The table
-
-
-def result(problem: str, iterations: list[int | None]) -> str:
-    starts = tuple(
-        Attempt(
-            seed=seed, mode="primal" if n is None else "", iterations=n or 9, wall_time=0.5, objective=1.0
-        )
-        for seed, n in enumerate(iterations)
-    )
-    outcome = Outcome(problem=problem, robot="r", own=Attempt(seed=None, mode=""), starts=starts)
-    return json.dumps({"outcome": outcome.to_dict()}) + "\n"
-
-
-def test_the_table_has_a_line_for_every_problem_and_solver(tmp_path):
-    file = robustness.folder(tmp_path, "ipopt", 0.1) / robustness.FILE
-    file.parent.mkdir()
-    file.write_text("damaged\n" + result("hopper-hop", [10, 20, None]) + result("ur5-reach", [5, 5]))
-    page = tmp_path / "page.md"
-    page.write_text(f"before\n{robustness.BEGIN}\nold\n{robustness.END}\nafter\n")
-    words = ["--only-table", "--work", str(tmp_path), "--starts", "3", "--page"]
-    assert CliRunner().invoke(robustness.main, [*words, str(page)]).exit_code == 0
-    text = page.read_text()
-    line = "| hopper-hop | 0.1 | ipopt | 2 / 3 | 15 | 20 | 20 | 0.50 s | 1 | 1 | primal 1 |"
-    assert line in text.splitlines()
-    assert "ur5-reach" not in text  # another number of starts
-    assert "old" not in text
-    assert text.startswith("before")
-    assert text.endswith("after\n")
-    assert line in CliRunner().invoke(robustness.main, [*words, "-"]).output
-
-
-def test_a_table_of_nothing_and_a_page_without_marks_are_refused(tmp_path):
-    with pytest.raises(InputError, match="no results of 200 starts"):
-        robustness.table(tmp_path, ["ipopt"], [0.1], 200)
-    with pytest.raises(InputError, match="the page has no"):
-        robustness.written("a page", "table")

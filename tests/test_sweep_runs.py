@@ -30,7 +30,7 @@ from trajopt.study.sweep.engine import Sweep
 from trajopt.study.sweep.plan import make_plan
 from trajopt.study.sweep.records import SweepRecords, SweepRequest
 from trajopt.study.sweep.result import LOST, REFUSED, Job
-from trajopt.study.sweep.run import objective_of, with_torques
+from trajopt.study.sweep.run import objective_of, run_setting, with_torques
 from trajopt.study.sweep.setting import Setting
 from trajopt.study.workers.display import TaskDisplay
 
@@ -78,7 +78,8 @@ QUICK = ("--compile", "none", "--repeats", 1)
 def test_a_run_is_what_the_library_solves(tmp_path: Path):
     setting = Setting(transcription="legendre:2", intervals=6, compile="none")
     for start in (0, 3):
-        found = run_setting(
+        job = Job(setting=setting.name, start=start)
+        found = run_setting(weighed(), setting, job, REQUEST, tmp_path / "run.npz")
             weighed(), setting, Job(setting=setting.name, start=start), REQUEST, tmp_path / "run.npz"
         )
         noise = {"seed": start, "perturb": REQUEST.sigma} if start else {}
