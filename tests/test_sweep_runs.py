@@ -80,8 +80,6 @@ def test_a_run_is_what_the_library_solves(tmp_path: Path):
     for start in (0, 3):
         job = Job(setting=setting.name, start=start)
         found = run_setting(weighed(), setting, job, REQUEST, tmp_path / "run.npz")
-            weighed(), setting, Job(setting=setting.name, start=start), REQUEST, tmp_path / "run.npz"
-        )
         noise = {"seed": start, "perturb": REQUEST.sigma} if start else {}
         known = solve(weighed(), intervals=6, compile="none", **noise)
         assert (found.iterations, found.variables) == (known.meta["iterations"], known.meta["variables"])

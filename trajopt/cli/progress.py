@@ -36,7 +36,6 @@ class Deadline:
 
     def start(self) -> None:
         """Start the clock, once, when the solver starts."""
-
         if self._timer is None and self._max_time + GRACE < threading.TIMEOUT_MAX:
             self._timer = threading.Timer(self._max_time + GRACE, self._end)
             self._timer.daemon = True
