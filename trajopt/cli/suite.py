@@ -103,7 +103,6 @@ def suite(
     from trajopt.problem.catalogue import families
     from trajopt.study.suite import data
     from trajopt.study.suite.cases import all_cases, select
-    from trajopt.study.suite.physics import FELL
     from trajopt.study.suite.records import SuiteRecords
     from trajopt.study.suite.settings import SuiteSettings
     from trajopt.study.suite.table import to_dict
@@ -127,8 +126,8 @@ def suite(
     outcomes, complete = _run(cases, settings, records, resume, jobs or _processors())
     outside = None if bands is None else data.deviations(outcomes, settings, bands)
     if as_json:
-        found = {"complete": complete, "outside": outside, **to_dict(outcomes, settings, versions())}
-        click.echo(to_json(found))
+        found = to_dict(outcomes, settings, versions())
+        click.echo(to_json({"complete": complete, "outside": outside, **found}))
     else:
         _print(outcomes, outside)
     if not complete:
@@ -137,9 +136,14 @@ def suite(
     if target is not None:
         names = [case.name for case in all_cases(known)]
         data.write_bands(target, data.updated(old, outcomes, settings, names), versions())
-    words = [outcome.physics.word for outcome in outcomes if outcome.physics is not None]
-    fallen = bands is None and FELL in words
-    return NOT_REACHED if outside or fallen or not all(outcome.ok for outcome in outcomes) else 0
+    missed = outside or (bands is None and _falls(outcomes)) or not all(outcome.ok for outcome in outcomes)
+    return NOT_REACHED if missed else 0
+
+
+def _falls(outcomes: Sequence[Outcome]) -> bool:
+    from trajopt.study.suite.physics import FELL
+
+    return any(outcome.physics is not None and outcome.physics.word == FELL for outcome in outcomes)
 
 
 def _processors() -> int:
