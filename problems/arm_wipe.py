@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 
-from problems import arms, common
-from problems.strokes import Facing, RestOnStroke, Stroke, StrokeMotion
 from trajopt.contact import Contact
 from trajopt.errors import InputError
-from trajopt.family import Choice, Family, Parameter
+from trajopt.family import Family
 from trajopt.kinematics import inverse_kinematics
 from trajopt.problem import Problem
 from trajopt.reduced.foot_motion import smooth_step
-from trajopt.schedule import FlatGround, Phase, Schedule
+from trajopt.schedule import Phase, Schedule
 from trajopt.surface import Surface
 from trajopt.terms import AccelerationCost, NormalForce, TorqueCost
 
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
+from . import arms, common
+from .strokes import Facing, RestOnStroke, Stroke, StrokeMotion
 
 TOOL = "tool"
 # Length of a line, diameter of a circle over the reach, where none is given.
@@ -35,19 +32,6 @@ UNHURRIED = 2.0
 SLIP = 0.1
 # Postures that inverse kinematics finds along the path for the guess.
 KNOTS = 41
-
-
-@dataclass(frozen=True, kw_only=True)
-class Wiping:
-    """Guess: postures (nq,) along the stroke, by inverse kinematics, smoothly in ``duration`` s."""
-
-    model: pin.Model
-    start: np.ndarray
-    spline: CubicSpline
-    duration: float
-
-    def __call__(self, t: float) -> np.ndarray:
-        return np.asarray(pin.integrate(self.model, self.start, self.spline(smooth_step(t / self.duration))))
 
 
 def build(
@@ -79,23 +63,24 @@ def build(
     from scipy.interpolate import CubicSpline  # takes longer to load than all other problems
 
     spline = CubicSpline(np.linspace(0.0, 1.0, KNOTS), travel)
-    return Problem(
-        name="arm-wipe",
-        robot=touching,
-        schedule=Schedule((Phase(name="wipe", duration=time, contacts=(TOOL,), surfaces={TOOL: surface}),)),
-        terrain=FlatGround(),
-        initial_q=postures[0],
-        initial_v=np.zeros(touching.nv),
-        terms=(
-            TorqueCost(weight=1.0),
-            AccelerationCost(weight=1e-2),
-            *arms.limits(touching),
-            NormalForce(contact=TOOL, lower=pressure, upper=pressure),
+
+    def along_stroke(t: float) -> np.ndarray:
+        return np.asarray(pin.integrate(touching.model, postures[0], spline(smooth_step(t / time))))
+
+    return common.problem(
+        "arm-wipe",
+        touching,
+        Schedule((Phase(name="wipe", duration=time, contacts=(TOOL,), surfaces={TOOL: surface}),)),
+        along_stroke,
+        costs=(TorqueCost(weight=1.0), AccelerationCost(weight=1e-2)),
+        effort=arms.effort(touching),
+        cones=(NormalForce(contact=TOOL, lower=pressure, upper=pressure),),
+        more=(
             StrokeMotion(contact=TOOL, stroke=stroke, duration=time),
             Facing(frame=arm.tool, axis=arm.outward, direction=-normal, angle=lean),
-            RestOnStroke(q=postures[-1]),
         ),
-        guess=Wiping(model=touching.model, start=postures[0], spline=spline, duration=time),
+        end=(RestOnStroke(q=postures[-1]),),
+        initial_q=postures[0],
         parameters={"size": stroke.size, "force": pressure, "duration": time},
         default_intervals=40,
     )
@@ -143,34 +128,25 @@ def _postures(arm: arms.Arm, stroke: Stroke, normal: np.ndarray) -> list[np.ndar
     return [posture.q for posture in found]
 
 
-def _part(name: str, meaning: str) -> Parameter:
-    return Parameter(
-        name=name, default=0.0, unit="", lower=-1.0, upper=1.0, meaning=f"{meaning}, part of the reach"
-    )
-
-
 FAMILY = Family(
     name="arm-wipe",
     robots=arms.ARMS,
     phases=("wipe",),
     summary="press an arm's tool on a plane with a given force and slide along a line or a circle on it",
     parameters=(
-        Choice(name="shape", default="line", choices=tuple(SIZES), meaning="path of the tool on the plane"),
-        Parameter(
-            name="size",
-            default=None,
-            unit="m",
-            lower=1e-3,
-            upper=5.0,
-            meaning="length of the line or diameter of the circle (default: 0.25 or 0.15 of the reach)",
+        common.choice("shape", "path of the tool on the plane", *SIZES),
+        common.length(
+            "size",
+            None,
+            "length of the line or diameter of the circle (default: 0.25 or 0.15 of the reach)",
+            (1e-3, 5.0),
         ),
-        Parameter(
-            name="force",
-            default=None,
-            unit="N",
-            lower=0.0,
-            upper=1e5,
-            meaning="of the tool on the plane, along its normal (default: a quarter of what the arm can)",
+        common.number(
+            "force",
+            None,
+            "N",
+            "of the tool on the plane, along its normal (default: a quarter of what the arm can)",
+            (0.0, 1e5),
         ),
         common.friction(0.3),
         common.angle(
@@ -179,8 +155,10 @@ FAMILY = Family(
             "of the plane from level, facing the arm (default: it faces the tool of the reference)",
             (-math.pi / 2, math.pi / 2),
         ),
-        _part("out", "how much farther from the arm's axis than the tool of the reference the plane is"),
-        _part("up", "how much higher it is"),
+        arms.part(
+            "out", 0.0, "how much farther from the arm's axis than the tool of the reference the plane is"
+        ),
+        arms.part("up", 0.0, "how much higher it is"),
         common.angle(
             "lean", math.radians(20), "most that the tool leans off the normal", (1e-3, math.pi / 2)
         ),

@@ -12,7 +12,7 @@ import pytest
 from replay_pages import objects_of, placements_of, shown, with_meta
 
 import robots
-from problems.common import JointPath
+from problems.common import PosturePath
 from trajopt import solve
 from trajopt.certify.clearance import finer
 from trajopt.check import check
@@ -72,7 +72,7 @@ def swing(**changes: object) -> Problem:
             TerminalState(q=end),
             TerminalRest(q=end),
         ),
-        "guess": JointPath(start, end, duration),
+        "guess": PosturePath(model=robot.model, postures=(start, end), durations=(duration,)),
         "default_intervals": 30,
     }
     return Problem(**(given | changes))
@@ -156,7 +156,7 @@ def test_links_keep_clear_of_each_other():
     problem = swing(
         robot=robot,
         initial_q=start,
-        guess=JointPath(start, end, 1.5),
+        guess=PosturePath(model=robot.model, postures=(start, end), durations=(1.5,)),
         terms=(AccelerationCost(weight=1.0), TerminalRest(q=folded)),
     )
     problem = with_obstacles(problem, [], margin=MARGIN, self_collision=True)
