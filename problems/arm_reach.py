@@ -18,6 +18,7 @@ from . import arms, common
 # The goal where none is given: the tool of the reference turned about the base and raised.
 TURN = math.radians(60)
 UP = 0.15  # of the reach
+PLACE = "goal of the tool, world (default: the start's, turned by 60 degrees, raised by 0.15 reach)"
 # The default duration over what the limits need at least.
 UNHURRIED = 2.0
 
@@ -84,7 +85,6 @@ def turns(origin: str) -> tuple[Parameter, ...]:
     return tuple(common.angle(name, 0.0, meaning, limits) for name, meaning in meanings.items())
 
 
-PLACE = "goal of the tool, world (default: the start's, turned by 60 degrees, raised by 0.15 reach)"
 FAMILY = Family(
     name="arm-reach",
     robots=arms.ARMS,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from trajopt.contact import Contact
 from trajopt.errors import InputError
 from trajopt.family import Family
 from trajopt.kinematics import inverse_kinematics
-from trajopt.problem import Problem
+from trajopt.problem import Motion, Problem
 from trajopt.reduced.foot_motion import smooth_step
 from trajopt.schedule import Phase, Schedule
 from trajopt.surface import Surface
@@ -53,25 +54,16 @@ def build(
     normal = _normal(arm, tilt, out)
     stroke = _stroke(arm, shape, size, arm.pose(0.0, out, up).translation, normal)
     postures = _postures(arm, stroke, normal)
-    travel = np.array([pin.difference(touching.model, postures[0], q) for q in postures])
-    least = arms.least_duration(arm.robot, postures)
-    time = duration or UNHURRIED * least
+    time = duration or UNHURRIED * arms.least_duration(arm.robot, postures)
     pressure = force if force is not None else FORCE_SHARE * arms.strength(arm, postures, normal)
     surface = Surface(
         point=stroke.centre, normal=normal, friction=friction, slip_speed=SLIP * stroke.length / time
     )
-    from scipy.interpolate import CubicSpline  # takes longer to load than all other problems
-
-    spline = CubicSpline(np.linspace(0.0, 1.0, KNOTS), travel)
-
-    def along_stroke(t: float) -> np.ndarray:
-        return np.asarray(pin.integrate(touching.model, postures[0], spline(smooth_step(t / time))))
-
     return common.problem(
         "arm-wipe",
         touching,
         Schedule((Phase(name="wipe", duration=time, contacts=(TOOL,), surfaces={TOOL: surface}),)),
-        along_stroke,
+        _along(touching.model, postures, time),
         costs=(TorqueCost(weight=1.0), AccelerationCost(weight=1e-2)),
         effort=arms.effort(touching),
         cones=(NormalForce(contact=TOOL, lower=pressure, upper=pressure),),
@@ -84,6 +76,15 @@ def build(
         parameters={"size": stroke.size, "force": pressure, "duration": time},
         default_intervals=40,
     )
+
+
+def _along(model: pin.Model, postures: Sequence[np.ndarray], duration: float) -> Motion:
+    """Guess: smoothly through postures (nq,) that are evenly spread over the stroke, in ``duration`` s."""
+    from scipy.interpolate import CubicSpline  # takes longer to load than all other problems
+
+    start = postures[0]
+    spline = CubicSpline(np.linspace(0.0, 1.0, KNOTS), [pin.difference(model, start, q) for q in postures])
+    return lambda t: np.asarray(pin.integrate(model, start, spline(smooth_step(t / duration))))
 
 
 def _normal(arm: arms.Arm, tilt: float | None, out: float) -> np.ndarray:

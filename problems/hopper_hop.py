@@ -67,6 +67,18 @@ def _schedule(
     return schedule
 
 
+def _modes(robot: Robot, place: np.ndarray, target: np.ndarray, goal: str) -> dict[str, Mode]:
+    """Models for the phases that stand on ``place`` and on ``target`` (3,) m. Raises InputError."""
+    if goal == "distance" or robot.base != "planar":
+        what = f"goal={goal}" if goal == "distance" else f"robot={robot.name}"
+        raise InputError(
+            f"hopper-hop with {what} in minimal coordinates",
+            "allowed: coordinates=excess, or a planar hopper that lands on its foothold",
+        )
+    foot = hoppers.foot_of(robot)
+    return {"stance": Mode.standing(robot, foot, place), "landing": Mode.standing(robot, foot, target)}
+
+
 def build(
     *,
     robot: str,
@@ -86,18 +98,6 @@ def build(
     target, end = place + np.array([distance, 0.0, 0.0]), hoppers.moved(own, distance, 0.0)
     impact, far = touchdown == "impact", goal == "distance"
     schedule = _schedule(foot, target, durations, goal, impact=impact)
-    modes = {}
-    if coordinates == "minimal":
-        if far or own.base != "planar":
-            what = f"goal={goal}" if far else f"robot={own.name}"
-            raise InputError(
-                f"hopper-hop with {what} in minimal coordinates",
-                "allowed: coordinates=excess, or a planar hopper that lands on its foothold",
-            )
-        modes = {
-            "stance": Mode.standing(own, foot, place),
-            "landing": Mode.standing(own, foot, target),
-        }
     aim = goal_terms(
         goal,
         own,
@@ -115,7 +115,7 @@ def build(
         terrain=FlatGround(friction=friction),
         clearance=common.CLEARANCE,
         end=(TerminalPosture(q=end, over=foot) if far else TerminalState(q=end), TerminalRest(q=end)),
-        modes=modes,
+        modes=_modes(own, place, target, goal) if coordinates == "minimal" else {},
         default_intervals=INTERVALS[goal],
     )
 
