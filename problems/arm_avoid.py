@@ -3,37 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import pinocchio as pin
 
-from trajopt.errors import InputError
+from trajopt.problem import Problem
 from trajopt.problem.family import Family, Parameter
-from trajopt.problem.problem import Problem
+from trajopt.robot import Robot
 from trajopt.robot.collision.link_capsules import robot_capsules
 from trajopt.robot.collision.near import CollisionScene
 from trajopt.robot.collision.shapes import BoxObstacle, CapsuleObstacle, Obstacle
 from trajopt.robot.kinematics import frame_pose, inverse_kinematics
-from trajopt.robot.robot import Robot
-from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solving.avoidance import with_obstacles
-from trajopt.terms import (
-    AccelerationCost,
-    EffortLimits,
-    FramePose,
-    PositionLimits,
-    Term,
-    TerminalRest,
-    TorqueCost,
-    VelocityLimits,
-)
-from trajopt.terrain.flat import FlatGround
+from trajopt.terms import AccelerationCost, TorqueCost
 from trajopt.terrain.swing_profile import smooth_step
-from trajopt_library import robots
 
-from . import common
+from . import arms, common
 
 # Over the robot's reach: the tool's distance from the base's axis and its height at start and goal.
 RADIUS, HEIGHT = 0.4, 0.25
@@ -44,8 +31,6 @@ BOX_ALONG, BOX_ACROSS, POST_RADIUS = 0.08, 0.2, 0.025
 BOX_AT, POST_AT = -0.3, 0.35
 # Inverse kinematics follows the tool around the base in steps, so that the branch of the reference is kept.
 STEPS = 8
-# A pose is reached up to this error, m and rad.
-REACHED = 1e-6
 # The waypoint is raised, and drawn in, in these steps over the reach, up to the largest.
 RAISE_STEP, MOST_RAISED, DRAWN_IN = 0.02, 0.5, (0.0, 0.05, 0.1)
 # Configurations at which a guess is measured against the obstacles.
@@ -73,6 +58,7 @@ class RaisedPath:
     duration: float
 
     def __call__(self, t: float) -> np.ndarray:
+        """The configuration (nq,) at ``t`` s."""
         s = min(max(t / self.duration, 0.0), 1.0)
         way = pin.difference(self.model, self.start, self.goal)
         detour = pin.difference(self.model, self.start, self.waypoint) - way / 2
@@ -80,61 +66,18 @@ class RaisedPath:
         return np.asarray(pin.integrate(self.model, self.start, step))
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Tool:
-    """Poses of an arm's tool in cylinder coordinates about the base's axis, turned with the heading."""
-
-    robot: Robot
-    frame: str
-
-    @property
-    def at_reference(self) -> pin.SE3:
-        return frame_pose(self.robot, self.robot.reference, self.frame)
-
-    def pose(self, turn: float, radius: float, height: float) -> pin.SE3:
-        """The reference's orientation turned by ``turn`` rad about the vertical; radius and height in m."""
-        reference = self.at_reference
-        rotation = pin.rpy.rpyToMatrix(0.0, 0.0, turn) @ reference.rotation
-        return pin.SE3(rotation, self.place(turn, radius, height))
-
-    def place(self, turn: float, radius: float, height: float) -> np.ndarray:
-        """World position (3,) m at ``turn`` rad from the reference's heading."""
-        x, y, _ = self.at_reference.translation
-        heading = math.atan2(y, x) + turn
-        return np.array([radius * math.cos(heading), radius * math.sin(heading), height])
-
-    def posture(self, q: np.ndarray, target: pin.SE3) -> np.ndarray | None:
-        """Posture (nq,) near ``q`` with the tool at ``target``, None where it cannot get there."""
-        found = inverse_kinematics(self.robot, q, {self.frame: target})
-        return found.q if found.error < REACHED else None
-
-    def turned(self, turn: float, radius: float, height: float) -> np.ndarray:
-        """Posture (nq,) at a heading, followed from the reference in steps. Raises InputError."""
-        q = self.robot.reference
-        for part in np.linspace(0.0, 1.0, STEPS + 1):
-            found = self.posture(q, self.pose(part * turn, radius, height))
-            if found is None:
-                raise InputError(
-                    f"'{self.robot.name}' cannot bring '{self.frame}' {radius:.3f} m from its axis,"
-                    f" {height:.3f} m high, turned by {math.degrees(part * turn):.0f} degrees",
-                    "allowed: turns, radii and heights within its reach and joint ranges",
-                )
-            q = found
-        return q
-
-
-def obstacles_of(tool: _Tool, turn: float, radius: float, height: float, rise: float) -> tuple[Obstacle, ...]:
+def obstacles_of(
+    arm: arms.Arm, turn: float, radius: float, height: float, rise: float
+) -> tuple[Obstacle, ...]:
     """A box and a post from the ground to ``rise`` m over the tool's height, on the tool's way.
 
     They stand at `BOX_AT` and `POST_AT` of ``turn`` rad either way, at ``radius`` m from the base's axis.
     """
-    reach, top = tool.robot.length, height + rise
-    box_turn, post_turn = BOX_AT * turn, POST_AT * turn
-    centre = tool.place(box_turn, radius, top / 2)
+    reach, top = arm.robot.length, height + rise
+    centre = arm.at(BOX_AT * turn, radius, top / 2).translation
     facing = pin.rpy.rpyToMatrix(0.0, 0.0, math.atan2(centre[1], centre[0]))
     thickness = POST_RADIUS * reach
-    foot = tool.place(post_turn, radius, thickness)
-    head = tool.place(post_turn, radius, top - thickness)
+    foot, head = (arm.at(POST_AT * turn, radius, z).translation for z in (thickness, top - thickness))
     return (
         BoxObstacle(
             name="box",
@@ -146,36 +89,37 @@ def obstacles_of(tool: _Tool, turn: float, radius: float, height: float, rise: f
     )
 
 
+def turned(arm: arms.Arm, turn: float, radius: float, height: float) -> np.ndarray:
+    """Posture (nq,) at a heading, followed from the reference's in steps. Raises InputError."""
+    poses = [arm.at(part * turn, radius, height) for part in np.linspace(0.0, 1.0, STEPS + 1)]
+    return arm.reached(arm.follow(poses), poses[-1])
+
+
 def raised_path(
-    tool: _Tool, ends: tuple[np.ndarray, np.ndarray], scene: CollisionScene, least: float
+    arm: arms.Arm, ends: tuple[np.ndarray, np.ndarray], scene: CollisionScene, least: float
 ) -> RaisedPath:
     """The path with the lowest waypoint that keeps ``least`` m from the obstacles; the clearest without one.
 
     ends: start and goal (nq,). The duration is 1 s.
     """
-    robot, place = tool.robot, frame_pose(tool.robot, ends[0], tool.frame).translation
+    robot, place = arm.robot, frame_pose(arm.robot, ends[0], arm.tool).translation
     radius, height = float(np.hypot(place[0], place[1])), float(place[2])
-    middle = tool.turned(0.0, radius, height)
+    middle = turned(arm, 0.0, radius, height)
 
     def through(waypoint: np.ndarray) -> tuple[float, RaisedPath]:
         path = RaisedPath(model=robot.model, start=ends[0], waypoint=waypoint, goal=ends[1], duration=1.0)
         return clearance_along(scene, path), path
 
     best = through(middle)
-    for raised, drawn in _detours():
-        target = tool.pose(0.0, radius - drawn * robot.length, height + raised * robot.length)
-        waypoint = tool.posture(middle, target)
-        if waypoint is not None:
-            best = max(best, through(waypoint), key=lambda found: found[0])
+    for step, drawn in product(range(round(MOST_RAISED / RAISE_STEP) + 1), DRAWN_IN):
+        raised = step * RAISE_STEP
+        target = arm.at(0.0, radius - drawn * robot.length, height + raised * robot.length)
+        waypoint = inverse_kinematics(robot, middle, {arm.tool: target})
+        if waypoint.error < arms.REACHED:
+            best = max(best, through(waypoint.q), key=lambda found: found[0])
         if best[0] >= least:
             break
     return best[1]
-
-
-def _detours() -> Iterator[tuple[float, float]]:
-    for number in range(round(MOST_RAISED / RAISE_STEP) + 1):
-        for drawn in DRAWN_IN:
-            yield number * RAISE_STEP, drawn
 
 
 def clearance_along(scene: CollisionScene, path: RaisedPath) -> float:
@@ -202,47 +146,32 @@ def build(
     duration: float | None,
 ) -> Problem:
     """Build the motion past the obstacles; see ``FAMILY`` for the parameters. Raises InputError."""
-    arm = robots.load(robot)
-    tool = _Tool(robot=arm, frame=robots.tool_frame(robot))
-    reach = arm.length
+    arm = arms.load(robot)
+    body, reach = arm.robot, arm.robot.length
     place = (radius * reach, height * reach)
-    start, goal = (tool.turned(side * turn, *place) for side in (-1.0, 1.0))
-    obstacles = obstacles_of(tool, turn, *place, rise * reach)
-    capsules = robot_capsules(arm)
-    scene = CollisionScene(model=arm.model, capsules=capsules, obstacles=obstacles)
-    path = raised_path(tool, (start, goal), scene, margin * reach)
-    given = _duration(arm, start, goal) if duration is None else duration
-    problem = Problem(
-        name="arm-avoid",
-        robot=arm,
-        schedule=Schedule((Phase(name="pass", duration=given),)),
-        terrain=FlatGround(),
-        initial_q=start,
-        initial_v=np.zeros(arm.nv),
-        terms=_terms(tool, goal),
+    start, goal = (turned(arm, side * turn, *place) for side in (-1.0, 1.0))
+    obstacles = obstacles_of(arm, turn, *place, rise * reach)
+    capsules = robot_capsules(body)
+    scene = CollisionScene(model=body.model, capsules=capsules, obstacles=obstacles)
+    path = raised_path(arm, (start, goal), scene, margin * reach)
+    given = _duration(body, start, goal) if duration is None else duration
+    problem = arms.between(
+        "arm-avoid",
+        body,
+        (start, goal),
+        given,
+        phase="pass",
         guess=replace(path, duration=given),
+        costs=(TorqueCost(weight=1.0), AccelerationCost(weight=SMOOTHNESS)),
+        end=arm.arrival(frame_pose(body, goal, arm.tool), goal),
         parameters={"duration": given},
         default_intervals=30,
     )
     return with_obstacles(problem, obstacles, margin=margin * reach, capsules=capsules)
 
 
-def _terms(tool: _Tool, goal: np.ndarray) -> tuple[Term, ...]:
-    pose = frame_pose(tool.robot, goal, tool.frame)
-    return (
-        TorqueCost(weight=1.0),
-        AccelerationCost(weight=SMOOTHNESS),
-        EffortLimits(),
-        PositionLimits(),
-        VelocityLimits(),
-        FramePose(frame=tool.frame, position=pose.translation, rotation=pose.rotation),
-        TerminalRest(q=goal),
-    )
-
-
-def _share(name: str, default: float, meaning: str, within: tuple[float, float]) -> Parameter:
-    lower, upper = within
-    return Parameter(name=name, default=default, unit="reach", lower=lower, upper=upper, meaning=meaning)
+def _share(name: str, default: float, meaning: str, within: common.Range) -> Parameter:
+    return common.number(name, default, "reach", meaning, within)
 
 
 FAMILY = Family(

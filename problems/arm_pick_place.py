@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,22 +11,20 @@ import pinocchio as pin
 
 from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
 from trajopt.errors import InputError
-from trajopt.problem.family import Choice, Family, Parameter
-from trajopt.problem.problem import Problem
+from trajopt.problem import Problem
+from trajopt.problem.family import Family
+from trajopt.robot import Robot
 from trajopt.robot.contact import Contact
 from trajopt.robot.payload import Payload
-from trajopt.robot.robot import Robot
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.schedule import Phase, Schedule
 from trajopt.terms import AccelerationCost, FramePose, FrameVelocity, Term, TerminalRest, TimeCost, TorqueCost
 from trajopt.terrain.flat import FlatGround
-from trajopt.terrain.swing_profile import smooth_step
 
 from . import arms, common
 
 TOOL = "tool"
 PHASES = ("approach", "descend", "lift", "carry", "lower", "retreat")
 CARRIED = ("lift", "carry", "lower")
-GOALS = ("effort", "time")
 # Height of the waypoints over the places, part of the reach.
 OVER = 0.1
 # The default object takes this part of the torque that gravity leaves at the weakest joint of all waypoints,
@@ -34,27 +32,10 @@ OVER = 0.1
 SHARE, OF_ARM = 0.4, 0.1
 DENSITY = 1000.0
 # Times over what limits need: a default duration of least effort, and the bounds of free durations.
-UNHURRIED, SHORTEST, LONGEST = 2.5, 0.1, 4.0
+UNHURRIED, FREE = 2.5, (0.1, 4.0)
 # Prices of accelerations, as of `arm-transfer`.
 SMOOTH = {"effort": 1e-2, "time": 1e-3}
 INTERVALS = 36
-
-
-@dataclass(frozen=True, kw_only=True)
-class Stages:
-    """Guess: from posture to posture (nq,), each in its phase's duration (s), at rest in between."""
-
-    model: pin.Model
-    postures: tuple[np.ndarray, ...]
-    ends: np.ndarray
-
-    def __call__(self, t: float) -> np.ndarray:
-        last = len(self.ends) - 1
-        index = min(int(np.searchsorted(self.ends, t, side="right")), last)
-        begin = self.ends[index - 1] if index else 0.0
-        part = smooth_step((t - begin) / (self.ends[index] - begin))
-        before, after = self.postures[index : index + 2]
-        return np.asarray(pin.interpolate(self.model, before, after, part))
 
 
 def cube(arm: arms.Arm, mass: float) -> Payload:
@@ -79,10 +60,9 @@ def default_mass(robot: Robot, tool: str, postures: list[np.ndarray]) -> float:
     return most
 
 
-def _terms(arm: arms.Arm, poses: list[pin.SE3], goal: str, end: np.ndarray) -> tuple[Term, ...]:
+def _way(arm: arms.Arm, poses: list[pin.SE3], end: np.ndarray) -> tuple[Term, ...]:
     """Over each place on the way down and up, at rest on it, and over the second at last."""
     over_pick, pick, over_place, place = poses
-    price = TimeCost(weight=1.0) if goal == "time" else TorqueCost(weight=1.0)
 
     def at(phase: str | None, pose: pin.SE3, *, turned: bool) -> FramePose:
         rotation = pose.rotation if turned else None
@@ -90,9 +70,6 @@ def _terms(arm: arms.Arm, poses: list[pin.SE3], goal: str, end: np.ndarray) -> t
 
     still = np.zeros(6)
     return (
-        price,
-        AccelerationCost(weight=SMOOTH[goal]),
-        *arms.limits(arm.robot),
         at("descend", over_pick, turned=False),
         at("lift", pick, turned=True),
         FrameVelocity(frame=arm.tool, velocity=still, phase="lift"),
@@ -120,38 +97,26 @@ def build(
     loaded = arms.load(robot)
     arm = replace(loaded, robot=replace(loaded.robot, contacts=(Contact(frame=loaded.tool, name=TOOL),)))
     places = [(side * turn / 2, out, up + high) for side in (-1, 1) for high in (over, 0.0)]
-    over_pick, pick, over_place, place = (arm.posture(*where) for where in places)
+    over_pick, pick, over_place, place = stops = [arm.posture(*where) for where in places]
     postures = (arm.robot.reference, over_pick, pick, over_pick, over_place, place, over_place)
-    mass = (
-        default_mass(arm.robot, arm.tool, [pick, over_pick, over_place, place])
-        if payload is None
-        else payload
-    )
-    object_held = cube(arm, mass)
+    mass = default_mass(arm.robot, arm.tool, stops) if payload is None else payload
     durations = _durations(arm.robot, postures, goal, duration)
-    free = goal == "time"
-    schedule = Schedule(
-        tuple(
-            Phase(
-                name=name,
-                duration=time,
-                duration_bounds=(SHORTEST * time, LONGEST * time) if free else None,
-            )
-            for name, time in zip(PHASES, durations, strict=True)
-        )
-    )
-    return Problem(
-        name="arm-pick-place",
-        robot=arm.robot,
-        schedule=schedule,
+    phases = zip(PHASES, durations, strict=True)
+    schedule = Schedule(tuple(Phase(name=name, duration=time) for name, time in phases))
+    price = TimeCost(weight=1.0) if goal == "time" else TorqueCost(weight=1.0)
+    return common.problem(
+        "arm-pick-place",
+        arm.robot,
+        common.freed(schedule, FREE) if goal == "time" else schedule,
+        common.PosturePath(model=arm.robot.model, postures=postures, durations=durations),
+        costs=(price, AccelerationCost(weight=SMOOTH[goal])),
+        effort=arms.effort(arm.robot),
+        cones=(),
+        end=_way(arm, [arm.pose(*where) for where in places], over_place),
         terrain=FlatGround(height=_below(arm)),
-        initial_q=arm.robot.reference,
-        initial_v=np.zeros(arm.robot.nv),
-        terms=_terms(arm, [arm.pose(*where) for where in places], goal, over_place),
-        guess=Stages(model=arm.robot.model, postures=postures, ends=np.cumsum(durations)),
         parameters={"payload": mass, "duration": float(np.sum(durations))},
         default_intervals=INTERVALS,
-        payloads=dict.fromkeys(CARRIED, object_held) if mass > 0 else {},
+        payloads=dict.fromkeys(CARRIED, cube(arm, mass)) if mass > 0 else {},
     )
 
 
@@ -171,17 +136,6 @@ def _below(arm: arms.Arm) -> float:
     return float(min(arm.axis[2], 0.0) - arm.robot.length)
 
 
-def _part(name: str, default: float, meaning: str, within: common.Range) -> Parameter:
-    return Parameter(
-        name=name,
-        default=default,
-        unit="",
-        lower=within[0],
-        upper=within[1],
-        meaning=f"{meaning}, part of the reach",
-    )
-
-
 FAMILY = Family(
     name="arm-pick-place",
     robots=arms.ARMS,
@@ -191,18 +145,17 @@ FAMILY = Family(
         common.angle(
             "turn", math.radians(90), "from one place to the other about the base", (-math.pi, math.pi)
         ),
-        _part("out", 0.0, "by how much the places are farther out than the tool's start", (-1.0, 1.0)),
-        _part("up", -0.1, "by how much they are higher than the tool's start", (-1.0, 1.0)),
-        _part("over", OVER, "height of the waypoints over the places", (0.0, 1.0)),
-        Parameter(
-            name="payload",
-            default=None,
-            unit="kg",
-            lower=0.0,
-            upper=1e4,
-            meaning="mass of the object (default: what the arm holds with part of its torque)",
+        arms.part("out", 0.0, "by how much the places are farther out than the tool's start"),
+        arms.part("up", -0.1, "by how much they are higher than the tool's start"),
+        arms.part("over", OVER, "height of the waypoints over the places", (0.0, 1.0)),
+        common.number(
+            "payload",
+            None,
+            "kg",
+            "mass of the object (default: what the arm holds with part of its torque)",
+            (0.0, 1e4),
         ),
-        Choice(name="goal", default="effort", choices=GOALS, meaning="least torques, or least time"),
+        common.goal("effort", "time", meaning="least torques, or least time"),
         common.duration("duration", None, "of the whole (default: by the limits)", (1e-3, 120.0)),
     ),
     build=build,

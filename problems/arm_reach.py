@@ -8,18 +8,17 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
+from trajopt.problem import Problem
 from trajopt.problem.family import Family, Parameter
-from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import inverse_kinematics
-from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.terms import AccelerationCost, FramePose, TerminalRest, TorqueCost
-from trajopt.terrain.flat import FlatGround
+from trajopt.terms import AccelerationCost, TorqueCost
 
 from . import arms, common
 
 # The goal where none is given: the tool of the reference turned about the base and raised.
 TURN = math.radians(60)
 UP = 0.15  # of the reach
+PLACE = "goal of the tool, world (default: the start's, turned by 60 degrees, raised by 0.15 reach)"
 # The default duration over what the limits need at least.
 UNHURRIED = 2.0
 
@@ -42,26 +41,20 @@ def build(
     """
     arm = arms.load(robot)
     goal, end = _goal(arm, (x, y, z), pin.rpy.rpyToMatrix(roll, pitch, yaw))
-    start = arm.robot.reference
-    least = arms.least_duration(arm.robot, (start, end))
+    ends = (arm.robot.reference, end)
+    least = arms.least_duration(arm.robot, ends)
     if not (duration or least > 0):
         raise InputError("start and goal of arm-reach are the same pose", "allowed: another goal")
     time = duration or UNHURRIED * least
-    return Problem(
-        name="arm-reach",
-        robot=arm.robot,
-        schedule=Schedule((Phase(name="reach", duration=time),)),
-        terrain=FlatGround(),
-        initial_q=start,
-        initial_v=np.zeros(arm.robot.nv),
-        terms=(
-            TorqueCost(weight=1.0),
-            AccelerationCost(weight=1e-2),
-            *arms.limits(arm.robot),
-            FramePose(frame=arm.tool, position=goal.translation, rotation=goal.rotation),
-            TerminalRest(q=end),
-        ),
-        guess=arms.ArmPath(model=arm.robot.model, start=start, end=end, duration=time),
+    return arms.between(
+        "arm-reach",
+        arm.robot,
+        ends,
+        time,
+        phase="reach",
+        costs=(TorqueCost(weight=1.0), AccelerationCost(weight=1e-2)),
+        effort=arms.effort(arm.robot),
+        end=arm.arrival(goal, end),
         parameters=dict(zip("xyz", goal.translation.tolist(), strict=True)) | {"duration": time},
         default_intervals=30,
     )
@@ -79,18 +72,17 @@ def _goal(arm: arms.Arm, given: tuple[float | None, ...], turn: np.ndarray) -> t
         )
     where = arm.cylinder(position)
     goal = pin.SE3(turn @ arm.pose(*where).rotation, position)
-    end = arm.follow(*where).q
-    return goal, inverse_kinematics(arm.robot, end, {arm.tool: goal}).q
+    return goal, inverse_kinematics(arm.robot, arm.towards(*where).q, {arm.tool: goal}).q
 
 
-def _place(name: str) -> Parameter:
-    meaning = "goal of the tool, world (default: the start's, turned by 60 degrees, raised by 0.15 reach)"
-    return common.length(name, None, meaning, (-20.0, 20.0))
-
-
-def _turn(name: str, axis: str) -> Parameter:
-    meaning = f"turn of the tool about the world's {axis} axis, from the start's at the goal's heading"
-    return common.angle(name, 0.0, meaning, (-math.pi, math.pi))
+def turns(origin: str) -> tuple[Parameter, ...]:
+    """Turns of the tool about the world's axes; ``origin`` ends their meaning: from which orientation."""
+    axes = {"roll": "x", "pitch": "y", "yaw": "z"}
+    meanings = {
+        name: f"turn of the tool about the world's {axis} axis{origin}" for name, axis in axes.items()
+    }
+    limits = (-math.pi, math.pi)
+    return tuple(common.angle(name, 0.0, meaning, limits) for name, meaning in meanings.items())
 
 
 FAMILY = Family(
@@ -99,10 +91,8 @@ FAMILY = Family(
     phases=("reach",),
     summary="bring an arm's tool to a pose, from rest to rest, within torque, velocity and position limits",
     parameters=(
-        *(_place(name) for name in "xyz"),
-        _turn("roll", "x"),
-        _turn("pitch", "y"),
-        _turn("yaw", "z"),
+        *(common.length(name, None, PLACE, (-20.0, 20.0)) for name in "xyz"),
+        *turns(", from the start's at the goal's heading"),
         common.duration("duration", None, "duration (default: twice what the limits need)", (1e-3, 60.0)),
     ),
     build=build,

@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
-from trajopt.problem.family import Choice, Family, Parameter
-from trajopt.problem.problem import Problem
+from trajopt.problem import Problem
+from trajopt.problem.family import Family
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import inverse_kinematics
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.schedule import Phase, Schedule
+from trajopt.schedule.schedule import Motion
 from trajopt.terms import AccelerationCost, NormalForce, TorqueCost
-from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import Surface
 from trajopt.terrain.swing_profile import smooth_step
 
 from . import arms, common
 from .strokes import Facing, RestOnStroke, Stroke, StrokeMotion
-
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
 
 TOOL = "tool"
 # Length of a line, diameter of a circle over the reach, where none is given.
@@ -37,19 +34,6 @@ UNHURRIED = 2.0
 SLIP = 0.1
 # Postures that inverse kinematics finds along the path for the guess.
 KNOTS = 41
-
-
-@dataclass(frozen=True, kw_only=True)
-class Wiping:
-    """Guess: postures (nq,) along the stroke, by inverse kinematics, smoothly in ``duration`` s."""
-
-    model: pin.Model
-    start: np.ndarray
-    spline: CubicSpline
-    duration: float
-
-    def __call__(self, t: float) -> np.ndarray:
-        return np.asarray(pin.integrate(self.model, self.start, self.spline(smooth_step(t / self.duration))))
 
 
 def build(
@@ -71,36 +55,37 @@ def build(
     normal = _normal(arm, tilt, out)
     stroke = _stroke(arm, shape, size, arm.pose(0.0, out, up).translation, normal)
     postures = _postures(arm, stroke, normal)
-    travel = np.array([pin.difference(touching.model, postures[0], q) for q in postures])
-    least = arms.least_duration(arm.robot, postures)
-    time = duration or UNHURRIED * least
+    time = duration or UNHURRIED * arms.least_duration(arm.robot, postures)
     pressure = force if force is not None else FORCE_SHARE * arms.strength(arm, postures, normal)
     surface = Surface(
         point=stroke.centre, normal=normal, friction=friction, slip_speed=SLIP * stroke.length / time
     )
-    from scipy.interpolate import CubicSpline  # takes longer to load than all other problems
-
-    spline = CubicSpline(np.linspace(0.0, 1.0, KNOTS), travel)
-    return Problem(
-        name="arm-wipe",
-        robot=touching,
-        schedule=Schedule((Phase(name="wipe", duration=time, contacts=(TOOL,), surfaces={TOOL: surface}),)),
-        terrain=FlatGround(),
-        initial_q=postures[0],
-        initial_v=np.zeros(touching.nv),
-        terms=(
-            TorqueCost(weight=1.0),
-            AccelerationCost(weight=1e-2),
-            *arms.limits(touching),
-            NormalForce(contact=TOOL, lower=pressure, upper=pressure),
+    return common.problem(
+        "arm-wipe",
+        touching,
+        Schedule((Phase(name="wipe", duration=time, contacts=(TOOL,), surfaces={TOOL: surface}),)),
+        _along(touching.model, postures, time),
+        costs=(TorqueCost(weight=1.0), AccelerationCost(weight=1e-2)),
+        effort=arms.effort(touching),
+        cones=(NormalForce(contact=TOOL, lower=pressure, upper=pressure),),
+        more=(
             StrokeMotion(contact=TOOL, stroke=stroke, duration=time),
             Facing(frame=arm.tool, axis=arm.outward, direction=-normal, angle=lean),
-            RestOnStroke(q=postures[-1]),
         ),
-        guess=Wiping(model=touching.model, start=postures[0], spline=spline, duration=time),
+        end=(RestOnStroke(q=postures[-1]),),
+        initial_q=postures[0],
         parameters={"size": stroke.size, "force": pressure, "duration": time},
         default_intervals=40,
     )
+
+
+def _along(model: pin.Model, postures: Sequence[np.ndarray], duration: float) -> Motion:
+    """Guess: smoothly through postures (nq,) that are evenly spread over the stroke, in ``duration`` s."""
+    from scipy.interpolate import CubicSpline  # takes longer to load than all other problems
+
+    start = postures[0]
+    spline = CubicSpline(np.linspace(0.0, 1.0, KNOTS), [pin.difference(model, start, q) for q in postures])
+    return lambda t: np.asarray(pin.integrate(model, start, spline(smooth_step(t / duration))))
 
 
 def _normal(arm: arms.Arm, tilt: float | None, out: float) -> np.ndarray:
@@ -145,34 +130,25 @@ def _postures(arm: arms.Arm, stroke: Stroke, normal: np.ndarray) -> list[np.ndar
     return [posture.q for posture in found]
 
 
-def _part(name: str, meaning: str) -> Parameter:
-    return Parameter(
-        name=name, default=0.0, unit="", lower=-1.0, upper=1.0, meaning=f"{meaning}, part of the reach"
-    )
-
-
 FAMILY = Family(
     name="arm-wipe",
     robots=arms.ARMS,
     phases=("wipe",),
     summary="press an arm's tool on a plane with a given force and slide along a line or a circle on it",
     parameters=(
-        Choice(name="shape", default="line", choices=tuple(SIZES), meaning="path of the tool on the plane"),
-        Parameter(
-            name="size",
-            default=None,
-            unit="m",
-            lower=1e-3,
-            upper=5.0,
-            meaning="length of the line or diameter of the circle (default: 0.25 or 0.15 of the reach)",
+        common.choice("shape", "path of the tool on the plane", *SIZES),
+        common.length(
+            "size",
+            None,
+            "length of the line or diameter of the circle (default: 0.25 or 0.15 of the reach)",
+            (1e-3, 5.0),
         ),
-        Parameter(
-            name="force",
-            default=None,
-            unit="N",
-            lower=0.0,
-            upper=1e5,
-            meaning="of the tool on the plane, along its normal (default: a quarter of what the arm can)",
+        common.number(
+            "force",
+            None,
+            "N",
+            "of the tool on the plane, along its normal (default: a quarter of what the arm can)",
+            (0.0, 1e5),
         ),
         common.friction(0.3),
         common.angle(
@@ -181,8 +157,10 @@ FAMILY = Family(
             "of the plane from level, facing the arm (default: it faces the tool of the reference)",
             (-math.pi / 2, math.pi / 2),
         ),
-        _part("out", "how much farther from the arm's axis than the tool of the reference the plane is"),
-        _part("up", "how much higher it is"),
+        arms.part(
+            "out", 0.0, "how much farther from the arm's axis than the tool of the reference the plane is"
+        ),
+        arms.part("up", 0.0, "how much higher it is"),
         common.angle(
             "lean", math.radians(20), "most that the tool leans off the normal", (1e-3, math.pi / 2)
         ),

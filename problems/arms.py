@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
+from trajopt.problem import Problem
+from trajopt.problem.family import Parameter
+from trajopt.robot import Robot
 from trajopt.robot.kinematics import Posture, frame_pose, inverse_kinematics
-from trajopt.robot.robot import Robot
-from trajopt.terms import DriveLimits, EffortLimits, PositionLimits, Term, VelocityLimits
-from trajopt.terrain.swing_profile import smooth_step
+from trajopt.schedule import Phase, Schedule
+from trajopt.schedule.schedule import Motion
+from trajopt.terms import DriveLimits, EffortLimits, FramePose, Term, TerminalRest
 from trajopt_library import robots
+
+from . import common
 
 # Arms on which families are tested; any other works by its name or file.
 ARMS = ("ur5", "panda", "kinova", "irb1600", "z1", "xarm7")
@@ -77,6 +83,11 @@ class Arm:
         moved = np.array([x, y, z + up * self.robot.length]) + out * self.robot.length * outwards
         return pin.SE3(about @ reference.rotation, self.axis + about @ moved)
 
+    def at(self, turn: float, radius: float, height: float) -> pin.SE3:
+        """The tool's pose turned by ``turn`` rad, ``radius`` m from the axis, ``height`` m in the world."""
+        _, out, up = self.cylinder(self.axis * [1, 1, 0] + np.array([radius, 0.0, height]))
+        return self.pose(turn, out, up)
+
     def cylinder(self, position: np.ndarray) -> tuple[float, float, float]:
         """The (turn, out, up) whose `pose` is at ``position`` (3,) m, world."""
         here, there = self.at_reference.translation - self.axis, np.asarray(position) - self.axis
@@ -85,38 +96,36 @@ class Arm:
         out = math.hypot(there[0], there[1]) - math.hypot(here[0], here[1])
         return turn, out / self.robot.length, (there[2] - here[2]) / self.robot.length
 
-    def follow(self, turn: float, out: float, up: float) -> Posture:
-        """Posture with the tool at that `pose`, followed from the reference in steps; as near as it gets."""
+    def follow(self, poses: Iterable[pin.SE3]) -> Posture:
+        """Posture with the tool at the last pose, followed from the reference; as near as it gets."""
         posture = Posture(self.robot.reference, 0.0)
-        for part in np.linspace(0.0, 1.0, STEPS + 1)[1:]:
-            goal = self.pose(part * turn, part * out, part * up)
-            posture = inverse_kinematics(self.robot, posture.q, {self.tool: goal})
+        for pose in poses:
+            posture = inverse_kinematics(self.robot, posture.q, {self.tool: pose})
         return posture
 
+    def towards(self, turn: float, out: float, up: float) -> Posture:
+        """Posture with the tool at that `pose`, followed in steps; as near as it gets."""
+        parts = np.linspace(0.0, 1.0, STEPS + 1)[1:]
+        return self.follow(self.pose(part * turn, part * out, part * up) for part in parts)
+
     def posture(self, turn: float, out: float, up: float) -> np.ndarray:
-        """The posture (nq,) of `follow`. Raises InputError where the arm does not get there."""
-        found = self.follow(turn, out, up)
+        """The posture (nq,) of `towards`. Raises InputError where the arm does not get there."""
+        return self.reached(self.towards(turn, out, up), self.pose(turn, out, up))
+
+    def reached(self, found: Posture, pose: pin.SE3) -> np.ndarray:
+        """The posture (nq,), if it brings the tool to ``pose``. Raises InputError."""
         if found.error > REACHED:
-            x, y, z = self.pose(turn, out, up).translation
+            x, y, z = pose.translation
             raise InputError(
-                f"'{self.robot.name}' does not bring '{self.tool}' to ({x:.3f}, {y:.3f}, {z:.3f}) m,"
-                f" turned by {math.degrees(turn):.0f} degrees",
+                f"'{self.robot.name}' cannot bring '{self.tool}' to ({x:.3f}, {y:.3f}, {z:.3f}) m",
                 f"allowed: poses within its reach ({self.robot.length:.2f} m) and joint ranges",
             )
         return found.q
 
-
-@dataclass(frozen=True, kw_only=True)
-class ArmPath:
-    """Guess: from ``start`` to ``end`` (nq,) along 10 s^3 - 15 s^4 + 6 s^5 in ``duration`` s, then still."""
-
-    model: pin.Model
-    start: np.ndarray
-    end: np.ndarray
-    duration: float
-
-    def __call__(self, t: float) -> np.ndarray:
-        return np.asarray(pin.interpolate(self.model, self.start, self.end, smooth_step(t / self.duration)))
+    def arrival(self, pose: pin.SE3, q: np.ndarray) -> tuple[Term, Term]:
+        """The tool ends at ``pose`` and the joints at rest, near ``q`` (nq,)."""
+        there = FramePose(frame=self.tool, position=pose.translation, rotation=pose.rotation)
+        return there, TerminalRest(q=q)
 
 
 def load(name: str) -> Arm:
@@ -125,11 +134,11 @@ def load(name: str) -> Arm:
     return Arm(robot=robots.load(name), tool=tool)
 
 
-def least_duration(robot: Robot, postures: Sequence[np.ndarray]) -> float:
+def least_duration(robot: Robot, postures: Sequence[np.ndarray], *, weight: bool = True) -> float:
     """Duration of a guess from rest to rest through ``postures`` (nq,), s: what rates and torques allow.
 
-    Torques are those that gravity leaves, and each joint moves its own inertia alone: an estimate for a start
-    of the search, not a bound.
+    Torques are those that the arm's weight leaves (``weight``: or all), and each joint moves its own inertia
+    alone: an estimate for a start of the search, not a bound.
     """
     model, data = robot.model, robot.model.createData()
     steps = [pin.difference(model, before, after) for before, after in pairwise(postures)]
@@ -137,9 +146,9 @@ def least_duration(robot: Robot, postures: Sequence[np.ndarray]) -> float:
     by_rate = PEAK_RATE * travel / robot.velocity_limit
     if robot.effort_limit is None:
         return float(by_rate.max())
-    gravity = np.abs([pin.computeGeneralizedGravity(model, data, q) for q in postures]).max(axis=0)
+    held = np.abs([pin.computeGeneralizedGravity(model, data, q) for q in postures]).max(axis=0)
     # Postures that the motors do not hold leave the problem infeasible, and the guess as it may be.
-    spare = np.maximum(robot.effort_limit - gravity, LEAST_SPARE * robot.effort_limit)
+    spare = np.maximum(robot.effort_limit - weight * held, LEAST_SPARE * robot.effort_limit)
     inertia = np.diag(pin.crba(model, data, postures[0]))
     by_torque = np.sqrt(PEAK_ACCELERATION * travel * inertia / spare)
     return float(max(by_rate.max(), by_torque.max()))
@@ -159,7 +168,36 @@ def strength(arm: Arm, postures: Sequence[np.ndarray], direction: np.ndarray) ->
     return max(least, 0.0)
 
 
-def limits(robot: Robot) -> tuple[Term, ...]:
-    """Limits of torques (of the drives where the robot has them), positions and rates."""
-    effort = EffortLimits() if robot.drives is None else DriveLimits()
-    return (effort, PositionLimits(), VelocityLimits())
+def effort(robot: Robot) -> Term:
+    """Limits of torques, of the drives where the robot has them."""
+    return EffortLimits() if robot.drives is None else DriveLimits()
+
+
+def between(
+    name: str,
+    robot: Robot,
+    ends: tuple[np.ndarray, np.ndarray],
+    duration: float,
+    *,
+    phase: str,
+    bounds: common.Range | None = None,
+    guess: Motion | None = None,
+    **settings: Any,
+) -> Problem:
+    """A motion of one phase in ``duration`` s between two postures (nq,); see `common.problem`.
+
+    bounds: of a free duration, s. guess: default straight from one posture to the other.
+    """
+    straight = common.PosturePath(model=robot.model, postures=ends, durations=(duration,))
+    return common.problem(
+        name,
+        robot,
+        Schedule((Phase(name=phase, duration=duration, duration_bounds=bounds),)),
+        guess or straight,
+        **{"initial_q": ends[0], "end": ends[1]} | settings,
+    )
+
+
+def part(name: str, default: float, meaning: str, within: common.Range = (-1.0, 1.0)) -> Parameter:
+    """A length as a part of the arm's reach."""
+    return common.number(name, default, "", f"{meaning}, part of the reach", within)

@@ -11,24 +11,23 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
-from trajopt.problem.family import Choice, Family, Parameter
-from trajopt.problem.problem import Problem
+from trajopt.problem import Problem
+from trajopt.problem.family import Family
 from trajopt.reduced.legged_guess import legged_guess
-from trajopt.robot.kinematics import contact_positions
+from trajopt.robot import Robot
 from trajopt.robot.legs import biped_legs
-from trajopt.robot.robot import Robot
-from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.terms import SwingClearance, TerminalRest, TerminalState
+from trajopt.schedule import Phase, Schedule
 from trajopt.terrain.flat import FlatGround
 
-from . import bipeds, common, leaping
+from . import bipeds, common
 
 # Push over mass times sqrt(g l): the pendulum's capture point then moves by this part of the robot's length.
 PUSH = 0.05
 # Feet step this much further than the capture point of the pendulum.
 BEYOND = 1.5
 # Durations in units of sqrt(l / g).
-STAND, REACT, STEP, DOUBLE, SETTLE = 6.0, 0.3, 1.2, 0.4, 2.5
+STAND = 6.0
+STEPS = {"react": 0.3, "step_1": 1.2, "double": 0.4, "step_2": 1.2, "settle": 2.5}
 CLEARANCE = 0.05
 INTERVALS = 40
 
@@ -57,26 +56,10 @@ def _capture(robot: Robot, velocity: np.ndarray) -> np.ndarray:
 
 
 def _schedule(robot: Robot, recover: str, way: np.ndarray) -> Schedule:
-    left, right = biped_legs(robot)
-    unit = leaping.natural_time(robot)
+    unit = common.natural_time(robot)
     if recover == "stand":
-        return Schedule((Phase(name="stand", duration=STAND * unit, contacts=(left, right)),))
-    moved = {
-        name: place + np.append(way, 0.0) for name, place in contact_positions(robot, robot.reference).items()
-    }
-    return Schedule(
-        (
-            Phase(name="react", duration=REACT * unit, contacts=(left, right)),
-            Phase(name="step_1", duration=STEP * unit, contacts=(left,)),
-            Phase(
-                name="double", duration=DOUBLE * unit, contacts=(left, right), footholds={right: moved[right]}
-            ),
-            Phase(name="step_2", duration=STEP * unit, contacts=(right,)),
-            Phase(
-                name="settle", duration=SETTLE * unit, contacts=(left, right), footholds={left: moved[left]}
-            ),
-        )
-    )
+        return Schedule((Phase(name="stand", duration=STAND * unit, contacts=biped_legs(robot)),))
+    return bipeds.two_steps(robot, way, {name: part * unit for name, part in STEPS.items()})
 
 
 def build(
@@ -94,28 +77,22 @@ def build(
     if recover == "default":
         recover = "stand" if all(contact.kind == "surface" for contact in body.contacts) else "step"
     start = pushed(body, push * np.array([math.cos(direction), math.sin(direction), 0.0]))
-    way = BEYOND * _capture(body, start) if recover == "step" else np.zeros(2)
-    schedule, ground = _schedule(body, recover, way), FlatGround(friction=friction)
-    end, lift = leaping.displaced(body, (*way, 0.0)), CLEARANCE * body.length
+    way = np.append(BEYOND * _capture(body, start) if recover == "step" else np.zeros(2), 0.0)
+    schedule = _schedule(body, recover, way)
     path = [
         bipeds.waypoint(body, 0.0, (0.0, 0.0, 0.0)),
-        bipeds.waypoint(body, schedule.duration, (*way, 0.0)),
+        bipeds.waypoint(body, schedule.duration, way),
     ]
-    return Problem(
-        name="biped-balance",
-        robot=body,
-        schedule=schedule,
-        terrain=ground,
-        initial_q=body.reference,
+    return common.problem(
+        "biped-balance",
+        body,
+        schedule,
+        legged_guess(body, schedule, path),
+        effort=common.share_of_effort(body, effort_share),
+        terrain=FlatGround(friction=friction),
+        clearance=CLEARANCE * body.length if recover == "step" else None,
+        end=common.displaced(body, way),
         initial_v=start,
-        terms=(
-            *common.legged_costs(acceleration=bipeds.ACCELERATION),
-            *bipeds.limits(body, effort_share),
-            *([SwingClearance(height=lift, terrain=ground)] if recover == "step" else []),
-            TerminalState(q=end),
-            TerminalRest(q=end),
-        ),
-        guess=legged_guess(body, schedule, path),
         parameters={"push": push, "recover": recover},
         default_intervals=INTERVALS,
     )
@@ -127,23 +104,23 @@ FAMILY = Family(
     phases=("stand",),
     summary="come to rest after a push, on the same feet or by two steps",
     parameters=(
-        Parameter(
-            name="push",
-            default=None,
-            unit="N s",
-            lower=0.0,
-            upper=1e4,
-            meaning="impulse on the base (default: 0.05 of mass times sqrt(g length))",
+        common.number(
+            "push",
+            None,
+            "N s",
+            "impulse on the base (default: 0.05 of mass times sqrt(g length))",
+            (0.0, 1e4),
         ),
         common.angle("direction", 0.0, "of the push, from forward to the left", (-math.pi, math.pi)),
-        Choice(
-            name="recover",
-            default="default",
-            choices=("default", "stand", "step"),
-            meaning="keep the feet in place, or step (default: stand on soles, step on points)",
+        common.choice(
+            "recover",
+            "keep the feet in place, or step (default: stand on soles, step on points)",
+            "default",
+            "stand",
+            "step",
         ),
         common.friction(0.7),
-        common.effort_share(),
+        common.EFFORT_SHARE,
     ),
     build=build,
 )

@@ -12,10 +12,11 @@ from functools import partial
 from typing import Any
 
 from trajopt.dynamics.model_quantities import gravity_of
+from trajopt.problem import Problem
 from trajopt.problem.family import Family
-from trajopt.problem.problem import Problem
 
-from . import bipeds, leaping, quadruped_jump
+from . import bipeds, common, quadruped_jump
+from .gait_common import near
 
 # Default jumps forward are no longer than feet come in flight, from rest to rest, at this part of gravity's
 # acceleration: legs are a third of a humanoid's mass.
@@ -28,12 +29,11 @@ INTERVALS = 64
 
 def _upright(build: Callable[..., Problem], *, goal: str, **values: Any) -> Problem:
     if values["stance"] is None:
-        values["stance"] = STANCE * leaping.natural_time(bipeds.biped(values["robot"]))
+        values["stance"] = STANCE * common.natural_time(bipeds.biped(values["robot"]))
     problem = build(goal=goal, **values)
     if goal != "effort":
         return problem
-    assert problem.guess is not None  # every leap has one
-    return replace(problem, terms=(*problem.terms, bipeds.near(problem.guess)), default_intervals=INTERVALS)
+    return replace(problem, terms=(*problem.terms, near(problem.guess)), default_intervals=INTERVALS)
 
 
 def _forward(build: Callable[..., Problem], **values: Any) -> Problem:

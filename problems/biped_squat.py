@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from trajopt.problem.family import Family, Parameter
-from trajopt.problem.problem import Problem
+from trajopt.problem import Problem
+from trajopt.problem.family import Family
 from trajopt.reduced.legged_guess import legged_guess
-from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.terms import FrameHeight, TerminalRest, TerminalState
+from trajopt.schedule import Phase, Schedule
+from trajopt.terms import FrameHeight
 from trajopt.terrain.flat import FlatGround
 
-from . import bipeds, common, leaping
+from . import bipeds, common, pushing
 
 # Depth as a part of the robot's length; duration in units of sqrt(l / g): two seconds for a human's leg.
 DEPTH, DURATION = 0.2, 6.0
@@ -24,8 +22,8 @@ def build(
     """Build the squat; see ``FAMILY`` for the parameters. Raises InputError."""
     body = bipeds.biped(robot)
     if depth is None:
-        depth = min(DEPTH * body.length, leaping.OF_REACHABLE * leaping.sink_left(body))
-    duration = DURATION * leaping.natural_time(body) if duration is None else duration
+        depth = min(DEPTH * body.length, pushing.OF_REACHABLE * pushing.sink_left(body))
+    duration = DURATION * common.natural_time(body) if duration is None else duration
     feet = tuple(contact.name for contact in body.contacts)
     schedule = Schedule((Phase(name="squat", duration=duration, contacts=feet),))
     down = (0.0, 0.0, -depth)
@@ -33,23 +31,18 @@ def build(
         bipeds.waypoint(body, time, shift)
         for time, shift in ((0.0, (0.0, 0.0, 0.0)), (duration / 2, down), (duration, (0.0, 0.0, 0.0)))
     ]
-    return Problem(
-        name="biped-squat",
-        robot=body,
-        schedule=schedule,
+    deepest = FrameHeight(
+        frame=body.model.names[1], height=body.reference[2] - depth, phase="squat", below=True
+    )
+    return common.problem(
+        "biped-squat",
+        body,
+        schedule,
+        legged_guess(body, schedule, path),
+        effort=common.share_of_effort(body, effort_share),
         terrain=FlatGround(friction=friction),
-        initial_q=body.reference,
-        initial_v=np.zeros(body.nv),
-        terms=(
-            *common.legged_costs(acceleration=bipeds.ACCELERATION),
-            *bipeds.limits(body, effort_share),
-            FrameHeight(
-                frame=body.model.names[1], height=body.reference[2] - depth, phase="squat", below=True
-            ),
-            TerminalState(q=body.reference),
-            TerminalRest(q=body.reference),
-        ),
-        guess=legged_guess(body, schedule, path),
+        more=(deepest,),
+        end=body.reference,
         parameters={"depth": depth, "duration": duration},
         default_intervals=INTERVALS,
     )
@@ -61,17 +54,15 @@ FAMILY = Family(
     phases=("squat",),
     summary="sink by a depth on both feet and rise again, from rest to rest",
     parameters=(
-        Parameter(
-            name="depth",
-            default=None,
-            unit="m",
-            lower=0.0,
-            upper=2.0,
-            meaning="least depth of the base (default: 0.2 of the length, less where joints end)",
+        common.length(
+            "depth",
+            None,
+            "least depth of the base (default: 0.2 of the length, less where joints end)",
+            (0.0, 2.0),
         ),
         common.duration("duration", None, "of the whole (default: by the robot's length)", (0.05, 60.0)),
         common.friction(0.7),
-        common.effort_share(),
+        common.EFFORT_SHARE,
     ),
     build=build,
 )

@@ -5,20 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.problem.family import Family, Parameter
-from trajopt.problem.problem import Problem
+from trajopt.problem import Problem
+from trajopt.problem.family import Family
 from trajopt.reduced.base_path import BaseWaypoint
 from trajopt.reduced.legged_guess import legged_guess
+from trajopt.robot import Robot
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.legs import biped_legs
-from trajopt.robot.robot import Robot
-from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.terms import TerminalRest, TerminalState, swing_clearance
-from trajopt.terrain.piecewise import PiecewiseTerrain
+from trajopt.terrain import PiecewiseTerrain
 from trajopt.terrain.swing_path import swing_path
 
-from . import bipeds, common, leaping
+from . import bipeds, common
 
+PHASES = ("shift", "step_1", "double", "step_2", "settle")
 # Height of the box and way forward, parts of the robot's length; a way of so many soles at least.
 HEIGHT, FORWARD, SOLES = 0.15, 0.4, 1.6
 # Durations in units of sqrt(l / g).
@@ -44,99 +43,59 @@ def _path(robot: Robot, times: np.ndarray, forward: float, height: float) -> lis
     return [bipeds.waypoint(robot, float(time), shift) for time, shift in zip(times, shifts, strict=True)]
 
 
-def _schedule(robot: Robot, forward: float, height: float, durations: tuple[float, float, float]) -> Schedule:
-    """The right foot steps first, then the left one, each to its place on the box."""
-    left, right = biped_legs(robot)
-    shift, step, double = durations
-    moved = {
-        name: place + np.array([forward, 0.0, height])
-        for name, place in contact_positions(robot, robot.reference).items()
-    }
-    return Schedule(
-        (
-            Phase(name="shift", duration=shift, contacts=(left, right)),
-            Phase(name="step_1", duration=step, contacts=(left,)),
-            Phase(name="double", duration=double, contacts=(left, right), footholds={right: moved[right]}),
-            Phase(name="step_2", duration=step, contacts=(right,)),
-            Phase(name="settle", duration=shift, contacts=(left, right), footholds={left: moved[left]}),
-        )
-    )
-
-
-def build(
-    *,
-    robot: str,
-    height: float | None,
-    forward: float | None,
-    shift: float | None,
-    step: float | None,
-    double: float | None,
-    friction: float,
-    effort_share: float,
-) -> Problem:
+def build(*, robot: str, friction: float, effort_share: float, **given: float | None) -> Problem:
     """Build the step; see ``FAMILY`` for the parameters. Raises InputError."""
     body = bipeds.biped(robot)
-    unit, sole = leaping.natural_time(body), 2 * max(contact.half_length for contact in body.contacts)
-    height = HEIGHT * body.length if height is None else height
-    forward = max(FORWARD * body.length, SOLES * sole) if forward is None else forward
+    unit, sole = common.natural_time(body), 2 * max(contact.half_length for contact in body.contacts)
+    defaults = {
+        "height": HEIGHT * body.length,
+        "forward": max(FORWARD * body.length, SOLES * sole),
+        "shift": SHIFT * unit,
+        "step": STEP * unit,
+        "double": DOUBLE * unit,
+    }
+    own = common.filled(defaults, given)
+    height, forward, shift, step, double = own.values()
     if not forward > sole:
         raise InputError(
             f"biped-step-up goes {forward:g} m forward on soles of {sole:g} m", "allowed: more than a sole"
         )
-    given = zip((shift, step, double), (SHIFT, STEP, DOUBLE), strict=True)
-    durations = tuple(unit * scaled if value is None else value for value, scaled in given)
     heel = float(np.mean([place[0] for place in contact_positions(body, body.reference).values()]))
     edge = heel - sole / 2 + (1 - BEFORE_HEEL) * forward
     terrain = PiecewiseTerrain.steps([height], forward, at=(edge, 0.0), friction=friction)
-    schedule = _schedule(body, forward, height, durations)
-    times = np.cumsum([0.0, *(phase.duration for phase in schedule.phases)])
+    way = np.array([forward, 0.0, height])
+    durations = dict(zip(PHASES, (shift, step, double, step, shift), strict=True))
+    schedule = bipeds.two_steps(body, way, durations)
+    times = np.cumsum([0.0, *durations.values()])
     lift = CLEARANCE * body.length
     swing = swing_path(terrain, lift, reach=sole / 2)
-    guess = legged_guess(body, schedule, _path(body, times, forward, height), terrain=terrain, swing=swing)
-    end = leaping.displaced(body, (forward, 0.0, height))
-    return Problem(
-        name="biped-step-up",
-        robot=body,
-        schedule=schedule,
+    return common.problem(
+        "biped-step-up",
+        body,
+        schedule,
+        legged_guess(body, schedule, _path(body, times, forward, height), terrain=terrain, swing=swing),
+        effort=common.share_of_effort(body, effort_share),
         terrain=terrain,
-        initial_q=body.reference,
-        initial_v=np.zeros(body.nv),
-        terms=(
-            *common.legged_costs(acceleration=bipeds.ACCELERATION),
-            *bipeds.limits(body, effort_share),
-            *swing_clearance(body, schedule, terrain, height=lift, guess=guess),
-            TerminalState(q=end),
-            TerminalRest(q=end),
-        ),
-        guess=guess,
-        parameters={
-            "height": height,
-            "forward": forward,
-            "shift": durations[0],
-            "step": durations[1],
-            "double": durations[2],
-        },
+        clearance=lift,
+        end=common.displaced(body, way),
+        parameters=own,
         default_intervals=INTERVALS,
     )
-
-
-def _length(name: str, meaning: str, within: common.Range) -> Parameter:
-    return Parameter(name=name, default=None, unit="m", lower=within[0], upper=within[1], meaning=meaning)
 
 
 FAMILY = Family(
     name="biped-step-up",
     robots=bipeds.ROBOTS,
-    phases=("shift", "step_1", "double", "step_2", "settle"),
+    phases=PHASES,
     summary="step onto a box (or down, with a negative height), one foot after the other, and rest",
     parameters=(
-        _length("height", "of the box (default: 0.15 of the robot's length)", (-1.0, 1.0)),
-        _length("forward", "way of the feet (default: 0.4 of the robot's length)", (0.0, 2.0)),
+        common.length("height", None, "of the box (default: 0.15 of the robot's length)", (-1.0, 1.0)),
+        common.length("forward", None, "way of the feet (default: 0.4 of the robot's length)", (0.0, 2.0)),
         common.duration("shift", None, "before the first step, and after the second", (0.05, 10.0)),
         common.duration("step", None, "of a swing", (0.05, 10.0)),
         common.duration("double", None, "on both feet between the steps", (0.02, 10.0)),
         common.friction(0.7),
-        common.effort_share(),
+        common.EFFORT_SHARE,
     ),
     build=build,
 )

@@ -8,20 +8,19 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
+from trajopt.problem import Problem
 from trajopt.problem.family import Family, Parameter
-from trajopt.problem.problem import Problem
 from trajopt.reduced.com_program import CenterOfMassProgram
 from trajopt.reduced.foot_motion import guess_from_lip
 from trajopt.reduced.footsteps import FootstepPlan, Walk
 from trajopt.reduced.lip import Pendulum
-from trajopt.robot.robot import Robot
+from trajopt.robot import Robot
 from trajopt.schedule.schedule import Motion
-from trajopt.terms import SwingClearance, Term, TerminalRest
+from trajopt.terms import TerminalRest
 from trajopt.terrain.flat import FlatGround
 
 from . import bipeds, common
@@ -69,17 +68,6 @@ def _guess(robot: Robot, plan: FootstepPlan, clearance: float) -> Motion:
     return guess_from_lip(robot, plan, program.solve(), clearance=GUESS_SWING * clearance)
 
 
-def _terms(
-    robot: Robot, clearance: float, ground: FlatGround, end: np.ndarray, effort_share: float
-) -> tuple[Term, ...]:
-    return (
-        *common.legged_costs(acceleration=bipeds.ACCELERATION),
-        *bipeds.limits(robot, effort_share),
-        SwingClearance(height=clearance, terrain=ground),
-        TerminalRest(q=end),
-    )
-
-
 def build(
     *,
     robot: str,
@@ -90,15 +78,13 @@ def build(
     **given: float | None,
 ) -> Problem:
     """Build the walk; see ``FAMILY`` for the parameters. Raises InputError."""
-    if steps != round(steps):
-        raise InputError(f"parameter steps is {steps:g}", "allowed: a whole number")
-    body = _on_soles(robot)
+    count, body = common.whole("steps", steps), _on_soles(robot)
     scale = body.length / LENGTH_OF_DEFAULTS
     own = {name: value * scale for name, value in LENGTHS.items()}
     own |= {name: value * math.sqrt(scale) for name, value in TIMES.items()}
-    own |= {name: value for name, value in given.items() if value is not None}
+    own = common.filled(own, given)
     walk = Walk(
-        steps=round(steps),
+        steps=count,
         length=own["length"],
         turn=turn,
         step_time=own["step_time"],
@@ -106,18 +92,18 @@ def build(
         shift_time=own["shift"],
         settle_time=own["settle"],
     )
-    plan, ground = walk.plan(body), FlatGround(friction=friction)
+    plan = walk.plan(body)
     guess = _guess(body, plan, own["clearance"])
     intervals = math.ceil(INTERVALS_PER_SECOND * plan.duration / math.sqrt(scale) - WHOLE)
-    return Problem(
-        name="biped-walk",
-        robot=body,
-        schedule=plan.schedule(),
-        terrain=ground,
-        initial_q=body.reference,
-        initial_v=np.zeros(body.nv),
-        terms=_terms(body, own["clearance"], ground, guess(plan.duration), effort_share),
-        guess=guess,
+    return common.problem(
+        "biped-walk",
+        body,
+        plan.schedule(),
+        guess,
+        effort=common.share_of_effort(body, effort_share),
+        terrain=FlatGround(friction=friction),
+        clearance=own["clearance"],
+        end=(TerminalRest(q=guess(plan.duration)),),
         parameters=own | {"steps": walk.steps},
         default_intervals=max(len(plan.supports), intervals),
     )
@@ -139,7 +125,7 @@ FAMILY = Family(
     phases=("shift", "step_1", "double_1", "step_2", "...", "settle"),
     summary="walk some steps on two soles, the last of which brings the feet side by side, and come to rest",
     parameters=(
-        Parameter(name="steps", default=4, unit="", lower=2, upper=20, meaning="number of steps"),
+        common.number("steps", 4, "", "number of steps", (2, 20)),
         _way("length", "from one step to the next", (-0.4, 0.4)),
         common.angle("turn", 0.0, "to the left from one step to the next", (-0.4, 0.4)),
         _time("step_time", "of a swing"),
@@ -148,7 +134,7 @@ FAMILY = Family(
         _time("settle", "from the last touchdown to rest"),
         _way("clearance", "least height of a sole in mid swing", (0.0, 0.2)),
         common.friction(0.7),
-        common.effort_share(),
+        common.EFFORT_SHARE,
     ),
     build=build,
 )

@@ -1,25 +1,22 @@
-"""What problems of bipeds share: the robot on its legs alone, costs and limits, places of the feet."""
+"""What problems of bipeds share: the robot on its legs alone, places of the base, two steps."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
 
 from trajopt.reduced.base_path import BaseWaypoint
+from trajopt.robot import Robot
+from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.legs import biped_legs
-from trajopt.robot.robot import Robot
-from trajopt.schedule.schedule import Motion
-from trajopt.terms import PositionLimits, Term, TrackingCost, VelocityLimits
+from trajopt.schedule import Schedule
 from trajopt_library import robots
 
 from . import common
 
 ROBOTS = ("talos", "g1", "bolt")
-# Price of accelerations, for smooth motions.
-ACCELERATION = 1e-2
-# Price of the base's distance from where it should be: a tenth of that of torques.
-TRACKING = 0.1
 
 
 @lru_cache(maxsize=8)
@@ -34,21 +31,14 @@ def biped(name: str) -> Robot:
     return robots.legs_only(robot)
 
 
-def limits(robot: Robot, effort_share: float) -> tuple[Term, ...]:
-    """Torques, joints and rates within limits, contact wrenches within their cones."""
-    return (
-        common.share_of_effort(robot, effort_share),
-        PositionLimits(),
-        VelocityLimits(),
-        *common.contact_cones(robot),
-    )
-
-
-def near(motion: Motion) -> Term:
-    """Keeps the base, which has no price otherwise, near that of a motion."""
-    return TrackingCost(reference=motion, part="base", weight=TRACKING)
-
-
-def waypoint(robot: Robot, time: float, shift: tuple[float, float, float]) -> BaseWaypoint:
+def waypoint(robot: Robot, time: float, shift: Sequence[float] | np.ndarray) -> BaseWaypoint:
     """The reference's base at ``time`` s, displaced by ``shift`` m in the world."""
     return BaseWaypoint(time=time, position=robot.reference[:3] + np.array(shift))
+
+
+def two_steps(robot: Robot, way: np.ndarray, durations: Mapping[str, float]) -> Schedule:
+    """Both feet move by ``way`` (3,) m, the right one first, in five phases of ``durations`` s by name."""
+    left, right = biped_legs(robot)
+    places = {name: place + way for name, place in contact_positions(robot, robot.reference).items()}
+    contacts = ((left, right), (left,), (left, right), (right,), (left, right))
+    return common.schedule_of(durations, contacts, places)

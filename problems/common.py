@@ -1,112 +1,204 @@
-"""What families share: parameters, guesses along a joint path, a hop's schedule, costs, a wall's normal."""
+"""What families share: parameters, limits, paths of guesses, schedules, and the problem made of them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
+from trajopt.dynamics.model_quantities import gravity_of
+from trajopt.errors import InputError
+from trajopt.problem import Problem
 from trajopt.problem.family import Choice, Parameter
 from trajopt.reduced.base_path import hermite as hermite
-from trajopt.robot.robot import Robot
-from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.terms import EffortLimits, FrictionPyramid, SoleCone, Term, effort_costs
+from trajopt.robot import Robot
+from trajopt.robot.legs import quadruped_legs
+from trajopt.schedule import Phase, Schedule
+from trajopt.schedule.schedule import Motion
+from trajopt.terms import (
+    EffortLimits,
+    FrictionPyramid,
+    PositionLimits,
+    SoleCone,
+    Term,
+    TerminalRest,
+    TerminalState,
+    VelocityLimits,
+    effort_costs,
+    swing_clearance,
+)
+from trajopt.terms.context_symbols import Actuation
+from trajopt.terrain import Terrain
+from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.swing_profile import smooth_step
+from trajopt_library import robots
 
 # Least height of a foot over the ground in mid flight, m.
 CLEARANCE = 0.03
+# Price of a hard landing: without one an impact brakes for free, torques do not see it.
+IMPULSE_WEIGHT = 0.1
 
 Range = tuple[float, float]
 
 
+def number(name: str, default: float | None, unit: str, meaning: str, within: Range) -> Parameter:
+    """A number within bounds."""
+    lower, upper = within
+    return Parameter(name=name, default=default, unit=unit, lower=lower, upper=upper, meaning=meaning)
+
+
 def duration(name: str, default: float | None, meaning: str, within: Range) -> Parameter:
     """A time, s, within bounds."""
-    return Parameter(name=name, default=default, unit="s", lower=within[0], upper=within[1], meaning=meaning)
+    return number(name, default, "s", meaning, within)
 
 
 def length(name: str, default: float | None, meaning: str, within: Range) -> Parameter:
     """A distance or a coordinate, m, within bounds."""
-    return Parameter(name=name, default=default, unit="m", lower=within[0], upper=within[1], meaning=meaning)
+    return number(name, default, "m", meaning, within)
 
 
 def angle(name: str, default: float | None, meaning: str, within: Range) -> Parameter:
     """An angle, rad, within bounds."""
-    return Parameter(
-        name=name, default=default, unit="rad", lower=within[0], upper=within[1], meaning=meaning
-    )
+    return number(name, default, "rad", meaning, within)
 
 
-def yaw(default: float) -> Parameter:
-    """A turn of the base, rad."""
-    return angle("yaw", default, "turn to the left", (-math.pi / 2, math.pi / 2))
+def speed(name: str, default: float | None, meaning: str) -> Parameter:
+    """A commanded velocity of the base, m/s."""
+    return number(name, default, "m/s", meaning, (-10.0, 10.0))
+
+
+def share(name: str, default: float | None, meaning: str) -> Parameter:
+    """A part of a period that is neither none nor all of it."""
+    return number(name, default, "", meaning, (0.05, 0.95))
 
 
 def friction(default: float, name: str = "friction", meaning: str = "Coulomb coefficient") -> Parameter:
     """A coefficient of friction."""
-    return Parameter(name=name, default=default, unit="", lower=0.0, upper=10.0, meaning=meaning)
+    return number(name, default, "", meaning, (0.0, 10.0))
 
 
-def effort() -> Parameter:
-    """One torque limit for all joints, N m."""
-    meaning = "torque limit (default: the URDF's)"
-    return Parameter(name="effort", default=None, unit="N m", lower=0.0, upper=1e4, meaning=meaning)
+def hop_durations(
+    flight: str, defaults: tuple[float | None, ...] = (None, None, None), longest: float = 3.0
+) -> tuple[Parameter, ...]:
+    """Durations of stance, flight and landing, s; ``flight`` says where that of the flight comes from."""
+    return (
+        duration("stance", defaults[0], "duration of the push", (1e-3, 10.0)),
+        duration("flight", defaults[1], f"duration of the flight (default: {flight})", (1e-3, longest)),
+        duration("landing", defaults[2], "duration from touchdown to rest", (1e-3, 10.0)),
+    )
 
 
-def effort_share() -> Parameter:
-    """A part of the robot's own torque limits."""
-    meaning = "share of the effort limits to use"
-    return Parameter(name="effort_share", default=1.0, unit="", lower=1e-3, upper=1.0, meaning=meaning)
+def choice(name: str, meaning: str, *choices: str) -> Choice:
+    """A word out of some, the first the default."""
+    return Choice(name=name, default=choices[0], choices=choices, meaning=meaning)
 
 
-def touchdown() -> Choice:
-    """How contacts land: `hop_schedule` takes ``impact``, and impulses want a price of their own."""
-    meaning = "land at zero foot velocity or by a rigid impact"
-    return Choice(name="touchdown", default="soft", choices=("soft", "impact"), meaning=meaning)
+def goal(*choices: str, meaning: str = "what is best") -> Choice:
+    """What the motion minimises or maximises: names of `trajopt.objectives`, the first the default."""
+    return choice("goal", meaning, *choices)
 
 
-def goal(*choices: str) -> Choice:
-    """What the motion minimises or maximises: names of `trajopt.terms.objectives`, the first the default."""
-    return Choice(name="goal", default=choices[0], choices=choices, meaning="what is best")
+# One torque limit for all joints, and a part of the robot's own torque limits.
+EFFORT = number("effort", None, "N m", "torque limit (default: the URDF's)", (0.0, 1e4))
+EFFORT_SHARE = number("effort_share", 1.0, "", "share of the effort limits to use", (1e-3, 1.0))
+# How contacts land: `hop_schedule` takes ``impact``, and impulses want a price of their own.
+TOUCHDOWN = choice("touchdown", "land at zero foot velocity or by a rigid impact", "soft", "impact")
 
 
-@dataclass(frozen=True)
-class JointPath:
-    """Guess: from ``start`` to ``end`` (nq,) along 10 s^3 - 15 s^4 + 6 s^5 in ``duration`` s, then still.
+def filled(defaults: Mapping[str, float], given: Mapping[str, float | None]) -> dict[str, float]:
+    """Values of parameters: those that are given, and defaults for those that are None."""
+    return {**defaults, **{name: value for name, value in given.items() if value is not None}}
 
-    For configurations that are vectors: a fixed base and no continuous joints.
+
+def whole(name: str, value: float) -> int:
+    """The value of a parameter that counts something. Raises InputError."""
+    if value != round(value):
+        raise InputError(f"parameter {name} is {value:g}", "allowed: a whole number")
+    return round(value)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PosturePath:
+    """Guess: from posture to posture (nq,), at rest at each, along 10 s^3 - 15 s^4 + 6 s^5; then still.
+
+    durations: of the ways from each posture to the next, s.
     """
 
-    start: np.ndarray
-    end: np.ndarray
-    duration: float
+    model: pin.Model
+    postures: Sequence[np.ndarray]
+    durations: Sequence[float]
 
     def __call__(self, t: float) -> np.ndarray:
-        return self.start + smooth_step(t / self.duration) * (self.end - self.start)
+        """The posture (nq,) at ``t`` s."""
+        ends = np.cumsum(self.durations)
+        index = min(int(np.searchsorted(ends, t, side="right")), len(ends) - 1)
+        begin = ends[index - 1] if index else 0.0
+        part = smooth_step((t - begin) / (ends[index] - begin))
+        before, after = self.postures[index : index + 2]
+        return np.asarray(pin.interpolate(self.model, before, after, part))
+
+
+def quadruped(name: str) -> Robot:
+    """The robot of that name, if it stands on four feet. Raises InputError."""
+    robot = robots.load(name)
+    quadruped_legs(robot)
+    return robot
+
+
+def natural_time(robot: Robot) -> float:
+    """sqrt(l / g) in s, by which times of legged motions are scaled."""
+    return math.sqrt(robot.length / gravity_of(robot.model))
+
+
+def displaced(
+    robot: Robot, position: np.ndarray | tuple[float, float, float], yaw: float = 0.0
+) -> np.ndarray:
+    """Reference posture (nq,) with the base moved by ``position`` (3,) m and turned by ``yaw`` rad."""
+    q = robot.reference.copy()
+    q[:3] += position
+    turn = pin.utils.rotate("z", yaw) @ pin.Quaternion(q[3:7]).toRotationMatrix()
+    q[3:7] = pin.Quaternion(turn).coeffs()
+    return q
 
 
 def hop_schedule(
     footholds: Mapping[str, np.ndarray], durations: tuple[float, float, float], *, impact: bool = False
 ) -> Schedule:
     """Stance, flight and landing: contacts leave together and land on ``footholds`` (3,) m, world."""
-    contacts = tuple(footholds)
-    stance, flight, landing = durations
+    feet = tuple(footholds)
+    named = dict(zip(("stance", "flight", "landing"), durations, strict=True))
+    *before, landing = schedule_of(named, (feet, (), feet), footholds).phases
+    return Schedule((*before, replace(landing, impact=impact)))
+
+
+def schedule_of(
+    durations: Mapping[str, float],
+    contacts: Sequence[tuple[str, ...]],
+    footholds: Mapping[str, np.ndarray] = MappingProxyType({}),
+) -> Schedule:
+    """Phases of ``durations`` s by name on these contacts, which land on ``footholds`` (3,) m, world."""
+    phases, before = [], contacts[0]
+    for (name, time), on in zip(durations.items(), contacts, strict=True):
+        landing = {foot: footholds[foot] for foot in on if foot not in before}
+        phases.append(Phase(name=name, duration=time, contacts=on, footholds=landing))
+        before = on
+    return Schedule(tuple(phases))
+
+
+def freed(schedule: Schedule, *within: Range) -> Schedule:
+    """The schedule with free durations, within these multiples of theirs: one for each phase, or for all."""
+    bounds = within * len(schedule.phases) if len(within) == 1 else within
     return Schedule(
-        (
-            Phase(name="stance", duration=stance, contacts=contacts),
-            Phase(name="flight", duration=flight),
-            Phase(name="landing", duration=landing, contacts=contacts, footholds=footholds, impact=impact),
+        tuple(
+            replace(phase, duration_bounds=(low * phase.duration, high * phase.duration))
+            for phase, (low, high) in zip(schedule.phases, bounds, strict=True)
         )
     )
-
-
-def legged_costs(*, acceleration: float, joints_only: bool = False) -> tuple[Term, ...]:
-    """Torques, and little for all else, so that no direction of a legged motion is left without a price.
-
-    acceleration: weight of accelerations. joints_only: leave those and rates of the base out.
-    """
-    return effort_costs(acceleration=acceleration, joints_only=joints_only)
 
 
 def contact_cones(robot: Robot) -> tuple[Term, ...]:
@@ -119,6 +211,58 @@ def contact_cones(robot: Robot) -> tuple[Term, ...]:
 def share_of_effort(robot: Robot, share: float) -> EffortLimits:
     """Torques within a share of the robot's limits; a robot without limits stays without."""
     return EffortLimits(limit=None if robot.effort_limit is None else share * robot.effort_limit)
+
+
+def effort_of_all(robot: Robot, effort: float | None) -> EffortLimits:
+    """Torques of all joints within ``effort`` N m; None: within the robot's limits."""
+    return EffortLimits(limit=None if effort is None else np.full(robot.nu, effort))
+
+
+def problem(
+    name: str,
+    robot: Robot,
+    schedule: Schedule,
+    guess: Motion,
+    *,
+    costs: Sequence[Term] | None = None,
+    end: np.ndarray | Sequence[Term],
+    effort: Term | None = None,
+    cones: Sequence[Term] | None = None,
+    terrain: Terrain | None = None,
+    clearance: float | None = None,
+    more: Sequence[Term] = (),
+    initial_q: np.ndarray | None = None,
+    initial_v: np.ndarray | None = None,
+    actuation: Actuation = "torque",
+    **settings: Any,
+) -> Problem:
+    """A motion at little cost within all limits, by default from rest at the reference on level ground.
+
+    costs: default those of effort. end: a configuration (nq,) for rest, or terms. effort: limits of torques,
+    default the robot's; other sources have none. cones: of contacts, default `contact_cones`. clearance: of
+    swinging contacts over the terrain in mid swing, m, None for none. more: further terms. settings: what
+    else a `Problem` has.
+    """
+    ground = FlatGround() if terrain is None else terrain
+    prices = effort_costs() if costs is None else costs
+    torques = (EffortLimits() if effort is None else effort,) if actuation == "torque" else ()
+    swings: tuple[Term, ...] = ()
+    if clearance is not None:
+        swings = swing_clearance(robot, schedule, ground, height=clearance, guess=guess)
+    touching = contact_cones(robot) if cones is None else cones
+    arrival = (TerminalState(q=end), TerminalRest(q=end)) if isinstance(end, np.ndarray) else end
+    return Problem(
+        name=name,
+        robot=robot,
+        schedule=schedule,
+        terrain=ground,
+        initial_q=robot.reference if initial_q is None else initial_q,
+        initial_v=np.zeros(robot.nv) if initial_v is None else initial_v,
+        terms=(*prices, *torques, PositionLimits(), VelocityLimits(), *touching, *swings, *more, *arrival),
+        guess=guess,
+        actuation=actuation,
+        **settings,
+    )
 
 
 def wall_normal(tilt: float) -> np.ndarray:

@@ -1,27 +1,33 @@
-"""What gaits of quadrupeds share: their speeds and periods by the robot's size, costs, limits, parameters."""
+"""What gaits share: their speeds and periods by the robot's size, costs, periodic problems, parameters."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from trajopt.dynamics.model_quantities import gravity_of
-from trajopt.problem.family import Choice, Parameter
-from trajopt.reduced.gait_guess import Pace, commanded_motion
-from trajopt.robot.robot import Robot
+from trajopt.problem import Problem
+from trajopt.problem.family import Parameter
+from trajopt.reduced.gait_guess import Pace, commanded_motion, plan_of_cycle
+from trajopt.robot import Robot
+from trajopt.schedule import Schedule
 from trajopt.schedule.gaits import Gait
-from trajopt.schedule.named_gaits import QUADRUPED, gait_of
-from trajopt.schedule.schedule import Schedule
-from trajopt.terms import FrictionPyramid, PositionLimits, Term, TrackingCost, VelocityLimits, goal_terms
+from trajopt.schedule.schedule import Motion
+from trajopt.terms import Term, TrackingCost, goal_terms, swing_arcs
 from trajopt.terms.objectives import REST
 from trajopt.terrain.flat import FlatGround
 
 from . import common
 
 ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
-# Least height of a foot in mid swing as a part of the robot's length; swings of the guess are higher.
-CLEARANCE = 0.1
+# Swings of the guess are higher than they must be.
 HIGHER = 1.5
+# Free durations are between these parts of the nominal ones; their sum, the period, is not free.
+FREE = (0.6, 1.5)
+# Of a whole cycle.
+INTERVALS = 32
 # Price of the base's distance from the commanded motion: a tenth of that of torques.
 TRACKING = 0.1
 
@@ -29,6 +35,8 @@ TRACKING = 0.1
 @dataclass(frozen=True, kw_only=True)
 class Style:
     """What a gait's family takes by default: ``froude`` number u^2 / (g l) of its speed u, and its strides.
+
+    ``clearance``: least height of a foot in mid swing as a part of the robot's length.
 
     Strides of mammals are ``stride`` froude^``growth`` leg lengths long (Alexander, Jayes, "A dynamic
     similarity hypothesis for the gaits of quadrupedal mammals", J. Zool. 201, 1983): 2.4 froude^0.34 in
@@ -38,6 +46,7 @@ class Style:
     froude: float
     stride: float = 2.4
     growth: float = 0.34
+    clearance: float = 0.1
     summary: str = ""
 
     def speed(self, robot: Robot) -> float:
@@ -88,92 +97,105 @@ class Command:
 
 def command(
     robot: Robot,
-    style: str,
+    style: Style,
+    gait: Gait,
     *,
-    speed: float | None,
-    lateral: float,
-    turn_rate: float,
-    period: float | None,
-    duty: float | None,
-    clearance: float | None,
+    speed: float | None = None,
+    lateral: float = 0.0,
+    turn_rate: float = 0.0,
+    period: float | None = None,
+    duty: float | None = None,
+    clearance: float | None = None,
 ) -> Command:
-    """The gait of a ``style`` with these parameters of a family, None for its default. Raises InputError."""
-    own, gait = STYLES[style], gait_of(robot, style)
-    speed = own.speed(robot) if speed is None else speed
+    """A ``gait`` in a ``style`` with these parameters, None for their defaults. Raises InputError."""
+    speed = style.speed(robot) if speed is None else speed
     return Command(
         gait=gait if duty is None else gait.with_duty(duty),
-        period=own.period(robot, math.hypot(speed, lateral)) if period is None else period,
+        period=style.period(robot, math.hypot(speed, lateral)) if period is None else period,
         pace=Pace(velocity=(speed, lateral), turn_rate=turn_rate),
-        lift=CLEARANCE * robot.length if clearance is None else clearance,
+        lift=style.clearance * robot.length if clearance is None else clearance,
     )
 
 
-def gait_terms(
-    goal: str, robot: Robot, schedule: Schedule, pace: Pace, ground: FlatGround, effort_share: float
-) -> tuple[Term, ...]:
-    """Costs and limits of a gait: its goal, and a base near the commanded motion."""
+def near(motion: Motion, weight: float = TRACKING) -> Term:
+    """Keeps the base, which has no price otherwise, near that of a motion."""
+    return TrackingCost(reference=motion, part="base", weight=weight)
+
+
+def gait_costs(goal: str, robot: Robot, schedule: Schedule, pace: Pace) -> tuple[Term, ...]:
+    """Costs of a gait: its goal, and a base near the commanded motion."""
     way = math.hypot(*pace.velocity) * abs(pace.progress(schedule.duration))
     share = 1.0 if goal == "effort" else REST
     return (
         *goal_terms(goal, robot, schedule, travel=way if goal == "transport" else None),
-        TrackingCost(reference=commanded_motion(robot, pace), part="base", weight=share * TRACKING),
-        common.share_of_effort(robot, effort_share),
-        PositionLimits(),
-        VelocityLimits(),
-        FrictionPyramid(friction=ground.friction),
+        near(commanded_motion(robot, pace), share * TRACKING),
     )
 
 
-def speed(name: str, default: float | None, meaning: str) -> Parameter:
-    """A commanded velocity of the base, m/s."""
-    return Parameter(name=name, default=default, unit="m/s", lower=-10.0, upper=10.0, meaning=meaning)
+def cycle(asked: Command, mirror: Mapping[str, str] | None, *, free: bool = False) -> Schedule:
+    """One period, or the half whose image under ``mirror`` is the other half; ``free`` shares of phases."""
+    bounds = FREE if free else None
+    if mirror is None:
+        return Schedule(asked.gait.phases(asked.period, duration_bounds=bounds))
+    return Schedule(asked.gait.half_cycle(asked.period, mirror, duration_bounds=bounds))
 
 
-def turn_rate() -> Parameter:
-    """A commanded rate of the base about the vertical, rad/s."""
-    return Parameter(
-        name="turn_rate", default=0.0, unit="rad/s", lower=-5.0, upper=5.0, meaning="to the left"
+def periodic_problem(
+    name: str,
+    robot: Robot,
+    asked: Command,
+    schedule: Schedule,
+    *,
+    mirror: Mapping[str, str] | None,
+    swing: float,
+    friction: float,
+    effort_share: float,
+    goal: str = "effort",
+    planned: bool = False,
+    **settings: Any,
+) -> Problem:
+    """A periodic gait through a `cycle`; see `common.problem`.
+
+    swing: height of swings of the guess, m. planned: feet land where they are planned, not anywhere.
+    """
+    plan = plan_of_cycle(robot, schedule, asked.pace, mirror=mirror, clearance=swing)
+    schedule, ground = plan.schedule if planned else schedule, FlatGround(friction=friction)
+    images = mirror or {foot: foot for foot in asked.gait.feet}
+    return common.problem(
+        name,
+        robot,
+        schedule,
+        plan.guess,
+        costs=gait_costs(goal, robot, schedule, asked.pace),
+        effort=common.share_of_effort(robot, effort_share),
+        terrain=ground,
+        more=swing_arcs(schedule, asked.gait.feet, height=asked.lift, terrain=ground, next_name=images),
+        end=(),
+        parameters=asked.parameters,
+        default_intervals=INTERVALS if mirror is None else INTERVALS // 2,
+        **settings,
     )
 
 
-def period() -> Parameter:
-    """Duration of a cycle, s."""
-    return common.duration("period", None, "duration of a cycle (default: by length and speed)", (0.02, 20.0))
+def forward(style: Style) -> Parameter:
+    """The commanded velocity of the base forward, m/s."""
+    return common.speed("speed", None, f"forward (default: Froude number {style.froude:g})")
 
 
-def duty(style: str | None = None) -> Parameter:
+def duty(gait: Gait | None = None) -> Parameter:
     """Duty factor of all feet."""
-    meaning = "the gait's own"
-    if style is not None:
-        gait = QUADRUPED[style]
-        meaning = f"{gait.duty_of(gait.feet[0]):g}"
-    return Parameter(
-        name="duty",
-        default=None,
-        unit="",
-        lower=0.05,
-        upper=0.95,
-        meaning=f"stance of a foot as part of the period (default: {meaning})",
-    )
+    default = "the gait's own" if gait is None else f"{gait.duty_of(gait.feet[0]):g}"
+    return common.share("duty", None, f"stance of a foot as part of the period (default: {default})")
 
 
-def clearance() -> Parameter:
+def clearance(part: str = "tenth") -> Parameter:
     """Height of swings, m."""
-    return Parameter(
-        name="clearance",
-        default=None,
-        unit="m",
-        lower=0.0,
-        upper=1.0,
-        meaning="least height of a foot in mid swing (default: a tenth of the robot's length)",
-    )
+    meaning = f"least height of a foot in mid swing (default: a {part} of the robot's length)"
+    return common.length("clearance", None, meaning, (0.0, 1.0))
 
 
-def goal() -> Choice:
-    """What is to be least."""
-    return Choice(
-        name="goal",
-        default="effort",
-        choices=("effort", "transport", "smooth"),
-        meaning="least torques, cost of transport or accelerations",
-    )
+TURN_RATE = common.number("turn_rate", 0.0, "rad/s", "to the left", (-5.0, 5.0))
+PERIOD = common.duration("period", None, "duration of a cycle (default: by length and speed)", (0.02, 20.0))
+GOAL = common.goal(
+    "effort", "transport", "smooth", meaning="least torques, cost of transport or accelerations"
+)

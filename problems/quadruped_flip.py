@@ -15,28 +15,28 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.model_quantities import gravity_of
+from trajopt.problem import Problem
 from trajopt.problem.family import Family
-from trajopt.problem.problem import Problem
 from trajopt.reduced.base_path import BaseWaypoint
 from trajopt.reduced.legged_guess import legged_guess
+from trajopt.robot import Robot
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.legs import quadruped_legs
-from trajopt.robot.robot import Robot
-from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.terms import FrameDirection, Term, TerminalRest, TerminalState
+from trajopt.schedule import Schedule
+from trajopt.terms import FrameDirection, Term
 from trajopt.terrain.flat import FlatGround
 
-from . import common, leaping
+from . import common, leaping, pushing
 
 ROBOTS = ("solo12", "go2", "a1", "hyq")
 # A backflip takes hyq to its torque limits throughout (docs/problems/jumps.md).
 BACKFLIP_ROBOTS = ("solo12", "go2", "a1")
-PHASES = ("stance", "tip", "flight", "catch", "landing")
 # Default durations of the phases in units of sqrt(l / g).
-DURATIONS = (2.0, 1.0, 3.0, 1.0, 3.0)
+DURATIONS = {"stance": 2.0, "tip": 1.0, "flight": 3.0, "catch": 1.0, "landing": 3.0}
+PHASES = tuple(DURATIONS)
 INTERVALS = 70
 # No flight is longer than from this multiple of the largest speed with which legs alone leave the ground
-# (see `leaping.takeoff`): the turn about two feet adds to it.
+# (see `pushing.takeoff`): the turn about two feet adds to it.
 SPEED_PART = 1.1
 # In the guess the body leaves the ground turned by this, rad, and is as far from upright when it lands.
 TILT = math.pi / 4
@@ -56,7 +56,7 @@ class Flip:
     axis: np.ndarray
     last: tuple[str, ...]
     first: tuple[str, ...]
-    durations: tuple[float, ...]
+    durations: dict[str, float]
 
     @cached_property
     def _feet(self) -> dict[str, np.ndarray]:
@@ -74,30 +74,16 @@ class Flip:
     def schedule(self, end: np.ndarray) -> Schedule:
         """On all feet, on the last, in flight, on the first, on all; landing where ``end`` (nq,) has them."""
         every = tuple(contact.name for contact in self.robot.contacts)
-        places = contact_positions(self.robot, end)
         contacts = (every, self.last, (), self.first, every)
-        new = ((), (), (), self.first, self.last)
-        return Schedule(
-            tuple(
-                Phase(
-                    name=name,
-                    duration=duration,
-                    contacts=touching,
-                    footholds={foot: places[foot] for foot in landing},
-                )
-                for name, duration, touching, landing in zip(
-                    PHASES, self.durations, contacts, new, strict=True
-                )
-            )
-        )
+        return common.schedule_of(self.durations, contacts, contact_positions(self.robot, end))
 
     def waypoints(self) -> tuple[BaseWaypoint, ...]:
         """Rest, crouch, tipped a little, take-off, and the same backwards in time on the other side."""
-        start, sink = self.robot.reference[:3], leaping.SINK_PART * self.robot.length / 2
-        stance, landing = self.durations[0], self.durations[-1]
-        reach = leaping.EXTENSION_PART * leaping.extension_left(self.robot)
+        start, sink = self.robot.reference[:3], pushing.SINK_PART * self.robot.length / 2
+        stance, landing = self.durations["stance"], self.durations["landing"]
+        reach = pushing.EXTENSION_PART * pushing.extension_left(self.robot)
         little = math.asin(min(reach / float(np.linalg.norm(self.way)), math.sin(TILT / 2)))
-        ends = np.cumsum(self.durations)
+        ends = np.cumsum([*self.durations.values()])
         low, first = np.array([0.0, 0.0, sink]), pin.log3(pin.Quaternion(self.robot.reference[3:7]).matrix())
         poses = [
             (0.0, start, 0.0),
@@ -134,7 +120,7 @@ class Flip:
         )
 
 
-def _flip(robot: Robot, kind: Kind, durations: tuple[float, ...]) -> Flip:
+def _flip(robot: Robot, kind: Kind, durations: dict[str, float]) -> Flip:
     legs = quadruped_legs(robot)
     hind, front = (legs.hind_left, legs.hind_right), (legs.front_left, legs.front_right)
     left, right = (legs.front_left, legs.hind_left), (legs.front_right, legs.hind_right)
@@ -148,49 +134,32 @@ def _flip(robot: Robot, kind: Kind, durations: tuple[float, ...]) -> Flip:
     )
 
 
-def build(
-    *,
-    robot: str,
-    stance: float | None,
-    tip: float | None,
-    flight: float | None,
-    catch: float | None,
-    landing: float | None,
-    friction: float,
-    effort: float | None,
-    kind: Kind,
-) -> Problem:
+def build(*, robot: str, friction: float, effort: float | None, kind: Kind, **given: float | None) -> Problem:
     """Build the flip; see ``FAMILIES`` for the parameters. Raises InputError."""
-    body = leaping.quadruped(robot)
-    unit = leaping.natural_time(body)
-    given = (stance, tip, flight, catch, landing)
-    defaults = [part * unit for part in DURATIONS]
-    fastest = SPEED_PART * leaping.takeoff(body, effort).speed
-    defaults[2] = min(defaults[2], 2 * fastest / gravity_of(body.model))
-    durations = tuple(default if own is None else own for default, own in zip(defaults, given, strict=True))
+    body = common.quadruped(robot)
+    unit = common.natural_time(body)
+    defaults = {name: part * unit for name, part in DURATIONS.items()}
+    fastest = SPEED_PART * pushing.takeoff(body, effort).speed
+    defaults["flight"] = min(defaults["flight"], 2 * fastest / gravity_of(body.model))
+    durations = common.filled(defaults, given)
     flip = _flip(body, kind, durations)
-    end = leaping.displaced(body, flip.way)
+    end = common.displaced(body, flip.way)
     schedule, ground = flip.schedule(end), FlatGround(friction=friction)
     lift = leaping.CLEARANCE_PART * body.length
-    guess = legged_guess(
-        body, schedule, flip.waypoints(), terrain=ground, clearance=lift, tuck=TUCK * body.length
-    )
-    return Problem(
-        name=f"quadruped-{kind}",
-        robot=body,
-        schedule=schedule,
-        terrain=ground,
-        initial_q=body.reference,
-        initial_v=np.zeros(body.nv),
-        terms=(
-            *leaping.leap_terms(body, schedule, ground, guess, effort=effort, clearance=lift),
-            *leaping.above_ground(body, dict.fromkeys(PHASES, 0.0)),
-            *flip.turning(),
-            TerminalState(q=end),
-            TerminalRest(q=end),
+    return common.problem(
+        f"quadruped-{kind}",
+        body,
+        schedule,
+        legged_guess(
+            body, schedule, flip.waypoints(), terrain=ground, clearance=lift, tuck=TUCK * body.length
         ),
-        guess=guess,
-        parameters=dict(zip(PHASES, durations, strict=True)),
+        costs=leaping.COSTS,
+        effort=common.effort_of_all(body, effort),
+        terrain=ground,
+        clearance=lift,
+        more=(*leaping.above_ground(body, dict.fromkeys(PHASES, 0.0)), *flip.turning()),
+        end=end,
+        parameters=durations,
         default_intervals=INTERVALS,
     )
 
@@ -202,13 +171,13 @@ def _family(kind: Kind, summary: str) -> Family:
         phases=PHASES,
         summary=summary,
         parameters=(
-            leaping.scaled("stance", "s", (1e-3, 10.0), "duration of the push on all feet"),
-            leaping.scaled("tip", "s", (1e-3, 10.0), "duration of the push on two feet"),
-            leaping.scaled("flight", "s", (1e-3, 3.0), "duration of the flight"),
-            leaping.scaled("catch", "s", (1e-3, 10.0), "duration of the landing on two feet"),
-            leaping.scaled("landing", "s", (1e-3, 10.0), "duration on all feet, to rest"),
+            common.duration("stance", None, "duration of the push on all feet", (1e-3, 10.0)),
+            common.duration("tip", None, "duration of the push on two feet", (1e-3, 10.0)),
+            common.duration("flight", None, "duration of the flight", (1e-3, 3.0)),
+            common.duration("catch", None, "duration of the landing on two feet", (1e-3, 10.0)),
+            common.duration("landing", None, "duration on all feet, to rest", (1e-3, 10.0)),
             common.friction(0.7),
-            common.effort(),
+            common.EFFORT,
         ),
         build=partial(build, kind=kind),
     )

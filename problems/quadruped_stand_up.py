@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.problem.family import Choice, Family
-from trajopt.problem.problem import Problem
+from trajopt.problem import Problem
+from trajopt.problem.family import Family
 from trajopt.reduced.base_path import BaseWaypoint
 from trajopt.reduced.legged_guess import legged_guess
+from trajopt.robot import Robot
 from trajopt.robot.kinematics import frame_pose
-from trajopt.robot.robot import Robot
-from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.terms import TerminalRest, TerminalState, TimeCost
+from trajopt.schedule import Phase, Schedule
+from trajopt.terms import TimeCost
 from trajopt.terrain.flat import FlatGround
 
-from . import common, leaping
+from . import common, leaping, pushing
 
 ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
 # Default duration in units of sqrt(l / g); free, it stays within these multiples of it.
@@ -35,22 +35,19 @@ def deepest(robot: Robot, effort: float | None) -> float:
 
     As far as legs fold within their limits, hips and knees stay above the ground, and torques hold the robot.
     """
-    lower, upper = 0.0, max(float(robot.reference[2]) - LYING * robot.length, 0.0)
-    if _lies(robot, upper, effort):
-        return upper
-    while upper - lower > DEPTH_ERROR * robot.length:
-        middle = (lower + upper) / 2
-        lower, upper = (middle, upper) if _lies(robot, middle, effort) else (lower, middle)
-    return lower
+    most = max(float(robot.reference[2]) - LYING * robot.length, 0.0)
+    if _lies(robot, most, effort):
+        return most
+    return pushing.largest(lambda depth: _lies(robot, depth, effort), most, DEPTH_ERROR * robot.length)
 
 
 def _lies(robot: Robot, depth: float, effort: float | None) -> bool:
     """Whether a robot can be at rest with its base ``depth`` m under its standing height."""
-    posture = leaping.raised(robot, -depth)
-    if posture.error > leaping.REACHED:
+    posture = pushing.raised(robot, -depth)
+    if posture.error > pushing.REACHED:
         return False
     limit = robot.effort_limit if effort is None else np.full(robot.nu, effort)
-    if leaping.strongest(robot, posture.q, limit) * STATIC_SHARE < 1:
+    if pushing.strongest(robot, posture.q, limit) * STATIC_SHARE < 1:
         return False
     frames, keep = leaping.hips_and_knees(robot), leaping.JOINT_CLEARANCE * robot.length
     return all(frame_pose(robot, posture.q, frame).translation[2] > keep for frame in frames)
@@ -66,39 +63,34 @@ def build(
     effort: float | None,
 ) -> Problem:
     """Build the motion; see ``FAMILY`` for the parameters. Raises InputError."""
-    body = leaping.quadruped(robot)
+    body = common.quadruped(robot)
     depth = deepest(body, effort) if depth is None else depth
-    duration = DURATION * leaping.natural_time(body) if duration is None else duration
-    lying = leaping.raised(body, -depth)
-    if lying.error > leaping.REACHED:
+    duration = DURATION * common.natural_time(body) if duration is None else duration
+    lying = pushing.raised(body, -depth)
+    if lying.error > pushing.REACHED:
         raise InputError(
             f"'{body.name}' cannot fold its legs by {depth:g} m",
             f"allowed: up to {deepest(body, effort):.3f} m",
         )
-    ground, end = FlatGround(friction=friction), body.reference
     contacts = tuple(contact.name for contact in body.contacts)
-    free = (FREE[0] * duration, FREE[1] * duration) if goal == "time" else None
-    schedule = Schedule((Phase(name="rise", duration=duration, contacts=contacts, duration_bounds=free),))
+    schedule = Schedule((Phase(name="rise", duration=duration, contacts=contacts),))
+    fast = goal == "time"
+    schedule = common.freed(schedule, FREE) if fast else schedule
     path = [
         BaseWaypoint(time=0.0, position=lying.q[:3]),
-        BaseWaypoint(time=duration, position=end[:3]),
+        BaseWaypoint(time=duration, position=body.reference[:3]),
     ]
-    guess = legged_guess(body, schedule, path, start=lying.q, terrain=ground)
-    return Problem(
-        name="quadruped-stand-up",
-        robot=body,
-        schedule=schedule,
-        terrain=ground,
+    return common.problem(
+        "quadruped-stand-up",
+        body,
+        schedule,
+        legged_guess(body, schedule, path, start=lying.q),
+        costs=(*leaping.COSTS, TimeCost(weight=TIME_WEIGHT)) if fast else leaping.COSTS,
+        effort=common.effort_of_all(body, effort),
+        terrain=FlatGround(friction=friction),
+        more=leaping.above_ground(body, {"rise": 0.0}),
+        end=body.reference,
         initial_q=lying.q,
-        initial_v=np.zeros(body.nv),
-        terms=(
-            *leaping.leap_terms(body, schedule, ground, guess, effort=effort, clearance=0.0),
-            *((TimeCost(weight=TIME_WEIGHT),) if goal == "time" else ()),
-            *leaping.above_ground(body, {"rise": 0.0}),
-            TerminalState(q=end),
-            TerminalRest(q=end),
-        ),
-        guess=guess,
         parameters={"depth": depth, "duration": duration},
         default_intervals=30,
     )
@@ -110,13 +102,11 @@ FAMILY = Family(
     phases=("rise",),
     summary="rise from lying low on folded legs to standing, feet in place",
     parameters=(
-        leaping.scaled("depth", "m", (0.0, 2.0), "of the base under its standing height at the start"),
-        leaping.scaled("duration", "s", (1e-2, 20.0), "duration; with goal=time its guess"),
-        Choice(
-            name="goal", default="effort", choices=("effort", "time"), meaning="least torques, or least time"
-        ),
+        common.length("depth", None, "of the base under its standing height at the start", (0.0, 2.0)),
+        common.duration("duration", None, "duration; with goal=time its guess", (1e-2, 20.0)),
+        common.goal("effort", "time", meaning="least torques, or least time"),
         common.friction(0.7),
-        common.effort(),
+        common.EFFORT,
     ),
     build=build,
 )

@@ -10,24 +10,22 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
-from trajopt.errors import InputError
-from trajopt.problem.family import Choice, Family, Parameter
-from trajopt.problem.problem import Problem
+from trajopt.problem import Problem
+from trajopt.problem.family import Choice, Family
 from trajopt.reduced.gait_guess import GaitPlan, Pace, plan_of_part
-from trajopt.robot.legs import quadruped_legs
-from trajopt.robot.robot import Robot
+from trajopt.robot import Robot
+from trajopt.schedule import Phase, Schedule
 from trajopt.schedule.gait_transitions import transition
-from trajopt.schedule.named_gaits import QUADRUPED
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.schedule.named_gaits import QUADRUPED, gait_of
 from trajopt.terms import TerminalRest, TerminalState, TerminalVelocity, swing_arcs
 from trajopt.terrain.flat import FlatGround
-from trajopt_library import robots
 
 from . import common, gait_common
-from .gait_common import HIGHER, ROBOTS, STYLES, gait_terms
+from .gait_common import HIGHER, ROBOTS, STYLES, gait_costs
 
 # Of every period of the gait, standing included.
 INTERVALS_PER_PERIOD = 20
@@ -63,27 +61,24 @@ def build(
     goal: str,
     friction: float,
     effort_share: float,
-    **commanded: float | None,
+    **commanded: Any,
 ) -> Problem:
     """Build a start, a stop or both; see ``FAMILIES`` for the parameters. Raises InputError."""
-    if cycles != round(cycles):
-        raise InputError(f"parameter cycles is {cycles:g}", "allowed: a whole number")
-    body = robots.load(robot)
-    quadruped_legs(body)
-    asked = gait_common.command(body, gait, **commanded)
+    count, body = common.whole("cycles", cycles), common.quadruped(robot)
+    asked = gait_common.command(body, STYLES[gait], gait_of(body, gait), **commanded)
     time = 0.5 * asked.period if stand is None else stand
 
-    def phases(count: int) -> tuple[Phase, ...]:
+    def phases(cycles: int) -> tuple[Phase, ...]:
         return transition(
             asked.gait,
             asked.period,
-            cycles=count,
+            cycles=cycles,
             stand=time if STARTS[kind] else None,
             rest=time if STOPS[kind] else None,
         )
 
-    own = phases(round(cycles))
-    whole = own if kind == "go" else phases(round(cycles) + 1)
+    own = phases(count)
+    whole = own if kind == "go" else phases(count + 1)
     pace = _pace(asked.pace, kind, own, asked.period)
     first = len(whole) - len(own) if kind == "stop" else 0
     plan = plan_of_part(body, Schedule(own), Schedule(whole), first, pace, clearance=HIGHER * asked.lift)
@@ -91,21 +86,19 @@ def build(
     schedule = Schedule((held, *plan.schedule.phases[1:]))
     begin, end = _ends(body, kind, plan, whole)
     ground = FlatGround(friction=friction)
-    ending = (TerminalRest(q=end[0]),) if STOPS[kind] else (TerminalVelocity(q=end[0], v=end[1]),)
-    return Problem(
-        name=f"quadruped-{kind}",
-        robot=body,
-        schedule=schedule,
+    ending = TerminalRest(q=end[0]) if STOPS[kind] else TerminalVelocity(q=end[0], v=end[1])
+    return common.problem(
+        f"quadruped-{kind}",
+        body,
+        schedule,
+        plan.guess,
+        costs=gait_costs(goal, body, schedule, pace),
+        effort=common.share_of_effort(body, effort_share),
         terrain=ground,
+        more=swing_arcs(schedule, asked.gait.feet, height=asked.lift, terrain=ground),
+        end=(TerminalState(q=end[0]), ending),
         initial_q=begin[0],
         initial_v=begin[1],
-        terms=(
-            *gait_terms(goal, body, schedule, pace, ground, effort_share),
-            *swing_arcs(schedule, asked.gait.feet, height=asked.lift, terrain=ground),
-            TerminalState(q=end[0]),
-            *ending,
-        ),
-        guess=plan.guess,
         parameters=asked.parameters | {"stand": time},
         default_intervals=max(len(own), math.ceil(INTERVALS_PER_PERIOD * schedule.duration / asked.period)),
     )
@@ -144,24 +137,17 @@ def _family(kind: str) -> Family:
         summary=f"{kind}: {_SUMMARIES[kind]}",
         parameters=(
             Choice(name="gait", default="trot", choices=tuple(STYLES), meaning="which gait"),
-            Parameter(
-                name="cycles",
-                default=2.0,
-                unit="",
-                lower=LEAST_CYCLES,
-                upper=20.0,
-                meaning="periods of the gait",
-            ),
+            common.number("cycles", 2.0, "", "periods of the gait", (LEAST_CYCLES, 20.0)),
             common.duration("stand", None, "standing on all feet (default: half a period)", (0.01, 10.0)),
-            gait_common.speed("speed", None, "forward at full pace (default: the gait's)"),
-            gait_common.speed("lateral", 0.0, "to the left at full pace"),
-            gait_common.turn_rate(),
-            gait_common.period(),
+            common.speed("speed", None, "forward at full pace (default: the gait's)"),
+            common.speed("lateral", 0.0, "to the left at full pace"),
+            gait_common.TURN_RATE,
+            gait_common.PERIOD,
             gait_common.duty(),
-            gait_common.goal(),
+            gait_common.GOAL,
             gait_common.clearance(),
             common.friction(0.7),
-            common.effort_share(),
+            common.EFFORT_SHARE,
         ),
         build=partial(build, kind=kind),
     )

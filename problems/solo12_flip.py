@@ -9,28 +9,18 @@ import pinocchio as pin
 
 from trajopt.dynamics.base_joint import ORDERS
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
-from trajopt.dynamics.virtual_base import DEFAULT_ORDER
-from trajopt.problem.family import Choice, Family
-from trajopt.problem.problem import Problem
+from trajopt.problem import Problem
+from trajopt.problem.family import Family
 from trajopt.reduced.base_conversion import with_virtual_base
+from trajopt.robot import Robot
 from trajopt.robot.kinematics import contact_positions, inverse_kinematics
-from trajopt.robot.robot import Robot
-from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.terms import (
-    EffortLimits,
-    FrameHeight,
-    FramePose,
-    FrictionPyramid,
-    PositionLimits,
-    SwingClearance,
-    Term,
-    VelocityLimits,
-)
+from trajopt.schedule.schedule import Motion
+from trajopt.terms import FrameHeight, FramePose
 from trajopt.terrain.flat import FlatGround
 from trajopt_library import robots
 from trajopt_library.robots.solo12 import BASE
 
-from . import common
+from . import common, leaping
 
 # In the guess the base rises by this much, m, and turns by this part of the whole, while the feet stand.
 RISE = 0.04
@@ -45,51 +35,36 @@ def orientation(pitch: float, yaw: float) -> np.ndarray:
     return turned
 
 
-class _Guess:
-    """A smooth push with the feet held, then a parabola on which the base turns at a constant rate."""
+def _guess(robot: Robot, turn: np.ndarray, stance: float, flight: float) -> Motion:
+    """A smooth push with the feet held, then a parabola on which the base turns at a constant rate.
 
-    def __init__(self, robot: Robot, turn: np.ndarray, durations: tuple[float, float]) -> None:
-        self.robot, self.durations = robot, durations
-        _, flight = durations
-        upward = (END_RISE - RISE) / flight + STANDARD_GRAVITY * flight / 2
-        # Height (m), pitch and yaw (rad): at take-off, and their rates there.
-        self.takeoff = np.array([RISE, *(GROUND_SHARE * turn)])
-        self.rates = np.array([upward, *((1 - GROUND_SHARE) * turn / flight)])
-        self.feet = contact_positions(robot, robot.reference)
+    turn: pitch and yaw (2,) in rad at the end.
+    """
+    feet = contact_positions(robot, robot.reference)
+    # Height (m), pitch and yaw (rad): at take-off, and their rates there.
+    takeoff = np.array([RISE, *(GROUND_SHARE * turn)])
+    upward = (END_RISE - RISE) / flight + STANDARD_GRAVITY * flight / 2
+    rates = np.array([upward, *((1 - GROUND_SHARE) * turn / flight)])
 
-    def __call__(self, t: float) -> np.ndarray:
-        stance, _ = self.durations
-        if t < stance:
-            pose = self._pose(common.hermite(t / stance, stance, 0.0, 0.0, self.takeoff, self.rates))
-            return inverse_kinematics(self.robot, pose, self.feet).q
-        flown = t - stance
-        fall = np.array([STANDARD_GRAVITY * flown**2 / 2, 0.0, 0.0])
-        flying = self._pose(self.takeoff + self.rates * flown - fall)
-        flying[7:] = self._takeoff_joints()
-        return flying
-
-    def _takeoff_joints(self) -> np.ndarray:
-        return np.array(inverse_kinematics(self.robot, self._pose(self.takeoff), self.feet).q[7:])
-
-    def _pose(self, moved: np.ndarray) -> np.ndarray:
-        height, pitch, yaw = moved
-        q = self.robot.reference.copy()
-        q[2] += height
-        q[3:7] = pin.Quaternion(orientation(pitch, yaw)).coeffs()
+    def pose(moved: np.ndarray) -> np.ndarray:
+        q = common.displaced(robot, (0.0, 0.0, moved[0]))
+        q[3:7] = pin.Quaternion(orientation(*moved[1:])).coeffs()
         return q
 
+    def standing(moved: np.ndarray) -> np.ndarray:
+        return inverse_kinematics(robot, pose(moved), feet).q
 
-def _terms(robot: Robot, pitch: float, yaw: float, ground: FlatGround) -> tuple[Term, ...]:
-    return (
-        *common.legged_costs(acceleration=2e-2),
-        EffortLimits(),
-        PositionLimits(),
-        VelocityLimits(),
-        FrictionPyramid(friction=ground.friction),
-        SwingClearance(height=common.CLEARANCE, terrain=ground),
-        FrameHeight(frame=BASE, height=robot.reference[2] + END_RISE, phase="flight", fraction=1.0),
-        FramePose(frame=BASE, rotation=orientation(pitch, yaw)),
-    )
+    joints = standing(takeoff)[7:]
+
+    def motion(t: float) -> np.ndarray:
+        if t < stance:
+            return standing(common.hermite(t / stance, stance, 0.0, 0.0, takeoff, rates))
+        flown = t - stance
+        flying = pose(takeoff + rates * flown - np.array([STANDARD_GRAVITY * flown**2 / 2, 0.0, 0.0]))
+        flying[7:] = joints
+        return flying
+
+    return motion
 
 
 def build(
@@ -97,21 +72,20 @@ def build(
 ) -> Problem:
     """Build the flip; see ``FAMILY`` for the parameters. Raises InputError."""
     robot = robots.load("solo12")
-    ground = FlatGround(friction=friction)
     feet = tuple(contact.name for contact in robot.contacts)
-    phases = (
-        Phase(name="stance", duration=stance, contacts=feet),
-        Phase(name="flight", duration=duration),
-    )
-    problem = Problem(
-        name="solo12-flip",
-        robot=robot,
-        schedule=Schedule(phases),
-        terrain=ground,
-        initial_q=robot.reference,
-        initial_v=np.zeros(robot.nv),
-        terms=_terms(robot, pitch, yaw, ground),
-        guess=_Guess(robot, np.array([pitch, yaw]), (stance, duration)),
+    top = robot.reference[2] + END_RISE
+    problem = common.problem(
+        "solo12-flip",
+        robot,
+        common.schedule_of({"stance": stance, "flight": duration}, (feet, ())),
+        _guess(robot, np.array([pitch, yaw]), stance, duration),
+        costs=leaping.COSTS,
+        terrain=FlatGround(friction=friction),
+        clearance=common.CLEARANCE,
+        end=(
+            FrameHeight(frame=BASE, height=top, phase="flight", fraction=1.0),
+            FramePose(frame=BASE, rotation=orientation(pitch, yaw)),
+        ),
     )
     return with_virtual_base(problem, order) if base == "virtual" else problem
 
@@ -123,22 +97,14 @@ FAMILY = Family(
     summary="half a backflip: take off and fly until the nose is beyond the vertical",
     parameters=(
         common.angle("pitch", math.radians(110), "nose up at the end of the flight", (0.0, math.pi)),
-        common.yaw(0.5),
+        common.angle("yaw", 0.5, "turn to the left", (-math.pi / 2, math.pi / 2)),
         common.duration("duration", 0.4, "duration of the flight", (0.1, 2.0)),
         common.duration("stance", 0.4, "duration of the push", (1e-3, 10.0)),
         common.friction(0.7),
-        Choice(
-            name="base",
-            default="freeflyer",
-            choices=("freeflyer", "virtual"),
-            meaning="a quaternion, or six virtual joints, which have a gimbal lock",
+        common.choice(
+            "base", "a quaternion, or six virtual joints, which have a gimbal lock", "freeflyer", "virtual"
         ),
-        Choice(
-            name="order",
-            default=DEFAULT_ORDER,
-            choices=ORDERS,
-            meaning="axes of the virtual angles, the outer one first",
-        ),
+        common.choice("order", "axes of the virtual angles, the outer one first", *ORDERS),
     ),
     build=build,
 )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.robot.units import Units
 from trajopt.terms import Context, NodeConstraint, NodePlace, PointConstraint, Rows
@@ -66,6 +67,7 @@ class StrokeMotion(PointConstraint):
     stroke: Stroke
     duration: float
 
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         acceleration = context.contact_acceleration(context.contact(self.contact))
         axes = np.array([self.stroke.across, self.stroke.along])
@@ -83,6 +85,7 @@ class RestOnStroke(NodeConstraint):
 
     q: np.ndarray
 
+    @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         basis = free_directions(context.robot, self.q, place.phase.contacts)
         rates = context.dxi / units.velocity
@@ -98,9 +101,11 @@ class Facing(NodeConstraint):
     direction: np.ndarray
     angle: float
 
+    @override
     def acts_at(self, place: NodePlace) -> bool:
         return place.index > 0
 
+    @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         axis, direction = context.parameter(self.axis), context.parameter(self.direction)
         cosine = ca.dot(direction, ca.mtimes(context.frame(self.frame).rotation, axis))

@@ -3,26 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
+from trajopt.problem import Problem
 from trajopt.problem.family import Family
-from trajopt.problem.problem import Problem
-from trajopt.robot.robot import Robot
-from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.terms import (
-    PositionLimits,
-    TerminalRest,
-    TerminalState,
-    VelocityLimits,
-    effort_costs,
-    goal_terms,
-)
-from trajopt.terrain.flat import FlatGround
+from trajopt.robot import Robot
+from trajopt.schedule import Phase, Schedule
+from trajopt.terms import effort_costs, goal_terms
 from trajopt.terrain.swing_profile import smooth_step
 from trajopt_library import robots
 
@@ -35,44 +27,19 @@ EFFORT = effort_costs(acceleration=1e-3, velocity=3e-3, posture=0.0)
 # Share of the torque that would just hold the links stretched and level.
 WEAK = 0.5
 # What free durations may be, of the nominal one.
-SHORTEST, LONGEST = 0.2, 2.0
+FREE = (0.2, 2.0)
 # Moments below this part of the largest count as none: real links do not balance exactly along their axis.
 BALANCED = 1e-2
 INTERVALS_PER_PERIOD = 20
 LEAST_INTERVALS = 50
 
 
-@dataclass(frozen=True)
-class _Turn:
-    """Guess: joints turned smoothly from one configuration to another in ``duration`` s, then still."""
+def _pendulum(robot: Robot) -> tuple[np.ndarray, np.ndarray, float]:
+    """Half a turn (nv,) of the first joint from hanging to upright (nq,), and a period, s.
 
-    robot: Robot
-    start: np.ndarray
-    turn: np.ndarray
-    duration: float
-
-    def __call__(self, t: float) -> np.ndarray:
-        q: np.ndarray = pin.integrate(
-            self.robot.model, self.start, smooth_step(t / self.duration) * self.turn
-        )
-        return q
-
-
-@dataclass(frozen=True)
-class _Pendulum:
-    """A robot that hangs at its reference: the turn (nv,) to upright, its configuration, and a period, s.
-
-    The period is of small swings with all joints but the first locked.
+    The robot hangs at its reference; the period is of small swings with all joints but the first locked.
+    Raises InputError where that is not so.
     """
-
-    robot: Robot
-    turn: np.ndarray
-    upright: np.ndarray
-    period: float
-
-
-def _pendulum(robot: Robot) -> _Pendulum:
-    """Half a turn of the first joint from hanging to upright. Raises InputError where that is not so."""
     model, data, hanging = robot.model, robot.model.createData(), robot.reference
     if robot.base == "fixed" and robot.nu > 0 and not robot.contacts and model.joints[1].nv == 1:
         coordinates = Coordinates(model)
@@ -84,7 +51,7 @@ def _pendulum(robot: Robot) -> _Pendulum:
         low, _, high = (pin.computePotentialEnergy(model, data, q) for q in way)
         if high > low and max(moments[0], moments[2]) <= BALANCED * moments[1]:
             inertia = pin.crba(model, data, hanging)[0, 0]
-            return _Pendulum(robot, turn, way[2], 2 * math.pi * math.sqrt(inertia / moments[1]))
+            return turn, way[2], 2 * math.pi * math.sqrt(inertia / moments[1])
     raise InputError(
         f"robot '{robot.name}' is no pendulum that hangs at its reference",
         "allowed: a fixed base, and half a turn of the first joint from there to the upright balance",
@@ -93,29 +60,26 @@ def _pendulum(robot: Robot) -> _Pendulum:
 
 def build(*, robot: str, goal: str, duration: float | None, effort_share: float) -> Problem:
     """Build the swing-up; see ``FAMILIES`` for the parameters. Raises InputError."""
-    pendulum = _pendulum(robots.load(robot))
-    own = pendulum.robot
-    nominal = PERIODS[goal] * pendulum.period if duration is None else duration
-    bounds = (SHORTEST * nominal, LONGEST * nominal) if goal == "time" else None
-    schedule = Schedule((Phase(name="swing", duration=nominal, duration_bounds=bounds),))
-    return Problem(
-        name="acrobot" if own.passive else "double-pendulum",
-        robot=own,
-        schedule=schedule,
-        terrain=FlatGround(),
-        initial_q=own.reference,
-        initial_v=np.zeros(own.nv),
-        terms=(
-            *goal_terms(goal, own, schedule, effort=EFFORT),
-            common.share_of_effort(own, effort_share),
-            PositionLimits(),
-            VelocityLimits(),
-            TerminalState(q=pendulum.upright),
-            TerminalRest(q=pendulum.upright),
-        ),
-        guess=_Turn(own, own.reference, pendulum.turn, nominal),
+    own = robots.load(robot)
+    turn, upright, period = _pendulum(own)
+    nominal = PERIODS[goal] * period if duration is None else duration
+    schedule = Schedule((Phase(name="swing", duration=nominal),))
+    schedule = common.freed(schedule, FREE) if goal == "time" else schedule
+
+    def turning(t: float) -> np.ndarray:
+        turned = smooth_step(t / nominal) * turn
+        return np.asarray(pin.integrate(own.model, own.reference, turned))
+
+    return common.problem(
+        "acrobot" if own.passive else "double-pendulum",
+        own,
+        schedule,
+        turning,
+        costs=goal_terms(goal, own, schedule, effort=EFFORT),
+        effort=common.share_of_effort(own, effort_share),
+        end=upright,
         parameters={"duration": nominal},
-        default_intervals=max(LEAST_INTERVALS, round(INTERVALS_PER_PERIOD * nominal / pendulum.period)),
+        default_intervals=max(LEAST_INTERVALS, round(INTERVALS_PER_PERIOD * nominal / period)),
     )
 
 
@@ -133,7 +97,7 @@ def _family(name: str, robot: str, summary: str) -> Family:
                 "duration, for the least time the guess (default: from the period of the hanging links)",
                 (1e-2, 60.0),
             ),
-            replace(common.effort_share(), default=WEAK),
+            replace(common.EFFORT_SHARE, default=WEAK),
         ),
         build=build,
     )

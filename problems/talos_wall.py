@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 
-from trajopt.problem.family import Family, Parameter
-from trajopt.problem.problem import Problem
+from trajopt.problem import Problem
+from trajopt.problem.family import Family
+from trajopt.robot import Robot
 from trajopt.robot.kinematics import frame_pose, inverse_kinematics
-from trajopt.robot.robot import Robot
-from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.terms import (
-    EffortLimits,
-    FrictionCone,
-    NormalForce,
-    PositionLimits,
-    SoleCone,
-    Term,
-    TerminalRest,
-    VelocityLimits,
-)
+from trajopt.schedule import Phase, Schedule
+from trajopt.schedule.schedule import Motion
+from trajopt.terms import FrictionCone, NormalForce, SoleCone, TerminalRest
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import Surface
-from trajopt.terrain.swing_profile import smooth_step
 from trajopt_library import robots
 from trajopt_library.robots.talos import HAND, SIDES, SOLES
 
@@ -48,36 +41,11 @@ def _soles(robot: Robot) -> dict[str, pin.SE3]:
     return {frame: frame_pose(robot, robot.reference, frame) for frame in SOLES.values()}
 
 
-class _Guess:
-    """From standing to leaning along 10 s^3 - 15 s^4 + 6 s^5, soles kept in place by the legs, then still."""
-
-    def __init__(self, robot: Robot, end: np.ndarray, duration: float) -> None:
-        self.robot, self.end, self.duration, self.soles = robot, end, duration, _soles(robot)
-
-    def __call__(self, t: float) -> np.ndarray:
-        s = smooth_step(t / self.duration)
-        between = pin.interpolate(self.robot.model, self.robot.reference, self.end, s)
-        return inverse_kinematics(self.robot, between, self.soles).q
-
-
-def _wall(distance: float, height: float, tilt: float, friction: float, held: bool) -> Surface:
-    """Plane through the hand's place; a positive tilt turns its top away from the robot."""
-    point = np.array([distance, ACROSS, height])
-    return Surface(point=point, normal=common.wall_normal(tilt), friction=friction, bilateral=held)
-
-
-def _terms(force: float, end: np.ndarray) -> tuple[Term, ...]:
-    bounds = {"lower": force} if force >= 0 else {"upper": force}
-    return (
-        *common.legged_costs(acceleration=1e-2),
-        EffortLimits(),
-        PositionLimits(),
-        VelocityLimits(),
-        SoleCone(),
-        FrictionCone(contacts=("hand",)),
-        NormalForce(contact="hand", phases=("push",), **bounds),
-        TerminalRest(q=end),
-    )
+def _guess(robot: Robot, end: np.ndarray, duration: float) -> Motion:
+    """From standing to leaning in ``duration`` s, soles kept in place by the legs, then still."""
+    soles = _soles(robot)
+    leaning = common.PosturePath(model=robot.model, postures=(robot.reference, end), durations=(duration,))
+    return lambda t: inverse_kinematics(robot, leaning(t), soles).q
 
 
 def build(
@@ -93,29 +61,30 @@ def build(
 ) -> Problem:
     """Build the problem; see ``FAMILY`` for the parameters. Raises InputError."""
     robot = robots.load("talos")
-    wall = _wall(distance, height, tilt, wall_friction, held=force < 0)
+    place, normal = np.array([distance, ACROSS, height]), common.wall_normal(tilt)
+    wall = Surface(point=place, normal=normal, friction=wall_friction, bilateral=force < 0)
     end = _leaning(robot, wall.point, force * wall.normal)
-    touching = {"contacts": (*SIDES, "hand"), "surfaces": {"hand": wall}}
-    return Problem(
-        name="talos-wall",
-        robot=robot,
-        schedule=Schedule(
+    touching: dict[str, Any] = {"contacts": (*SIDES, "hand"), "surfaces": {"hand": wall}}
+    loading = LOADING_SHARE * reach
+    bounds = {"lower": force} if force >= 0 else {"upper": force}
+    return common.problem(
+        "talos-wall",
+        robot,
+        Schedule(
             (
                 Phase(name="reach", duration=reach, contacts=SIDES),
-                Phase(
-                    name="touch",
-                    duration=LOADING_SHARE * reach,
-                    footholds={"hand": wall.point},
-                    **touching,
-                ),
+                Phase(name="touch", duration=loading, footholds={"hand": wall.point}, **touching),
                 Phase(name="push", duration=push, **touching),
             )
         ),
+        _guess(robot, end, reach),
+        cones=(
+            SoleCone(),
+            FrictionCone(contacts=("hand",)),
+            NormalForce(contact="hand", phases=("push",), **bounds),
+        ),
         terrain=FlatGround(friction=friction),
-        initial_q=robot.reference,
-        initial_v=np.zeros(robot.nv),
-        terms=_terms(force, end),
-        guess=_Guess(robot, end, reach),
+        end=(TerminalRest(q=end),),
         default_intervals=20,
     )
 
@@ -129,13 +98,12 @@ FAMILY = Family(
         common.length("distance", 0.55, "of the wall, forward", (0.2, 1.2)),
         common.length("height", 1.2, "of the hand on the wall", (0.5, 1.8)),
         common.angle("tilt", 0.0, "of the wall's top, away", (-0.6, 0.6)),
-        Parameter(
-            name="force",
-            default=80.0,
-            unit="N",
-            lower=-300.0,
-            upper=300.0,
-            meaning="least push along the wall's normal; negative: least pull at a handle, a bilateral grasp",
+        common.number(
+            "force",
+            80.0,
+            "N",
+            "least push along the wall's normal; negative: least pull at a handle, a bilateral grasp",
+            (-300.0, 300.0),
         ),
         common.duration("reach", 0.8, "duration until touch", (1e-2, 10.0)),
         common.duration("push", 0.4, "duration of the push", (1e-2, 10.0)),

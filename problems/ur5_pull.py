@@ -4,25 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from trajopt.problem import Problem
 from trajopt.problem.family import Family, Parameter
-from trajopt.problem.problem import Problem
+from trajopt.robot import Robot
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import frame_pose, inverse_kinematics
-from trajopt.robot.robot import Robot
-from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.terms import (
-    AccelerationCost,
-    NormalForce,
-    PositionLimits,
-    TorqueCost,
-    VelocityLimits,
-    WrenchCost,
-)
-from trajopt.terrain.flat import FlatGround
+from trajopt.schedule import Phase, Schedule
+from trajopt.terms import AccelerationCost, NormalForce, TorqueCost, WrenchCost
 from trajopt.terrain.surface import Surface
 from trajopt_library import robots
 from trajopt_library.robots.ur5 import TOOL
@@ -31,7 +24,7 @@ from . import common
 
 GRIP = "grip"
 # Half sizes of the gripped handle, m; a grasp transmits any wrench, so nothing but the drawing uses them.
-HANDLE = {"half_length": 0.04, "half_width": 0.02}
+HALF_LENGTH, HALF_WIDTH = 0.04, 0.02
 
 
 def _gripping() -> Robot:
@@ -41,7 +34,8 @@ def _gripping() -> Robot:
     tool = model.frames[model.getFrameId(TOOL)]
     back = tool.placement * pin.SE3(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
     model.addFrame(pin.Frame(GRIP, tool.parentJoint, model.getFrameId(TOOL), back, pin.OP_FRAME))
-    return replace(robot, model=model, contacts=(Contact(frame=GRIP, kind="surface", **HANDLE),))
+    handle = Contact(frame=GRIP, kind="surface", half_length=HALF_LENGTH, half_width=HALF_WIDTH)
+    return replace(robot, model=model, contacts=(handle,))
 
 
 def _grasping(robot: Robot, board: Surface) -> np.ndarray:
@@ -66,30 +60,24 @@ def build(
     """Build the pull; see ``FAMILY`` for the parameters. Raises InputError."""
     robot = _gripping()
     board = Surface(point=np.array([x, y, z]), normal=common.wall_normal(tilt), bilateral=True)
-    held = {"contacts": (GRIP,), "surfaces": {GRIP: board}}
-    return Problem(
-        name="ur5-pull",
-        robot=robot,
-        schedule=Schedule(
+    held: dict[str, Any] = {"contacts": (GRIP,), "surfaces": {GRIP: board}}
+    return common.problem(
+        "ur5-pull",
+        robot,
+        Schedule(
             (
                 Phase(name="reach", duration=reach),
                 Phase(name="grasp", duration=grasp, footholds={GRIP: board.point}, **held),
                 Phase(name="pull", duration=pull, **held),
             )
         ),
-        terrain=FlatGround(),
-        initial_q=robot.reference,
-        initial_v=np.zeros(robot.nv),
-        terms=(
-            TorqueCost(weight=1.0),
-            AccelerationCost(weight=1e-2),
-            WrenchCost(weight=1e-2),
-            common.share_of_effort(robot, effort_share),
-            PositionLimits(),
-            VelocityLimits(),
-            NormalForce(contact=GRIP, upper=-force, phases=("pull",)),
+        common.PosturePath(
+            model=robot.model, postures=(robot.reference, _grasping(robot, board)), durations=(reach,)
         ),
-        guess=common.JointPath(robot.reference, _grasping(robot, board), reach),
+        costs=(TorqueCost(weight=1.0), AccelerationCost(weight=1e-2), WrenchCost(weight=1e-2)),
+        effort=common.share_of_effort(robot, effort_share),
+        cones=(),  # a grasp transmits any wrench
+        end=(NormalForce(contact=GRIP, upper=-force, phases=("pull",)),),
         default_intervals=30,
     )
 
@@ -113,18 +101,11 @@ FAMILY = Family(
             "of the board's top, away; 0 is a wall, a right angle a table",
             (-math.pi / 3, math.pi / 2),
         ),
-        Parameter(
-            name="force",
-            default=60.0,
-            unit="N",
-            lower=0.0,
-            upper=500.0,
-            meaning="least pull along the normal",
-        ),
+        common.number("force", 60.0, "N", "least pull along the normal", (0.0, 500.0)),
         common.duration("reach", 1.2, "duration until the grasp", (1e-2, 60.0)),
         common.duration("grasp", 0.3, "duration in which the force may grow", (1e-2, 60.0)),
         common.duration("pull", 0.5, "duration of the pull", (1e-2, 60.0)),
-        common.effort_share(),
+        common.EFFORT_SHARE,
     ),
     build=build,
 )

@@ -228,6 +228,7 @@ def make(solutions: Path, target: Path, pages: bool) -> tuple[Entry, ...]:
 
 
 def main() -> None:
+    """Make the gallery, or what is asked of it."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

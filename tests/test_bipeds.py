@@ -15,12 +15,12 @@ from trajopt.errors import InputError
 from trajopt.robot.kinematics import contact_poses, contact_positions, inverse_kinematics
 from trajopt.robot.legs import biped_legs
 from trajopt.robot.units import Units
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.schedule import Phase, Schedule
 from trajopt.terms import Context, NodePlace, SwingClearance, SwingOver, swing_arcs
 from trajopt.terrain.flat import FlatGround
 from trajopt.transcription.mesh import equal_fractions
 from trajopt_library import problems, robots
-from trajopt_library.problems import biped_balance, bipeds, leaping
+from trajopt_library.problems import biped_balance, bipeds, common, pushing
 
 # Linear algebra in double precision on numbers of order one to a hundred.
 ROUNDING = 1e-9
@@ -193,10 +193,10 @@ def test_all_corners_of_a_swinging_sole_stay_above_the_ground(name):
 def test_inverse_kinematics_ends_at_a_bounded_optimum_where_ankles_end():
     """At a base too low for flat feet no direction that the limits allow makes the error smaller."""
     robot = bipeds.biped("g1")
-    low = leaping.displaced(robot, (0.0, 0.0, -0.25 * robot.length))
+    low = common.displaced(robot, (0.0, 0.0, -0.25 * robot.length))
     feet = {robot.contact(name).frame: pose for name, pose in contact_poses(robot, robot.reference).items()}
     found = inverse_kinematics(robot, low, feet)
-    assert found.error > leaping.REACHED
+    assert found.error > pushing.REACHED
 
     def squared(q: np.ndarray) -> float:
         data = robot.model.createData()
@@ -226,8 +226,8 @@ def test_inverse_kinematics_ends_at_a_bounded_optimum_where_ankles_end():
 @pytest.mark.parametrize("name", bipeds.ROBOTS)
 def test_leaps_sink_to_where_feet_still_stand_flat(name):
     robot = bipeds.biped(name)
-    assert leaping.raised(robot, -leaping.sink_of(robot)).error < leaping.REACHED
-    assert 0 < leaping.sink_of(robot) <= leaping.SINK_PART * robot.length
+    assert pushing.raised(robot, -pushing.sink_of(robot)).error < pushing.REACHED
+    assert 0 < pushing.sink_of(robot) <= pushing.SINK_PART * robot.length
 
 
 # Solved

@@ -15,11 +15,11 @@ from trajopt import solve
 from trajopt.certify.check import check
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
-from trajopt.problem.problem import Problem
+from trajopt.problem import Problem
+from trajopt.robot import Robot
 from trajopt.robot.collision.shapes import BoxObstacle, CapsuleObstacle, LinkCapsule, SphereObstacle
-from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.schedule import Phase, Schedule
 from trajopt.solution.clearance import refined_configurations
 from trajopt.solution.solution import Solution
 from trajopt.solving.avoidance import missed_pairs, solve_clear, with_obstacles
@@ -28,7 +28,7 @@ from trajopt.terms.clearance import SMOOTHING, collision_scene
 from trajopt.terrain.flat import FlatGround
 from trajopt.transcription.stage_functions import point_function
 from trajopt_library import robots
-from trajopt_library.problems.common import JointPath
+from trajopt_library.problems.common import PosturePath
 
 MARGIN = 0.02
 POLYNOMIAL = 1e-9  # a cubic through its own values and rates: rounding
@@ -71,7 +71,7 @@ def swing(**changes: object) -> Problem:
             TerminalState(q=end),
             TerminalRest(q=end),
         ),
-        "guess": JointPath(start, end, duration),
+        "guess": PosturePath(model=robot.model, postures=(start, end), durations=(duration,)),
         "default_intervals": 30,
     }
     return Problem(**(given | changes))
@@ -157,7 +157,7 @@ def test_links_keep_clear_of_each_other():
     problem = swing(
         robot=robot,
         initial_q=start,
-        guess=JointPath(start, end, 1.5),
+        guess=PosturePath(model=robot.model, postures=(start, end), durations=(1.5,)),
         terms=(AccelerationCost(weight=1.0), TerminalRest(q=folded)),
     )
     problem = with_obstacles(problem, [], margin=MARGIN, self_collision=True)

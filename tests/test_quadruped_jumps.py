@@ -19,7 +19,9 @@ from trajopt.solving.solving import solve
 from trajopt.terms import FrameDirection, FramesAbove
 from trajopt_library import problems, robots
 from trajopt_library.problems import (
+    common,
     leaping,
+    pushing,
     quadruped_box,
     quadruped_flip,
     quadruped_jump,
@@ -43,8 +45,8 @@ DIFFERENCE = 1e-4
 
 
 @lru_cache
-def takeoff(name: str) -> leaping.Takeoff:
-    return leaping.takeoff(robots.load(name))
+def takeoff(name: str) -> pushing.Takeoff:
+    return pushing.takeoff(robots.load(name))
 
 
 @pytest.mark.parametrize("name", FAMILIES)
@@ -69,7 +71,7 @@ def test_robots_that_are_no_quadrupeds_are_refused(name):
 def test_speed_at_takeoff_is_within_joint_rates_by_finite_differences(name):
     found = takeoff(name)
     robot, step = found.robot, 1e-4
-    q, above = (leaping.raised(robot, found.rise + d).q for d in (0.0, step))
+    q, above = (pushing.raised(robot, found.rise + d).q for d in (0.0, step))
     rates = np.abs(above - q)[7:] / step * found.speed
     use = (rates / robot.velocity_limit[6:]).max()
     assert use < 1 + 100 * DIFFERENCE
@@ -80,22 +82,22 @@ def test_speed_at_takeoff_is_within_joint_rates_by_finite_differences(name):
 def test_speed_at_takeoff_is_what_weak_torques_can_work():
     """Torques that hold 1.3 times the weight at the lowest point of the push: slower than with twice."""
     robot = robots.load("solo12")
-    lowest = leaping.raised(robot, -leaping.SINK_PART * robot.length).q
-    strength = leaping.strongest(robot, lowest, np.ones(12))
-    weak, strong = (leaping.takeoff(robot, effort=share / strength) for share in (1.3, 2.0))
+    lowest = pushing.raised(robot, -pushing.SINK_PART * robot.length).q
+    strength = pushing.strongest(robot, lowest, np.ones(12))
+    weak, strong = (pushing.takeoff(robot, effort=share / strength) for share in (1.3, 2.0))
     assert 0.0 < weak.speed < strong.speed < math.inf
     # No push does more work than the largest force along the whole way.
-    force = leaping.strongest(robot, weak.posture, np.full(12, 1.3 / strength)) - 1
-    way = leaping.SINK_PART * robot.length + weak.rise
+    force = pushing.strongest(robot, weak.posture, np.full(12, 1.3 / strength)) - 1
+    way = pushing.SINK_PART * robot.length + weak.rise
     assert weak.speed**2 / (2 * 9.81) < force * way
-    assert math.isinf(leaping.strongest(robot, robot.reference, None))
+    assert math.isinf(pushing.strongest(robot, robot.reference, None))
 
 
 def test_extension_is_where_the_first_leg_is_straight():
     robot = robots.load("a1")
-    left = leaping.extension_left(robot)
-    assert leaping.raised(robot, left).error < leaping.REACHED
-    assert leaping.raised(robot, left + 2 * leaping.EXTENSION_ERROR * robot.length).error > leaping.REACHED
+    left = pushing.extension_left(robot)
+    assert pushing.raised(robot, left).error < pushing.REACHED
+    assert pushing.raised(robot, left + 2 * pushing.EXTENSION_ERROR * robot.length).error > pushing.REACHED
 
 
 def test_defaults_are_smaller_where_joints_are_slow():
@@ -157,7 +159,7 @@ def solved(name, **parameters):
 
 def test_jump_turns_and_lands_at_rest():
     problem, solution = solved("quadruped-jump-turn", robot="solo12")
-    end = leaping.displaced(problem.robot, (0, 0, 0), problem.parameters["yaw"])
+    end = common.displaced(problem.robot, (0, 0, 0), problem.parameters["yaw"])
     assert_allclose(pin.difference(problem.robot.model, solution.q[-1], end), 0.0, atol=DRIFT)
     assert_allclose(solution.v[-1], 0.0, atol=DRIFT_RATE)
     flight = solution.phase == 1

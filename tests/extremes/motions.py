@@ -7,9 +7,9 @@ from functools import partial
 import numpy as np
 
 from trajopt.dynamics.model_quantities import contact_jacobian
-from trajopt.problem.problem import Problem
-from trajopt.robot.robot import Robot
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.problem import Problem
+from trajopt.robot import Robot
+from trajopt.schedule import Phase, Schedule
 from trajopt.terms import (
     EffortLimits,
     FrictionCone,
@@ -21,7 +21,7 @@ from trajopt.terms import (
     effort_costs,
 )
 from trajopt.terrain.flat import FlatGround
-from trajopt_library.problems import common, leaping
+from trajopt_library.problems import common
 
 # A robot that floats is this many lengths higher than it stands, so that no leg meets the ground.
 FLOATING = 4.0
@@ -42,9 +42,9 @@ def stand(
     their natural units, as far as the feet in place let it. exact: the smooth cone of friction, not the
     pyramid.
     """
-    time = 3 * leaping.natural_time(robot) if duration is None else duration
+    time = 3 * common.natural_time(robot) if duration is None else duration
     names = tuple(contact.name for contact in robot.contacts)
-    unit = robot.length / leaping.natural_time(robot) * np.array([1.0] * 3 + [1 / robot.length] * 3)
+    unit = robot.length / common.natural_time(robot) * np.array([1.0] * 3 + [1 / robot.length] * 3)
     return Problem(
         name="stand",
         robot=robot,
@@ -84,7 +84,7 @@ def turn_over(robot: Robot, *, yaw: float, duration: float) -> Problem:
     yaw: rad. As a cat does: no momentum, and yet another orientation with the same posture.
     """
     up = (0.0, 0.0, FLOATING * robot.length)
-    start, end = leaping.displaced(robot, up), leaping.displaced(robot, up, yaw)
+    start, end = common.displaced(robot, up), common.displaced(robot, up, yaw)
     return Problem(
         name="turn-over",
         robot=robot,
@@ -100,4 +100,4 @@ def turn_over(robot: Robot, *, yaw: float, duration: float) -> Problem:
 
 def _turning(robot: Robot, yaw: float, duration: float, t: float) -> np.ndarray:
     up = (0.0, 0.0, FLOATING * robot.length)
-    return leaping.displaced(robot, up, yaw * min(max(t / duration, 0.0), 1.0))
+    return common.displaced(robot, up, yaw * min(max(t / duration, 0.0), 1.0))

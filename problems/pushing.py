@@ -1,0 +1,185 @@
+"""How far legs stretch and fold with the feet in place, and how fast they push a robot off the ground."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
+from trajopt.errors import InputError
+from trajopt.robot import Robot
+from trajopt.robot.kinematics import Posture, contact_poses, inverse_kinematics
+
+from .common import displaced
+
+# Of the extension that legs have left, the guess uses this part at take-off and at touchdown.
+EXTENSION_PART = 0.6
+# The work of a push is summed over this many heights; the extension is found to this part of the length.
+PUSH_SAMPLES, EXTENSION_ERROR = 24, 1e-3
+# Any flight rises freely by this part of the robot's length at least, or what this share of the speed at
+# take-off gives, whichever is less.
+LEAST_FREE_RISE, LEAST_SHARE = 0.02, 0.75
+# A take-off is fast enough if it rises freely by this part of the length: more is not bought with extension.
+ENOUGH_FREE = 0.05
+# A torque or rate this small against the others' is rounding.
+ROUNDING = 1e-9
+# Feet count as reached by inverse kinematics below this error, m.
+REACHED = 1e-6
+# In the guess the base sinks by at most this part of the robot's length under its height at the ends, and of
+# what joints allow with the feet flat in place (ankles of humanoids end soon).
+SINK_PART, OF_REACHABLE = 0.25, 0.7
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Takeoff:
+    """How fast a robot can leave the ground, feet in place: ``posture`` (nq,) with the base at ``rise`` m.
+
+    ``speed`` m/s is the largest upward one that the work of its torques on the way up, and the rates of its
+    joints there, allow; `across` (forward, to the left, m/s) and ``turn`` rad/s (about the vertical) are
+    those that the rates alone allow. Infinite without limits.
+    """
+
+    robot: Robot
+    posture: np.ndarray
+    rise: float
+    speed: float
+
+    @property
+    def across(self) -> tuple[float, float]:
+        """Largest speeds of the base forward and to the left, m/s."""
+        return self._fastest(0), self._fastest(1)
+
+    @property
+    def turn(self) -> float:
+        """Largest rate about the vertical, rad/s."""
+        return self._fastest(5)
+
+    @property
+    def merit(self) -> tuple[float, float]:
+        """Free rise up to what is enough, and the base's apex, m: the first that is larger wins."""
+        free = self.speed**2 / (2 * gravity_of(self.robot.model))
+        return min(free, ENOUGH_FREE * self.robot.length), self.rise + free
+
+    def _fastest(self, row: int) -> float:
+        return _fastest(self.robot, self.posture, row)
+
+
+def takeoff(robot: Robot, effort: float | None = None) -> Takeoff:
+    """The take-off with the highest apex of the base among the fast ones with part of the extension left.
+
+    Legs that are nearly straight lift the base slowly: a hop of stretching is none. Where none is fast enough
+    the fastest.
+
+    Forces are taken to be vertical and the same at all feet, the base level. effort: N m, for all joints.
+    Raises InputError for a robot without gravity.
+    """
+    if not robot.model.gravity.linear.any():
+        raise InputError(
+            f"'{robot.name}' is without gravity: what leaps does not come down",
+            "allowed: a model with gravity",
+        )
+    limit = robot.effort_limit if effort is None else np.full(robot.nu, effort)
+    gravity, sink = gravity_of(robot.model), sink_of(robot)
+    heights = np.linspace(-sink, EXTENSION_PART * extension_left(robot), PUSH_SAMPLES)
+    postures = [raised(robot, height).q for height in heights]
+    excess = np.array([strongest(robot, q, limit) for q in postures]) - 1
+    work = np.cumsum(np.append(0.0, np.diff(heights) * (excess[1:] + excess[:-1]) / 2))
+    if heights[-1] < EXTENSION_ERROR * robot.length:
+        raise InputError(
+            f"'{robot.name}' cannot leave the ground: its legs are straight in the reference posture",
+            "allowed: bent knees (trajopt robot says more)",
+        )
+    found = [
+        Takeoff(
+            robot=robot,
+            posture=q,
+            rise=float(height),
+            speed=min(math.sqrt(2 * gravity * max(done, 0.0)), _fastest(robot, q, 2)),
+        )
+        for height, q, done in zip(heights, postures, work, strict=True)
+        if height >= 0
+    ]
+    return max(reversed(found), key=lambda one: one.merit)  # of those as good the highest
+
+
+def raised(robot: Robot, height: float) -> Posture:
+    """Posture with the base ``height`` m over the reference and the feet in place, soles flat."""
+    poses = contact_poses(robot, robot.reference)
+    feet = {
+        c.frame: poses[c.name] if c.kind == "surface" else poses[c.name].translation for c in robot.contacts
+    }
+    return inverse_kinematics(robot, displaced(robot, (0.0, 0.0, height)), feet)
+
+
+def extension_left(robot: Robot) -> float:
+    """How much the base can rise over the reference posture with its feet in place, m."""
+    return _way_left(robot, 1)
+
+
+@lru_cache(maxsize=8)
+def sink_left(robot: Robot) -> float:
+    """How far the level base can sink under the reference with its feet in place, m."""
+    return _way_left(robot, -1)
+
+
+def sink_of(robot: Robot) -> float:
+    """How far the base sinks for a push or a landing, m."""
+    return min(SINK_PART * robot.length, OF_REACHABLE * sink_left(robot))
+
+
+def _way_left(robot: Robot, sign: int) -> float:
+    """Way of the level base up or down until inverse kinematics fails, m."""
+    error = EXTENSION_ERROR * robot.length
+    return largest(lambda way: raised(robot, sign * way).error < REACHED, robot.length, error)
+
+
+def largest(holds: Callable[[float], bool], upper: float, error: float) -> float:
+    """The largest value from 0 to ``upper`` at which a condition still ``holds``, by bisection."""
+    lower = 0.0
+    while upper - lower > error:
+        middle = (lower + upper) / 2
+        lower, upper = (middle, upper) if holds(middle) else (lower, middle)
+    return lower
+
+
+def _feet_jacobian(robot: Robot, q: np.ndarray) -> np.ndarray:
+    return contact_jacobian(robot.model, q, [(contact.frame, contact.rows) for contact in robot.contacts])
+
+
+def strongest(robot: Robot, q: np.ndarray, limit: np.ndarray | None) -> float:
+    """Largest upward force at the feet in static balance, over the weight: tau = -J^T f within limits."""
+    if limit is None:
+        return math.inf
+    upward = robot.weight / len(robot.contacts)
+    force = np.concatenate([upward * (np.array(contact.rows) == 2) for contact in robot.contacts])
+    torque = np.abs(_feet_jacobian(robot, q)[:, robot.n_unactuated :].T @ force)
+    return float(np.min(limit / np.maximum(torque, ROUNDING * robot.weight * robot.length)))
+
+
+def _fastest(robot: Robot, q: np.ndarray, row: int) -> float:
+    """Largest velocity of the base along one row of its own, feet in place: J_joints qd = -J_base v."""
+    jacobian, n = _feet_jacobian(robot, q), robot.n_unactuated
+    rates = np.abs(np.linalg.lstsq(jacobian[:, n:], -jacobian[:, row], rcond=None)[0])
+    unit = np.max(rates)
+    return float(np.min(robot.velocity_limit[n:] / np.maximum(rates, ROUNDING * unit)))
+
+
+def apex(takeoff: Takeoff, share: float, most: float) -> float:
+    """Rise of the base, m, in a flight that begins with a share of the largest speed, ``most`` at most."""
+    free = (share * takeoff.speed) ** 2 / (2 * gravity_of(takeoff.robot.model))
+    return min(takeoff.rise + free, most)
+
+
+def flight_time(takeoff: Takeoff, height: float, drop: float = 0.0) -> float:
+    """Flight in s whose apex is ``height`` m over the base's start, landing ``drop`` m under that start.
+
+    Take-off and touchdown with the legs as far extended as at the `takeoff`.
+    """
+    gravity = gravity_of(takeoff.robot.model)
+    least = min(LEAST_FREE_RISE * takeoff.robot.length, (LEAST_SHARE * takeoff.speed) ** 2 / (2 * gravity))
+    up = max(height - takeoff.rise, least)
+    return math.sqrt(2 * up / gravity) + math.sqrt(2 * max(up + drop, 0.0) / gravity)
