@@ -31,7 +31,7 @@ LOOK = 0.05
 def main() -> None:
     """Answer for each moment: exit status, what was shown, calls until the press; nothing after one hangs."""
     asked = json.loads(sys.stdin.readline())
-    for module in ("scipy.integrate", "trajopt.cli", "trajopt.watching.viewer"):
+    for module in ("scipy.integrate", "trajopt.cli.solve", "trajopt.view.watching.viewer"):
         importlib.import_module(module)
     for moment in asked["moments"]:
         read, write = os.pipe()

@@ -96,10 +96,10 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
     "solve --watch, before": (
         WATCH,
         [
-            at("cli:solve", CANCELLED),
+            at("solve:solve_command", CANCELLED),
             at("live:_started", CANCELLED),
             at("viewer:Viewer.__init__", CANCELLED, event="return"),
-            at("panel:Panel.__enter__", CANCELLED),
+            at("panel:ConvergencePanel.__enter__", CANCELLED),
             at("transcription:transcribe", CANCELLED),
             at("viewer:Viewer.flush", CANCELLED),
         ],
@@ -107,17 +107,17 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
     "solve --watch, while": (
         WATCH,
         [
-            at("progress:Control.__call__", CANCELLED),
-            at("progress:Control.__call__", UNSOLVED, count=3),
+            at("progress:SolveControl.__call__", CANCELLED),
+            at("progress:SolveControl.__call__", UNSOLVED, count=3),
             at("extraction:extract", *ANY),
-            at("progress:Control.settle", SOLVED),
-            at("panel:Panel.__exit__", CANCELLED, event="return"),
+            at("progress:SolveControl.settle", SOLVED),
+            at("panel:ConvergencePanel.__exit__", CANCELLED, event="return"),
         ],
     ),
     "solve --watch, after": (
         WATCH,
         [
-            at("cli:_checked", CANCELLED),
+            at("solve:_checked", CANCELLED),
             at("viewer:Viewer.show", SOLVED),
             at("viewer:Viewer.flush", SOLVED, count=2),
             at("viewer:Viewer.wait", SOLVED),
@@ -134,9 +134,9 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
     "continue": (
         ("continue", *SMALL, "--compile", "none", "--vary", "distance=0.1:0.2:2", "--output-dir", "out"),
         [
-            at("progress:Control.__call__", UNSOLVED, count=2),
+            at("progress:SolveControl.__call__", UNSOLVED, count=2),
             at("solving:prepare", UNSOLVED, count=2),
-            at("cli_continue:_saved", CANCELLED),
+            at("continuation:_saved", CANCELLED),
         ],
     ),
     "replay": (
@@ -153,16 +153,16 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
         ("suite", "--problems", "t-reach,t-hanging", "--compile", "none", "--jobs", "2"),
         [
             at("pool:run_all", CANCELLED),
-            at("display:Recorded.event", CANCELLED, count=3),
-            at("records:Records.add", CANCELLED),
+            at("executor:first_ended", CANCELLED, event="return"),
+            at("records:SuiteRecords.add", CANCELLED),
         ],
     ),
     "sweep": (
         ("sweep", "s-reach", *SWEPT, "--output-dir", "swept"),
         [
-            at("process:Pool.take", CANCELLED),
-            at("records:Records.add_run", CANCELLED, event="return"),
-            at("process:Pool.__exit__", SOLVED),
+            at("executor:ProcessPerTaskExecutor.submit", CANCELLED),
+            at("records:SweepRecords.add", CANCELLED, event="return"),
+            at("executor:ProcessPerTaskExecutor.__exit__", SOLVED, count=2),
         ],
     ),
 }
