@@ -117,16 +117,16 @@ def test_where_ctrl_c_is_ignored_sigterm_ends_command_and_server(solution_file: 
 
 LAUNCH = """
 import builtins, os, signal, sys
+from trajopt.cli import main
 imported = builtins.__import__
 def lost(name, *arguments):
-    if name == "trajopt.cli":
+    if name == "trajopt.cli.commands":
         try:
             os.kill(os.getpid(), signal.SIGINT)
         except KeyboardInterrupt:
             pass
     return imported(name, *arguments)
 builtins.__import__ = lost
-from scripts.launch import main
 sys.exit(main())
 """
 

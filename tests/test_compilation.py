@@ -211,7 +211,7 @@ def test_damaged_entry_is_made_anew(cache, damage):
 
 COMPILE = """
 from problems_for_tests import reach
-from trajopt.solving import solve
+from trajopt import solve
 solution = solve(reach(), transcription="legendre:2", compile="quick")
 print(solution.meta["status"], solution.meta["compile"])
 """
