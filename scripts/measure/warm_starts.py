@@ -99,8 +99,8 @@ def warm_starts(repeat: int, only: str, solver: str) -> None:
         if only in name:
             found = solve_ladder(standing_still(problems.load(name)), rungs, compare=True, solver=solver)
             assert found.cold is not None
-            total, cold = found.to_dict()["total"], found.cold.meta
-            own = (f"{figures['iterations']}, {figures['wall_time_s']:.2f} s" for figures in (cold, total))
+            both = (found.cold.meta, found.to_dict()["total"])
+            own = (f"{figures['iterations']}, {figures['wall_time_s']:.2f} s" for figures in both)
             each = ", ".join(str(rung.meta["iterations"]) for rung in found.rungs)
             row(name, ", ".join(map(_grid, rungs)), *own, each)
 
