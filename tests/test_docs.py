@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
+NOT_OURS = {"puppy.py", "paw.py"}  # files that a reader makes
 DOCUMENTS = (
     "README.md",
     "docs/robots.md",
@@ -31,6 +32,8 @@ DOCUMENTS = (
     "docs/modelling/reduced-models.md",
     "docs/modelling/scene.md",
 )
+SOURCES = ("trajopt", "problems", "robots", "scripts", "tests")
+SOURCES_NAMED = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 
@@ -45,6 +48,15 @@ ALL = [(document, index) for document in DOCUMENTS for index in range(len(blocks
 @pytest.mark.parametrize("document", DOCUMENTS)
 def test_documents_have_python_blocks(document: str) -> None:
     assert blocks(document)
+
+
+@pytest.mark.parametrize("document", SOURCES_NAMED, ids=lambda path: str(path.relative_to(ROOT)))
+def test_source_files_that_documents_name_exist(document: Path) -> None:
+    text = document.read_text(encoding="utf-8")
+    named = set(re.findall(r"`([\w/]+\.(?:py|cpp|hpp))`", text)) - NOT_OURS
+    sources = [path for folder in SOURCES for path in (ROOT / folder).rglob("*.*")]
+    missing = {name for name in named if not any(path.as_posix().endswith("/" + name) for path in sources)}
+    assert missing == set()
 
 
 @pytest.mark.slow
