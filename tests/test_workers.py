@@ -214,7 +214,7 @@ ORPHANED = """
 import sys
 from pathlib import Path
 import test_workers
-from trajopt.study.workers import ProcessPerTaskExecutor
+from trajopt.study.workers.executor import ProcessPerTaskExecutor
 if __name__ == "__main__":
     with ProcessPerTaskExecutor(1) as executor:
         executor.submit(test_workers.wait, Path(sys.argv[1])).result()

@@ -19,7 +19,7 @@ class Attempt:
     """One solve from one start; ``seed`` is None for the own guess, ``mode`` empty when solved.
 
     wall_time: the solver's, s. detail: status, and the worst block of rows when not solved. motion: of a
-    solved run, see `trajopt.suite.optima`.
+    solved run, see `trajopt.study.suite.optima`.
     """
 
     seed: int | None
@@ -75,7 +75,7 @@ PARTS: dict[str, Callable[..., Any]] = {"grid": Grid, "own": Attempt, "check": C
 class Starts:
     """Figures over the perturbed starts; iterations, optima and motions over those solved.
 
-    optima, motions: see `trajopt.suite.optima`. median_time: s, of the solver.
+    optima, motions: see `trajopt.study.suite.optima`. median_time: s, of the solver.
     """
 
     count: int
@@ -189,7 +189,7 @@ class Ledger:
         self.starts: dict[int | None, Attempt] = {}
 
     def add(self, event: Mapping[str, Any]) -> None:
-        """Take one event of `trajopt.suite.run`; those without figures are passed over."""
+        """Take one event of `trajopt.study.suite.run`; those without figures are passed over."""
         kind = event["event"]
         if kind == "start":
             start = Attempt(**event["values"])

@@ -1,4 +1,4 @@
-"""The accuracy of a solution as one flat row, by `trajopt.accuracy`."""
+"""The accuracy of a solution as one flat row, by `trajopt.certify.accuracy`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from trajopt.certify.accuracy.measures import measure
 
-# Columns of ``settings.csv`` that say how accurate a solution is, as `trajopt.accuracy.Accuracy` names them;
+# Columns of ``settings.csv`` that say how accurate a solution is, named as in `trajopt.certify.accuracy`;
 # the last two are against the reference.
 COLUMNS = {
     "open_loop": "open_loop_m",
