@@ -1,4 +1,4 @@
-"""What physics makes of a solution: the plan of a legged robot in MuJoCo, see `trajopt.certify.simulation`."""
+"""What physics makes of a solution: the plan of a legged robot in MuJoCo (`trajopt.certify.simulation`)."""
 
 from __future__ import annotations
 
