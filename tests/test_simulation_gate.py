@@ -12,7 +12,7 @@ import pytest
 from test_suite_data import outcome_of
 
 from trajopt import Solution
-from trajopt.cli import main
+from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.study.suite import data
 from trajopt.study.suite.cases import Case

@@ -15,7 +15,7 @@ import suite_problems
 from click.testing import CliRunner, Result
 from task_processes import needs_proc, task_processes, task_processes_left
 
-from trajopt.cli import main
+from trajopt.cli.commands import main
 from trajopt.study.suite import data
 
 WAIT = 120.0

@@ -20,7 +20,7 @@ from task_processes import needs_proc, task_processes, task_processes_left
 
 from trajopt import solve
 from trajopt.certify.accuracy.measures import measure
-from trajopt.cli import main
+from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.problem import Problem
 from trajopt.reduced.two_stage import base_rows_problem
