@@ -144,7 +144,7 @@ def first_ended(
     while True:
         check()
         ended = wait(futures, timeout=LOOK, return_when=FIRST_COMPLETED).done
-        if ended:
+        if ended or not futures:
             return ended
 
 
