@@ -12,6 +12,7 @@ import pinocchio as pin
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.errors import InputError
 from trajopt.schedule.schedule import Schedule
+from trajopt.values import finite_array, require_finite
 
 # Times of waypoints and of phases that differ by less than this part of the schedule are one.
 SAME_TIME = 1e-9
@@ -59,20 +60,11 @@ class BaseWaypoint:
     rate: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.time):
-            raise InputError(f"a waypoint of the base is at {self.time} s", "allowed: a finite time")
+        require_finite("time of a waypoint of the base", self.time, "s")
         for name in ("position", "turn", "velocity", "rate"):
-            value = getattr(self, name)
-            if value is None:
-                continue
-            array = np.array(value, dtype=float)
-            if array.shape != (3,) or not np.isfinite(array).all():
-                raise InputError(
-                    f"{name} of the base's waypoint at {self.time:g} s is {array}",
-                    "allowed: 3 finite numbers",
-                )
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+            value, what = getattr(self, name), f"{name} of the base's waypoint at {self.time:g} s"
+            if value is not None:
+                object.__setattr__(self, name, finite_array(what, value))
 
 
 class WaypointPath:

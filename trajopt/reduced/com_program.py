@@ -32,6 +32,7 @@ from trajopt.reduced.com_planning import ComMotion, CubicMotion
 from trajopt.reduced.footsteps import FootstepPlan, support_vertices
 from trajopt.reduced.lip import Pendulum, PendulumMotion
 from trajopt.robot.robot import Robot
+from trajopt.values import require_positive
 
 PendulumInput = Literal["zmp_rate", "jerk"]
 EndCondition = Literal["rest", "captured"]
@@ -74,8 +75,7 @@ class CenterOfMassProgram:
             if getattr(self, name) not in allowed:
                 raise InputError(f"{name}={getattr(self, name)!r}", f"allowed: {', '.join(allowed)}")
         for name in ("step", "smoothing"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise InputError(f"{name} is {getattr(self, name):g} s", "allowed: finite and > 0")
+            require_positive(name, getattr(self, name), "s")
         if not 0 <= self.shrink < 1:
             raise InputError(f"shrink is {self.shrink:g}", "allowed: 0 <= shrink < 1")
 

@@ -17,7 +17,7 @@ from trajopt.reduced.footsteps import Foothold, FootstepPlan, feet_of
 from trajopt.robot.kinematics import inverse_kinematics
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion
-from trajopt.terrain.swing_profile import smooth_step, swing_profile
+from trajopt.terrain.swing_profile import require_clearance, smooth_step, swing_profile
 
 # Height in m of a swing over the straight line between its footholds, unless the caller says otherwise.
 DEFAULT_CLEARANCE = 0.05
@@ -55,8 +55,7 @@ class FootMotion:
     clearance: float = DEFAULT_CLEARANCE
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.clearance) and self.clearance >= 0):
-            raise InputError(f"clearance is {self.clearance:g} m", "allowed: finite and >= 0")
+        require_clearance(self.clearance)
 
     @cached_property
     def times(self) -> list[float]:

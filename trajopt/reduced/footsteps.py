@@ -14,6 +14,7 @@ from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terrain.terrain import Terrain
+from trajopt.values import finite_array, require_finite, require_positive
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,11 +25,8 @@ class Foothold:
     yaw: float = 0.0
 
     def __post_init__(self) -> None:
-        position = np.array(self.position, dtype=float)
-        if position.shape != (3,) or not (np.isfinite(position).all() and math.isfinite(self.yaw)):
-            raise InputError(f"foothold is {position}, yaw {self.yaw}", "allowed: 3 finite numbers in m, rad")
-        position.setflags(write=False)
-        object.__setattr__(self, "position", position)
+        require_finite("yaw of a foothold", self.yaw, "rad")
+        object.__setattr__(self, "position", finite_array("foothold", self.position, unit="m"))
 
 
 @dataclass(frozen=True)
@@ -40,8 +38,7 @@ class StepPhase:
     feet: Mapping[str, Foothold] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.duration) and self.duration > 0):
-            raise InputError(f"duration of support '{self.name}' is {self.duration:g} s", "allowed: > 0")
+        require_positive(f"duration of support '{self.name}'", self.duration, "s")
         object.__setattr__(self, "feet", MappingProxyType(dict(self.feet)))
 
 
@@ -155,12 +152,11 @@ class Walk:
         if not self.steps >= 2:
             raise InputError(f"steps is {self.steps}", "allowed: 2 or more")
         for name in ("step_time", "double_support", "shift_time", "settle_time"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise InputError(f"{name} is {getattr(self, name):g} s", "allowed: finite and > 0")
-        if self.width is not None and not (math.isfinite(self.width) and self.width > 0):
-            raise InputError(f"width is {self.width:g} m", "allowed: finite and > 0")
-        if not (math.isfinite(self.length) and math.isfinite(self.turn)):
-            raise InputError(f"length {self.length:g} m, turn {self.turn:g} rad", "allowed: finite")
+            require_positive(name, getattr(self, name), "s")
+        if self.width is not None:
+            require_positive("width", self.width, "m")
+        require_finite("length", self.length, "m")
+        require_finite("turn", self.turn, "rad")
 
     def plan(self, robot: Robot, q: np.ndarray | None = None) -> FootstepPlan:
         """The supports of this walk from the feet at ``q`` (nq,), default the robot's reference.

@@ -11,7 +11,6 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.model_quantities import gravity_of
-from trajopt.errors import InputError
 from trajopt.reduced.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights, turn_to_heading
 from trajopt.reduced.foot_motion import CACHED_POSTURES, require_free_flyer
 from trajopt.robot.kinematics import contact_poses, inverse_kinematics
@@ -19,8 +18,9 @@ from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion, Phase, Schedule
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import Surface, frame_of_normal
-from trajopt.terrain.swing_profile import smooth_step, swing_profile
+from trajopt.terrain.swing_profile import require_clearance, smooth_step, swing_profile
 from trajopt.terrain.terrain import Terrain
+from trajopt.values import require_finite
 
 # Height of a swing over the straight line between its footholds, as a part of the robot's length.
 CLEARANCE_PART = 0.1
@@ -227,10 +227,8 @@ def legged_guess(
     """
     require_free_flyer(robot)
     lift = CLEARANCE_PART * robot.length if clearance is None else clearance
-    if not (math.isfinite(lift) and lift >= 0):
-        raise InputError(f"clearance is {lift:g} m", "allowed: finite and >= 0")
-    if not math.isfinite(tuck):
-        raise InputError(f"tuck is {tuck:g} m", "allowed: finite")
+    require_clearance(lift)
+    require_finite("tuck", tuck, "m")
     if not isinstance(path, WaypointPath):
         path = WaypointPath(schedule, path, gravity_of(robot.model))
     posture = LeggedPosture(

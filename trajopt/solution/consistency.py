@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,6 +12,7 @@ from trajopt.errors import InputError, SolutionFileError
 from trajopt.robot.actuators.drive import Drive
 from trajopt.solution.arrays import OTHERS, SAMPLED, model_from_text, runs
 from trajopt.solution.descriptions import patches_of, scene_of_meta, surfaces_of
+from trajopt.values import is_number
 
 META_KEYS = (
     "format",
@@ -74,13 +74,13 @@ def _wrong_meta(meta: dict[str, Any]) -> str:
         return f"meta has {len(frames)} contact_frames, {len(kinds)} contact_kinds, {len(friction)} friction"
     if not all(kind in ("point", "surface") for kind in kinds):
         return f"contact_kinds {kinds} are not all 'point' or 'surface'"
-    if not all(_is_number(mu) and mu >= 0 for mu in friction):
+    if not all(is_number(mu) and mu >= 0 for mu in friction):
         return f"friction {friction} is not a list of numbers >= 0"
     for key in ("effort_limit", "velocity_limit"):
         limit = meta[key]
         if limit is not None and not (
             isinstance(limit, list)
-            and all(entry is None or (_is_number(entry) and entry >= 0) for entry in limit)
+            and all(entry is None or (is_number(entry) and entry >= 0) for entry in limit)
         ):
             return f"{key} of meta is not null or a list of numbers >= 0"
     if not isinstance(meta["success"], bool):
@@ -88,7 +88,7 @@ def _wrong_meta(meta: dict[str, Any]) -> str:
     for key in ("parameters", "versions"):
         if not isinstance(meta[key], dict):
             return f"{key} of meta is no object"
-    if not _is_number(meta["tolerance"]):
+    if not is_number(meta["tolerance"]):
         return f"tolerance {meta['tolerance']!r} of meta is no number"
     return _wrong_sizes(meta.get("contact_sizes"), kinds) or _wrong_drives(meta.get("drives"))
 
@@ -98,7 +98,7 @@ def _wrong_sizes(sizes: Any, kinds: list[str]) -> str:
     if sizes is None:
         return ""
     pairs = isinstance(sizes, list) and all(
-        size is None or (isinstance(size, list) and len(size) == 2 and all(_is_number(x) for x in size))
+        size is None or (isinstance(size, list) and len(size) == 2 and all(is_number(x) for x in size))
         for size in sizes
     )
     if not pairs or len(sizes) != len(kinds):
@@ -178,11 +178,7 @@ def _is_payload(entry: Any, frames: list[str]) -> bool:
     except (KeyError, TypeError, ValueError):
         return False
     indices = isinstance(phases, list) and all(type(phase) is int for phase in phases)
-    return indices and _is_number(mass) and shapes == [(3,), (3, 3)]
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return indices and is_number(mass) and shapes == [(3,), (3, 3)]
 
 
 def _wrong_shape(arrays: _Arrays, model: pin.Model, meta: dict[str, Any]) -> str:

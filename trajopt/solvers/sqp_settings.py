@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+
+from trajopt.values import is_number
 
 # Options with what they allow; a whole number is a number, too.
 ALLOWED = {
@@ -59,7 +60,7 @@ class SqpSettings:
 
 
 def _is_allowed(name: str, value: object) -> bool:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+    if not is_number(value):
         return False
     if name == "max_sqp":
         return isinstance(value, int) and value >= 0

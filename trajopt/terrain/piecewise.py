@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +12,7 @@ from trajopt.errors import InputError
 from trajopt.terrain.obstacle import ObstacleAxes, PlanePoint, require_lengths
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import UP, Surface
+from trajopt.values import require_finite
 
 # How far flats before and beyond an obstacle reach, m: farther than any motion of one plan.
 REACH = 20.0
@@ -163,8 +163,7 @@ class PiecewiseTerrain:
         """``steps`` risers of ``rise`` m (negative: down), treads of ``run`` m: faces as of `steps`."""
         if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
             raise InputError(f"stairs have {steps!r} steps", "allowed: a whole number, at least 1")
-        if not math.isfinite(rise):
-            raise InputError(f"rise of stairs is {rise!r} m", "allowed: finite")
+        require_finite("rise of stairs", rise, "m")
         heights = [rise * (i + 1) for i in range(steps)]
         return cls.steps(heights, run, width=width, at=at, yaw=yaw, friction=friction, margin=margin)
 
@@ -186,8 +185,7 @@ class PiecewiseTerrain:
         overlap at the corners. A negative ``height`` is a pit.
         """
         require_lengths(length=length, width=width)
-        if not math.isfinite(height):
-            raise InputError(f"height of a box is {height!r} m", "allowed: finite")
+        require_finite("height of a box", height, "m")
         place, a, b = ObstacleAxes(at, yaw, friction, margin), length / 2, width / 2
         far, ground = (-REACH, REACH), (0.0, 0.0)
         faces = (

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.errors import InputError
+from trajopt.values import finite_array, is_number, require_not_negative
 
 UP = (0.0, 0.0, 1.0)
 # Two surfaces are one plane within this distance, m, and this error of the normal: rounding of what
@@ -52,12 +53,13 @@ class Surface:
     slip_speed: float | None = None
 
     def __post_init__(self) -> None:
-        point, normal = (_vector(getattr(self, name), name) for name in ("point", "normal"))
+        point, normal = (
+            finite_array(f"{name} of a surface", getattr(self, name)) for name in ("point", "normal")
+        )
         length = float(np.linalg.norm(normal))
         if not length > 0:
             raise InputError("normal of a surface has no length", "allowed: any direction")
-        if not (is_number(self.friction) and self.friction >= 0):
-            raise InputError(f"friction of a surface is {self.friction!r}", "allowed: finite and >= 0")
+        require_not_negative("friction of a surface", self.friction)
         if not isinstance(self.bilateral, bool):
             raise InputError(f"bilateral of a surface is {self.bilateral!r}", "allowed: True or False")
         slip = self.slip_speed
@@ -122,18 +124,3 @@ class Surface:
         if not isinstance(described, dict) or set(described) - {"slip_speed"} != set(keys):
             raise InputError(f"a surface is described by {described!r}", f"allowed: {', '.join(keys)}")
         return cls(**described)
-
-
-def _vector(value: Any, name: str) -> np.ndarray:
-    try:
-        vector = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        vector = np.zeros(0)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise InputError(f"{name} of a surface is {value!r}", "allowed: 3 finite numbers")
-    return vector
-
-
-def is_number(value: Any) -> bool:
-    """Whether a value is a finite number, Python's or NumPy's; True and False are none."""
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and math.isfinite(value)

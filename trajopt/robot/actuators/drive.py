@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 
 from trajopt.errors import InputError
+from trajopt.values import require_not_negative, require_positive
 
 Quantity = TypeVar("Quantity", float, np.ndarray, ca.SX)
 
@@ -60,13 +61,11 @@ class Drive:
         if self.gear_ratio == 0 or not math.isfinite(self.gear_ratio):
             raise InputError(f"gear_ratio of a drive is {self.gear_ratio:g}", "allowed: finite, not zero")
         for name in ("rotor_inertia", "viscous_friction", "coulomb_friction"):
-            if not (getattr(self, name) >= 0 and math.isfinite(getattr(self, name))):
-                raise InputError(f"{name} of a drive is {getattr(self, name):g}", "allowed: finite and >= 0")
-        for name in ("coulomb_speed", "torque_limit", "stall_torque", "no_load_speed"):
+            require_not_negative(f"{name} of a drive", getattr(self, name))
+        require_positive("coulomb_speed of a drive", self.coulomb_speed)
+        for name in ("torque_limit", "stall_torque", "no_load_speed"):
             if not getattr(self, name) > 0:
                 raise InputError(f"{name} of a drive is {getattr(self, name):g}", "allowed: > 0")
-        if not math.isfinite(self.coulomb_speed):
-            raise InputError("coulomb_speed of a drive is infinite", "allowed: finite and > 0")
         if math.isfinite(self.stall_torque) != math.isfinite(self.no_load_speed):
             raise InputError(
                 f"a drive has stall_torque={self.stall_torque:g} and no_load_speed={self.no_load_speed:g}",
@@ -99,8 +98,7 @@ class Drive:
         }
         numbers = {name: _number(name, value) for name, value in given.items()}
         for name, value in numbers.items():
-            if not (value > 0 and math.isfinite(value)):
-                raise InputError(f"{name} of a motor is {value:g}", "allowed: finite and > 0")
+            require_positive(f"{name} of a motor", value)
         return cls(
             gear_ratio=gear_ratio,
             torque_limit=numbers["torque_constant"] * _number("current_limit", current_limit),

@@ -30,6 +30,7 @@ from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.stance_maps import drop_map, lift_map, symbols
+from trajopt.values import finite_array
 
 # Sines of angles between the axes of joints that move in one plane: rounding of description files.
 PARALLEL = 1e-6
@@ -156,9 +157,8 @@ def stance_mode(robot: Robot, contact: str, *, anchor: ArrayLike | None = None) 
     if robot.base == "planar":
         _require_plane(robot, chosen)
     here = contact_positions(robot, robot.reference)[contact]
-    place = here if anchor is None else np.array(anchor, dtype=float)
-    if place.shape != (3,) or not np.isfinite(place).all():
-        raise InputError(f"anchor of the stance on '{contact}' is {place}", "3 finite numbers, m")
+    given = here if anchor is None else anchor
+    place = finite_array(f"anchor of the stance on '{contact}'", given, unit="m")
     if robot.base == "planar":  # the contact stays at its own distance from the plane
         normal = robot.model.jointPlacements[1].rotation[:, 2]
         place = place + normal * float(normal @ (here - place))
