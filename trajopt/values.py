@@ -67,9 +67,9 @@ def unit_vector(what: str, value: Any) -> np.ndarray:
 
 
 def jsonable(value: Any) -> Any:
-    """The value with lists for tuples, and None for numbers that are not finite."""
+    """The value with lists for tuples and arrays, and None for numbers that are not finite."""
     if isinstance(value, dict):
         return {str(key): jsonable(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [jsonable(entry) for entry in value]
+    if isinstance(value, list | tuple | np.ndarray):
+        return [jsonable(entry) for entry in list(value)]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -44,13 +44,22 @@ def hermite(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BaseWaypoint:
-    """A pose through which the base passes at ``time`` s: ``position`` (3,) m, world, and its orientation.
+    """A pose through which the base passes.
 
-    ``turn`` (3,) in rad is the rotation vector, world axes, by which it has turned since the waypoint
-    before (for the first: from the world's axes), R_i = exp(turn) R_(i-1): several turns are several times
-    2 pi. ``velocity`` (3,) m/s and ``rate`` (3,) rad/s, world, are those there; None derives them: from
-    the ballistics beside a flight, rest at both ends of the path, and in between slopes that do not
-    overshoot. Beside a flight the ballistics hold, whatever is given. Raises `InputError`.
+    Velocity and rate of None are derived: from the ballistics beside a flight, rest at both ends of the path,
+    and in between slopes that do not overshoot. Beside a flight the ballistics hold, whatever is given.
+
+    Args:
+        time: s.
+        position: (3,), m, world.
+        turn: rotation vector (3,), rad, world axes, by which the base has turned since the waypoint before
+            (for the first: from the world's axes), R_i = exp(turn) R_(i-1): several turns are several times
+            2 pi.
+        velocity: (3,), m/s, world.
+        rate: angular velocity (3,), rad/s, world.
+
+    Raises:
+        InputError: for a wrong shape, and numbers that are not finite.
     """
 
     time: float

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from types import MappingProxyType
 
 import numpy as np
@@ -52,7 +53,7 @@ class FootstepPlan:
         object.__setattr__(self, "supports", tuple(self.supports))
         if not self.supports:
             raise InputError("the footstep plan has no support", "allowed: at least one")
-        for before, after in zip(self.supports[:-1], self.supports[1:], strict=True):
+        for before, after in pairwise(self.supports):
             for name in before.feet.keys() & after.feet.keys():
                 moved = np.abs(before.feet[name].position - after.feet[name].position).max()
                 if moved > 0 or before.feet[name].yaw != after.feet[name].yaw:
@@ -128,14 +129,20 @@ def feet_of(robot: Robot, q: np.ndarray) -> dict[str, Foothold]:
 class Walk:
     """A walk of a biped from a stance with its feet side by side, which ends so too, at rest.
 
-    steps: number of steps, two at least; the last brings the feet side by side, so that the walk
-        advances by ``(steps - 1) * length``.
-    length: distance from one step to the next along the path, m; negative walks backwards.
-    width: distance between the feet across the path, m; None keeps that of the stance.
-    turn: turn to the left from one step to the next, rad.
-    step_time, double_support: durations of single and double support, s.
-    shift_time, settle_time: durations of the double supports before the first and after the last step, s.
-    first: contact that steps first; None takes the robot's first.
+    Args:
+        steps: number of steps, two at least; the last brings the feet side by side, so that the walk
+            advances by ``(steps - 1) * length``.
+        length: distance from one step to the next along the path, m; negative walks backwards.
+        width: distance between the feet across the path, m; None keeps that of the stance.
+        turn: turn to the left from one step to the next, rad.
+        step_time: duration of single support, s.
+        double_support: duration of double support between steps, s.
+        shift_time: duration of the double support before the first step, s.
+        settle_time: duration of the double support after the last step, s.
+        first: contact that steps first; None takes the robot's first.
+
+    Raises:
+        InputError: for numbers out of range.
     """
 
     steps: int = 2

@@ -27,9 +27,14 @@ from trajopt.values import finite_array, require_not_negative
 class Payload:
     """A rigid body held at a contact of the robot.
 
-    contact: name of the contact that holds it; its frame gives the axes. mass: kg. centre: (3,) m, its centre
-    of mass in the frame. inertia: (3, 3) kg m^2 about its centre in the frame's axes; None for a point mass.
-    Raises `InputError`.
+    Args:
+        contact: name of the contact that holds it; its frame gives the axes.
+        mass: kg.
+        centre: of mass (3,), m, in the contact's frame; default its origin.
+        inertia: about the centre of mass (3, 3), kg m^2, in the frame's axes; None for a point mass.
+
+    Raises:
+        InputError: for numbers that no rigid body has.
     """
 
     contact: str
@@ -45,7 +50,9 @@ class Payload:
         turning = np.array(self.inertia)
         moments = np.linalg.eigvalsh(turning)
         if not np.allclose(turning, turning.T) or moments[0] < 0:
-            raise InputError("inertia of a payload is no inertia", "allowed: symmetric, eigenvalues >= 0")
+            raise InputError(
+                "inertia of a payload is not that of a rigid body", "allowed: symmetric, eigenvalues >= 0"
+            )
         if moments[2] > moments[0] + moments[1] + 1e-12 * moments[2]:
             raise InputError(
                 f"principal moments of a payload are {moments}", "allowed: none above the sum of the others"

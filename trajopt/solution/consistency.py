@@ -57,8 +57,7 @@ def inconsistency(arrays: _Arrays, model_text: str, meta: dict[str, Any]) -> str
         _wrong_shape(arrays, model, meta)
         or _wrong_number(arrays)
         or _wrong_time(arrays)
-        or _wrong_surfaces(arrays, meta)
-        or _wrong_collision(model, meta)
+        or _wrong_descriptions(arrays, model, meta)
         or _wrong_phases(arrays, meta)
     )
 
@@ -87,9 +86,9 @@ def _wrong_meta(meta: dict[str, Any]) -> str:
         return "success of meta is not true or false"
     for key in ("parameters", "versions"):
         if not isinstance(meta[key], dict):
-            return f"{key} of meta is no object"
+            return f"{key} of meta is not an object"
     if not is_number(meta["tolerance"]):
-        return f"tolerance {meta['tolerance']!r} of meta is no number"
+        return f"tolerance {meta['tolerance']!r} of meta is not a number"
     return _wrong_sizes(meta.get("contact_sizes"), kinds) or _wrong_drives(meta.get("drives"))
 
 
@@ -121,18 +120,10 @@ def _wrong_drives(drives: Any) -> str:
     return ""
 
 
-def _wrong_collision(model: pin.Model, meta: dict[str, Any]) -> str:
-    """Optional key of meta: capsules on the robot, obstacles, and pairs of capsules that may not touch."""
+def _wrong_descriptions(arrays: _Arrays, model: pin.Model, meta: dict[str, Any]) -> str:
+    """Optional keys of meta: the scene of collisions; surfaces and patches by phase and contact frame."""
     try:
         scene_of_meta(model, meta.get("collision"))
-    except SolutionFileError as error:
-        return str(error)
-    return ""
-
-
-def _wrong_surfaces(arrays: _Arrays, meta: dict[str, Any]) -> str:
-    """Optional keys of meta: for each phase, by frame, what active contacts touch, and their patches."""
-    try:
         read: dict[str, Sequence[Mapping[str, object]]] = {
             "surfaces": surfaces_of(meta.get("surfaces")),
             "patches": patches_of(meta.get("patches")),

@@ -60,7 +60,7 @@ class FramePose(NodeConstraint):
         phase: the phase at whose beginning the pose is reached, a waypoint; default: the schedule's end.
 
     Raises:
-        InputError: for a position or rotation of another shape, or that is none.
+        InputError: for a position or rotation of another shape, and a matrix that is not a rotation.
     """
 
     frame: str

@@ -21,11 +21,17 @@ DESCRIBED = ("name", "surface", "vertices", "margin")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Patch:
-    """A ``surface`` inside a convex polygon.
+    """A plane inside a convex polygon.
 
-    ``vertices`` (n, 3) in m, n >= 3, are its corners in the surface's plane, in order around it, either way;
-    they are kept counter-clockwise about the normal. A contact that lands on it keeps ``margin`` m from every
-    edge. ``name`` is for reports and `PiecewiseTerrain.face`. Raises `InputError`.
+    Args:
+        surface: the plane.
+        vertices: corners (n, 3), n >= 3, m, world, in the plane and in order around it, either way; they are
+            kept counter-clockwise about the normal.
+        margin: distance in m that a contact which lands on it keeps from every edge.
+        name: for reports and `PiecewiseTerrain.face`.
+
+    Raises:
+        InputError: for corners off the plane or in no convex order, and a margin that leaves no area.
     """
 
     surface: Surface

@@ -25,8 +25,8 @@ class PiecewiseTerrain:
     """Ground of one or more faces with different names; the first is the one to stand on by default.
 
     The ground at (x, y) is the highest face there. Where there is no face is a hole without a bottom: its
-    height is -inf, nothing penetrates there, and no contact can stand. Risers between faces are no faces: who
-    is lower than the face above or below him penetrates by the whole difference. Raises `InputError`.
+    height is -inf, nothing penetrates there, and no contact can stand. Risers between faces are not faces: a
+    point lower than the highest face at its (x, y) penetrates by the whole difference. Raises `InputError`.
     """
 
     faces: tuple[Patch, ...]
@@ -35,7 +35,7 @@ class PiecewiseTerrain:
         object.__setattr__(self, "faces", tuple(self.faces))
         if not self.faces or not all(isinstance(face, Patch) for face in self.faces):
             raise InputError(
-                "a piecewise terrain has no faces, or some are none", "allowed: patches, at least one"
+                "a piecewise terrain has no faces, or others than patches", "allowed: patches, at least one"
             )
         names = self.names
         if len(set(names)) != len(names):

@@ -39,11 +39,18 @@ def frame_of_normal(normal: Sequence[float] | np.ndarray) -> np.ndarray:
 class Surface:
     """A plane in the world that a contact touches.
 
-    ``point`` (3,) in m lies on it; ``normal`` (3,) points from it to the robot and is made a unit
-    vector; ``friction`` is Coulomb's coefficient. A ``bilateral`` surface holds the contact (a grasp, a
-    handrail, a bolt): it transmits any wrench that the contact's kind has, so that neither friction nor
-    unilateral rows apply; its normal only says how a contact lands on it. With a ``slip_speed`` (m/s) a point
-    contact slides along it, against its friction: see `trajopt.terms.sliding`. Raises `InputError`.
+    Args:
+        point: any point on it (3,), m, world.
+        normal: from it to the robot (3,), world; made a unit vector.
+        friction: Coulomb's coefficient.
+        bilateral: whether it holds the contact (a grasp, a handrail, a bolt). Then it transmits any wrench
+            that the contact's kind has, and neither friction nor unilateral rows apply; the normal only says
+            how a contact lands on it.
+        slip_speed: m/s; with it a point contact slides along the surface, against its friction (see
+            `trajopt.terms.sliding`).
+
+    Raises:
+        InputError: for a wrong shape, a normal without length, a number out of range.
     """
 
     point: np.ndarray

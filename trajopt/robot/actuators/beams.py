@@ -29,11 +29,17 @@ DENSITY = {"steel": 7850.0, "aluminium": 2700.0, "iron": 7200.0}
 class Beam:
     """A uniform straight beam along its own x axis, closed at neither end.
 
-    length: along x, m. width, height: outer sizes along y and z, m. wall: thickness of the four walls,
-    m; half of the smaller outer size, or None, makes it solid. density: kg/m^3, or the name of a material
-    of ``DENSITY``. The frame's origin is at the centre.
+    The origin of its frame is at the centre.
 
-    Raises `InputError` for sizes or densities not above zero, a wall too thick, an unknown material.
+    Args:
+        length: along x, m.
+        width: outer size along y, m.
+        height: outer size along z, m.
+        wall: thickness of the four walls, m; half of the smaller outer size, or None, makes it solid.
+        density: kg/m^3, or the name of a material of ``DENSITY``.
+
+    Raises:
+        InputError: for sizes or densities not above zero, a wall too thick, an unknown material.
     """
 
     length: float

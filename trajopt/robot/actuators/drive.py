@@ -34,16 +34,21 @@ COULOMB_SPEED = 0.1
 class Drive:
     """A motor and its gear on one joint of one degree of freedom.
 
-    gear_ratio: n, motor turns per joint turn; negative where they turn against each other, never zero.
-    rotor_inertia: of the rotor about its axis, motor side, kg m^2; 0 leaves the model's armature.
-    viscous_friction: joint side, N m s/rad. coulomb_friction: joint side, N m, smoothed as
-        tanh(rate / coulomb_speed) with ``coulomb_speed`` in rad/s, joint side.
-    torque_limit: motor side, N m: what the largest current gives.
-    stall_torque, no_load_speed: motor side, N m and rad/s: where the voltage line meets the axes.
-        From V = R i + k_e omega with |V| <= V_max follows |tau_m / stall_torque + omega_m /
-        no_load_speed| <= 1 (Hughes and Drury, Electric Motors and Drives, 2013, sec. 3.4).
+    From V = R i + k_e omega with |V| <= V_max follows the voltage line |tau_m / stall_torque + omega_m /
+    no_load_speed| <= 1 (Hughes and Drury, Electric Motors and Drives, 2013, sec. 3.4).
 
-    Raises `InputError` for a ratio of zero, NaN, negative friction or inertia, limits not above zero.
+    Args:
+        gear_ratio: n, motor turns per joint turn; negative where they turn against each other, never zero.
+        rotor_inertia: of the rotor about its axis, motor side, kg m^2; 0 leaves the model's armature.
+        viscous_friction: joint side, N m s/rad.
+        coulomb_friction: joint side, N m, smoothed as tanh(rate / coulomb_speed).
+        coulomb_speed: joint side, rad/s.
+        torque_limit: motor side, N m: what the largest current gives.
+        stall_torque: motor side, N m: where the voltage line meets the axis of torque.
+        no_load_speed: motor side, rad/s: where the voltage line meets the axis of speed.
+
+    Raises:
+        InputError: for a ratio of zero, NaN, negative friction or inertia, limits not above zero.
     """
 
     gear_ratio: float
@@ -86,9 +91,19 @@ class Drive:
     ) -> Drive:
         """Drive of a motor with ``V = R i + k_e omega`` and ``tau_m = k_t i``, all on the motor side.
 
-        voltage: the largest, V. resistance: ohm. torque_constant: k_t, N m/A. back_emf_constant: k_e,
-        V s/rad, default k_t (a direct-current motor; for three phases in amplitudes k_t = 3/2 k_e,
-        voltage the largest amplitude of a phase). current_limit: A. ``others``: fields of `Drive`.
+        Of three phases in amplitudes k_t = 3/2 k_e, and the voltage is the largest amplitude of a phase.
+
+        Args:
+            gear_ratio: n, motor turns per joint turn.
+            voltage: the largest, V.
+            resistance: R, ohm.
+            torque_constant: k_t, N m/A.
+            back_emf_constant: k_e, V s/rad; default k_t, as of a direct-current motor.
+            current_limit: the largest, A.
+            others: further fields of `Drive`.
+
+        Raises:
+            InputError: for numbers not above zero.
         """
         given = {
             "voltage": voltage,

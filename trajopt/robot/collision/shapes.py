@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from trajopt.errors import InputError
 from trajopt.terrain.surface import frame_of_normal
-from trajopt.values import finite_array, numbers_of, require_positive
+from trajopt.values import finite_array, jsonable, numbers_of, require_positive
 
 # A rotation matrix is one up to rounding of what was written as decimal numbers.
 ROTATION_ERROR = 1e-6
@@ -44,13 +44,7 @@ class LinkCapsule:
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
-        return {
-            "name": self.name,
-            "frame": self.frame,
-            "start": self.start.tolist(),
-            "end": self.end.tolist(),
-            "radius": self.radius,
-        }
+        return _described(self)
 
     @classmethod
     def from_description(cls, described: Any) -> LinkCapsule:
@@ -78,12 +72,7 @@ class SphereObstacle:
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
-        return {
-            "kind": "sphere",
-            "name": self.name,
-            "centre": self.centre.tolist(),
-            "radius": self.radius,
-        }
+        return {"kind": "sphere", **_described(self)}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,8 +95,7 @@ class CapsuleObstacle:
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
-        ends = {"start": self.start.tolist(), "end": self.end.tolist()}
-        return {"kind": "capsule", "name": self.name, **ends, "radius": self.radius}
+        return {"kind": "capsule", **_described(self)}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,7 +120,7 @@ class BoxObstacle:
         if orthogonal:
             orthogonal = bool(np.abs(rotation.T @ rotation - np.eye(3)).max() < ROTATION_ERROR)
         if not orthogonal or np.linalg.det(rotation) < 0:
-            raise InputError(f"rotation of {label} is no rotation", "allowed: (3, 3), orthogonal, det 1")
+            raise InputError(f"rotation of {label} is not a rotation", "allowed: (3, 3), orthogonal, det 1")
         rotation.setflags(write=False)
         object.__setattr__(self, "rotation", rotation)
 
@@ -143,13 +131,7 @@ class BoxObstacle:
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
-        return {
-            "kind": "box",
-            "name": self.name,
-            "sides": self.sides.tolist(),
-            "position": self.position.tolist(),
-            "rotation": self.turn.tolist(),
-        }
+        return {"kind": "box", **_described(self)}
 
 
 Obstacle = SphereObstacle | CapsuleObstacle | BoxObstacle
@@ -209,6 +191,11 @@ def _set_vectors(shape: Any, label: str, names: Sequence[str]) -> None:
 def _set_radius(shape: Any, label: str) -> None:
     require_positive(f"radius of {label}", shape.radius, "m")
     object.__setattr__(shape, "radius", float(shape.radius))
+
+
+def _described(shape: Any) -> dict[str, Any]:
+    """Fields of a shape as JSON has them."""
+    return {name: jsonable(value) for name, value in vars(shape).items()}
 
 
 def _require_keys(described: Any, keys: Sequence[str], what: str) -> None:
