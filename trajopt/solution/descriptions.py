@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.robot.collision.near import CollisionScene
 from trajopt.robot.collision.shapes import LinkCapsule, obstacle_from_description
-from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
-from trajopt.terrain.surface import Surface
-from trajopt.terrain.terrain import terrain_from_description
+from trajopt.terrain.surface import UP, Surface
 
 _Read = TypeVar("_Read")
 GroundShape = Surface | PiecewiseTerrain | SmoothTerrain
@@ -50,13 +49,32 @@ def _by_phase(key: str, entry: str, described: Any, read: Callable[[Any], _Read]
 
 def terrain_of(described: Any) -> GroundShape | None:
     """Read ``meta["terrain"]``; None where there is none. Raises `SolutionFileError` for another kind."""
-    if described is None:
-        return None
+    kind = described.get("kind") if isinstance(described, dict) else described
+    if kind not in ("piecewise", "smooth"):
+        return terrain_surface(described)
     try:
-        terrain = terrain_from_description(described)
+        return (PiecewiseTerrain if kind == "piecewise" else SmoothTerrain).from_description(described)
     except InputError as error:
         raise SolutionFileError(f"terrain in meta: {error.what}", error.allowed) from None
-    return terrain.surface if isinstance(terrain, FlatGround) else terrain
+
+
+def terrain_surface(terrain: Any) -> Surface | None:
+    """Read flat ground of ``meta["terrain"]``, None where there is none. Raises `SolutionFileError`."""
+    if terrain is None:
+        return None
+    if not isinstance(terrain, dict) or terrain.get("kind") != "flat":
+        kind = terrain.get("kind") if isinstance(terrain, dict) else terrain
+        raise SolutionFileError(
+            f"terrain of kind {kind!r} in meta is not known",
+            "'flat', 'piecewise', 'smooth' or null",
+        )
+    try:
+        height = float(terrain.get("height", 0.0))
+        return Surface(point=np.array([0.0, 0.0, height]), normal=terrain.get("normal", UP))
+    except (TypeError, ValueError):
+        raise SolutionFileError("terrain in meta has no numeric 'height' and 'normal'") from None
+    except InputError:
+        raise SolutionFileError("terrain in meta has no finite 'height' and 'normal' (3,)") from None
 
 
 def scene_of_meta(model: pin.Model, described: Any) -> CollisionScene | None:
