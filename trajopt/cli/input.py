@@ -73,6 +73,8 @@ def option_group(*options: Callable[[_Command], _Command]) -> Callable[[_Command
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+solver_option = default_option("--solver", "ipopt", "NAME", "ipopt, fatrop or sqp.")
+compile_option = default_option("--compile", "quick", "LEVEL", "none, quick or fast.")
 grid_options = option_group(
     click.option(
         "--transcription", metavar="NAME", help="Scheme, e.g. legendre:2.  [default: the problem's]"
@@ -80,11 +82,11 @@ grid_options = option_group(
     click.option(
         "--intervals", type=GRID, metavar="N", help="Over the whole schedule.  [default: the problem's]"
     ),
-    default_option("--solver", "ipopt", "NAME", "ipopt, fatrop or sqp."),
+    solver_option,
 )
 tolerance_option = default_option("--tol", 1e-6, "TOL", "Tolerance.", to="tolerance")
 function_options = option_group(
-    default_option("--compile", "quick", "LEVEL", "none, quick or fast."),
+    compile_option,
     default_option("--threads", 1, "N", "For functions.", kind=THREADS),
 )
 solver_options = option_group(

@@ -6,6 +6,7 @@ import json
 import math
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,6 +58,16 @@ KEY_FIGURES = {
     "open_loop_orientation": "orientation",
     "open_loop_joints": "joints",
 }
+
+
+@dataclass(frozen=True)
+class SolveReport:
+    """What became of a solve, with notes for its summary and entries for its JSON beside the figures."""
+
+    solution: Solution
+    reached: bool
+    notes: list[str] = field(default_factory=list)
+    extra: dict[str, Any] = field(default_factory=dict)
 
 
 def to_json(value: object) -> str:

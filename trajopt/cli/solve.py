@@ -99,9 +99,9 @@ def solve_command(
     if as_json:
         extra: dict[str, Any] = {"scene": scene.report.to_dict()} if scene else {}
         extra |= {"diagnosis": diagnosis[0]} if diagnosis else {}
-        click.echo(to_json(solve_dict(solution, report, file) | extra | solved.extra()))
+        click.echo(to_json(solve_dict(solution, report, file) | extra | solved.extra))
     else:
-        click.echo(solve_summary(solution, report, file, solved.lines() + notes))
+        click.echo(solve_summary(solution, report, file, solved.notes + notes))
         if diagnosis:
             click.echo(diagnosis[1])
     show_until_interrupted(viewer, solution)

@@ -11,7 +11,7 @@ from typing import Any
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
-from trajopt.solving.ladder import INTERRUPTED, OWN_GUESS, solve_figures, total_effort
+from trajopt.solving.ladder import FROM_DEFAULT_GUESS, INTERRUPTED, solve_figures, total_effort
 from trajopt.solving.solving import solve
 
 MAX_HALVINGS = 4
@@ -147,13 +147,13 @@ class _Walk:
             else:
                 halvings -= 1
                 targets.append((self.origin + targets[-1]) / 2)
-        if targets and self.start is not None and _stopped(self.solve(value, own_guess=True).solution):
+        if targets and self.start is not None and _stopped(self.solve(value, default_guess=True).solution):
             return False
         return not (compare and _stopped(self.compare(value)))
 
-    def solve(self, value: float, *, asked: bool = True, own_guess: bool = False) -> ContinuationStep:
+    def solve(self, value: float, *, asked: bool = True, default_guess: bool = False) -> ContinuationStep:
         """One solve, from the last solution or from the problem's default guess."""
-        start = None if own_guess else self.start
+        start = None if default_guess else self.start
         solution = solve(self.load(value), start=start, label=f"value {value:g}", **self.settings)
         origin = None if start is None else self.origin
         step = ContinuationStep(value=value, solution=solution, origin=origin, asked=asked)
@@ -172,7 +172,7 @@ class _Walk:
         cold = (
             last.solution
             if own
-            else solve(self.load(value), label=f"value {value:g} {OWN_GUESS}", **self.settings)
+            else solve(self.load(value), label=f"value {value:g} {FROM_DEFAULT_GUESS}", **self.settings)
         )
         self.steps[index] = replace(last, cold=cold)
         return cold

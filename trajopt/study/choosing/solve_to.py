@@ -28,7 +28,7 @@ LEAST_TIME = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Aimed:
+class TargetSolve:
     """What was chosen, solved and measured.
 
     choices: settings in the order in which they were tried. rounds: all solves. spent: s, of the solver.
@@ -46,7 +46,7 @@ class Aimed:
     @property
     def spent(self) -> float:
         """Time of the solver in all rounds, s."""
-        return sum(own.wall_time for own in self.rounds)
+        return sum(solve.wall_time for solve in self.rounds)
 
     @property
     def error(self) -> float:
@@ -69,7 +69,7 @@ class Aimed:
             "spent_s": self.spent,
             "why": self.why,
             "choices": [choice.to_dict() for choice in self.choices],
-            "rounds": [own.to_dict() for own in self.rounds],
+            "rounds": [solve.to_dict() for solve in self.rounds],
         }
 
 
@@ -81,7 +81,7 @@ def solve_to_accuracy(
     where: SettingFilter | None = None,
     start: Solution | str | Path | None = None,
     **settings: Any,
-) -> Aimed:
+) -> TargetSolve:
     """Solve to an error of ``accuracy`` m in every phase: the fastest measured setting, then refinement.
 
     The error is `refinement.phase_errors`: open loop by numeric Pinocchio, or drift of contacts. front: a
@@ -94,7 +94,7 @@ def solve_to_accuracy(
     first = solve(problem, mesh=choice.mesh, start=start, label="chosen mesh", **choice.solver, **settings)
     begun: tuple[Round, ...] = (Round.of(choice.mesh, first),)
     if first.meta["status"] == INTERRUPTED:
-        return _aimed("accuracy", accuracy, [choice], begun, first, None, "interrupted")
+        return _recorded("accuracy", accuracy, [choice], begun, first, None, "interrupted")
     own = {name: value for name, value in choice.solver.items() if name != "tolerance"}
     if is_usable_start(first):
         made = refine(problem, accuracy, start=first, **own, **settings)
@@ -102,7 +102,7 @@ def solve_to_accuracy(
     else:
         made = refine(problem, accuracy, mesh=choice.mesh, start=start, **own, **settings)
     rounds = (*begun, *made.rounds)
-    return _aimed("accuracy", accuracy, [choice], rounds, made.solution, made.accuracy, made.why)
+    return _recorded("accuracy", accuracy, [choice], rounds, made.solution, made.accuracy, made.why)
 
 
 def solve_within(
@@ -113,7 +113,7 @@ def solve_within(
     where: SettingFilter | None = None,
     start: Solution | str | Path | None = None,
     **settings: Any,
-) -> Aimed:
+) -> TargetSolve:
     """The most accurate solution that ``budget`` s of the solver give: a fast one first, then better ones.
 
     Building and compiling, which happen once, do not count; `Solution.meta` has their times. Arguments as of
@@ -147,11 +147,11 @@ def solve_within(
         elif not fitting:
             why = "no better setting is predicted to fit into what is left"
     if best is None:
-        return _aimed("budget", budget, tried, rounds, found, None, "nothing was solved in that time")
-    return _aimed("budget", budget, tried, rounds, best, measure(best), why)
+        return _recorded("budget", budget, tried, rounds, found, None, "nothing was solved in that time")
+    return _recorded("budget", budget, tried, rounds, best, measure(best), why)
 
 
-def _aimed(
+def _recorded(
     goal: str,
     wanted: float,
     choices: Sequence[ChosenSetting],
@@ -159,9 +159,9 @@ def _aimed(
     solution: Solution,
     accuracy: Accuracy | None,
     why: str,
-) -> Aimed:
-    """What was aimed at and reached, in the solution's meta too."""
-    aimed = Aimed(
+) -> TargetSolve:
+    """The goal and what was reached, in the solution's meta too."""
+    found = TargetSolve(
         goal=goal,
         wanted=float(wanted),
         choices=tuple(choices),
@@ -171,7 +171,7 @@ def _aimed(
         why=why,
     )
     meta = {name: value for name, value in solution.meta.items() if name != "refinement"}
-    return replace(aimed, solution=replace(solution, meta={**meta, "aimed": aimed.to_dict()}))
+    return replace(found, solution=replace(solution, meta={**meta, "aimed": found.to_dict()}))
 
 
 def _require(value: float, name: str, unit: str) -> None:

@@ -16,7 +16,7 @@ from trajopt.solution.input import solution_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import PreparedProblem, prepare
-from trajopt.solving.verdicts import STILL_FEASIBLE
+from trajopt.solving.verdicts import STILL_FEASIBLE, finite_or_none
 from trajopt.study.diagnosis.activity import active_limits
 from trajopt.study.diagnosis.advice import advice
 from trajopt.study.diagnosis.conflict import conflict
@@ -33,7 +33,7 @@ from trajopt.study.diagnosis.findings import (
 from trajopt.study.diagnosis.nonfinite import first_nonfinite
 from trajopt.study.diagnosis.scaling import scaling
 from trajopt.study.diagnosis.snapshot import Snapshot
-from trajopt.study.diagnosis.sources import at_guess, at_solution, cached_level, problem_of
+from trajopt.study.diagnosis.sources import at_solution, cached_level, problem_of
 
 # Rows are violated where they miss this, or ten times the solve's tolerance: as a solve itself judges.
 TRUSTED = 10.0
@@ -59,7 +59,9 @@ def diagnose(
         InputError: Where the problem is unknown, or has other joints or phases than the solution.
     """
     if isinstance(what, PreparedProblem):
-        return _diagnosed(at_guess(what), None, f"guess of {what.transcription.problem.name}")
+        return _diagnosed(
+            Snapshot(nlp=what.nlp, x=what.guess), None, f"guess of {what.transcription.problem.name}"
+        )
     solution = solution_of(what)
     source = str(what) if isinstance(what, str | Path) else "solution"
     rebuilt = problem_of(solution) if problem is None else problem
@@ -91,7 +93,7 @@ def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Di
         worst=tuple(worst),
         nonfinite=None if finite else first_nonfinite(snapshot.nlp, snapshot.names, snapshot.x),
         ranks=tuple(_ranks(judged)) if finite else (),
-        contacts=phase_contacts(t, motion),
+        contacts=tuple(phase_contacts(t, motion)),
         curvature=_curvature(judged) if finite else None,
         scaling=scaling(snapshot) if finite else None,
         limits=tuple(active_limits(snapshot)) if finite else (),
@@ -105,25 +107,18 @@ def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Di
 
 def _worst(snapshot: Snapshot, limit: float) -> list[Violation]:
     """The worst violated rows and bounds, each block once."""
-    t, names = snapshot.transcription, snapshot.names
+    names = snapshot.names
     amounts = np.where(np.isfinite(snapshot.violations), snapshot.violations, np.inf)
     found: dict[str, Violation] = {}
-    for index in np.argsort(-amounts, kind="stable").tolist():
-        if not amounts[index] > limit or len(found) == WORST:
-            break
-        bound = index >= t.n_rows
-        block = "bounds" if bound else names.block(index)
-        if block in found:
-            continue
-        site = names.unknown_sites[index - t.n_rows] if bound else names.row_sites[index]
-        text = f"bounds [{names.unknown(index - t.n_rows)}]" if bound else names.row_text(index)
-        amount = float(amounts[index])
-        found[block] = Violation(
-            row=text,
-            block=block,
-            phase=names.phase(site.stage),
-            amount=amount if math.isfinite(amount) else None,
-        )
+    for index in np.argsort(-amounts, kind="stable")[: np.count_nonzero(amounts > limit)].tolist():
+        block = names.block(index)
+        if block not in found and len(found) < WORST:
+            found[block] = Violation(
+                row=names.row_text(index),
+                block=block,
+                phase=names.phase(names.sites[index].stage),
+                amount=finite_or_none(float(amounts[index])),
+            )
     return list(found.values())
 
 

@@ -6,15 +6,16 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from trajopt.study.diagnosis.activity import BOUNDS, ActiveLimit
+from trajopt.study.diagnosis.activity import ActiveLimit
 from trajopt.study.diagnosis.conflict import Conflict
 from trajopt.study.diagnosis.contacts import PhaseContacts
 from trajopt.study.diagnosis.findings import CurvatureReport, DependentRows, RankReport
+from trajopt.study.diagnosis.names import BOUNDS
 from trajopt.study.diagnosis.nonfinite import NonFinite
 from trajopt.study.diagnosis.scaling import Scaling
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Advice:
     """``finding``: what was seen; ``remedy``: what to try."""
 

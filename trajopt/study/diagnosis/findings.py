@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -14,8 +15,8 @@ from trajopt.study.diagnosis.rank import RowDependency, dependencies, spectrum
 from trajopt.study.diagnosis.snapshot import Snapshot
 from trajopt.terms.limits import PositionLimits
 
-# Rows of one group of dependent rows that are named, and unknowns of a direction.
-NAMED_ROWS, NAMED_UNKNOWNS = 8, 3
+# Rows of one group of dependent rows that are named, unknowns of a direction, and directions.
+NAMED_ROWS, NAMED_UNKNOWNS, NAMED_DIRECTIONS = 8, 3, 4
 # Positions this close to a limit (rad, m) are on it.
 ON_LIMIT = 1e-9
 
@@ -97,7 +98,7 @@ def rank_report(snapshot: Snapshot, phase: int | None) -> RankReport:
     blind, seen = rows[~seeing], rows[seeing]
     found = spectrum(matrix[seeing])
     groups = [(seen[group.rows], group) for group in dependencies(found.vectors)]
-    alone = RowDependency(rows=np.zeros(1, dtype=int), share=np.ones(1), excess=1)
+    alone = RowDependency(rows=np.zeros(1, dtype=int), excess=1)
     merged = _merged(snapshot, groups, fixed=False) + _merged(
         snapshot, [(np.array([row]), alone) for row in blind], fixed=True
     )
@@ -124,13 +125,13 @@ def _merged(
     kinds: dict[tuple[tuple[str, ...], str], list[tuple[np.ndarray, RowDependency]]] = {}
     for rows, group in groups:
         what = sorted({names.row(int(row)).what for row in rows})
-        phase = names.phase(names.row_sites[int(rows[0])].stage)
+        phase = names.phase(names.sites[int(rows[0])].stage)
         kinds.setdefault((tuple(what), phase), []).append((rows, group))
     found = []
     for same in kinds.values():
         rows, _ = same[0]
         subjects = list(dict.fromkeys(names.row(int(row)).what for row in rows))
-        sites = sorted({names.row_sites[int(row)] for members, _ in same for row in members}, key=_in_time)
+        sites = sorted({names.sites[int(row)] for members, _ in same for row in members}, key=_in_time)
         found.append(
             DependentRows(
                 rows=tuple(subjects[:NAMED_ROWS]),
@@ -201,9 +202,12 @@ class CurvatureReport:
 
 def curvature_report(snapshot: Snapshot, found: Curvature) -> CurvatureReport:
     """Name the directions of least curvature; ``found`` is over the free unknowns."""
-    pairs = zip(found.values.tolist(), found.vectors.T, strict=True)
-    flat = np.abs(found.nearest) <= found.flat
-    flat_pairs = zip(found.nearest[flat].tolist(), found.nearest_vectors.T[flat], strict=True)
+    directions = np.arange(found.vectors.shape[1])
+    nearest = np.argsort(np.abs(found.values[directions]), kind="stable")[:NAMED_DIRECTIONS]
+
+    def along(which: np.ndarray) -> tuple[Direction, ...]:
+        return tuple(_direction(snapshot, float(found.values[i]), found.vectors[:, i]) for i in which)
+
     return CurvatureReport(
         directions=found.directions,
         smallest=found.smallest,
@@ -213,20 +217,20 @@ def curvature_report(snapshot: Snapshot, found: Curvature) -> CurvatureReport:
         negative=found.negative,
         exact=found.exact,
         known=snapshot.row_multiplier is not None,
-        smallest_along=tuple(_direction(snapshot, value, vector) for value, vector in pairs),
-        flat_along=tuple(_direction(snapshot, value, vector) for value, vector in flat_pairs),
+        smallest_along=along(directions[:NAMED_DIRECTIONS]),
+        flat_along=along(nearest[np.abs(found.values[nearest]) <= found.flat]),
     )
 
 
 def _direction(snapshot: Snapshot, value: float, vector: np.ndarray) -> Direction:
     """Unknowns by their share of the squared length, added up over time."""
     names, free = snapshot.names, snapshot.free
-    share: dict[str, float] = {}
-    kinds: dict[str, float] = {}
+    share: defaultdict[str, float] = defaultdict(float)
+    kinds: defaultdict[str, float] = defaultdict(float)
     for index, part in zip(free.tolist(), (vector**2).tolist(), strict=True):
         label = names.unknown_labels[index]
-        share[str(label)] = share.get(str(label), 0.0) + part
-        kinds[label.kind] = kinds.get(label.kind, 0.0) + part
+        share[str(label)] += part
+        kinds[label.kind] += part
     largest = sorted(share, key=lambda name: -share[name])[:NAMED_UNKNOWNS]
     most = int(free[int(np.argmax(np.abs(vector)))])
     return Direction(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import itertools
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -21,6 +23,8 @@ from trajopt.transcription.term_functions import TermFunctions
 from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
 
+# Block of the bounds of unknowns.
+BOUNDS = "bounds"
 # A row that is about many things is named by the one or two unknowns that weigh most in it.
 MOST_UNKNOWNS, MOSTLY = 2, 0.8
 
@@ -112,10 +116,6 @@ class NlpNames:
         """Place of every unknown."""
         return [site for _, site in self._unknowns]
 
-    def unknown(self, index: int) -> str:
-        """An unknown in words: ``FL_KFE rate, node 12, t = 0.310 s, phase 'flight'``."""
-        return f"{self.unknown_labels[index]}, {self.place(self.unknown_sites[index])}"
-
     @cached_property
     def _unknowns(self) -> list[tuple[Label, Site]]:
         layout = self.layout
@@ -151,35 +151,32 @@ class NlpNames:
     # Rows
 
     @cached_property
-    def row_sites(self) -> list[Site]:
-        """Place of every row."""
+    def sites(self) -> list[Site]:
+        """Place of every row, then of every unknown."""
         rows = self.transcription.rows
         pairs = zip(rows.stage.tolist(), rows.point.tolist(), strict=True)
-        return [Site(stage=stage, point=point) for stage, point in pairs]
+        return [*(Site(stage=stage, point=point) for stage, point in pairs), *self.unknown_sites]
 
     @cached_property
-    def row_numbers(self) -> np.ndarray:
-        """Number of every row within its block at its place (n_rows,)."""
+    def row_numbers(self) -> list[int]:
+        """Number of every row within its block at its place."""
         rows = self.transcription.rows
-        keys = np.column_stack([rows.block, rows.stage, rows.point])
-        _, which = np.unique(keys, axis=0, return_inverse=True)
-        order = np.argsort(which, kind="stable")
-        sorted_keys = which.ravel()[order]
-        first = np.concatenate([[True], np.diff(sorted_keys) != 0]) if len(order) else np.zeros(0, bool)
-        start = np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))
-        numbers = np.zeros(len(order), dtype=int)
-        numbers[order] = np.arange(len(order)) - start
-        return numbers
+        numbers: defaultdict[tuple[int, int, int], Iterator[int]] = defaultdict(itertools.count)
+        keys = zip(rows.block.tolist(), rows.stage.tolist(), rows.point.tolist(), strict=True)
+        return [next(numbers[key]) for key in keys]
 
-    def block(self, row: int) -> str:
-        """Name of a row's block."""
+    def block(self, index: int) -> str:
+        """Name of a row's block; beyond the rows come the unknowns, whose bounds are one block."""
         rows = self.transcription.rows
-        return rows.names[int(rows.block[row])]
+        return rows.names[int(rows.block[index])] if index < len(rows.block) else BOUNDS
 
     def row(self, index: int) -> RowName:
-        """Name of a row."""
-        block, site, number = self.block(index), self.row_sites[index], int(self.row_numbers[index])
-        about = ""
+        """Name of a row, or of the bound of an unknown, numbered as in ``block``."""
+        block, site = self.block(index), self.sites[index]
+        if block == BOUNDS:
+            label = self.unknown_labels[index - self.transcription.n_rows]
+            return RowName(block=BOUNDS, about=str(label), site=site)
+        number, about = self.row_numbers[index], ""
         if block == "defect":
             about = str(node_labels(self.layout.forms[site.stage + 1], self.clocks)[number])
         else:
@@ -190,21 +187,20 @@ class NlpNames:
         return RowName(block=block, about=about, site=site)
 
     def row_text(self, index: int) -> str:
-        """A row in words, with its place."""
-        name = self.row(index)
-        return f"{name.what}, {self.place(name.site)}"
+        """A row in words, with its place, or a bound: ``bounds [FL_KFE rate, node 12, ...]``."""
+        name, place = self.row(index), self.place(self.sites[index])
+        return f"{BOUNDS} [{name.about}, {place}]" if name.block == BOUNDS else f"{name.what}, {place}"
 
     def _by_weight(self, index: int) -> str:
         """The unknowns that weigh most in a row, if one or two of them are most of it."""
         if self.slopes is None:
             return ""
-        weights: dict[str, float] = {}
+        weights: defaultdict[str, float] = defaultdict(float)
         for column, value in zip(*self.slopes(index), strict=True):
-            label = str(self.unknown_labels[int(column)])
-            weights[label] = weights.get(label, 0.0) + float(value) ** 2
-        largest = sorted(weights, key=lambda label: -weights[label])[:MOST_UNKNOWNS]
+            weights[str(self.unknown_labels[int(column)])] += float(value) ** 2
+        largest = sorted(weights, key=lambda label: -weights[label])
         total = sum(weights.values())
-        for count in range(1, len(largest) + 1):
+        for count in range(1, MOST_UNKNOWNS + 1):
             if sum(weights[label] for label in largest[:count]) >= MOSTLY * total > 0:
                 return "mostly " + "; ".join(largest[:count])
         return ""
@@ -290,13 +286,6 @@ def _subjects(names: SymbolNames, blocks: Iterable[tuple[str, Rows | None]]) -> 
 
 
 def _told_apart(subjects: list[str]) -> list[str]:
-    shared = {subject for subject in subjects if subject and subjects.count(subject) > 1}
-    counts = dict.fromkeys(shared, 0)
-    found = []
-    for subject in subjects:
-        if subject in shared:
-            counts[subject] += 1
-            found.append(f"{subject} ({counts[subject]})")
-        else:
-            found.append(subject)
-    return found
+    count = Counter(subjects)
+    numbers = {subject: itertools.count(1) for subject in count if subject and count[subject] > 1}
+    return [f"{one} ({next(numbers[one])})" if one in numbers else one for one in subjects]

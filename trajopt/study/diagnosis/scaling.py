@@ -28,14 +28,10 @@ class Range:
         """Range of an array."""
         magnitudes = np.abs(values)
         magnitudes = magnitudes[magnitudes > ROUNDING * max(1.0, magnitudes.max(initial=0.0))]
-        if not len(magnitudes):
-            return cls(smallest=0.0, largest=0.0)
-        return cls(smallest=float(magnitudes.min()), largest=float(magnitudes.max()))
-
-    @property
-    def spread(self) -> float:
-        """Largest over smallest."""
-        return self.largest / self.smallest if self.smallest > 0 else 1.0
+        return cls(
+            smallest=float(magnitudes.min()) if len(magnitudes) else 0.0,
+            largest=float(magnitudes.max(initial=0.0)),
+        )
 
     @property
     def far(self) -> float:

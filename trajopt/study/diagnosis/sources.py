@@ -44,11 +44,6 @@ def cached_level(problem: Problem, mesh: Mesh, level: str) -> str:
     return level if in_cache(points.values(), level) else "none"
 
 
-def at_guess(prepared: PreparedProblem) -> Snapshot:
-    """The NLP of a prepared problem at its guess."""
-    return Snapshot(nlp=prepared.nlp, x=prepared.guess)
-
-
 def at_solution(prepared: PreparedProblem, solution: Solution) -> Snapshot:
     """The solution's own unknowns, and its multipliers where they are of the same rows."""
     t = prepared.transcription

@@ -32,7 +32,7 @@ LIMITS = {"build": 600.0, "check": 300.0, "physics": 300.0}
 MOST_LOST = 3
 STAGES = {
     "build": "building and compiling",
-    "own": "own guess",
+    "own": "default guess",
     "check": "checking",
     "physics": "simulating",
     "start": "start",
