@@ -100,12 +100,7 @@ class _Function:
 
     def at(self, fraction: float) -> np.ndarray:
         """Linear interpolation (size,), constant beyond the samples."""
-        if len(self.fractions) == 1:
-            return np.asarray(self.values[0])
-        after = int(np.clip(np.searchsorted(self.fractions, fraction), 1, len(self.fractions) - 1))
-        low, high = self.fractions[after - 1 : after + 1]
-        share = float(np.clip((fraction - low) / (high - low), 0.0, 1.0)) if high > low else 0.0
-        return np.asarray((1 - share) * self.values[after - 1] + share * self.values[after])
+        return np.array([np.interp(fraction, self.fractions, column) for column in self.values.T])
 
 
 def _functions(blocks: list[_Block], multipliers: np.ndarray) -> Mapping[_Key, _Function]:

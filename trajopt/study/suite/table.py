@@ -89,7 +89,7 @@ def _cells(outcome: Outcome) -> dict[str, str]:
 
 
 def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Figures over all pairs; iterations over those solved from the default guess, legged and others apart."""
+    """Figures over all pairs; iterations of legged robots and of others, from the default guess."""
     starts = [attempt for outcome in outcomes for attempt in outcome.starts]
     per_pair = [outcome.perturbed() for outcome in outcomes if outcome.starts]
     return {
