@@ -17,6 +17,7 @@ import numpy as np
 
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
+from trajopt.solvers.result import WarmMultipliers
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.row_collection import RowInfo
 from trajopt.transcription.timeline import StageKind
@@ -24,14 +25,6 @@ from trajopt.transcription.transcription import Transcription
 
 # Fraction of an interval by which its points move inwards: the ends of two intervals are one time.
 INSIDE = 1e-9
-
-
-@dataclass(frozen=True, kw_only=True)
-class Multipliers:
-    """Of rows (n_rows,) and of the bounds of unknowns (n_unknowns,): Lagrangian f + rows . g + bounds . x."""
-
-    rows: np.ndarray
-    bounds: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -70,13 +63,12 @@ def with_multipliers(
     )
 
 
-def resampled_multipliers(transcription: Transcription, solution: Solution) -> Multipliers | None:
+def resampled_multipliers(transcription: Transcription, solution: Solution) -> WarmMultipliers | None:
     """The solution's multipliers on the rows and bounds of ``transcription``; None where none fit."""
     if solution.row_multiplier is None or solution.bound_multiplier is None:
         return None
     old = _layout_of(transcription.layout, solution, solution.bound_multiplier)
-    info = None if old is None else _rows_of(old, solution)
-    if old is None or info is None:
+    if old is None or (info := _rows_of(old, solution)) is None:
         return None
     rows = np.zeros(transcription.n_rows)
     known = _functions(list(_blocks(old, info)), solution.row_multiplier)
@@ -88,7 +80,7 @@ def resampled_multipliers(transcription: Transcription, solution: Solution) -> M
     for node in _nodes(transcription.layout):
         if node.key in known:
             bounds[node.rows] = node.weight * known[node.key].at(node.fraction)
-    return Multipliers(rows=rows, bounds=bounds)
+    return WarmMultipliers(lam_g=rows, lam_x=bounds)
 
 
 @dataclass(frozen=True)

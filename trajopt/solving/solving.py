@@ -98,10 +98,7 @@ def _guess(
     if start is None:
         return initial_guess(transcribed), None
     found = warm_start(transcribed, solution_of(start))
-    known = found.multipliers
-    return found.x, WarmMultipliers() if known is None else WarmMultipliers(
-        lam_g=known.rows, lam_x=known.bounds
-    )
+    return found.x, found.multipliers or WarmMultipliers()
 
 
 def solve(

@@ -22,7 +22,8 @@ from trajopt.solution.interpolation import MotionSample
 from trajopt.solution.local_states import local_state
 from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
-from trajopt.solving.multipliers import Multipliers, resampled_multipliers
+from trajopt.solvers.result import WarmMultipliers
+from trajopt.solving.multipliers import resampled_multipliers
 from trajopt.transcription.guess import MotionSource, node_phase, unknowns_from_motion
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.transcription import Transcription
@@ -34,7 +35,7 @@ class WarmStart:
     """Scaled unknowns ``x`` (n_unknowns,) and multipliers, None where the solution has none that fit."""
 
     x: np.ndarray
-    multipliers: Multipliers | None
+    multipliers: WarmMultipliers | None
 
 
 @dataclass(frozen=True, kw_only=True)

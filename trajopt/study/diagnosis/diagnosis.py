@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -13,6 +14,9 @@ from trajopt.study.diagnosis.findings import CurvatureReport, DependentRows, Ran
 from trajopt.study.diagnosis.names import BOUNDS
 from trajopt.study.diagnosis.nonfinite import NonFinite
 from trajopt.study.diagnosis.scaling import Scaling
+
+# Entries of long lists that are shown, the JSON has all; columns of titles.
+SHOWN, LABEL = 8, 10
 
 
 @dataclass(frozen=True)
@@ -92,13 +96,6 @@ class Diagnosis:
         return "\n".join(_lines(self))
 
 
-# Entries of long lists that are shown; the JSON has all.
-SHOWN = 8
-
-
-LABEL = 10
-
-
 def _lines(found: Diagnosis) -> Iterator[str]:
     """Sections in the order in which to read them: what, why, what to try."""
     state = "guess" if found.status is None else found.status.replace("_", " ")
@@ -119,7 +116,7 @@ def _lines(found: Diagnosis) -> Iterator[str]:
     yield from _scaling_lines(found)
     yield from _limit_lines(found)
     if found.conflict is not None:
-        yield from _conflict_lines(found)
+        yield from _conflict_lines(found.conflict)
     if found.local_error:
         worst = ", ".join(f"'{name}' {error:.1e} m" for name, error in found.local_error.items())
         yield _line("intervals", f"largest error of one interval, from its own start: {worst}")
@@ -178,20 +175,14 @@ def _scaling_lines(found: Diagnosis) -> Iterator[str]:
 def _limit_lines(found: Diagnosis) -> Iterator[str]:
     if not found.scaling:
         return
-    blocks: dict[str, int] = {}
-    for limit in found.limits:
-        blocks[limit.block] = blocks.get(limit.block, 0) + 1
+    blocks = Counter(limit.block for limit in found.limits)
     counts = ", ".join(f"{name if name != BOUNDS else 'bounds of nodes'} {n}" for name, n in blocks.items())
     yield _line("limits", f"active: {counts}" if counts else "none is active")
     yield from _listed("", map(str, found.limits))
 
 
-def _conflict_lines(found: Diagnosis) -> Iterator[str]:
-    clash = found.conflict
-    assert clash is not None
-    text = (
-        f"rows miss {clash.before:.2e} in sum; linearised, at least {clash.after:.2e} within a natural unit"
-    )
-    yield _line("conflict", text)
+def _conflict_lines(clash: Conflict) -> Iterator[str]:
+    least = f"linearised, at least {clash.after:.2e} within a natural unit"
+    yield _line("conflict", f"rows miss {clash.before:.2e} in sum; {least}")
     yield from _listed("  gives", map(str, clash.giving))
     yield from _listed("  against", map(str, clash.against))

@@ -62,8 +62,7 @@ class NlpNames:
     transcription: Transcription
     times: np.ndarray
     slopes: Callable[[int], tuple[np.ndarray, np.ndarray]] | None = None
-    _subjects: dict[tuple[int, int], dict[str, list[str]]] = field(default_factory=dict, init=False)
-    _by_terms: dict[tuple[object, ...], dict[str, list[str]]] = field(default_factory=dict, init=False)
+    _known: dict[tuple[Place, int], dict[str, list[str]]] = field(default_factory=dict, init=False)
 
     # Places
 
@@ -75,13 +74,14 @@ class NlpNames:
         """Its name."""
         return self.layout.schedule.phases[self.phase_index(stage)].name
 
-    def time(self, site: Site) -> float:
-        """Time of a place, s."""
-        start = float(self.times[site.stage])
+    def time(self, site: Site, times: np.ndarray | None = None) -> float:
+        """Time of a place, s, where nodes are at ``times`` (n_stages + 1,); default: their own."""
+        nodes = self.times if times is None else times
+        start = float(nodes[site.stage])
         if site.point < 0:
             return start
         fraction = float(self.layout.scheme_of(self.phase_index(site.stage)).c[site.point])
-        return start + fraction * (float(self.times[site.stage + 1]) - start)
+        return start + fraction * (float(nodes[site.stage + 1]) - start)
 
     def place(self, site: Site) -> str:
         """``node 12, t = 0.310 s, phase 'flight'``, or ``interval 12, point 0, ...``."""
@@ -206,25 +206,19 @@ class NlpNames:
         return ""
 
     def _subjects_at(self, site: Site) -> dict[str, list[str]]:
-        key = (site.stage, site.point)
-        if key not in self._subjects:
-            found: dict[str, list[str]] = {}
-            for part in self._parts(site):
-                for name, subjects in part.items():
-                    found.setdefault(name, []).extend(subjects)
-            self._subjects[key] = found
-        return self._subjects[key]
-
-    def _parts(self, site: Site) -> Iterable[dict[str, list[str]]]:
         """Subjects by block of a point's rows, or of those of an impact and then of its node."""
         layout, k = self.layout, site.stage
         if site.point >= 0:
-            yield self._phase_subjects(int(layout.phase_of[k]), Place.POINT, k)
-            return
+            return self._subjects_of(int(layout.phase_of[k]), Place.POINT, k)
+        found: defaultdict[str, list[str]] = defaultdict(list)
+        parts = []
         if k < layout.n_stages and layout.stages[k].kind is StageKind.IMPACT:
-            yield self._phase_subjects(layout.stages[k].phase, Place.IMPACT, k)
+            parts.append(self._subjects_of(layout.stages[k].phase, Place.IMPACT, k))
         if layout.place(k) is not None:
-            yield self._subjects_of(layout.place_phase(k), Place.NODE, k)
+            parts.append(self._subjects_of(layout.place_phase(k), Place.NODE, k))
+        for name, subjects in itertools.chain.from_iterable(part.items() for part in parts):
+            found[name] += subjects
+        return found
 
     @cached_property
     def functions(self) -> TermFunctions:
@@ -249,13 +243,14 @@ class NlpNames:
         acting: list[Any] = [t for t in (*costs, *problem.point_constraints) if t.acts_in(name)]
         return [ImpactDynamics(), *(t for t in acting if t.acts_at_impacts)] if impact else acting
 
-    def _phase_subjects(self, phase: int, place: Place, k: int) -> dict[str, list[str]]:
-        key = (phase, place)
-        if key not in self._by_terms:
-            self._by_terms[key] = self._subjects_of(phase, place, k)
-        return self._by_terms[key]
-
     def _subjects_of(self, phase: int, place: Place, k: int) -> dict[str, list[str]]:
+        """Subjects by block: of every node, but of points and impacts once for a phase."""
+        key = (place, k if place is Place.NODE else phase)
+        if key not in self._known:
+            self._known[key] = self._read_subjects(phase, place, k)
+        return self._known[key]
+
+    def _read_subjects(self, phase: int, place: Place, k: int) -> dict[str, list[str]]:
         form, at = self.layout.forms[k], (self.layout.place(k),) if place is Place.NODE else ()
         context, units = self.functions.context(phase, form, place), self.units_at(place, k)
         constraints = [term for term in self.acting_terms(phase, place, k) if hasattr(term, "rows")]
