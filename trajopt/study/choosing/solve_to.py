@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from trajopt.certify.accuracy.measures import Accuracy, measure
-from trajopt.errors import InputError
 from trajopt.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.solving.ladder import INTERRUPTED
-from trajopt.solving.refine import Round, phase_errors, refine
+from trajopt.solving.refine import Round, largest_error, refine, require_positive
 from trajopt.solving.solving import solve
 from trajopt.solving.verdicts import is_usable_start
 from trajopt.study.choosing.choice import ChosenSetting, choices_by_time, choose_for_accuracy
@@ -51,7 +50,7 @@ class TargetSolve:
     @property
     def error(self) -> float:
         """Largest error of a phase of the solution, m; inf where nothing was solved."""
-        return math.inf if self.accuracy is None else max(phase_errors(self.accuracy))
+        return largest_error(self.accuracy)
 
     @property
     def reached(self) -> bool:
@@ -89,7 +88,7 @@ def solve_to_accuracy(
     that may be chosen. ``settings`` are those of `trajopt.solve` but its grid, solver and tolerance.
     Raises InputError for an accuracy that is no length, and as `trajopt.solve` does.
     """
-    _require(accuracy, "accuracy", "m")
+    require_positive(accuracy, "accuracy", "m")
     choice = choose_for_accuracy(problem, accuracy, front=front, where=where)
     first = solve(problem, mesh=choice.mesh, start=start, label="chosen mesh", **choice.solver, **settings)
     begun: tuple[Round, ...] = (Round.of(choice.mesh, first),)
@@ -119,7 +118,7 @@ def solve_within(
     Building and compiling, which happen once, do not count; `Solution.meta` has their times. Arguments as of
     `solve_to_accuracy`. Raises InputError for a budget that is no time, and as `trajopt.solve` does.
     """
-    _require(budget, "budget", "s")
+    require_positive(budget, "budget", "s")
     settings.pop("max_time", None)
     remaining = choices_by_time(problem, front=front, where=where)
     tried: list[ChosenSetting] = []
@@ -172,8 +171,3 @@ def _recorded(
     )
     meta = {name: value for name, value in solution.meta.items() if name != "refinement"}
     return replace(found, solution=replace(solution, meta={**meta, "aimed": found.to_dict()}))
-
-
-def _require(value: float, name: str, unit: str) -> None:
-    if not (isinstance(value, int | float) and math.isfinite(value) and value > 0):
-        raise InputError(f"{name} is {value!r} {unit}", "allowed: finite and > 0")
