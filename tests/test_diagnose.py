@@ -103,7 +103,7 @@ def test_the_rank_of_all_rows_is_that_of_a_dense_decomposition():
 
 def snapshot_of(problem: Problem, solution: Solution) -> Snapshot:
     from trajopt.solution.grid import mesh_of
-    from trajopt.study.diagnosis.sources import at_solution
+    from trajopt.study.diagnosis.diagnose import at_solution
 
     return at_solution(prepare(problem, mesh=mesh_of(solution), compile="none"), solution)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -118,20 +118,16 @@ def _numbers(values: Sequence[float]) -> tuple[float, ...]:
     return asked
 
 
+@dataclass
 class _Walk:
     """The steps made so far, and the last solution with its value (None: of no value in the sequence)."""
 
-    def __init__(
-        self,
-        load: Callable[[float], Problem],
-        settings: dict[str, Any],
-        on_step: Callable[[ContinuationStep], None] | None,
-        start: Solution | str | Path | None,
-    ) -> None:
-        self.load, self.settings, self.on_step = load, settings, on_step
-        self.start = start
-        self.origin: float | None = None
-        self.steps: list[ContinuationStep] = []
+    load: Callable[[float], Problem]
+    settings: dict[str, Any]
+    on_step: Callable[[ContinuationStep], None] | None
+    start: Solution | str | Path | None
+    origin: float | None = None
+    steps: list[ContinuationStep] = field(default_factory=list)
 
     def to(self, value: float, halvings: int, compare: bool) -> bool:
         """Go on to ``value``, with steps between where needed; False when the user stops it."""
@@ -168,12 +164,9 @@ class _Walk:
         """Solve from the default guess, unless the last step at ``value`` did, and record it there."""
         index = max(i for i, step in enumerate(self.steps) if step.asked and step.value == value)
         last = self.steps[index]
-        own = not last.solution.meta["warm_start"]
-        cold = (
-            last.solution
-            if own
-            else solve(self.load(value), label=f"value {value:g} {FROM_DEFAULT_GUESS}", **self.settings)
-        )
+        cold = last.solution
+        if cold.meta["warm_start"]:
+            cold = solve(self.load(value), label=f"value {value:g} {FROM_DEFAULT_GUESS}", **self.settings)
         self.steps[index] = replace(last, cold=cold)
         return cold
 

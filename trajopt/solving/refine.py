@@ -7,7 +7,7 @@ from the phase's planned start), or the drift of its contacts where that is larg
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -186,15 +186,17 @@ def refine(
     return loop.result(why)
 
 
+@dataclass
 class _Loop:
     """The rounds so far, the last solution, and the best one with its measured accuracy."""
 
-    def __init__(self, problem: Problem, target: float, raise_degree: bool, settings: dict[str, Any]) -> None:
-        self.problem, self.target, self.raise_degree = problem, target, raise_degree
-        self.settings = settings
-        self.rounds: list[Round] = []
-        self.best: tuple[Solution, Accuracy] | None = None
-        self.last: Solution | None = None
+    problem: Problem
+    target: float
+    raise_degree: bool
+    settings: dict[str, Any]
+    rounds: list[Round] = field(default_factory=list)
+    best: tuple[Solution, Accuracy] | None = None
+    last: Solution | None = None
 
     def run(
         self, mesh: Mesh, start: Solution | None, found: Solution | None, rounds: int, max_variables: int

@@ -10,7 +10,7 @@ from trajopt.study.diagnosis.names import BOUNDS
 
 if TYPE_CHECKING:
     from trajopt.study.diagnosis.activity import ActiveLimit
-    from trajopt.study.diagnosis.conflict import Conflict, ConflictMember
+    from trajopt.study.diagnosis.conflict import Conflict
     from trajopt.study.diagnosis.diagnosis import Diagnosis
     from trajopt.study.diagnosis.findings import DependentRows
 
@@ -138,9 +138,10 @@ def _of_conflict(found: Diagnosis) -> Iterator[Advice]:
             misses, "the iterate is early, not in conflict: more iterations, another solver or another start"
         )
         return
-    goal = any(_block(party) in GOALS for party in clash.giving)
+    goal = any(party.block in GOALS for party in clash.giving)
     kind = "goal out of reach" if goal else "rows contradict each other"
-    remedies = list(dict.fromkeys(_remedy(party) for party in clash.against[:3]))
+    against = (_remedy(one.block, one.what, f"ask less of {one.block}") for one in clash.against[:3])
+    remedies = list(dict.fromkeys(against))
     if not clash.stuck or found.status is None:  # of a guess the linearisation says little
         kind = f"{misses}; left are"
         remedies = ["more iterations, or an easier goal first and its solution as the start", *remedies]
@@ -155,15 +156,7 @@ def _parties(clash: Conflict) -> str:
     return f"{giving}{where}" + (f"; against it stand {against}" if against else "")
 
 
-def _block(party: ConflictMember) -> str:
-    return party.what.split(" [", 1)[0]
-
-
-def _remedy(party: ConflictMember) -> str:
-    return _remedy_of(_block(party), party.what, f"ask less of {_block(party)}")
-
-
-def _remedy_of(block: str, what: str, otherwise: str) -> str:
+def _remedy(block: str, what: str, otherwise: str) -> str:
     """A bound of a node's rate or position is what the limits at points are."""
     if block == BOUNDS:
         block = next((limits for word, limits in BOUND_OF.items() if word in what), block)
@@ -243,7 +236,7 @@ def _of_limits(found: Diagnosis) -> Iterator[Advice]:
             yield Advice(
                 f"{limit.block} [{limit.about}] is at its {limit.side} bound for {limit.places} of "
                 f"{limit.of} places of phase '{limit.phase}'",
-                _remedy_of(limit.block, limit.about, "raise it, or ask for less"),
+                _remedy(limit.block, limit.about, "raise it, or ask for less"),
             )
 
 

@@ -50,6 +50,11 @@ class ConflictMember:
     weight: float
     place: str
 
+    @property
+    def block(self) -> str:
+        """Their block."""
+        return self.what.split(" [", 1)[0]
+
     def __str__(self) -> str:
         if self.amount > 0:
             return f"{self.what} lacks {self.amount:.2e} at {self.place}"

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from trajopt.errors import TrajoptError
+from trajopt.errors import InputError, TrajoptError
+from trajopt.problem.catalogue import families
 from trajopt.problem.problem import Problem
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.input import solution_of
@@ -17,6 +18,7 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import PreparedProblem, prepare
 from trajopt.solving.verdicts import STILL_FEASIBLE, finite_or_none
+from trajopt.solving.warm_start import warm_start
 from trajopt.study.diagnosis.activity import active_limits
 from trajopt.study.diagnosis.advice import advice
 from trajopt.study.diagnosis.conflict import conflict
@@ -33,7 +35,9 @@ from trajopt.study.diagnosis.findings import (
 from trajopt.study.diagnosis.nonfinite import first_nonfinite
 from trajopt.study.diagnosis.scaling import scaling
 from trajopt.study.diagnosis.snapshot import Snapshot
-from trajopt.study.diagnosis.sources import at_solution, cached_level, problem_of
+from trajopt.transcription.compilation import LEVELS, in_cache
+from trajopt.transcription.mesh import Mesh
+from trajopt.transcription.transcription import Transcription, transcribe
 
 # Rows are violated where they miss this, or ten times the solve's tolerance: as a solve itself judges.
 TRUSTED = 10.0
@@ -64,11 +68,66 @@ def diagnose(
         )
     solution = solution_of(what)
     source = str(what) if isinstance(what, str | Path) else "solution"
-    rebuilt = problem_of(solution) if problem is None else problem
+    rebuilt = _problem_of(solution) if problem is None else problem
     mesh = mesh_of(solution)
-    level = compile or cached_level(rebuilt, mesh, str(solution.meta.get("compile", "none")))
+    level = compile or _cached_level(rebuilt, mesh, str(solution.meta.get("compile", "none")))
     prepared = prepare(rebuilt, mesh=mesh, compile=level)
     return _diagnosed(at_solution(prepared, solution), solution, source)
+
+
+def _problem_of(solution: Solution) -> Problem:
+    """The problem of the catalogue that a solution names, with its parameters. Raises InputError."""
+    name, known = str(solution.meta["problem"]), families()
+    if name not in known:
+        raise InputError(
+            f"the file's problem '{name}' is not in the catalogue",
+            "allowed: trajopt.diagnose(solution, problem=...) in Python, or --problem NAME",
+        )
+    family = known[name]
+    own = {parameter.name: parameter for parameter in family.parameters}
+    given = solution.meta.get("parameters") or {}
+    values = {key: value for key, value in given.items() if key in own and value is not None}
+    try:
+        return family.load(values)
+    except InputError:  # a derived value need not be one that may be asked for
+        asked = {key: value for key, value in values.items() if own[key].default is not None}
+        return family.load(asked)
+
+
+def _cached_level(problem: Problem, mesh: Mesh, level: str) -> str:
+    """A few evaluations are no reason to compile: the file's level where it is in the cache, else none."""
+    if level not in LEVELS:
+        return "none"
+    points = {id(group.point): group.point for group in transcribe(problem, mesh=mesh).groups}
+    return level if in_cache(points.values(), level) else "none"
+
+
+def at_solution(prepared: PreparedProblem, solution: Solution) -> Snapshot:
+    """The solution's own unknowns, and its multipliers where they are of the same rows."""
+    t = prepared.transcription
+    found = warm_start(t, solution)
+    known = _same_rows(t, solution)
+    return Snapshot(
+        nlp=prepared.nlp,
+        x=found.x,
+        row_multiplier=solution.row_multiplier if known else None,
+        bound_multiplier=solution.bound_multiplier if known else None,
+        tolerance=float(solution.meta["tolerance"]),
+    )
+
+
+def _same_rows(t: Transcription, solution: Solution) -> bool:
+    """Whether a solution's multipliers are of this transcription's rows, one by one, and are not all zero."""
+    if solution.row_multiplier is None or solution.bound_multiplier is None or solution.row_place is None:
+        return False
+    if not (solution.row_multiplier.any() or solution.bound_multiplier.any()):
+        return False
+    places = np.column_stack([t.rows.block, t.rows.stage, t.rows.point])
+    return (
+        list(solution.meta.get("row_names", ())) == list(t.rows.names)
+        and np.array_equal(solution.row_place, places)
+        and len(solution.bound_multiplier) == t.layout.n_unknowns
+    )
 
 
 def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Diagnosis:
