@@ -97,6 +97,16 @@ solver_options = option_group(
         "--solver-option", "solver_options", multiple=True, metavar="NAME=VALUE", help="The solver's own."
     ),
 )
+layout_options = option_group(
+    click.option(
+        "--side-by-side",
+        "layout",
+        flag_value="side-by-side",
+        default="overlaid",
+        help="Several files beside each other, not overlaid.",
+    ),
+    click.option("--label", "labels", multiple=True, metavar="NAME", help="Name of a file, one for each."),
+)
 
 
 def chosen_problem(name: str, settings: Sequence[str]) -> Problem:

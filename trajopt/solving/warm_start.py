@@ -112,17 +112,14 @@ def warm_start(transcription: Transcription, solution: Solution) -> WarmStart:
 
 
 def _require_same_robot(layout: Layout, solution: Solution) -> None:
-    own, other = layout.robot.model, solution.model
-    joints = [[(name, joint.shortname()) for name, joint in _joints(model)] for model in (own, other)]
-    if joints[0] != joints[1]:
+    def joints(model: pin.Model) -> list[tuple[str, str]]:
+        return [(name, own.shortname()) for name, own in zip(model.names, model.joints, strict=True)][1:]
+
+    if joints(layout.robot.model) != joints(solution.model):
         raise InputError(
             f"the solution's robot '{solution.meta['robot']}' has other joints than '{layout.robot.name}'",
             "allowed: a solution of a robot with the same joints, in the same coordinates of its base",
         )
-
-
-def _joints(model: pin.Model) -> list[tuple[str, pin.JointModel]]:
-    return list(zip(model.names, model.joints, strict=True))[1:]
 
 
 def _require_same_phases(layout: Layout, solution: Solution) -> None:

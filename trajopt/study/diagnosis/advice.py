@@ -9,7 +9,6 @@ from trajopt.study.diagnosis.diagnosis import Advice
 from trajopt.study.diagnosis.names import BOUNDS
 
 if TYPE_CHECKING:
-    from trajopt.study.diagnosis.activity import ActiveLimit
     from trajopt.study.diagnosis.conflict import Conflict
     from trajopt.study.diagnosis.diagnosis import Diagnosis
     from trajopt.study.diagnosis.findings import DependentRows
@@ -223,27 +222,20 @@ def _of_mesh(found: Diagnosis) -> Iterator[Advice]:
 
 
 def _of_limits(found: Diagnosis) -> Iterator[Advice]:
+    tried = found.status is not None and not found.solved  # limits at a guess say nothing
     saturated = 0
     for limit in found.limits:
+        decides = limit.of > 1 and limit.places >= SATURATED * limit.of and not limit.weak
         clock = limit.about.endswith("duration") or limit.block == "duration"
         if clock and not limit.weak:
             yield Advice(
                 f"{limit.about} is at its {limit.side} bound",
                 "widen that bound if the motion should choose its time",
             )
-        elif saturated < MOST_SATURATED and _decides(limit) and _tried(found):
+        elif saturated < MOST_SATURATED and decides and tried:
             saturated += 1
             yield Advice(
                 f"{limit.block} [{limit.about}] is at its {limit.side} bound for {limit.places} of "
                 f"{limit.of} places of phase '{limit.phase}'",
                 _remedy(limit.block, limit.about, "raise it, or ask for less"),
             )
-
-
-def _tried(found: Diagnosis) -> bool:
-    """Whether a solver has tried: limits at a guess say nothing."""
-    return found.status is not None and not found.solved
-
-
-def _decides(limit: ActiveLimit) -> bool:
-    return limit.of > 1 and limit.places >= SATURATED * limit.of and not limit.weak

@@ -23,15 +23,8 @@ from trajopt.study.diagnosis.activity import active_limits
 from trajopt.study.diagnosis.advice import advice
 from trajopt.study.diagnosis.conflict import conflict
 from trajopt.study.diagnosis.contacts import phase_contacts
-from trajopt.study.diagnosis.curvature import curvature
 from trajopt.study.diagnosis.diagnosis import Diagnosis, Violation
-from trajopt.study.diagnosis.findings import (
-    CurvatureReport,
-    RankReport,
-    curvature_report,
-    rank_report,
-    start_findings,
-)
+from trajopt.study.diagnosis.findings import curvature_report, rank_report, start_findings
 from trajopt.study.diagnosis.nonfinite import first_nonfinite
 from trajopt.study.diagnosis.scaling import scaling
 from trajopt.study.diagnosis.snapshot import Snapshot
@@ -134,6 +127,8 @@ def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Di
     t = snapshot.transcription
     finite = snapshot.finite
     near = bool(snapshot.violations.max(initial=0.0) <= STILL_FEASIBLE)
+    count = len(t.layout.schedule.phases)
+    phases = range(count) if count > 1 else ()
     judged = snapshot if near else snapshot.structure
     worst = _worst(snapshot, TRUSTED * snapshot.tolerance)
     largest = float(snapshot.violations.max(initial=0.0)) if np.isfinite(snapshot.violations).all() else None
@@ -151,9 +146,9 @@ def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Di
         stationarity=snapshot.stationarity if finite else None,
         worst=tuple(worst),
         nonfinite=None if finite else first_nonfinite(snapshot.nlp, snapshot.names, snapshot.x),
-        ranks=tuple(_ranks(judged)) if finite else (),
+        ranks=tuple(rank_report(judged, phase) for phase in (None, *phases)) if finite else (),
         contacts=tuple(phase_contacts(t, motion)),
-        curvature=_curvature(judged) if finite else None,
+        curvature=curvature_report(judged) if finite else None,
         scaling=scaling(snapshot) if finite else None,
         limits=tuple(active_limits(snapshot)) if finite else (),
         conflict=conflict(snapshot) if finite and worst else None,
@@ -179,21 +174,6 @@ def _worst(snapshot: Snapshot, limit: float) -> list[Violation]:
                 amount=finite_or_none(float(amounts[index])),
             )
     return list(found.values())
-
-
-def _ranks(snapshot: Snapshot) -> Iterator[RankReport]:
-    """Of all rows, then of every phase where there are several."""
-    yield rank_report(snapshot, None)
-    count = len(snapshot.transcription.layout.schedule.phases)
-    if count > 1:
-        for phase in range(count):
-            yield rank_report(snapshot, phase)
-
-
-def _curvature(snapshot: Snapshot) -> CurvatureReport:
-    free, rows = snapshot.free, snapshot.active_rows
-    found = curvature(snapshot.hessian[free][:, free], snapshot.jacobian[rows][:, free])
-    return curvature_report(snapshot, found)
 
 
 def _local_errors(solution: Solution | None) -> dict[str, float] | None:

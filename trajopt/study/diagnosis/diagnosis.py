@@ -104,7 +104,8 @@ def _lines(found: Diagnosis) -> Iterator[str]:
     yield from _listed("note", found.notes)
     if found.nonfinite is not None:
         yield _line("not finite", str(found.nonfinite))
-    yield _line("violation", _violation(found))
+    steady = "" if found.stationarity is None else f"; gradient of the Lagrangian {found.stationarity:.1e}"
+    yield _line("violation", f"{_amount(found.max_violation)}{steady}")
     yield from _listed("worst", (f"{one.row}: {_amount(one.amount)}" for one in found.worst))
     yield from _rank_lines(found)
     yield from _listed("contacts", (f"phase '{one.phase}': {one}" for one in found.contacts))
@@ -137,11 +138,6 @@ def _listed(title: str, entries: Iterable[str], limit: int | None = SHOWN) -> It
         yield _line("" if index else title, entry)
     if len(every) > len(shown):
         yield _line("", f"and {len(every) - len(shown)} more (--json has all)")
-
-
-def _violation(found: Diagnosis) -> str:
-    steady = "" if found.stationarity is None else f"; gradient of the Lagrangian {found.stationarity:.1e}"
-    return f"{_amount(found.max_violation)}{steady}"
 
 
 def _amount(value: float | None) -> str:

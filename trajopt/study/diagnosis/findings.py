@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.problem.problem import Problem
-from trajopt.study.diagnosis.curvature import Curvature
-from trajopt.study.diagnosis.names import Site
+from trajopt.study.diagnosis.curvature import curvature
 from trajopt.study.diagnosis.rank import RowDependency, dependencies, spectrum
 from trajopt.study.diagnosis.snapshot import Snapshot
 from trajopt.terms.limits import PositionLimits
@@ -131,7 +130,7 @@ def _merged(
     for same in kinds.values():
         rows, _ = same[0]
         subjects = list(dict.fromkeys(names.row(int(row)).what for row in rows))
-        sites = sorted({names.sites[int(row)] for members, _ in same for row in members}, key=_in_time)
+        sites = sorted({names.sites[int(row)] for members, _ in same for row in members})
         found.append(
             DependentRows(
                 rows=tuple(subjects[:NAMED_ROWS]),
@@ -146,10 +145,6 @@ def _merged(
             )
         )
     return sorted(found, key=lambda one: -one.excess)
-
-
-def _in_time(site: Site) -> tuple[int, int]:
-    return site.stage, site.point
 
 
 # Curvature
@@ -200,8 +195,10 @@ class CurvatureReport:
         )
 
 
-def curvature_report(snapshot: Snapshot, found: Curvature) -> CurvatureReport:
-    """Name the directions of least curvature; ``found`` is over the free unknowns."""
+def curvature_report(snapshot: Snapshot) -> CurvatureReport:
+    """Curvature along the motions that active rows leave free, the directions of the least one named."""
+    free, rows = snapshot.free, snapshot.active_rows
+    found = curvature(snapshot.hessian[free][:, free], snapshot.jacobian[rows][:, free])
     directions = np.arange(found.vectors.shape[1])
     nearest = np.argsort(np.abs(found.values[directions]), kind="stable")[:NAMED_DIRECTIONS]
 

@@ -17,7 +17,6 @@ from trajopt.robot.units import Units
 from trajopt.study.diagnosis.symbols import Label, SymbolNames, coordinate_labels, node_labels, wrench_labels
 from trajopt.terms.context_symbols import Place
 from trajopt.terms.dynamics import ImpactDynamics
-from trajopt.terms.interfaces import Rows
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.term_functions import TermFunctions
 from trajopt.transcription.timeline import StageKind
@@ -251,11 +250,16 @@ class NlpNames:
         return self._known[key]
 
     def _read_subjects(self, phase: int, place: Place, k: int) -> dict[str, list[str]]:
+        """Subject of every row by block; rows of a block that share one are told apart by their numbers."""
         form, at = self.layout.forms[k], (self.layout.place(k),) if place is Place.NODE else ()
         context, units = self.functions.context(phase, form, place), self.units_at(place, k)
-        constraints = [term for term in self.acting_terms(phase, place, k) if hasattr(term, "rows")]
-        rows = [(term.name, term.rows(context, units, *at)) for term in constraints]
-        return _subjects(SymbolNames(context, form, self.clocks), rows)
+        names = SymbolNames(context, form, self.clocks)
+        found: defaultdict[str, list[str]] = defaultdict(list)
+        for term in self.acting_terms(phase, place, k):
+            rows = term.rows(context, units, *at) if hasattr(term, "rows") else None
+            if rows is not None and rows.expression.numel():
+                found[term.name] += [names.row(entry) for entry in ca.vertsplit(rows.expression)]
+        return {block: _told_apart(subjects) for block, subjects in found.items()}
 
 
 def _put(found: list[tuple[Label, Site]], indices: np.ndarray, labels: Iterable[Label], site: Site) -> None:
@@ -267,17 +271,6 @@ def _wrenches(contacts: Iterable[Contact], linear: str, angular: str) -> list[La
     return [
         label for contact in contacts for label in wrench_labels(contact.name, contact.rows, linear, angular)
     ]
-
-
-def _subjects(names: SymbolNames, blocks: Iterable[tuple[str, Rows | None]]) -> dict[str, list[str]]:
-    """Subject of every row by block; rows of a block that share one are told apart by their numbers."""
-    found: dict[str, list[str]] = {}
-    for block, rows in blocks:
-        if rows is None:
-            continue
-        own = [names.row(entry) for entry in ca.vertsplit(rows.expression)] if rows.expression.numel() else []
-        found.setdefault(block, []).extend(own)
-    return {block: _told_apart(subjects) for block, subjects in found.items()}
 
 
 def _told_apart(subjects: list[str]) -> list[str]:

@@ -93,14 +93,17 @@ def first_nonfinite(nlp: Nlp, names: NlpNames, x: np.ndarray) -> NonFinite | Non
     number, position, output, index = first
     t = nlp.transcription
     where = _where(t, names, number, position)
-    inputs = _inputs(t, where, x)
+    own = _own(t, where)
+    inputs = _inputs(where, x[own])
     guilty = []
     if where.place is not None:
         guilty = nonfinite_terms(names, where.site, where.form, where.place, inputs)
-    causes = _wrong_unknowns(names, where, x)
+    causes = _suspects(names.unknown_labels, x, own[~np.isfinite(x[own])])
     kinds: tuple[str, ...] = ()
     if not causes:
-        causes, kinds = _causes([value for _, value in guilty] or _whole(where), where, inputs)
+        function, parameters = where.group.point, where.group.parameters[where.position]
+        whole = [value_function(function, parameters), derivative_function(function, parameters)]
+        causes, kinds = _causes([value for _, value in guilty] or whole, where, inputs)
     return NonFinite(
         output=output,
         terms=tuple(name for name, _ in guilty) or (() if where.place else ("defect",)),
@@ -187,28 +190,15 @@ def _labels(
     return labels
 
 
-def _inputs(t: Transcription, where: _Where, x: np.ndarray) -> np.ndarray:
-    k = where.site.stage
-    own = slice(int(t.layout.node_offset[k]), int(t.layout.node_offset[k]) + where.group.gather.shape[1])
-    dense = where.group.gather.toarray()
+def _own(t: Transcription, where: _Where) -> np.ndarray:
+    """Indices of the unknowns that the function may see."""
+    return int(t.layout.node_offset[where.site.stage]) + np.arange(where.group.gather.shape[1])
+
+
+def _inputs(where: _Where, seen: np.ndarray) -> np.ndarray:
+    """Inputs of the function, from the unknowns that it may see."""
     with np.errstate(invalid="ignore"):  # NaN times a structural zero is no NaN
-        return np.array([row[row != 0] @ x[own][row != 0] for row in dense])
-
-
-# Inputs
-
-
-def _wrong_unknowns(names: NlpNames, where: _Where, x: np.ndarray) -> tuple[SuspectInput, ...]:
-    """Unknowns of the function that are not finite themselves."""
-    start = int(names.layout.node_offset[where.site.stage])
-    own = np.arange(start, start + where.group.gather.shape[1])
-    return _suspects(names.unknown_labels, x, own[~np.isfinite(x[own])])
-
-
-def _whole(where: _Where) -> list[Evaluation]:
-    """Values and derivatives of the group's function, where no single term is to blame."""
-    parameters = where.group.parameters[where.position]
-    return [value_function(where.group.point, parameters), derivative_function(where.group.point, parameters)]
+        return np.array([row[row != 0] @ seen[row != 0] for row in where.group.gather.toarray()])
 
 
 def _causes(

@@ -106,19 +106,15 @@ def _sparse(matrix: sparse.csr_matrix) -> Spectrum:
     size, limit = min(m, max(FIRST, m - n + FIRST)), min(m, max(MOST, m - n + FIRST))
     basis = np.zeros((m, 0))
     while True:
-        basis = _extended(basis, size, m)
+        generator = np.random.default_rng(basis.shape[1])
+        fresh = generator.standard_normal((m, size - basis.shape[1]))
+        basis = np.linalg.qr(np.hstack([basis, fresh]))[0]
         values, basis = _iterated(factor, scaled, basis)
         zero = values <= RANK_TOLERANCE
         if not zero.all() or size >= limit:
             break
         size = min(2 * size, limit)
     return _found(largest * values, basis, largest, complete=not zero.all() or size == m)
-
-
-def _extended(basis: np.ndarray, size: int, m: int) -> np.ndarray:
-    generator = np.random.default_rng(basis.shape[1])
-    fresh = generator.standard_normal((m, size - basis.shape[1]))
-    return np.linalg.qr(np.hstack([basis, fresh]))[0]
 
 
 def _iterated(

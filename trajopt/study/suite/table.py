@@ -92,6 +92,7 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """Figures over all pairs; iterations of legged robots and of others, from the default guess."""
     starts = [attempt for outcome in outcomes for attempt in outcome.starts]
     per_pair = [outcome.perturbed() for outcome in outcomes if outcome.starts]
+    words = [outcome.physics.word for outcome in outcomes if outcome.physics is not None]
     return {
         "pairs": len(outcomes),
         "problems": len({outcome.problem for outcome in outcomes}),
@@ -101,18 +102,12 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "failures": dict(Counter(outcome.mode for outcome in outcomes if outcome.mode)),
         "median_iterations_legged": _median(outcomes, legged=True),
         "median_iterations_fixed_base": _median(outcomes, legged=False),
-        "physics": _words(outcomes),
+        "physics": {word: words.count(word) for word in reversed(WORDS)} if words else None,
         "perturbed": len(starts),
         "perturbed_solved": sum(attempt.solved for attempt in starts),
         "perturbed_failures": dict(Counter(attempt.mode for attempt in starts if attempt.mode)),
         "least_share_of_starts": min((pair.solved / pair.count for pair in per_pair), default=None),
     }
-
-
-def _words(outcomes: Sequence[Outcome]) -> dict[str, int] | None:
-    """How many plans physics tracked, left off and let fall; None where nothing was simulated."""
-    words = [outcome.physics.word for outcome in outcomes if outcome.physics is not None]
-    return {word: words.count(word) for word in reversed(WORDS)} if words else None
 
 
 def _median(outcomes: Sequence[Outcome], *, legged: bool) -> float | None:
@@ -140,18 +135,15 @@ def summary_lines(outcomes: Sequence[Outcome]) -> list[str]:
         lines.append(f"physics: {counted}")
     if found["perturbed"]:
         share = found["perturbed_solved"] / found["perturbed"]
+        modes = "".join(f", {mode} {count}" for mode, count in found["perturbed_failures"].items())
         lines.append(
             f"perturbed starts: {found['perturbed_solved']} of {found['perturbed']} solved ({share:.1%}), "
-            f"worst pair {found['least_share_of_starts']:.0%}{_modes(found['perturbed_failures'])}"
+            f"worst pair {found['least_share_of_starts']:.0%}{modes}"
         )
     lines += [
         f"failed: {outcome.name}: {outcome.mode}: {outcome.detail}" for outcome in outcomes if outcome.mode
     ]
     return lines
-
-
-def _modes(failures: Mapping[str, int]) -> str:
-    return "".join(f", {mode} {count}" for mode, count in failures.items())
 
 
 def to_dict(
