@@ -10,7 +10,7 @@ import click
 from click.core import ParameterSource
 
 from trajopt.cli.input import option_group
-from trajopt.cli.progress import stdout_to_stderr, watched
+from trajopt.cli.progress import watched
 from trajopt.cli.report import SolveReport
 from trajopt.errors import InputError
 
@@ -80,7 +80,7 @@ def solve_aimed(
         raise InputError("--accuracy and --budget are given", "allowed: one of them")
     where = _allowed_settings(arguments)
     most = arguments["max_time"] * (1 + MAX_ROUNDS)
-    with stdout_to_stderr(), watched(title, most, log, viewer) as told:
+    with watched(title, most, log, viewer) as told:
         settings = {**arguments, "front": front, "where": where, **told}
         if accuracy is not None:
             found = solve_to_accuracy(problem, accuracy, **settings)

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _INTEGER = re.compile(r"[-+]?[0-9]+", re.ASCII)
+# Exit status of a command that ran and did not reach what was asked for.
+NOT_REACHED = 1
 # Solvers count with C's int.
 LARGEST_INTEGER = 2**31 - 1
 

@@ -9,13 +9,12 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
+from trajopt.cli.input import NOT_REACHED
 from trajopt.solving.interruption import GRACE, Interruption, end_at_once, interruptible
 
 if TYPE_CHECKING:
     from trajopt.solving.monitoring import Watch
 
-# Exit status of a run that did not solve its problem.
-UNSOLVED = 1
 # The ``log`` that is a line an iteration on stderr.
 LINES = "-"
 # What the second Ctrl-C loses while a problem is solved.
@@ -64,7 +63,7 @@ class SolveControl:
         end_at_once(
             f"trajopt: the solver did not return within its time limit of {self._max_time:g} s; "
             "nothing was written; try another --solver or start\n",
-            UNSOLVED,
+            NOT_REACHED,
         )
 
 
@@ -74,15 +73,17 @@ def watched(
 ) -> Iterator[dict[str, Any]]:
     """``progress`` and ``watch`` for solves of ``max_time`` s at most; Ctrl-C is as before afterwards.
 
-    On a terminal the watch shows the convergence. log: a file for a table of all iterations, or ``-`` for a
-    line an iteration on stderr, instead. viewer: another watch. Raises `InputError` for a file that cannot be
-    written, and KeyboardInterrupt at the end if Ctrl-C came before the solver started.
+    What libraries print to stdout goes to stderr. On a terminal the watch shows the convergence. log: a file
+    for a table of all iterations, or ``-`` for a line an iteration on stderr, instead. viewer: another watch.
+    Raises `InputError` for a file that cannot be written, and KeyboardInterrupt at the end if Ctrl-C came
+    before the solver started.
     """
     from trajopt.solving.monitoring import combine_watches
     from trajopt.view.watching.panel import ConvergencePanel
     from trajopt.view.watching.record import IterationLines, IterationTable
 
     with ExitStack() as stack:
+        stack.enter_context(_stdout_to_stderr())
         interruption = stack.enter_context(interruptible())
         stack.enter_context(interruption.recording())
         interruption.note = LOST
@@ -118,7 +119,7 @@ def runs_to_its_end(work: Callable[[Callable[[], None]], object]) -> bool:
 
 
 @contextmanager
-def stdout_to_stderr() -> Iterator[None]:
+def _stdout_to_stderr() -> Iterator[None]:
     """Send what libraries print to the process's stdout to stderr: stdout carries results only."""
     sys.stdout.flush()
     kept = os.dup(1)

@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from trajopt.cli.input import chosen_problem, default_option, function_options, json_option
+from trajopt.cli.input import NOT_REACHED, chosen_problem, default_option, function_options, json_option
 from trajopt.cli.report import to_json
 from trajopt.solution.output import check_output
 
 if TYPE_CHECKING:
     from trajopt.solving.reference import MeshSolve
-
-NOT_REACHED = 1
 
 
 @click.command("reference")

@@ -11,6 +11,7 @@ from trajopt.cli.aim import aim_options, solve_aimed, wants_aim
 from trajopt.cli.diagnose import diagnose_option, diagnosis_of
 from trajopt.cli.input import (
     COUNT,
+    NOT_REACHED,
     chosen_problem,
     default_option,
     grid_options,
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
     from trajopt.certify.report import CheckReport
     from trajopt.reduced.scenes.smallest import Scene
     from trajopt.solution.solution import Solution
-
-NOT_REACHED = 1
 
 
 @click.command("solve")

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from trajopt.cli.input import COUNT, THREADS, compile_option, default_option, json_option, solver_option
+from trajopt.cli.input import (
+    COUNT,
+    NOT_REACHED,
+    THREADS,
+    compile_option,
+    default_option,
+    json_option,
+    solver_option,
+)
 from trajopt.cli.progress import runs_to_its_end
 from trajopt.cli.report import console, to_json
 from trajopt.errors import InputError
@@ -23,7 +31,6 @@ if TYPE_CHECKING:
     from trajopt.study.suite.records import SuiteRecords
     from trajopt.study.suite.settings import SuiteSettings
 
-NOT_REACHED = 1
 # Columns of the table where it goes to a file or a pipe: no column is folded.
 PIPE_WIDTH = 170
 # Options that take every word up to the next option, as in ``--robots solo12 go2``.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from trajopt.cli.input import COUNT, THREADS, default_option, json_option, parse_settings
+from trajopt.cli.input import COUNT, NOT_REACHED, THREADS, default_option, json_option, parse_settings
 from trajopt.cli.progress import runs_to_its_end
 from trajopt.cli.report import console, to_json
 from trajopt.solving.interruption import CANCELLED
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from trajopt.study.sweep.records import SweepRecords, SweepRequest
     from trajopt.study.sweep.summary import Summary
 
-NOT_REACHED = 1
 # Columns of the table where it goes to a file or a pipe: no column is folded.
 PIPE_WIDTH = 150
 PLOT = "front.png"

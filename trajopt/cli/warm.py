@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from trajopt.cli.input import option_group
-from trajopt.cli.progress import stdout_to_stderr, watched
+from trajopt.cli.progress import watched
 from trajopt.cli.report import SolveReport
 from trajopt.errors import InputError
 
@@ -50,7 +50,7 @@ def solve_warm(
     rungs = [grid] if ladder is None else parse_ladder(ladder)
     known = None if start is None else solution_of(start)
     most = settings["max_time"] * (len(rungs) + compare)
-    with stdout_to_stderr(), watched(title, most, log, viewer) as told:
+    with watched(title, most, log, viewer) as told:
         found = solve_ladder(problem, rungs, start=known, compare=compare, **told, **settings)
     if len(found.rungs) == 1 and found.cold is None:
         return SolveReport(found.solution, found.solution.success)

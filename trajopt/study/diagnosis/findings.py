@@ -10,7 +10,7 @@ import numpy as np
 
 from trajopt.problem.problem import Problem
 from trajopt.study.diagnosis.curvature import curvature
-from trajopt.study.diagnosis.rank import RowDependency, dependencies, spectrum
+from trajopt.study.diagnosis.rank import dependencies, spectrum
 from trajopt.study.diagnosis.snapshot import Snapshot
 from trajopt.terms.limits import PositionLimits
 
@@ -96,11 +96,9 @@ def rank_report(snapshot: Snapshot, phase: int | None) -> RankReport:
     seeing = np.diff(matrix.indptr) > 0
     blind, seen = rows[~seeing], rows[seeing]
     found = spectrum(matrix[seeing])
-    groups = [(seen[group.rows], group) for group in dependencies(found.vectors)]
-    alone = RowDependency(rows=np.zeros(1, dtype=int), excess=1)
-    merged = _merged(snapshot, groups, fixed=False) + _merged(
-        snapshot, [(np.array([row]), alone) for row in blind], fixed=True
-    )
+    groups = [(seen[group.rows], group.excess) for group in dependencies(found.vectors)]
+    merged = _merged(snapshot, groups, fixed=False)
+    merged += _merged(snapshot, [(np.array([row]), 1) for row in blind], fixed=True)
     return RankReport(
         phase=None if phase is None else names.layout.schedule.phases[phase].name,
         equations=snapshot.equations_only,
@@ -116,16 +114,13 @@ def rank_report(snapshot: Snapshot, phase: int | None) -> RankReport:
     )
 
 
-def _merged(
-    snapshot: Snapshot, groups: list[tuple[np.ndarray, RowDependency]], *, fixed: bool
-) -> list[DependentRows]:
-    """Groups of the same rows at different places are one finding."""
+def _merged(snapshot: Snapshot, groups: list[tuple[np.ndarray, int]], *, fixed: bool) -> list[DependentRows]:
+    """Groups (rows, how many are too many) of the same rows at different places are one finding."""
     names = snapshot.names
-    kinds: dict[tuple[tuple[str, ...], str], list[tuple[np.ndarray, RowDependency]]] = {}
-    for rows, group in groups:
+    kinds: defaultdict[tuple[str, ...], list[tuple[np.ndarray, int]]] = defaultdict(list)
+    for rows, excess in groups:
         what = sorted({names.row(int(row)).what for row in rows})
-        phase = names.phase(names.sites[int(rows[0])].stage)
-        kinds.setdefault((tuple(what), phase), []).append((rows, group))
+        kinds[*what, names.phase(names.sites[int(rows[0])].stage)].append((rows, excess))
     found = []
     for same in kinds.values():
         rows, _ = same[0]
@@ -136,7 +131,7 @@ def _merged(
                 rows=tuple(subjects[:NAMED_ROWS]),
                 blocks=tuple(dict.fromkeys(names.block(int(row)) for row in rows)),
                 more=max(0, len(subjects) - NAMED_ROWS),
-                excess=sum(group.excess for _, group in same),
+                excess=sum(excess for _, excess in same),
                 times=len(same),
                 first=names.place(sites[0]),
                 last=names.place(sites[-1]),

@@ -253,12 +253,13 @@ class NlpNames:
         """Subject of every row by block; rows of a block that share one are told apart by their numbers."""
         form, at = self.layout.forms[k], (self.layout.place(k),) if place is Place.NODE else ()
         context, units = self.functions.context(phase, form, place), self.units_at(place, k)
-        names = SymbolNames(context, form, self.clocks)
+        constraints = [term for term in self.acting_terms(phase, place, k) if hasattr(term, "rows")]
+        blocks = [(term.name, term.rows(context, units, *at)) for term in constraints]
+        names = SymbolNames(context, form, self.clocks)  # of all that the rows have used by now
         found: defaultdict[str, list[str]] = defaultdict(list)
-        for term in self.acting_terms(phase, place, k):
-            rows = term.rows(context, units, *at) if hasattr(term, "rows") else None
+        for block, rows in blocks:
             if rows is not None and rows.expression.numel():
-                found[term.name] += [names.row(entry) for entry in ca.vertsplit(rows.expression)]
+                found[block] += [names.row(entry) for entry in ca.vertsplit(rows.expression)]
         return {block: _told_apart(subjects) for block, subjects in found.items()}
 
 
