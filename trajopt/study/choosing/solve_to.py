@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,7 @@ MOST_SETTINGS = 4
 LEAST_TIME = 1e-3
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class TargetSolve:
     """What was chosen, solved and measured.
 
@@ -89,11 +88,12 @@ def solve_to_accuracy(
     Raises InputError for an accuracy that is no length, and as `trajopt.solve` does.
     """
     require_positive(accuracy, "accuracy", "m")
+    wanted = float(accuracy)
     choice = choose_for_accuracy(problem, accuracy, front=front, where=where)
     first = solve(problem, mesh=choice.mesh, start=start, label="chosen mesh", **choice.solver, **settings)
     begun: tuple[Round, ...] = (Round.of(choice.mesh, first),)
     if first.meta["status"] == INTERRUPTED:
-        return _recorded("accuracy", accuracy, [choice], begun, first, None, "interrupted")
+        return _recorded(TargetSolve("accuracy", wanted, (choice,), begun, first, None, "interrupted"))
     own = {name: value for name, value in choice.solver.items() if name != "tolerance"}
     if is_usable_start(first):
         made = refine(problem, accuracy, start=first, **own, **settings)
@@ -101,7 +101,9 @@ def solve_to_accuracy(
     else:
         made = refine(problem, accuracy, mesh=choice.mesh, start=start, **own, **settings)
     rounds = (*begun, *made.rounds)
-    return _recorded("accuracy", accuracy, [choice], rounds, made.solution, made.accuracy, made.why)
+    return _recorded(
+        TargetSolve("accuracy", wanted, (choice,), rounds, made.solution, made.accuracy, made.why)
+    )
 
 
 def solve_within(
@@ -146,28 +148,14 @@ def solve_within(
         elif not fitting:
             why = "no better setting is predicted to fit into what is left"
     if best is None:
-        return _recorded("budget", budget, tried, rounds, found, None, "nothing was solved in that time")
-    return _recorded("budget", budget, tried, rounds, best, measure(best), why)
-
-
-def _recorded(
-    goal: str,
-    wanted: float,
-    choices: Sequence[ChosenSetting],
-    rounds: Sequence[Round],
-    solution: Solution,
-    accuracy: Accuracy | None,
-    why: str,
-) -> TargetSolve:
-    """The goal and what was reached, in the solution's meta too."""
-    found = TargetSolve(
-        goal=goal,
-        wanted=float(wanted),
-        choices=tuple(choices),
-        rounds=tuple(rounds),
-        solution=solution,
-        accuracy=accuracy,
-        why=why,
+        why = "nothing was solved in that time"
+    accuracy = None if best is None else measure(best)
+    return _recorded(
+        TargetSolve("budget", float(budget), tuple(tried), tuple(rounds), best or found, accuracy, why)
     )
-    meta = {name: value for name, value in solution.meta.items() if name != "refinement"}
-    return replace(found, solution=replace(solution, meta={**meta, "aimed": found.to_dict()}))
+
+
+def _recorded(found: TargetSolve) -> TargetSolve:
+    """The goal and what was reached, in the solution's meta too."""
+    meta = {name: value for name, value in found.solution.meta.items() if name != "refinement"}
+    return replace(found, solution=replace(found.solution, meta={**meta, "aimed": found.to_dict()}))

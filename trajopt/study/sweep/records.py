@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -152,10 +153,8 @@ class SweepRecords:
             return
         self._require(first.get("head"), head)
         for entry in entries:
-            try:
+            with suppress(ValueError, KeyError, TypeError):  # it is done again
                 self.found.add(entry)
-            except (ValueError, KeyError, TypeError):  # it is done again
-                continue
 
     def _require(self, known: Any, head: Mapping[str, Any]) -> None:
         for name, words in HEAD.items():

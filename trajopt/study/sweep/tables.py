@@ -13,7 +13,6 @@ from typing import Any
 
 from rich.table import Table
 
-from trajopt.errors import InputError
 from trajopt.problem import Problem
 from trajopt.robot.units import Units
 from trajopt.study.sweep.figures import COLUMNS
@@ -23,6 +22,7 @@ from trajopt.study.sweep.result import TimedRun
 from trajopt.study.sweep.setting import Setting
 from trajopt.study.sweep.summary import Summary
 from trajopt.study.workers.display import plain_table
+from trajopt.study.workers.records import refused_writing
 
 FOLDED = "dominated by"
 RUNS, SETTINGS, FRONT = "runs.csv", "settings.csv", "front.csv"
@@ -116,7 +116,7 @@ def write_tables(
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None) -> None:
     """Write a table at once or not at all; truth as 1 and 0, what is not known or not finite as nothing."""
     titles = list(columns or (rows[0] if rows else ()))
-    try:
+    with refused_writing(path):
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
         with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
             writer = csv.DictWriter(stream, titles, lineterminator="\n")
@@ -124,10 +124,6 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequence[s
             writer.writerows({title: _cell(value) for title, value in row.items()} for row in rows)
         os.chmod(name, 0o644)
         os.replace(name, path)
-    except OSError as error:
-        raise InputError(
-            f"cannot write {path}: {error.strerror or error}", "allowed: a folder that can be written"
-        ) from None
 
 
 def _cell(value: Any) -> str:
