@@ -92,10 +92,6 @@ class MeshSolve:
     apart: Comparison | None = None
     other_optimum: bool = False
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able."""
-        return asdict(self)
-
     def __str__(self) -> str:
         text = f"{self.scheme}, {self.intervals} intervals, {self.unknowns} unknowns: {self.status}"
         text += f" in {self.iterations} iterations, {self.seconds:.1f} s"
@@ -116,7 +112,7 @@ class ConvergedReference:
 
     def to_dict(self) -> dict[str, Any]:
         """Agreement and solves, JSON-able."""
-        return {"agreement": asdict(self.agreement), "rungs": [rung.to_dict() for rung in self.rungs]}
+        return {"agreement": asdict(self.agreement), "rungs": [asdict(rung) for rung in self.rungs]}
 
     def __str__(self) -> str:
         last = self.rungs[-1]
