@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from trajopt.study.diagnosis.diagnosis import Diagnosis
     from trajopt.study.diagnosis.findings import DependentRows
 
-# Goals: rows that ask for something at a place, and what is done about them.
+# Goals: rows that the motion is to reach at some place.
 GOALS = (
     "frame_pose",
     "frame_velocity",
@@ -31,7 +31,7 @@ CONTACTS = ("contact_acceleration", "contact_velocity", "contact_landing", "impa
 REMEDIES = {
     "velocity_limits": "lengthen the phase, or raise the velocity limit",
     "effort_limits": "lengthen the phase, raise the effort limit, or carry less",
-    "position_limits": "ask for what is within the joint's range, or start from another posture",
+    "position_limits": "choose a goal within the joint's range, or start from another posture",
     "friction_pyramid": "raise the friction, accelerate less, or use FrictionCone, which holds more",
     "friction_cone": "raise the friction, or accelerate less",
     "sole_limits": "move slower, or make the sole larger",
@@ -83,7 +83,7 @@ def _of_values(found: Diagnosis) -> Iterator[Advice]:
         return
     finding = str(wrong)
     if any(entry.value != entry.value for entry in wrong.inputs):
-        yield Advice(finding, "the guess itself is not finite there: mend the guess")
+        yield Advice(finding, "the guess itself is not finite there: correct the guess")
     elif wrong.inputs:
         yield Advice(
             finding,
@@ -108,7 +108,7 @@ def _of_rows(found: Diagnosis) -> Iterator[Advice]:
 
 def _untangled(group: DependentRows) -> str:
     if group.fixed:
-        return "they ask of the fixed start what it has or has not: leave them out, or free the start"
+        return "they constrain only the fixed start, which meets them or not: remove them, or free the start"
     goals = [block for block in group.blocks if block in GOALS and block != "contact_landing"]
     others = [block for block in group.blocks if block not in (*GOALS, *CONTACTS, "defect")]
     if all(block in CONTACTS for block in group.blocks):
@@ -116,12 +116,12 @@ def _untangled(group: DependentRows) -> str:
             "contacts fix each other: hold fewer of their rows (redundancy elimination leaves such rows out)"
         )
     if goals and not others and any(block in CONTACTS for block in group.blocks):
-        return f"{' and '.join(goals)} ask what contacts fix already: ask only in directions they leave free"
+        return f"{' and '.join(goals)} constrain what contacts fix: keep only directions they leave free"
     if goals and not others and len(group.rows) > 1:
-        return f"goals repeat each other ({', '.join(goals)}): take one of them out"
+        return f"goals repeat each other ({', '.join(goals)}): remove one of them"
     if not group.equations:
         return "limits at their bounds leave too little: raise one of them, or ask for less"
-    return "the same is said twice: take one of these rows out"
+    return "the same constraint is stated twice: remove one of these rows"
 
 
 def _of_conflict(found: Diagnosis) -> Iterator[Advice]:
@@ -131,10 +131,13 @@ def _of_conflict(found: Diagnosis) -> Iterator[Advice]:
     if clash is None:
         yield Advice(f"violated: {found.worst[0].row}", "another start, or an easier goal first")
         return
-    misses = f"rows miss {clash.before:.2e} in sum, and small motions mend that to {clash.after:.2e}"
+    misses = (
+        f"rows are violated by {clash.before:.2e} in sum, which a small step reduces to {clash.after:.2e}"
+    )
     if clash.mended:
         yield Advice(
-            misses, "the iterate is early, not in conflict: more iterations, another solver or another start"
+            misses,
+            "the iterate is early, no conflict: more iterations, another solver or another start",
         )
         return
     goal = any(party.block in GOALS for party in clash.giving)
@@ -178,7 +181,7 @@ def _of_curvature(found: Diagnosis) -> Iterator[Advice]:
         return
     if curved.negative and curved.known:
         yield Advice(
-            f"the Lagrangian curves downwards, {curved.smallest_along[0]}: this is no minimum",
+            f"the Lagrangian has negative curvature, {curved.smallest_along[0]}: this is no minimum",
             "start from a perturbed guess (--perturb 0.1), or solve further from here",
         )
     if curved.flat_along:
@@ -186,7 +189,7 @@ def _of_curvature(found: Diagnosis) -> Iterator[Advice]:
         costs = dict.fromkeys(CURVING.get(kind, "a cost on it") for kind in flat.kinds[:2])
         yield Advice(
             f"no cost has curvature, {flat}",
-            f"add a small {' or '.join(costs)}: what nothing asks for is not unique",
+            f"add a small {' or '.join(costs)}: what no cost depends on is not unique",
         )
 
 
@@ -202,7 +205,7 @@ def _of_scaling(found: Diagnosis) -> Iterator[Advice]:
             f"{block.block} is far from scale one, {what}",
             "give its rows the unit of what they measure"
             if not much
-            else "weights of costs far from one, or a constraint that is hardly to be met",
+            else "look at weights of costs far from one, or a constraint that can hardly be met",
         )
     for kind in found.scaling.worst_kinds[:1]:
         yield Advice(

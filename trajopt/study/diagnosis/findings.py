@@ -163,8 +163,8 @@ class CurvatureReport:
     """Curvature of the Lagrangian on the null space of the active rows, directions named, see `Curvature`.
 
     directions: number of free directions. holds: the second-order sufficient condition; negative: some
-    direction curves downwards. known: whether multipliers were known. smallest_along: directions of the least
-    curvature; flat_along: some of those without any.
+    direction has negative curvature. known: whether multipliers were known. smallest_along: directions of the
+    least curvature; flat_along: some of those without any.
     """
 
     directions: int
