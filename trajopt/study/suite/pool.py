@@ -55,7 +55,7 @@ def run_all(
     limits: seconds by stage, see `LIMITS`. check: called several times a second; what it raises ends the run.
     """
     known = records.unfinished()
-    pairs = {case.name: _Pair(case, settings, known.get(case.name, ())) for case in _interleaved(cases)}
+    pairs = {case.name: _CaseRun(case, settings, known.get(case.name, ())) for case in _interleaved(cases)}
 
     def hear(told: tuple[str, Event]) -> None:
         name, event = told
@@ -65,7 +65,7 @@ def run_all(
 
     preload = (*problem_modules(), "trajopt.study.suite.run")
     with ProcessPerTaskExecutor(jobs, preload=preload, on_event=hear) as executor:
-        running: dict[Future[None], _Pair] = {}
+        running: dict[Future[None], _CaseRun] = {}
         waiting = list(pairs.values())
         while waiting or running:
             for pair in waiting:
@@ -103,7 +103,7 @@ def _show(display: TaskDisplay, name: str, event: Event, solves: int) -> None:
         display.show(name, "", advance=1)
 
 
-class _Pair:
+class _CaseRun:
     """One pair and the processes it takes: what is known of it, and what is left to run."""
 
     def __init__(self, case: Case, settings: SuiteSettings, known: Iterable[Mapping[str, Any]]) -> None:
