@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import os
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -13,9 +11,9 @@ from typing import Any
 
 from rich.table import Table
 
-from trajopt.errors import InputError
 from trajopt.problem import Problem
 from trajopt.robot.units import Units
+from trajopt.solution.output import replacing
 from trajopt.study.sweep.figures import COLUMNS
 from trajopt.study.sweep.likeness import motion_kind
 from trajopt.study.sweep.records import SweepResults
@@ -114,18 +112,10 @@ def write_tables(
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None) -> None:
     """Write a table at once or not at all; truth as 1 and 0, what is not known or not finite as nothing."""
     titles = list(columns or (rows[0] if rows else ()))
-    try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-        with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
-            writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(titles)
-            writer.writerows([_cell(row[title]) for title in titles] for row in rows)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except OSError as error:
-        raise InputError(
-            f"cannot write {path}: {error.strerror or error}", "allowed: a folder that can be written"
-        ) from None
+    with replacing(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(titles)
+        writer.writerows([_cell(row[title]) for title in titles] for row in rows)
 
 
 def _cell(value: Any) -> str:
