@@ -23,11 +23,12 @@ def page_facts(
     [{text, kind, colour}] with kind "", "run", "quiet", "warned" or "failed", and a colour or none.
     """
     facts = scene.facts
+    notes = [line(scene.note, "warned")] if scene.note else []
     return {
         **facts,
         "title": " | ".join(dict.fromkeys(title(solution) for solution in solutions)),
         "picture": facts["speed"] / motions[0].frame_rate,
-        "lines": [*_about(scene, solutions), *_scales(scene, motions), *_notes(scene)],
+        "lines": [*_about(scene, solutions), *_scales(scene, motions), *notes],
     }
 
 
@@ -39,18 +40,21 @@ def title(solution: Solution) -> str:
 
 def _about(scene: ReplayScene, solutions: Sequence[Solution]) -> list[Line]:
     if len(solutions) == 1:
-        return [_line(solution_line(solutions[0]), "quiet"), *_unsolved(solutions[0])]
+        return _state(solutions[0])
     names = [title(solution) for solution in solutions]
     own = [label.replace(" – ", " ") for label in names]  # as runs are called that are given no label
     lines = []
     for run, solution, name, usual in zip(scene.facts["runs"], solutions, names, own, strict=True):
         told = len(set(names)) == 1 or run["label"] == usual
         said = run["label"] if told else f"{run['label']}: {name}"
-        lines += [
-            _line(said, "run", run["colour"]),
-            _line(solution_line(solution), "quiet"),
-            *_unsolved(solution),
-        ]
+        lines += [line(said, "run", run["colour"]), *_state(solution)]
+    return lines
+
+
+def _state(solution: Solution) -> list[Line]:
+    lines = [line(solution_line(solution), "quiet")]
+    if not solution.meta.get("success", True):
+        lines.append(line(f"not solved: {str(solution.meta.get('status')).replace('_', ' ')}", "failed"))
     return lines
 
 
@@ -74,30 +78,21 @@ def _is_finite(value: object) -> bool:
     return isinstance(value, int | float) and math.isfinite(value)
 
 
-def _unsolved(solution: Solution) -> list[Line]:
-    if solution.meta.get("success", True):
-        return []
-    return [_line(f"not solved: {str(solution.meta.get('status')).replace('_', ' ')}", "failed")]
-
-
 def _scales(scene: ReplayScene, motions: Sequence[ReplayMotion]) -> list[Line]:
     """Scales of arrows; several robots have a weight each, and arrows are in parts of it."""
     lines = []
     weights = dict.fromkeys(f"{motion.weight:.1f} N" for motion in motions)
     if any(motion.force.shape[1] for motion in motions):
         text = f"forces: {scene.weight_arrow:.2f} m is the weight, {' or '.join(weights)}"
-        lines.append(_line(text, "quiet", f"#{FORCE_COLOUR:06x}"))
+        lines.append(line(text, "quiet", f"#{FORCE_COLOUR:06x}"))
     struck = [motion for motion in motions if motion.impact.any()]
     if struck:
         scales = dict.fromkeys(f"{motion.weight * FLASH:.2f} N s" for motion in struck)
         text = f"impulses: {scene.weight_arrow:.2f} m is {' or '.join(scales)}"
-        lines.append(_line(text, "quiet", f"#{IMPULSE_COLOUR:06x}"))
+        lines.append(line(text, "quiet", f"#{IMPULSE_COLOUR:06x}"))
     return lines
 
 
-def _notes(scene: ReplayScene) -> list[Line]:
-    return [_line(scene.note, "warned")] if scene.note else []
-
-
-def _line(text: str, kind: str = "", colour: str = "") -> Line:
+def line(text: str, kind: str = "", colour: str = "") -> Line:
+    """Return a line of the caption."""
     return {"text": text, "kind": kind, "colour": colour}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import Any
 
 import meshcat.geometry as shapes
@@ -11,20 +10,19 @@ import pinocchio as pin
 
 from trajopt.robot.collision.shapes import BoxObstacle, CapsuleObstacle, Obstacle, segment_placement
 from trajopt.solution.descriptions import scene_of_meta
-from trajopt.solution.solution import Solution
+from trajopt.view.replay.parts import UPRIGHT, box_corners
+from trajopt.view.replay.runs import DrawnSolution
 
 OBSTACLE_COLOUR, OBSTACLE_OPACITY = 0xC1553B, 0.75
-# Meshcat's cylinder lies along y, a segment's placement has its axis along z.
-TO_CYLINDER = pin.utils.rotate("x", np.pi / 2)
-_CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+_CORNERS = box_corners(-np.ones(3), np.ones(3))
 
 
-def draw_obstacles(vis: Any, solution: Solution) -> np.ndarray:
-    """Draw the obstacles of ``solution`` below the node ``vis``; returns their corners (k, 3), world, m."""
-    scene = scene_of_meta(solution.model, solution.meta.get("collision"))
+def draw_obstacles(run: DrawnSolution) -> np.ndarray:
+    """Draw what the robot stays clear of; returns the corners (k, 3), world, m."""
+    scene = scene_of_meta(run.solution.model, run.solution.meta.get("collision"))
     corners = [np.zeros((0, 3))]
     for obstacle in scene.obstacles if scene is not None else ():
-        corners.append(_draw(vis[obstacle.name.replace("/", "_")], obstacle))
+        corners.append(_draw(run.node["obstacles"][obstacle.name.replace("/", "_")], obstacle))
     return np.concatenate(corners)
 
 
@@ -38,7 +36,7 @@ def _draw(node: Any, obstacle: Obstacle) -> np.ndarray:
     length = float(np.linalg.norm(end - start))
     if isinstance(obstacle, CapsuleObstacle) and length > 0:
         _solid(node["end"], shapes.Sphere(obstacle.radius), pin.SE3(np.eye(3), end))
-        placement = segment_placement(start, end) * pin.SE3(TO_CYLINDER, np.zeros(3))
+        placement = segment_placement(start, end) * pin.SE3(UPRIGHT, np.zeros(3))
         _solid(node["side"], shapes.Cylinder(length, obstacle.radius), placement)
     return np.concatenate([place + obstacle.radius * _CORNERS for place in (start, end)])
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import Any
 
 import meshcat.geometry as shapes
 import numpy as np
+import pinocchio as pin
 
 from trajopt.view.replay.coloured_mesh import ColouredMesh, MeshPart, fan
 from trajopt.view.replay.commands import without_shadow
@@ -17,6 +19,8 @@ THROUGH = {"opacity": HIDDEN_OPACITY, "transparent": True, "depthTest": False, "
 # Pieces of a full circle.
 ROUND = 32
 UPWARD = np.array([0.0, 0.0, 1.0])
+# Turns Meshcat's cylinders, which lie along y, along z.
+UPRIGHT = pin.utils.rotate("x", np.pi / 2)
 DARK, BRIGHT = np.array([0.10, 0.12, 0.15]), np.array([1.0, 1.0, 1.0])
 
 
@@ -47,6 +51,17 @@ class ColouredMeshGeometry(shapes.Geometry):
 def colour_array(colour: int) -> np.ndarray:
     """Red, green, blue (3,) from 0 to 1 of a colour written as 0xRRGGBB."""
     return np.array([colour >> 16 & 255, colour >> 8 & 255, colour & 255]) / 255
+
+
+def placed(position: Sequence[float] | np.ndarray, rotation: np.ndarray | None = None) -> np.ndarray:
+    """Return the placement (4, 4) at ``position`` (3,) m, turned by ``rotation`` (3, 3) if there is one."""
+    turn = np.eye(3) if rotation is None else rotation
+    return np.asarray(pin.SE3(turn, np.asarray(position)).homogeneous)
+
+
+def box_corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return the corners (8, 3) of a box from ``low`` (3,) to ``high`` (3,)."""
+    return np.array(list(itertools.product(*zip(low, high, strict=True))))
 
 
 def draw_unshadowed(node: Any, shape: Any, material: Any, kind: Any = None) -> None:

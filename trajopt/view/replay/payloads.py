@@ -11,32 +11,30 @@ import pinocchio as pin
 from trajopt.certify.payloads import payload_inertia
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.commands import Animation
-from trajopt.view.replay.motion import ReplayMotion
+from trajopt.view.replay.parts import placed
 from trajopt.view.replay.robot import box_of_inertia
+from trajopt.view.replay.runs import DrawnSolution
 from trajopt.view.replay.thinning import hold_while_hidden
-from trajopt.view.replay.turns import quaternions_of
 
 PAYLOAD_COLOUR = 0xC98A2B
 # A point mass is drawn as a ball of this density, kg/m^3: between wood and water.
 DENSITY = 800.0
 
 
-def draw_payloads(node: Any, tracks: Animation, solution: Solution, motion: ReplayMotion) -> np.ndarray:
-    """Animate what is carried below ``node``; returns places (k, 3) that it takes up, m, world."""
-    places = [np.zeros((0, 3))]
+def draw_payloads(run: DrawnSolution, tracks: Animation) -> np.ndarray:
+    """Animate what is carried; returns places (k, 3) that it takes up, m, world."""
+    solution, motion, places = run.solution, run.motion, [np.zeros((0, 3))]
     for number, (entry, phases) in enumerate(_bodies(solution)):
         contact = solution.contact_frames.index(entry["frame"])
         carried = np.isin(motion.phase, phases)
         if not carried.any():
             continue
-        body, part = payload_inertia(entry), node[f"body{number}"]
+        body, part = payload_inertia(entry), run.node["payloads"][f"body{number}"]
         extent = _draw(part["shape"], body)
-        placed = hold_while_hidden(
-            motion.contacts[:, contact], carried
-        )  # it waits where it is taken, stays where it is left
-        tracks.add(part, "position", "vector3", placed[:, :3, 3])
-        tracks.add(part, "quaternion", "quaternion", quaternions_of(placed[:, :3, :3]))
-        centres = placed[:, :3, :3] @ body.lever + placed[:, :3, 3]
+        # It waits where it is taken, and stays where it is left.
+        hand = hold_while_hidden(motion.contacts[:, contact], carried)
+        tracks.place(part, hand)
+        centres = hand[:, :3, :3] @ body.lever + hand[:, :3, 3]
         places += [centres - extent, centres + extent]
     return np.concatenate(places)
 
@@ -65,5 +63,5 @@ def _draw(node: Any, body: pin.Inertia) -> float:
         return float(np.linalg.norm(sides)) / 2
     radius = float((3 * max(body.mass, 1e-6) / (4 * np.pi * DENSITY)) ** (1 / 3))
     node.set_object(shapes.Sphere(radius), material)
-    node.set_transform(pin.SE3(np.eye(3), body.lever).homogeneous)
+    node.set_transform(placed(body.lever))
     return radius

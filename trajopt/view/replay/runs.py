@@ -50,6 +50,10 @@ class DrawnSolution:
     size: float = 1.0
     shift: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
+    def ink(self, colour: int) -> int:
+        """Return a colour for what is drawn of the run: the run's own instead where it is tinted."""
+        return self.colour if self.tinted else colour
+
     @property
     def base_joint(self) -> int:
         """The joint that carries the base: the first one of a fixed base, 0 without joints."""

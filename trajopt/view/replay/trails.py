@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 
-from trajopt.solution.solution import Solution
 from trajopt.view.replay.motion import ReplayMotion
 from trajopt.view.replay.parts import draw_line
 from trajopt.view.replay.robot import tip_frames
+from trajopt.view.replay.runs import DrawnSolution
 
 TRAIL_COLOURS = (0x1F77B4, 0x2CA02C, 0x9467BD, 0xC77700)
 
 
-def draw_trails(node: Any, solution: Solution, motion: ReplayMotion, tint: int | None = None) -> None:
+def draw_trails(run: DrawnSolution) -> None:
     """Draw the path of each contact frame; of each tip if there are no contacts."""
-    names, paths = list(solution.contact_frames), motion.feet
+    model, names, paths = run.solution.model, list(run.solution.contact_frames), run.motion.feet
     if not names:
-        frames = tip_frames(solution.model)
-        names = [solution.model.frames[frame].name for frame in frames]
-        paths = _frame_paths(solution.model, motion, frames)
+        frames = tip_frames(model)
+        names = [model.frames[frame].name for frame in frames]
+        paths = _frame_paths(model, run.motion, frames)
     for number, name in enumerate(names):
-        colour = TRAIL_COLOURS[number % len(TRAIL_COLOURS)] if tint is None else tint
-        draw_line(node[name.replace("/", "_")], paths[:, number], colour)
+        colour = run.ink(TRAIL_COLOURS[number % len(TRAIL_COLOURS)])
+        draw_line(run.node["trails"][name.replace("/", "_")], paths[:, number], colour)
 
 
 def _frame_paths(model: pin.Model, motion: ReplayMotion, frames: list[int]) -> np.ndarray:
