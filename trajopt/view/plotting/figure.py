@@ -117,10 +117,9 @@ def _heading(
     if title:
         figure.text(at / width, 1 - top / height, title, weight="bold", va="top", ha="left")
     if legend and row.legend:
-        handles = [Line2D([], [], **entry.style) for entry in row.legend]
         figure.legend(
-            handles,
-            [entry.label for entry in row.legend],
+            [Line2D([], [], **look) for _, look in row.legend],
+            [label for label, _ in row.legend],
             loc="upper right",
             bbox_to_anchor=(1 - row.right / width, 1 - (top - 0.03) / height),
             ncols=min(row.legend_columns, len(row.legend)),
@@ -128,6 +127,4 @@ def _heading(
             handletextpad=0.4,
             columnspacing=1.0,
             labelspacing=0.25,
-            borderpad=0.0,
-            borderaxespad=0.0,
         )

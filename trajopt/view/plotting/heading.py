@@ -61,8 +61,6 @@ def _solutions(figure: Figure, tracks: Tracks, at: float) -> None:
         ncols=len(tracks),
         handlelength=3.2,
         columnspacing=1.5,
-        borderpad=0.0,
-        borderaxespad=0.0,
     )
 
 

@@ -171,23 +171,14 @@ def limbs_of(axes: Sequence[JointAxis], model: pin.Model) -> tuple[Limb, ...]:
 
 def _chains(model: pin.Model, joints: set[int]) -> list[list[int]]:
     """Joints of the given set in chains: each ends at a leaf, or where the tree forks."""
-    children: dict[int, list[int]] = {joint: [] for joint in range(model.njoints)}
-    for joint in range(1, model.njoints):
-        children[model.parents[joint]].append(joint)
-    found: list[list[int]] = []
-
-    def follow(joint: int, chain: list[int]) -> None:
-        chain.append(joint)
-        if len(children[joint]) == 1:
-            follow(children[joint][0], chain)
-            return
-        found.append(chain)
-        for child in children[joint]:
-            follow(child, [])
-
     roots = [joint for joint in sorted(joints) if model.parents[joint] not in joints]
-    for root in roots:
-        follow(root, [])
+    found, waiting = [], roots[::-1]
+    while waiting:
+        chain = [waiting.pop()]
+        while len(children := list(model.children[chain[-1]])) == 1:
+            chain += children
+        found.append(chain)
+        waiting += children[::-1]
     return found
 
 

@@ -38,7 +38,7 @@ def summary_pages(tracks: Tracks) -> list[PlotPage]:
     rows += [base.clearance_row(tracks), base.power_row(tracks), accuracy.residual_row(tracks)]
     maps = "Maps: share of the limit that is used, dark is all of it, on the right its largest in per cent. "
     note = f"{maps if len(tracks) == 1 else ''}Residuals in natural units (weight, reach, g)."
-    return page_of("summary", "summary", rows, note)
+    return page_of("summary", "summary", rows, note=note)
 
 
 def _shares(tracks: Tracks) -> PlotRow | None:

@@ -82,12 +82,12 @@ class Track:
     @cached_property
     def report(self) -> CheckReport | None:
         """The check of the solution, None where it is inconsistent or not finite."""
-        return self._tried(lambda: check(self.solution))
+        return tried(lambda: check(self.solution))
 
     @cached_property
     def accuracy(self) -> Accuracy | None:
         """The accuracy of a plan, None of what a simulation did and where it cannot be measured."""
-        return None if self.is_simulated else self._tried(lambda: measure(self.solution))
+        return None if self.is_simulated else tried(lambda: measure(self.solution))
 
     @cached_property
     def local_errors(self) -> np.ndarray:
@@ -95,17 +95,8 @@ class Track:
         measured = self.__dict__.get("accuracy")  # where it is known already: it takes a second
         if measured is not None:
             return np.asarray(measured.interval_errors)
-        found = self._tried(lambda: interval_drifts(self.points.solution))
+        found = tried(lambda: interval_drifts(self.points.solution))
         return np.full(self.solution.n_intervals, np.nan) if found is None else found
-
-    @staticmethod
-    def _tried(compute: Callable[[], _Result]) -> _Result | None:
-        """The result, or None where an iterate that is no motion has none."""
-        try:
-            with np.errstate(all="ignore"):
-                return compute()
-        except (TrajoptError, ArithmeticError, ValueError):
-            return None
 
     def curve(self, values: MotionQuantity) -> tuple[np.ndarray, np.ndarray]:
         """Times and values of the interpolated motion, with NaN between where it jumps.
@@ -135,6 +126,15 @@ class Track:
         """Times and values at the collocation points."""
         rows = self.points.solution.collocation
         return self.points.t[rows], np.asarray(values(self.points), dtype=float)[rows]
+
+
+def tried(compute: Callable[[], _Result]) -> _Result | None:
+    """The result, or None where an iterate that is no motion has none."""
+    try:
+        with np.errstate(all="ignore"):
+            return compute()
+    except (TrajoptError, ArithmeticError, ValueError, KeyError):
+        return None
 
 
 def between_points(plan: Solution) -> Solution:

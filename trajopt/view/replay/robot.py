@@ -71,9 +71,8 @@ class _JointTree(MeshcatVisualizer):
     """Pinocchio's loader of geometry and materials, with every geometry hung on its joint."""
 
     def getViewerNodeName(self, geometry_object: Any, geometry_type: Any) -> str:
-        return (
-            f"{joint_path(self.model, geometry_object.parentJoint)}/{geometry_object.name.replace('/', '_')}"
-        )
+        name = geometry_object.name.replace("/", "_")
+        return f"{joint_path(self.model, geometry_object.parentJoint)}/{name}"
 
     def loadViewerGeometryObject(self, geometry_object: Any, *args: Any, **options: Any) -> None:
         if geometry_object.name in self.meshes:  # a box stands for it, see `visuals`

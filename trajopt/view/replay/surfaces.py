@@ -100,7 +100,7 @@ def drawn_plane(touches: list[Touch], run: DrawnSolution, size: float) -> Surfac
 
 
 def _reach_below(run: DrawnSolution, stance: tuple[int, int], normal: np.ndarray) -> float:
-    """How far a drawn link reaches below its contact frame, m; ``stance``: frame of the motion and contact."""
+    """How far a drawn link reaches below its contact frame, m; ``stance``: row of the motion, contact."""
     row, contact = stance
     model, motion = run.solution.model, run.motion
     joint = model.frames[model.getFrameId(run.solution.contact_frames[contact])].parentJoint
