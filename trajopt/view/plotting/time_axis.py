@@ -54,14 +54,10 @@ def phase_strip(row: PlotRow, tracks: Tracks) -> float:
     phases = tracks[0].phases
     if len(phases) < 2:
         return 0.0
-    if len(row.panels) > 1 or _fit(row, tracks):
+    width = (style.WIDTH - row.left - row.right) / sum(panel.wide for panel in row.panels)
+    if len(row.panels) > 1 or _names_fit(tracks, width):
         return 0.13
     return 0.06 + PHASE_LETTER * max(len(phase.name) for phase in phases)
-
-
-def _fit(row: PlotRow, tracks: Tracks) -> bool:
-    width = (style.WIDTH - row.left - row.right) / sum(panel.wide for panel in row.panels)
-    return _names_fit(tracks, width)
 
 
 def _names_fit(tracks: Tracks, width: float) -> bool:

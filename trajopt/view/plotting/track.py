@@ -177,22 +177,21 @@ def tracks_of(solutions: Sequence[Solution], labels: Sequence[str] | None = None
         raise InputError(
             f"{len(labels)} labels for {len(solutions)} solutions", "allowed: one label for each, or none"
         )
-    first = solutions[0]
     for other in solutions[1:]:
-        same = list(other.model.names) == list(first.model.names) and other.q.shape[1] == first.q.shape[1]
-        if (
-            not same
-            or other.contact_frames != first.contact_frames
-            or other.tau.shape[1] != first.tau.shape[1]
-        ):
+        if _robot_of(other) != _robot_of(solutions[0]):
             raise InputError(
-                f"'{first.meta['robot']}' and '{other.meta['robot']}' have other joints or contacts",
+                f"'{solutions[0].meta['robot']}' and '{other.meta['robot']}' have other joints or contacts",
                 "allowed: solutions of one robot",
             )
     names = [str(label) for label in labels] if labels else _labels(solutions)
     return tuple(
         Track(label=label, solution=solution) for label, solution in zip(names, solutions, strict=True)
     )
+
+
+def _robot_of(solution: Solution) -> tuple[object, ...]:
+    """What solutions of one robot have in common."""
+    return list(solution.model.names), solution.contact_frames, solution.q.shape[1], solution.tau.shape[1]
 
 
 def _labels(solutions: Sequence[Solution]) -> list[str]:

@@ -122,7 +122,7 @@ def _palette(colour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _welded(columns: dict[str, np.ndarray], index: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """The vertex of every corner, and the columns of distinct vertices in the order of their first use.
 
-    columns: whole numbers (n, k), not negative. ColouredMeshGeometry that have shrunk to a line are left out.
+    columns: whole numbers (n, k), not negative. Triangles that have shrunk to a line are left out.
     """
     first, number = _distinct(np.column_stack(list(columns.values())))
     triangles = number[index].reshape(-1, 3)

@@ -119,10 +119,7 @@ def bullseye(radius: float, colour: int) -> ColouredMeshGeometry:
     rim, ink = radius * _circle(np.linspace(0, 2 * np.pi, ROUND + 1)), colour_array(colour)
     parts: list[MeshPart] = []
     for inner, outer, tone in ((0.0, 0.4, ink), (0.4, 0.72, BRIGHT), (0.72, 1.0, ink)):
-        a = np.arange(ROUND)
-        b = a + len(rim)
-        index = np.concatenate([np.column_stack([a, b, b + 1]), np.column_stack([a, b + 1, a + 1])])
-        parts.append((np.vstack([inner * rim, outer * rim]), UPWARD, tone, index))
+        parts.append((np.vstack([inner * rim, outer * rim]), UPWARD, tone, grid_triangles(1, ROUND)))
     return ColouredMeshGeometry(ColouredMesh.joined(parts))
 
 

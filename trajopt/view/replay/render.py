@@ -84,7 +84,8 @@ def render(
         page = Path(folder, "page.html")
         speed = min(max(shots.speed, SLOWEST), 1.0)  # of slow motion the page has more frames
         replay(several, html=page, open_browser=False, speed=speed, layout=layout, labels=labels)
-        with open_page(page, shots.pixels, _fragment(shots)) as view:
+        fragment = AT_START + ("&panel=off" if shots.caption and not shots.strip else "&bare")
+        with open_page(page, shots.pixels, fragment) as view:
             _arrange(view, shots)
             _write(unfinished, shots, times, _pictures(view, times, progress))
         size = unfinished.stat().st_size
@@ -104,11 +105,6 @@ def _span(solutions: Sequence[Solution]) -> tuple[float, float]:
     if not solutions:
         raise InputError("there is nothing to render", "one or more solutions")
     return min(float(s.t[0]) for s in solutions), max(float(s.t[-1]) for s in solutions)
-
-
-def _fragment(shots: Shots) -> str:
-    """How the page opens: without its controls; a strip has text of its own."""
-    return AT_START + ("&panel=off" if shots.caption and not shots.strip else "&bare")
 
 
 def _arrange(view: OpenedPage, shots: Shots) -> None:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from trajopt.errors import InputError
 from trajopt.solution.input import SolutionOrFile, require_motion, solutions_of
 from trajopt.solution.output import check_output, replacing
 from trajopt.solving.interruption import LOOK
@@ -72,8 +70,6 @@ def replay(
             another number, or a file that cannot be written.
         TrajoptError: If the server does not start.
     """
-    if not isinstance(speed, int | float) or not (math.isfinite(speed) and speed > 0):
-        raise InputError(f"speed is {speed}", "a positive number; 1 is real time")
     target = None if html is None else check_output(Path(html))
     several = [require_motion(solution) for solution in solutions_of(solutions)]
     motions = replay_motions(several, speed)

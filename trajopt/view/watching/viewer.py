@@ -8,7 +8,6 @@ import threading
 import time
 import warnings
 from queue import SimpleQueue
-from types import TracebackType
 
 import zmq
 
@@ -123,9 +122,7 @@ class Viewer:
     def __enter__(self) -> Viewer:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     @property
