@@ -11,17 +11,19 @@ import pinocchio as pin
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.terrain.surface import frame_of_normal
 from trajopt.view.replay.balance import Balance, SupportArea, upward
-from trajopt.view.replay.coloured_mesh import WHITE, ColouredMesh, fan
 from trajopt.view.replay.commands import Animation
 from trajopt.view.replay.parts import (
     DARK,
     UPRIGHT,
+    WHITE,
+    ColouredMesh,
     ColouredMeshGeometry,
     bullseye,
     colour_array,
     draw_line,
     draw_showing_through,
     draw_unshadowed,
+    fan,
     placed,
     two_tone_ball,
     two_tone_disc,

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from trajopt.view.replay.coloured_mesh import ColouredMesh, MeshPart
+from trajopt.view.replay.parts import ColouredMesh, MeshPart
 
 TRANSFORMATIONS = ("matrix", "translate", "scale", "rotate")
 # Files that are kept once read.

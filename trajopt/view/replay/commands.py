@@ -93,10 +93,10 @@ class Animation:
         track = {"name": f".{name}", "type": kind, "times": times, "values": packed}
         self._clips.setdefault(node.path.lower(), []).append(track)
 
-    def place(self, node: Any, placements: np.ndarray, shown: np.ndarray | None = None) -> None:
-        """Animate position and rotation of ``node``: a placement (4, 4) a frame, as in `add`."""
-        self.add(node, "position", placements[:, :3, 3], shown)
-        self.add(node, "quaternion", quaternions_of(placements[:, :3, :3]), shown)
+    def place(self, node: Any, placements: np.ndarray) -> None:
+        """Animate position and rotation of ``node``: a placement (4, 4) a frame."""
+        self.add(node, "position", placements[:, :3, 3])
+        self.add(node, "quaternion", quaternions_of(placements[:, :3, :3]))
 
     def command(self) -> ViewerCommand:
         """Return the message that loads and plays the animation, again and again."""

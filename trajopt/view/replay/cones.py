@@ -8,10 +8,17 @@ import meshcat.geometry as shapes
 import numpy as np
 
 from trajopt.solution.touched import TouchedSurfaces
-from trajopt.view.replay.coloured_mesh import WHITE, ColouredMesh
 from trajopt.view.replay.commands import Animation
 from trajopt.view.replay.motion import LEAST_PRESSURE, ReplayMotion
-from trajopt.view.replay.parts import UPWARD, ColouredMeshGeometry, colour_array, draw_unshadowed, line_points
+from trajopt.view.replay.parts import (
+    UPWARD,
+    WHITE,
+    ColouredMesh,
+    ColouredMeshGeometry,
+    colour_array,
+    draw_unshadowed,
+    line_points,
+)
 from trajopt.view.replay.runs import DrawnSolution
 from trajopt.view.replay.turns import turns_to
 

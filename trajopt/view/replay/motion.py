@@ -112,7 +112,8 @@ def replay_motions(solutions: Sequence[Solution], speed: float = 1.0) -> list[Re
 
 def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: float) -> ReplayMotion:
     q = solution.interpolate(t)
-    joints, contacts = _placements(solution, q)
+    frames = [solution.model.getFrameId(name) for name in solution.contact_frames]
+    joints, contacts = placements(solution.model, frames, q)
     last, part = _spans(solution, t)
     wrench = (1 - part)[:, None, None] * solution.f[last] + part[:, None, None] * solution.f[last + 1]
     mass = mass_of(solution.model)
@@ -139,10 +140,9 @@ def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: floa
     )
 
 
-def _placements(solution: Solution, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """World placements of the joints (n, njoints, 4, 4) and contact frames (n, nc, 4, 4)."""
-    model, data = solution.model, solution.model.createData()
-    frames = [model.getFrameId(name) for name in solution.contact_frames]
+def placements(model: pin.Model, frames: Sequence[int], q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """World placements of the joints (n, njoints, 4, 4) and of ``frames`` (n, f, 4, 4) at ``q`` (n, nq)."""
+    data = model.createData()
     joints = np.empty((len(q), model.njoints, 4, 4))
     contacts = np.empty((len(q), len(frames), 4, 4))
     for row, configuration in enumerate(q):

@@ -10,8 +10,16 @@ import numpy as np
 from trajopt.terrain.patch import Patch, cut_polygon
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
-from trajopt.view.replay.coloured_mesh import ColouredMesh, MeshPart, fan
-from trajopt.view.replay.parts import UPWARD, ColouredMeshGeometry, colour_array, grid_triangles, line_points
+from trajopt.view.replay.parts import (
+    UPWARD,
+    ColouredMesh,
+    ColouredMeshGeometry,
+    MeshPart,
+    colour_array,
+    fan,
+    grid_triangles,
+    line_points,
+)
 
 GRID_STRONG = 0x808C9B
 # Faces that follow each other differ a little.

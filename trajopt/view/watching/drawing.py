@@ -140,8 +140,7 @@ def _move_poses(node: Any, motion: IterateMotion) -> None:
     for number in range(MOST_POSES):
         node[str(number)].set_property("visible", number < len(joints))
         for joint in range(1, motion.model.njoints if number < len(joints) else 0):
-            place = pin.XYZQUATToSE3(joints[number, joint]).homogeneous
-            node[str(number)][joint_path(motion.model, joint)].set_transform(place)
+            node[str(number)][joint_path(motion.model, joint)].set_transform(joints[number, joint])
 
 
 def _draw_paths(node: Any, motion: IterateMotion) -> None:
@@ -156,9 +155,7 @@ def _animation(vis: Any, motion: IterateMotion) -> ViewerCommand:
     count = len(motion.joints)
     tracks = Animation(count, (count - 1) / motion.duration, reach(motion.model) or 1.0)
     for joint in range(1, motion.model.njoints):
-        node = vis[joint_path(motion.model, joint)]
-        tracks.add(node, "position", motion.joints[:, joint, :3])
-        tracks.add(node, "quaternion", motion.joints[:, joint, 3:])
+        tracks.place(vis[joint_path(motion.model, joint)], motion.joints[:, joint])
     return tracks.command()
 
 
