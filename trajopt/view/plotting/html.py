@@ -7,7 +7,7 @@ from html import escape
 
 from trajopt.versions import installed_version
 from trajopt.view.plotting.facts import FigureTable
-from trajopt.view.plotting.heading import failures_of, state_of, title_of
+from trajopt.view.plotting.figure import failures_of, state_of, title_of
 from trajopt.view.plotting.page import PlotPage, Tracks
 from trajopt.view.plotting.sheet import with_unique_ids
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -27,7 +27,7 @@ class JointAxis:
 
     ``row`` of v; ``torque`` its row of tau, None for a passive joint; ``column`` of q, None where q has no
     such coordinate by itself. Limits in rad or m, rad/s or m/s, N m or N, on the joint side; infinite where
-    there is none. ``group`` is the number of its limb.
+    there is none.
     """
 
     name: str
@@ -40,7 +40,6 @@ class JointAxis:
     upper: float
     speed: float
     effort: float
-    group: int = 0
 
     @property
     def unit(self) -> str:
@@ -149,16 +148,16 @@ def limbs_of(axes: Sequence[JointAxis], model: pin.Model) -> tuple[Limb, ...]:
     prefixes = [_limb_name([axis.name for axis in group]) for group in groups]
     shorts = [_short_names([axis.name for axis in group]) for group in groups]
     every = [short for own in shorts for short in own]
+    unique = len(set(every)) == len(every)
     limbs = []
-    for number, (group, prefix, short) in enumerate(zip(groups, prefixes, shorts, strict=True)):
+    for group, prefix, short in zip(groups, prefixes, shorts, strict=True):
         alone = len(group) == 1
         named = bool(prefix) and prefixes.count(prefix) == 1 and not alone
-        unique = len(set(every)) == len(every)
         limbs.append(
             Limb(
                 name=prefix if named or alone else f"{group[0].name} to {group[-1].name}",
                 prefix=prefix if named else "",
-                axes=tuple(replace(axis, group=number) for axis in group),
+                axes=tuple(group),
                 short=short,
                 long=tuple(
                     f"{prefix} {name}" if named else name if unique else axis.name

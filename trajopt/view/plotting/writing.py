@@ -15,8 +15,7 @@ from trajopt.solution.input import solutions_of
 from trajopt.solution.output import check_output, replacing
 from trajopt.solution.solution import Solution
 from trajopt.versions import installed_version
-from trajopt.view.plotting.figure import figure_of
-from trajopt.view.plotting.heading import title_of
+from trajopt.view.plotting.figure import figure_of, title_of
 from trajopt.view.plotting.page import PlotPage, Tracks
 from trajopt.view.plotting.sheet import png_sheet, svg_of, svg_sheet
 from trajopt.view.plotting.summary import PAGES, pages_of

@@ -1,4 +1,4 @@
-"""Arrows of a replay: contact forces while they act, impulses of impacts as a flash in another colour."""
+"""Contacts of a replay: forces and impulses as arrows while they act, and their paths as trails."""
 
 from __future__ import annotations
 
@@ -7,15 +7,18 @@ from typing import Any
 
 import meshcat.geometry as shapes
 import numpy as np
+import pinocchio as pin
 
 from trajopt.view.replay.commands import Animation
 from trajopt.view.replay.motion import ReplayMotion
-from trajopt.view.replay.parts import UPRIGHT, draw_showing_through, placed
+from trajopt.view.replay.parts import UPRIGHT, draw_line, draw_showing_through, placed
+from trajopt.view.replay.robot import tip_frames
 from trajopt.view.replay.runs import DrawnSolution
 from trajopt.view.replay.thinning import hold_while_hidden
 from trajopt.view.replay.turns import turns_to
 
 FORCE_COLOUR, IMPULSE_COLOUR = 0xD9421F, 0x7A1FA2
+TRAIL_COLOURS = (0x1F77B4, 0x2CA02C, 0x9467BD, 0xC77700)
 # An arrow of the robot's weight is at most this part of the robot's largest extent long, and so long that the
 # longest arrow of the motion is no longer than that.
 WEIGHT_ARROW, LONGEST_ARROW = 0.8, 1.2
@@ -80,3 +83,24 @@ def _draw(node: Any, size: float, colour: int) -> None:
         draw_showing_through(node[name], shape, color=colour)
         for part in ("solid", "hidden"):
             node[name][part].set_transform(placed([0.0, 0.0, height], UPRIGHT))
+
+
+def draw_trails(run: DrawnSolution) -> None:
+    """Draw the path of each contact frame; of each tip if there are no contacts."""
+    model, names, paths = run.solution.model, list(run.solution.contact_frames), run.motion.feet
+    if not names:
+        frames = tip_frames(model)
+        names = [model.frames[frame].name for frame in frames]
+        paths = _frame_paths(model, run.motion, frames)
+    for number, name in enumerate(names):
+        colour = run.ink(TRAIL_COLOURS[number % len(TRAIL_COLOURS)])
+        draw_line(run.node["trails"][name.replace("/", "_")], paths[:, number], colour)
+
+
+def _frame_paths(model: pin.Model, motion: ReplayMotion, frames: list[int]) -> np.ndarray:
+    paths = np.empty((motion.n_frames, len(frames), 3))
+    for column, frame in enumerate(frames):
+        joint = model.frames[frame].parentJoint
+        local = np.append(model.frames[frame].placement.translation, 1.0)
+        paths[:, column] = (motion.joints[:, joint] @ local)[:, :3]
+    return paths

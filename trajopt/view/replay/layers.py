@@ -10,11 +10,10 @@ import numpy as np
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.view.replay.arrows import FORCE_COLOUR, IMPULSE_COLOUR
 from trajopt.view.replay.balance_marks import SUPPORT_COLOUR, ZMP_COLOUR
+from trajopt.view.replay.bodies import OBSTACLE_COLOUR, PAYLOAD_COLOUR
 from trajopt.view.replay.copies import GHOST_COLOUR
 from trajopt.view.replay.goals import CROSS_COLOUR
 from trajopt.view.replay.ground import GROUND_COLOUR
-from trajopt.view.replay.obstacles import OBSTACLE_COLOUR
-from trajopt.view.replay.payloads import PAYLOAD_COLOUR
 from trajopt.view.replay.runs import DrawnSolution, travels
 from trajopt.view.replay.surfaces import WALL_COLOUR
 

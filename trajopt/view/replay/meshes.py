@@ -34,7 +34,7 @@ STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("att
 STL_FORMATS = ("_meshfile", "_meshfile_geometry")
 
 
-# Vertices: position (n, 3) m, of some normal (n, 3) and color (n, 3) bytes; index (3m,) of triangles' corners.
+# Vertices: position (n, 3) m, of some normal (n, 3) and color (n, 3) bytes; index (3m,) of corners.
 TriangleMesh = tuple[dict[str, np.ndarray], np.ndarray]
 
 

@@ -13,9 +13,11 @@ from trajopt.solution.solution import Solution
 from trajopt.solution.touched import touched_surfaces
 from trajopt.terrain.surface import Surface
 from trajopt.view.phases import phase_spans
-from trajopt.view.replay.arrows import draw_arrows, weight_arrow_of
+from trajopt.view.replay.arrows import draw_arrows, draw_trails, weight_arrow_of
 from trajopt.view.replay.balance import balance_of
 from trajopt.view.replay.balance_marks import draw_balance
+from trajopt.view.replay.bodies import draw_obstacles, draw_payloads
+from trajopt.view.replay.caption import caption_lines, title
 from trajopt.view.replay.commands import Animation, Recorder, ViewerCommand
 from trajopt.view.replay.cones import draw_cones
 from trajopt.view.replay.copies import PREFIX, draw_ghosts, ghost_frames, tint
@@ -23,13 +25,10 @@ from trajopt.view.replay.goals import draw_goals
 from trajopt.view.replay.ground import DrawnGround, draw_grounds, grounds_of
 from trajopt.view.replay.layers import hidden_layers, layers_of
 from trajopt.view.replay.motion import ReplayMotion
-from trajopt.view.replay.obstacles import draw_obstacles
 from trajopt.view.replay.parts import placed
-from trajopt.view.replay.payloads import draw_payloads
 from trajopt.view.replay.robot import joint_path
 from trajopt.view.replay.runs import DrawnSolution, drawn_runs, travels
 from trajopt.view.replay.surfaces import draw_surfaces
-from trajopt.view.replay.trails import draw_trails
 
 # Of Meshcat's own page; the cameras of the player are in web/cameras.js.
 # Vertical field of view in degrees: little perspective.
@@ -40,18 +39,18 @@ CAMERA_DIRECTION = np.array([0.62, -1.0, 0.42])
 
 @dataclass(frozen=True)
 class ReplayScene:
-    """Commands in order; ``note`` if a robot is not drawn in full; ``weight_arrow`` in m.
+    """Commands in order; ``note`` if a robot is not drawn in full.
 
     facts: what a page tells of the scene, JSON-able: ``start`` (s of the solution), ``speed``, ``duration``
     (s of playback), ``phases`` [{name, start, end}] of the first solution, s, ``layers`` [{name, label,
     colour, paths, visible}], ``runs`` [{label, colour, root, base}] with places in the scene tree, ``size``
     (m, the largest robot's extent), ``box`` [[low], [high]] (m, world) around all motions and what they
-    touch, ``travels``: whether a base goes so far that a camera should follow it.
+    touch, ``travels``: whether a base goes so far that a camera should follow it, ``title``, ``picture`` (s
+    of the solution between two pictures of the animation), ``lines`` [{text, kind, colour}] of the caption.
     """
 
     commands: list[ViewerCommand]
     note: str
-    weight_arrow: float
     facts: dict[str, Any] = field(default_factory=dict)
 
 
@@ -89,10 +88,10 @@ def build_scene(
             vis[path].set_property("visible", False)
     _frame(vis, box, ground)
     recorder.commands.append(tracks.command())
-    notes = list(dict.fromkeys(run.robot.note for run in runs if run.robot.note))
-    return ReplayScene(
-        recorder.commands, "; ".join(notes), weight_arrow, _facts(runs, layers, box, size, follows)
-    )
+    note = "; ".join(dict.fromkeys(run.robot.note for run in runs if run.robot.note))
+    facts = _facts(runs, layers, box, size, follows)
+    facts["lines"] = caption_lines(runs, motions, weight_arrow, note)
+    return ReplayScene(recorder.commands, note, facts)
 
 
 def _draw_run(
@@ -166,4 +165,6 @@ def _facts(
         "size": size,
         "box": box.tolist(),
         "travels": follows,
+        "title": " | ".join(dict.fromkeys(title(run.solution) for run in runs)),
+        "picture": motion.speed / motion.frame_rate,
     }

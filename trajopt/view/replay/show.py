@@ -11,7 +11,6 @@ from typing import Any
 from trajopt.solution.input import SolutionOrFile, require_motion, solutions_of
 from trajopt.solution.output import check_output, replacing
 from trajopt.solving.interruption import LOOK
-from trajopt.view.replay.caption import page_facts
 from trajopt.view.replay.live import LiveWindow, server_address_text
 from trajopt.view.replay.motion import replay_motions
 from trajopt.view.replay.page import page
@@ -24,7 +23,7 @@ class Replay:
 
     frames: pictures of the animation; duration: seconds it plays (solution time over speed).
     note: one line if a robot could not be drawn with its meshes, else empty.
-    facts: what the page says: phases, layers, runs, lines of its caption; see `ReplayScene` and `page_facts`.
+    facts: what the page says: phases, layers, runs, lines of its caption; see `ReplayScene`.
     html, size: the page and its bytes, or url, window: where the Meshcat server shows it, and the window
     through which a script can add to it, as in ``meshcat.Visualizer(window=shown.window)``.
     """
@@ -74,17 +73,16 @@ def replay(
     several = [require_motion(solution) for solution in solutions_of(solutions)]
     motions = replay_motions(several, speed)
     scene = build_scene(several, motions, layout, labels)
-    facts = page_facts(scene, several, motions)
     if scene.note:
         print(scene.note, file=sys.stderr)
-    shown: dict[str, Any] = {"frames": motions[0].n_frames, "note": scene.note, "facts": facts}
+    shown: dict[str, Any] = {"frames": motions[0].n_frames, "note": scene.note, "facts": scene.facts}
     shown["duration"] = (motions[0].n_frames - 1) / motions[0].frame_rate
     if target is not None:
         with replacing(target) as unfinished:
-            size = unfinished.write_bytes(page(scene, facts).encode())
+            size = unfinished.write_bytes(page(scene).encode())
         return Replay(**shown, html=target, size=size)
     window = LiveWindow()
-    window.show(scene.commands, facts)
+    window.show(scene.commands, scene.facts)
     print(server_address_text(window.web_url))
     if open_browser:
         window.open()

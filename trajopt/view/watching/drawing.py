@@ -14,7 +14,8 @@ from trajopt.errors import TrajoptError
 from trajopt.robot.building import reach
 from trajopt.solution.solution import Solution
 from trajopt.solving.monitoring import Iterate
-from trajopt.view.replay.caption import line, page_facts, title
+from trajopt.view.replay.arrows import TRAIL_COLOURS
+from trajopt.view.replay.caption import line, title
 from trajopt.view.replay.commands import Animation, Recorder, ViewerCommand
 from trajopt.view.replay.copies import GHOST_COLOUR, draw_copy, messages_below
 from trajopt.view.replay.layers import layer
@@ -22,7 +23,6 @@ from trajopt.view.replay.motion import replay_motion
 from trajopt.view.replay.parts import draw_line
 from trajopt.view.replay.robot import draw_robot, draw_skeleton, joint_path, tip_frames
 from trajopt.view.replay.scene import build_scene
-from trajopt.view.replay.trails import TRAIL_COLOURS
 from trajopt.view.watching.motion import FRAME_RATE, MOST_POSES, IterateMotion
 
 TOP = "/meshcat"
@@ -99,18 +99,16 @@ def _still(solution: Solution) -> tuple[list[ViewerCommand], dict[str, Any]]:
     ]
     try:
         with np.errstate(all="ignore"):
-            motion = replay_motion(solution)
-            scene = build_scene([solution], [motion])
-            facts = page_facts(scene, [solution], [motion])
+            scene = build_scene([solution], [replay_motion(solution)])
     except (TrajoptError, ArithmeticError, ValueError):
         recorder = Recorder()
         draw_robot(meshcat.Visualizer(window=recorder), solution)
         size = reach(solution.model) or 1.0
         facts = {"start": 0.0, "speed": 1.0, "size": size, "box": [[-size] * 3, [size] * 3], "runs": []}
         return recorder.commands, facts | {"title": name, "layers": own}
-    layers = [one for one in facts["layers"] if all(_is_still(path) for path in one["paths"])]
+    layers = [one for one in scene.facts["layers"] if all(_is_still(path) for path in one["paths"])]
     kept = [command for command in scene.commands if _stands(command.message)]
-    return kept, facts | {"title": name, "layers": [*layers, *own]}
+    return kept, scene.facts | {"title": name, "layers": [*layers, *own]}
 
 
 def _is_still(path: str) -> bool:

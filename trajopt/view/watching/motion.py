@@ -41,8 +41,8 @@ class IterateMotion:
         """Place the robot at times (k,).
 
         Returns:
-            Placements of joints (k, njoints, 4, 4); positions of ``frames`` (k, f, 3) and of the centre of mass
-            (k, 3), m, world.
+            Placements of joints (k, njoints, 4, 4); positions of ``frames`` (k, f, 3) and of the centre of
+            mass (k, 3), m, world.
         """
         q, data = np.array([self._at(float(t)) for t in times]), self.model.createData()
         joints, frames = placements(self.model, self.frames, q)

@@ -1,4 +1,4 @@
-"""Carried bodies of a replay: where they are taken, with the hand that holds them, where they are left."""
+"""Bodies of a replay beside the robot: obstacles that it stays clear of, and what it carries."""
 
 from __future__ import annotations
 
@@ -9,16 +9,50 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.payloads import payload_inertia
+from trajopt.robot.collision.shapes import BoxObstacle, CapsuleObstacle, Obstacle, segment_placement
+from trajopt.solution.descriptions import scene_of_meta
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.commands import Animation
-from trajopt.view.replay.parts import placed
+from trajopt.view.replay.parts import UPRIGHT, box_corners, placed
 from trajopt.view.replay.robot import box_of_inertia
 from trajopt.view.replay.runs import DrawnSolution
 from trajopt.view.replay.thinning import hold_while_hidden
 
+OBSTACLE_COLOUR, OBSTACLE_OPACITY = 0xC1553B, 0.75
+_CORNERS = box_corners(-np.ones(3), np.ones(3))
 PAYLOAD_COLOUR = 0xC98A2B
 # A point mass is drawn as a ball of this density, kg/m^3: between wood and water.
 DENSITY = 800.0
+
+
+def draw_obstacles(run: DrawnSolution) -> np.ndarray:
+    """Draw what the robot stays clear of; returns the corners (k, 3), world, m."""
+    scene = scene_of_meta(run.solution.model, run.solution.meta.get("collision"))
+    corners = [np.zeros((0, 3))]
+    for obstacle in scene.obstacles if scene is not None else ():
+        corners.append(_draw_obstacle(run.node["obstacles"][obstacle.name.replace("/", "_")], obstacle))
+    return np.concatenate(corners)
+
+
+def _draw_obstacle(node: Any, obstacle: Obstacle) -> np.ndarray:
+    if isinstance(obstacle, BoxObstacle):
+        placement = pin.SE3(obstacle.turn, obstacle.position)
+        _solid(node, shapes.Box(obstacle.sides.tolist()), placement)
+        return np.asarray(_CORNERS * obstacle.sides / 2 @ obstacle.turn.T + obstacle.position)
+    start, end = obstacle.axis
+    _solid(node["start"], shapes.Sphere(obstacle.radius), pin.SE3(np.eye(3), start))
+    length = float(np.linalg.norm(end - start))
+    if isinstance(obstacle, CapsuleObstacle) and length > 0:
+        _solid(node["end"], shapes.Sphere(obstacle.radius), pin.SE3(np.eye(3), end))
+        placement = segment_placement(start, end) * pin.SE3(UPRIGHT, np.zeros(3))
+        _solid(node["side"], shapes.Cylinder(length, obstacle.radius), placement)
+    return np.concatenate([place + obstacle.radius * _CORNERS for place in (start, end)])
+
+
+def _solid(node: Any, shape: Any, placement: pin.SE3) -> None:
+    material = shapes.MeshLambertMaterial(color=OBSTACLE_COLOUR, opacity=OBSTACLE_OPACITY)
+    node.set_object(shape, material)
+    node.set_transform(placement.homogeneous)
 
 
 def draw_payloads(run: DrawnSolution, tracks: Animation) -> np.ndarray:
@@ -30,7 +64,7 @@ def draw_payloads(run: DrawnSolution, tracks: Animation) -> np.ndarray:
         if not carried.any():
             continue
         body, part = payload_inertia(entry), run.node["payloads"][f"body{number}"]
-        extent = _draw(part["shape"], body)
+        extent = _draw_payload(part["shape"], body)
         # It waits where it is taken, and stays where it is left.
         hand = hold_while_hidden(motion.contacts[:, contact], carried)
         tracks.place(part, hand)
@@ -52,7 +86,7 @@ def _bodies(solution: Solution) -> list[tuple[dict[str, Any], list[int]]]:
     return found
 
 
-def _draw(node: Any, body: pin.Inertia) -> float:
+def _draw_payload(node: Any, body: pin.Inertia) -> float:
     """A box of the body's mass and inertia, or a ball for a point; returns half its extent, m."""
     material = shapes.MeshLambertMaterial(color=PAYLOAD_COLOUR)
     box = box_of_inertia(body)
