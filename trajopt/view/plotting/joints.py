@@ -18,7 +18,6 @@ from trajopt.view.plotting.motion import MotionQuantities
 MOST_CURVES = 7
 # A branch of fewer joints (fingers, a head) shares the panel of other such branches.
 LEAST_BRANCH = 3
-AXIS_NAMES = {1: ("",), 2: (" x", " y"), 3: (" x", " y", " z")}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +78,7 @@ def axes_of(solution: Solution) -> tuple[JointAxis, ...]:
             row = joint.idx_v + i
             torque = row - solution.n_unactuated
             column = joint.idx_q + i if joint.nq == joint.nv else None
-            suffix = AXIS_NAMES[joint.nv][i] if joint.nv in AXIS_NAMES else f" {i + 1}"
+            suffix = "" if joint.nv == 1 else f" {'xyz'[i] if joint.nv <= 3 else i + 1}"
             found.append(
                 JointAxis(
                     name=model.names[joint.id] + suffix,

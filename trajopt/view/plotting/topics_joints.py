@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -124,56 +123,36 @@ def _limb(axes: Axes, tracks: Tracks, limb: Limb, kind: str) -> None:
     shown = [(i, axis) for i, axis in enumerate(limb.axes) if kind != "torque" or axis.torque is not None]
     drawn = [Curve(label=limb.short[i], values=partial(value, kind, axis), number=i) for i, axis in shown]
     draw.curves(axes, tracks, drawn)
-    limit_lines(axes, [_limit(kind, axis, i, tracks) for i, axis in shown])
+    _draw_limits(axes, tracks, kind, shown)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Limit:
-    """A quantity's least and largest allowed value, infinite where there is none, its values and colour.
-
-    ``values`` (n,) are all that are drawn of it, NaN among them.
-    """
-
-    lower: float
-    upper: float
-    values: np.ndarray
-    colour: str
-
-    @property
-    def near(self) -> tuple[float, ...]:
-        """The limits that values come near: `NEAR` of the way from the middle of what is allowed, or zero."""
-        finite = self.values[np.isfinite(self.values)]
-        if not finite.size:
-            return ()
-        both = np.isfinite(self.lower) and np.isfinite(self.upper)
-        middle = (self.lower + self.upper) / 2 if both else 0.0
-        reached = {self.lower: middle - finite.min(), self.upper: finite.max() - middle}
-        return tuple(
-            limit
-            for limit, way in reached.items()
-            if np.isfinite(limit) and way >= NEAR * abs(limit - middle)
-        )
-
-
-def _limit(kind: str, axis: JointAxis, number: int, tracks: Tracks) -> _Limit:
-    lower, upper = limit_of(kind, axis)
-    values = np.concatenate([value(kind, axis, track.dense) for track in tracks])
-    return _Limit(lower=lower, upper=upper, values=values, colour=style.COLOURS[number])
-
-
-def limit_lines(axes: Axes, found: Sequence[_Limit]) -> None:
+def _draw_limits(axes: Axes, tracks: Tracks, kind: str, shown: Sequence[tuple[int, JointAxis]]) -> None:
     """Fit the vertical axis, with the limits that values come near; those all curves share are hatched."""
     low, high = draw.fit(axes, least=LEAST_SPAN)
-    near = [value for limit in found for value in limit.near]
-    draw.set_range(axes, min([low, *near]), max([high, *near]), LEAST_SPAN)
-    shared = len(found) > 1 and len({(limit.lower, limit.upper) for limit in found}) == 1
-    if not shared:
-        for limit in found:
-            for value in limit.near:
-                axes.axhline(value, **{**draw.LIMIT, "color": limit.colour}, zorder=2)
+    limits = [limit_of(kind, axis) for _, axis in shown]
+    values = [np.concatenate([value(kind, axis, track.dense) for track in tracks]) for _, axis in shown]
+    near = [_near(*limit, reached) for limit, reached in zip(limits, values, strict=True)]
+    every = [line for lines in near for line in lines]
+    draw.set_range(axes, min([low, *every]), max([high, *every]), LEAST_SPAN)
+    if len(limits) < 2 or len(set(limits)) > 1:
+        for (number, _), lines in zip(shown, near, strict=True):
+            for line in lines:
+                axes.axhline(line, **{**draw.LIMIT, "color": style.COLOURS[number]}, zorder=2)
         return
     bottom, top = axes.get_ylim()
-    for value in set(near):
-        axes.axhline(value, **draw.LIMIT, zorder=2)
-        side = bottom if value == found[0].lower else top
-        axes.axhspan(*sorted((value, side)), facecolor="none", edgecolor=style.GREY, hatch="////", lw=0)
+    for line in set(every):
+        axes.axhline(line, **draw.LIMIT, zorder=2)
+        side = bottom if line == limits[0][0] else top
+        axes.axhspan(*sorted((line, side)), facecolor="none", edgecolor=style.GREY, hatch="////", lw=0)
+
+
+def _near(lower: float, upper: float, values: np.ndarray) -> list[float]:
+    """The limits that values come near: `NEAR` of the way from the middle of what is allowed, or zero."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return []
+    middle = (lower + upper) / 2 if np.isfinite(lower) and np.isfinite(upper) else 0.0
+    reached = {lower: middle - finite.min(), upper: finite.max() - middle}
+    return [
+        limit for limit, way in reached.items() if np.isfinite(limit) and way >= NEAR * abs(limit - middle)
+    ]

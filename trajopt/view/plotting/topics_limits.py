@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajopt.view.plotting import draw, style
-from trajopt.view.plotting.draw import Curve
 from trajopt.view.plotting.joints import JointAxis
 from trajopt.view.plotting.motion import MotionQuantities
 from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, batches, page_of, panel_row
@@ -32,9 +31,7 @@ MOST_USED = 5
 
 def limit_pages(tracks: Tracks) -> list[PlotPage]:
     """Maps of the shares of all limits over time, for each solution."""
-    found = limbs(tracks)
-    rows = [axis for limb in found for axis in limb.axes]
-    names = [name for limb in found for name in limb.long]
+    rows, names = axes_and_names(tracks)
     if not rows:
         return []
     height, groups = max(LEAST_MAP, MAP_ROW * len(rows)), [[axis] for axis in rows]
@@ -50,6 +47,12 @@ def limit_pages(tracks: Tracks) -> list[PlotPage]:
         return page_of("limits", title, [maps[0], scale, *used], note=note)
     parts = [[*part, scale] for part in batches(maps, max(1, MAP_ROWS_A_PAGE // len(rows)))]
     return page_of("limits", title, *parts, used, note=note)
+
+
+def axes_and_names(tracks: Tracks) -> tuple[list[JointAxis], list[str]]:
+    """Return the axes of all limbs, and names that tell them apart."""
+    found = limbs(tracks)
+    return [axis for limb in found for axis in limb.axes], [name for limb in found for name in limb.long]
 
 
 def used_row(tracks: Tracks, kind: str, axes: Sequence[JointAxis], names: Sequence[str]) -> PlotRow | None:
@@ -98,11 +101,10 @@ def largest_share(kind: str, group: Sequence[JointAxis], motion: MotionQuantitie
 
 def largest_row(tracks: Tracks) -> PlotRow | None:
     """The largest share over all joints of positions, velocities and torques; None where none is limited."""
-    rows = [axis for limb in limbs(tracks) for axis in limb.axes]
+    rows, _ = axes_and_names(tracks)
+    curves = draw.numbered(((kind, partial(largest_share, kind, rows)) for kind in KINDS), dots=False)
     drawn = [
-        Curve(label=kind, values=partial(largest_share, kind, rows), number=i, dots=False)
-        for i, kind in enumerate(KINDS)
-        if rows and any(np.isfinite(largest_share(kind, rows, track.dense)).any() for track in tracks)
+        curve for curve in curves if any(np.isfinite(curve.values(track.dense)).any() for track in tracks)
     ]
     if not drawn:
         return None

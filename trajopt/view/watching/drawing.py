@@ -117,9 +117,8 @@ def _is_still(path: str) -> bool:
 
 def _stands(message: dict[str, Any]) -> bool:
     path = str(message["path"])
-    if message["type"] == "set_animation":
-        return False
-    return not path.startswith(f"{TOP}/") or _is_still(path.removeprefix(f"{TOP}/"))
+    above = not path.startswith(f"{TOP}/")
+    return message["type"] != "set_animation" and (above or _is_still(path.removeprefix(f"{TOP}/")))
 
 
 def _draw_poses(recorder: Recorder, solution: Solution) -> None:
