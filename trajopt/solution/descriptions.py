@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -90,13 +91,22 @@ def scene_of_meta(model: pin.Model, described: Any) -> CollisionScene | None:
 def _scene(model: pin.Model, described: Any) -> CollisionScene:
     keys = ("capsules", "obstacles", "self_pairs")
     if not isinstance(described, dict) or not all(isinstance(described.get(key), list) for key in keys):
-        raise InputError("it is no object of lists", f"keys: {', '.join(keys)}")
+        raise InputError("it is not an object of lists", f"keys: {', '.join(keys)}")
     pairs = described["self_pairs"]
     if not all(isinstance(pair, list) and len(pair) == 2 for pair in pairs):
-        raise InputError("self_pairs are no pairs", "allowed: [capsule, capsule] by name")
+        raise InputError("self_pairs are not pairs", "allowed: [capsule, capsule] by name")
     return CollisionScene(
         model=model,
         capsules=tuple(LinkCapsule.from_description(entry) for entry in described["capsules"]),
         obstacles=tuple(obstacle_from_description(entry) for entry in described["obstacles"]),
         self_pairs=tuple((str(first), str(second)) for first, second in pairs),
     )
+
+
+def jsonable(value: Any) -> Any:
+    """The value with lists for tuples and arrays, and None for numbers that are not finite."""
+    if isinstance(value, dict):
+        return {str(key): jsonable(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [jsonable(entry) for entry in list(value)]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +10,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_not_negative
 from trajopt.robot.collision.distances import Box, SymbolicAxis, box_distance, segment_distance
 from trajopt.robot.collision.near import CollisionScene, ShapePair
 from trajopt.robot.collision.shapes import BoxObstacle, LinkCapsule, Obstacle
@@ -45,8 +44,7 @@ class Clearance(PointConstraint):
     margin: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.margin) and self.margin >= 0):
-            raise InputError(f"margin to obstacles is {self.margin:g} m", "allowed: finite and >= 0")
+        require_not_negative("margin to obstacles", self.margin, "m")
         object.__setattr__(self, "pairs", tuple((str(a), str(b)) for a, b in self.pairs))
         known = set(self.scene.pairs)
         unknown = [pair for pair in self.pairs if pair not in known]

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_not_negative
 from trajopt.robot.contact import Contact
 from trajopt.robot.sole import friction_rows, pressure_rows, yaw_rows
 from trajopt.robot.units import Units
@@ -46,8 +46,8 @@ class ContactConstraint(PointConstraint):
     contacts: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
-        if self.friction is not None and not (math.isfinite(self.friction) and self.friction >= 0):
-            raise InputError(f"friction of {self.name} is {self.friction:g}", "allowed: finite and >= 0")
+        if self.friction is not None:
+            require_not_negative(f"friction of {self.name}", self.friction)
 
     def _unilateral_contacts(self, context: Context) -> Iterator[Contact]:
         """Active contacts that the term is about."""

@@ -10,7 +10,6 @@ unit before the solver sees them.
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
@@ -18,7 +17,7 @@ from typing import ClassVar
 import casadi as ca
 import numpy as np
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_not_negative
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.targets import Target
@@ -69,8 +68,7 @@ class Cost(Term, ABC):
     weight: float
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.weight) and self.weight >= 0):
-            raise InputError(f"weight of {self.name} is {self.weight:g}", "allowed: finite and >= 0")
+        require_not_negative(f"weight of {self.name}", self.weight)
 
     @abstractmethod
     def residual(self, context: Context, units: Units) -> ca.SX:

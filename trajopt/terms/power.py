@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_positive
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
@@ -72,8 +72,7 @@ class PowerCost(Cost):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_recovered(self.recovered)
-        if not (math.isfinite(self.smoothing) and self.smoothing > 0):
-            raise InputError(f"smoothing of {self.name} is {self.smoothing:g}", "allowed: finite and > 0")
+        require_positive(f"smoothing of {self.name}", self.smoothing)
 
     @override
     def residual(self, context: Context, units: Units) -> ca.SX:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_positive
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import UP, Surface
 
@@ -52,5 +52,4 @@ class ObstacleAxes:
 def require_lengths(**lengths: float) -> None:
     """Raise `InputError` for a length of an obstacle that is not finite and positive."""
     for name, length in lengths.items():
-        if not (math.isfinite(length) and length > 0):
-            raise InputError(f"{name} of an obstacle is {length!r} m", "allowed: finite and > 0")
+        require_positive(f"{name} of an obstacle", length, "m")

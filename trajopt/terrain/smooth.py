@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_not_negative
 from trajopt.terrain.shapes import ParameterOf, Shape, shape_from_description
 from trajopt.terrain.surface import Surface
 
@@ -27,8 +26,7 @@ class SmoothTerrain:
             raise InputError(
                 "a smooth terrain has no shapes, or some are none", "allowed: shapes, at least one"
             )
-        if not (math.isfinite(self.friction) and self.friction >= 0):
-            raise InputError(f"friction coefficient is {self.friction:g}", "allowed: finite and >= 0")
+        require_not_negative("friction coefficient", self.friction)
 
     @property
     def surface(self) -> CurvedSurface:

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, finite_array
 from trajopt.problem.problem import Problem
 from trajopt.reduced.scenes.guess import SceneGuess, end_posture
 from trajopt.reduced.scenes.smallest import Plane, Scene, smallest
@@ -115,13 +115,8 @@ def _targets(robot: Robot, goals: Goals | None) -> dict[str, pin.SE3 | np.ndarra
     found: dict[str, pin.SE3 | np.ndarray] = {}
     for frame, goal in goals.items():
         require_frame(robot.model, frame, "a goal")
-        if isinstance(goal, pin.SE3):
-            found[frame] = goal
-            continue
-        place = np.array(goal, dtype=float)
-        if place.shape != (3,) or not np.isfinite(place).all():
-            raise InputError(f"goal of frame '{frame}' is {goal!r}", "a pin.SE3, or 3 finite numbers, m")
-        found[frame] = place
+        what, unit = f"goal of frame '{frame}'", "m, or a pin.SE3"
+        found[frame] = goal if isinstance(goal, pin.SE3) else finite_array(what, goal, unit=unit)
     return found
 
 
