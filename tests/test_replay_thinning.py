@@ -55,8 +55,8 @@ def test_turning_track_stays_within_its_angle():
 def test_tracks_as_written_stay_within_their_stated_errors():
     rotation = Rotation.from_rotvec(smooth(400, 3))
     tracks, node = Animation(400, 60.0, 1.0), meshcat.Visualizer(window=Recorder())["robot"]
-    tracks.add(node, "position", "vector3", smooth(400, 3))
-    tracks.add(node, "quaternion", "quaternion", rotation.as_quat())
+    tracks.add(node, "position", smooth(400, 3))
+    tracks.add(node, "quaternion", rotation.as_quat())
     position, turn = tracks.command().message["animations"][0]["clip"]["tracks"]
     times, values = (np.frombuffer(position[name].data, np.float32) for name in ("times", "values"))
     written = np.column_stack([np.interp(np.arange(400), times, row) for row in values.reshape(-1, 3).T])

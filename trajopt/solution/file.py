@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -17,6 +16,7 @@ import numpy as np
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.solution.arrays import OTHERS, SAMPLED, read_only
 from trajopt.solution.consistency import inconsistency
+from trajopt.solution.output import replacing
 
 FORMAT = "trajopt-solution"
 VERSION = 1
@@ -28,12 +28,12 @@ def write_solution_file(
     """Write a solution to a temporary file beside ``path`` and rename it; see `Solution.save`."""
     target = Path(path).expanduser()
     text = consistent_meta(meta, model_text, arrays)
-    try:
-        _replace(target, {"meta": np.array(text), "model": np.array(model_text), **arrays})
-    except OSError as error:
-        raise InputError(
-            f"cannot write {target}: {error.strerror or error}", "a file in an existing folder"
-        ) from None
+    with replacing(target) as unfinished, unfinished.open("wb") as file:
+        np.savez_compressed(
+            file, allow_pickle=False, meta=np.array(text), model=np.array(model_text), **arrays
+        )
+        file.flush()
+        os.fsync(file.fileno())
     return target
 
 
@@ -47,30 +47,6 @@ def consistent_meta(meta: Mapping[str, Any], model_text: str, arrays: Mapping[st
     if problem:
         raise InputError(f"the solution is inconsistent: {problem}")
     return text
-
-
-def _replace(target: Path, arrays: dict[str, np.ndarray]) -> None:
-    if target.is_dir():
-        raise IsADirectoryError(0, "it is a folder")
-    if target.exists() and not target.is_file():
-        raise OSError(0, "it is no regular file")
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(name, 0o666 & ~_umask())
-        os.replace(name, target)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def _jsonable(value: Any) -> Any:

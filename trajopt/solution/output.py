@@ -1,33 +1,54 @@
-"""Where a solution is to be written: checked before anything is computed."""
+"""Files that are written: the place checked before anything is computed, then written whole or not at all."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from trajopt.errors import InputError
 
+ALLOWED = "allowed: a file in an existing folder that can be written"
+
 
 def check_output(path: Path) -> Path:
-    """The path, if a solution can be written there; raises `InputError` before anything is computed."""
+    """The path, if a file can be written there; raises `InputError` before anything is computed."""
     target = path.expanduser()
-    allowed = "allowed: a file in an existing folder that can be written"
-    with contextlib.suppress(OSError):
-        if target.is_dir():
-            raise InputError(f"cannot write {target}: it is a folder", allowed)
-        if target.exists() and not target.is_file():
-            raise InputError(f"cannot write {target}: it is no regular file", allowed)
-    try:  # as the solution file is written: a temporary file beside it, renamed
-        handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
-        os.close(handle)
-        os.unlink(name)
+    _require_file(target)
+    try:  # as it will be written: under another name beside it, then renamed
+        tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.").cleanup()
     except OSError as error:
         reason = _reason(target) or error.strerror or str(error)
-        raise InputError(f"cannot write {target}: {reason}", allowed) from None
+        raise InputError(f"cannot write {target}: {reason}", ALLOWED) from None
     return target
+
+
+@contextlib.contextmanager
+def replacing(target: Path) -> Iterator[Path]:
+    """Give a file to write, and move it to ``target`` at the end; after an error what was there stays.
+
+    The file has the target's name, in a temporary folder beside it. Raises `InputError`, one line, if it
+    cannot be written.
+    """
+    _require_file(target)
+    try:
+        with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.") as folder:
+            unfinished = Path(folder, target.name)
+            yield unfinished
+            os.replace(unfinished, target)
+    except OSError as error:
+        raise InputError(f"cannot write {target}: {error.strerror or error}", ALLOWED) from None
+
+
+def _require_file(target: Path) -> None:
+    """Raise `InputError` where something other than a file is in the way."""
+    with contextlib.suppress(OSError):  # as of a name that is too long, which writing will tell
+        if target.is_dir():
+            raise InputError(f"cannot write {target}: it is a folder", ALLOWED)
+        if target.exists() and not target.is_file():
+            raise InputError(f"cannot write {target}: it is no regular file", ALLOWED)
 
 
 def check_apart(targets: Sequence[Path | None], sources: Sequence[Path]) -> None:

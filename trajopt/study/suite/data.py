@@ -23,11 +23,11 @@ from pathlib import Path
 from typing import TypeGuard
 
 from trajopt.errors import InputError
+from trajopt.solution.output import replacing
 from trajopt.study.suite.cases import Pair
 from trajopt.study.suite.outcome import Outcome, quantile
 from trajopt.study.suite.physics import WORDS, Physics, in_words
 from trajopt.study.suite.settings import SuiteSettings
-from trajopt.study.workers.records import refused_writing
 
 OBJECTIVE_BAND = 1e-3
 FEWEST, MOST = 0.5, 2.0
@@ -189,8 +189,8 @@ def write_bands(path: Path, entries: Mapping[str, PairBands], versions: Mapping[
     body = [
         ", ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows
     ]
-    with refused_writing(path, "a file in an existing folder"):
-        path.write_text("\n".join([*head, *body]) + "\n", encoding="utf-8")
+    with replacing(path) as unfinished:
+        unfinished.write_text("\n".join([*head, *body]) + "\n", encoding="utf-8")
 
 
 def _text(value: object) -> str:

@@ -7,8 +7,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from trajopt.solution.output import replacing
 from trajopt.study.sweep.summary import Summary
-from trajopt.study.workers.records import refused_writing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,8 +47,8 @@ def plot(summaries: Sequence[Summary], title: str, path: Path) -> Path | None:
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
     _labels(axes, rows, legend)
-    with refused_writing(path):
-        figure.savefig(path)
+    with replacing(path) as unfinished:
+        figure.savefig(unfinished)
     return path
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import os
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -15,6 +13,7 @@ from rich.table import Table
 
 from trajopt.problem import Problem
 from trajopt.robot.units import Units
+from trajopt.solution.output import replacing
 from trajopt.study.sweep.figures import COLUMNS
 from trajopt.study.sweep.likeness import motion_kind
 from trajopt.study.sweep.records import SweepResults
@@ -22,7 +21,6 @@ from trajopt.study.sweep.result import TimedRun
 from trajopt.study.sweep.setting import Setting
 from trajopt.study.sweep.summary import Summary
 from trajopt.study.workers.display import plain_table
-from trajopt.study.workers.records import refused_writing
 
 FOLDED = "dominated by"
 RUNS, SETTINGS, FRONT = "runs.csv", "settings.csv", "front.csv"
@@ -116,14 +114,10 @@ def write_tables(
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None) -> None:
     """Write a table at once or not at all; truth as 1 and 0, what is not known or not finite as nothing."""
     titles = list(columns or (rows[0] if rows else ()))
-    with refused_writing(path):
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-        with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
-            writer = csv.DictWriter(stream, titles, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows({title: _cell(value) for title, value in row.items()} for row in rows)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
+    with replacing(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, titles, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({title: _cell(value) for title, value in row.items()} for row in rows)
 
 
 def _cell(value: Any) -> str:

@@ -4,21 +4,12 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from trajopt.errors import InputError
-
-
-@contextmanager
-def refused_writing(path: Path, allowed: str = "a folder that can be written") -> Iterator[None]:
-    """Raise InputError where ``path`` cannot be written."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror or error}", f"allowed: {allowed}") from None
 
 
 class JsonLines:
@@ -35,13 +26,18 @@ class JsonLines:
         """Make the folder, and the file unless it is resumed; what it holds."""
         if self.path is None:
             return []
-        with refused_writing(self.path):
+        try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with self.path.open("a+" if resume else "w+", encoding="utf-8") as stream:
                 stream.seek(0)
                 text = stream.read()
                 if text and not text.endswith("\n"):  # a line cut off by a crash
                     stream.write("\n")
+        except OSError as error:
+            reason = error.strerror or error
+            raise InputError(
+                f"cannot write {self.path}: {reason}", "allowed: a folder that can be written"
+            ) from None
         return self.read()
 
     def read(self) -> list[dict[str, Any]]:

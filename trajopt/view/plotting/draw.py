@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from trajopt.view.plotting import style
-from trajopt.view.plotting.page import LegendEntry, PlotPanel, PlotRow, Tracks
+from trajopt.view.plotting.page import LegendEntry, PlotRow, Tracks, panel_row
 from trajopt.view.plotting.track import MotionQuantity, Track
 
 if TYPE_CHECKING:
@@ -57,13 +57,8 @@ class Curve:
     @property
     def entry(self) -> LegendEntry:
         """Its entry of a legend."""
-        look = {
-            "color": self.colour,
-            "linewidth": self.width,
-            "marker": self.marker,
-            **marker_look(self.colour),
-        }
-        return LegendEntry(label=self.label, style=look)
+        look = {"color": self.colour, "linewidth": self.width, "marker": self.marker}
+        return self.label, look | marker_look(self.colour)
 
 
 def marker_look(colour: str) -> dict[str, Any]:
@@ -74,6 +69,11 @@ def marker_look(colour: str) -> dict[str, Any]:
 def column(values: MotionQuantity, i: int) -> MotionQuantity:
     """Return column ``i`` (K,) of a quantity (K, n)."""
     return lambda motion: np.asarray(values(motion)[:, i])
+
+
+def numbered(named: Iterable[tuple[str, MotionQuantity]], **look: Any) -> list[Curve]:
+    """Return a curve for each label with its values, numbered in order; ``look``: more fields of all."""
+    return [Curve(label=label, values=values, number=i, **look) for i, (label, values) in enumerate(named)]
 
 
 def curve_row(
@@ -99,8 +99,7 @@ def curve_row(
         curves(axes, tracks, drawn)
         (scale or fit)(axes)
 
-    panel = PlotPanel(name=name, ylabel=ylabel, draw=draw)
-    return PlotRow(title=title, panels=(panel,), legend=tuple(curve.entry for curve in drawn), **row)
+    return panel_row(title, name, ylabel, draw, legend=tuple(curve.entry for curve in drawn), **row)
 
 
 def curves(axes: Axes, tracks: Tracks, drawn: Sequence[Curve], *, plans_only: bool = False) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,9 +10,10 @@ import numpy as np
 from trajopt.certify.accuracy.table import FIGURES as MEASURED
 from trajopt.certify.energy import cost_of_transport, energy
 from trajopt.certify.report import FIGURES, Tolerances
-from trajopt.errors import TrajoptError
-from trajopt.view.plotting.track import Track
+from trajopt.view.plotting.track import Track, tried
 
+# Name, a value for each solution, unit, and what is allowed.
+_Row = tuple[str, tuple[str, ...], str, str]
 # Units of those facts that have one.
 UNITS = {
     "largest violation": "scaled",
@@ -26,13 +27,13 @@ UNITS = {
 
 @dataclass(frozen=True, kw_only=True)
 class FigureTable:
-    """A table: ``title``, and ``rows`` of a name, a value for each solution, a unit and what is allowed.
+    """A table: ``title``, and ``rows``.
 
     ``beyond`` are the (row, solution) whose value is beyond that.
     """
 
     title: str
-    rows: tuple[tuple[str, tuple[str, ...], str, str], ...]
+    rows: tuple[_Row, ...]
     beyond: frozenset[tuple[int, int]] = frozenset()
 
 
@@ -51,8 +52,8 @@ def _facts(tracks: Sequence[Track]) -> FigureTable:
 
 def _facts_of(track: Track) -> dict[str, str]:
     meta, plan = track.meta, track.solution
-    drawn = _tried(lambda: energy(plan)) if track.is_finite else None
-    transport = _tried(lambda: cost_of_transport(plan)) if track.is_finite else None
+    drawn = tried(lambda: float(energy(plan))) if track.is_finite else None
+    transport = tried(lambda: float(cost_of_transport(plan))) if track.is_finite else None
     solved = "solved" if meta["success"] else "NOT SOLVED"
     return {
         "problem": str(meta["problem"]),
@@ -81,43 +82,33 @@ def _value(value: object) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-def _tried(compute: Callable[[], float]) -> float | None:
-    """The figure, or None where the solution cannot give it."""
-    try:
-        with np.errstate(all="ignore"):
-            return float(compute())
-    except (TrajoptError, ArithmeticError, ValueError, KeyError):
-        return None
-
-
 def _check(tracks: Sequence[Track]) -> FigureTable | None:
     reports = [track.report for track in tracks]
-    if not any(reports):
-        return None
     limits = Tolerances()
-    rows: list[tuple[str, tuple[str, ...], str, str]] = []
+    rows: list[_Row] = []
     beyond: set[tuple[int, int]] = set()
     failures = [set() if report is None else set(report.failures()) for report in reports]
     for name, figure in FIGURES.items():
-        values = [None if report is None else getattr(report, name) for report in reports]
-        if all(value is None for value in values):
-            continue
         limit = None if figure.tolerance is None else getattr(limits, figure.tolerance)
         least = figure.margin or figure.least
         allowed = "" if limit is None else f"{'≥' if least else '≤'} {-limit if figure.margin else limit:.0e}"
-        beyond |= {(len(rows), i) for i, failed in enumerate(failures) if name in failed}
-        texts = tuple("" if value is None else f"{value:.3g}" for value in values)
-        rows.append((figure.text, texts, figure.unit, allowed))
-    return FigureTable(title="check, by numeric Pinocchio alone", rows=tuple(rows), beyond=frozenset(beyond))
+        if values := _values(reports, name):
+            beyond |= {(len(rows), i) for i, failed in enumerate(failures) if name in failed}
+            rows.append((figure.text, values, figure.unit, allowed))
+    title = "check, by numeric Pinocchio alone"
+    return FigureTable(title=title, rows=tuple(rows), beyond=frozenset(beyond)) if any(reports) else None
 
 
 def _accuracy(tracks: Sequence[Track]) -> FigureTable | None:
     found = [track.accuracy for track in tracks]
-    if not any(found):
-        return None
-    rows: list[tuple[str, tuple[str, ...], str, str]] = []
-    for name, (text, unit) in MEASURED.items():
-        values = [None if one is None else getattr(one, name) for one in found]
-        if any(value is not None for value in values):
-            rows.append((text, tuple("" if value is None else f"{value:.3g}" for value in values), unit, ""))
-    return FigureTable(title="accuracy between points and in open loop", rows=tuple(rows))
+    named = ((text, _values(found, name), unit, "") for name, (text, unit) in MEASURED.items())
+    rows = tuple(row for row in named if row[1])
+    title = "accuracy between points and in open loop"
+    return FigureTable(title=title, rows=rows) if any(found) else None
+
+
+def _values(found: Sequence[object | None], name: str) -> tuple[str, ...]:
+    """A figure of each solution as text, empty where it is not known; none at all where none is."""
+    values = [getattr(one, name, None) for one in found]
+    known = any(value is not None for value in values)
+    return tuple("" if value is None else f"{value:.3g}" for value in values) if known else ()

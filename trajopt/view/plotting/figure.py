@@ -1,32 +1,39 @@
-"""The figure drawn from a page: where its rows go, their axes, headings and legends."""
+"""The figure drawn from a page: its head and foot, where its rows go, their axes, headings and legends."""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from trajopt.view.plotting import style
-from trajopt.view.plotting.heading import draw_heading
 from trajopt.view.plotting.page import (
     BOTTOM,
     GAP,
     GROWTH,
+    LEFT,
     LINE,
     NOTE_LINE,
     OFFSET_TEXT,
+    RIGHT,
     TITLE,
     TOP,
     UNIT,
     X_AXIS,
+    LegendEntry,
     PlotPage,
     PlotRow,
     Tracks,
 )
 from trajopt.view.plotting.time_axis import over_time, phase_strip
+from trajopt.view.plotting.track import Track
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+# Letters that the width of a page has room for: in the title beside the page's name, and in the legend.
+TITLE_LETTERS, LEGEND_LETTERS = 64, 112
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +57,7 @@ def figure_of(page: PlotPage, tracks: Tracks, *, fixed: bool, footer: str = "") 
     look: dict[Any, Any] = {**mpl.rcParamsDefault, **style.RC, "backend": mpl.rcParams["backend"]}
     with mpl.rc_context(look):
         figure = Figure(figsize=(style.WIDTH, height), dpi=style.DOTS)
-        draw_heading(figure, page, tracks, footer)
+        _draw_heading(figure, page, tracks, footer)
         for row, place in zip(page.rows, places, strict=True):
             _draw_row(figure, row, place, tracks)
     return figure
@@ -101,33 +108,101 @@ def _draw_row(figure: Figure, row: PlotRow, place: _Place, tracks: Tracks) -> No
         if panel.timed:
             over_time(axes, tracks, labelled=place.labelled, strip=place.phases)
         panel.draw(axes, tracks)
-        _heading(figure, row, place, panel.title, at)
+        _draw_row_heading(figure, row, place, panel.title, at)
         at += unit * panel.wide
-    _heading(figure, row, place, row.title, row.left, legend=True)
+    _draw_row_heading(figure, row, place, row.title, row.left, legend=True)
 
 
-def _heading(
-    figure: Figure, row: PlotRow, place: _Place, title: str, at: float, legend: bool = False
+def _draw_row_heading(
+    figure: Figure, row: PlotRow, place: _Place, title: str, left: float, legend: bool = False
 ) -> None:
-    """Write a title ``at`` inches from the left, and the row's legend on the right."""
-    from matplotlib.lines import Line2D
-
+    """Write a title ``left`` inches from the left, and the row's legend on the right."""
     width, height = figure.get_size_inches()
     top = place.top - place.phases - row.heading + 0.02
     if title:
-        figure.text(at / width, 1 - top / height, title, weight="bold", va="top", ha="left")
+        figure.text(left / width, 1 - top / height, title, weight="bold", va="top", ha="left")
     if legend and row.legend:
-        handles = [Line2D([], [], **entry.style) for entry in row.legend]
-        figure.legend(
-            handles,
-            [entry.label for entry in row.legend],
-            loc="upper right",
-            bbox_to_anchor=(1 - row.right / width, 1 - (top - 0.03) / height),
-            ncols=min(row.legend_columns, len(row.legend)),
-            handlelength=2.0,
-            handletextpad=0.4,
-            columnspacing=1.0,
-            labelspacing=0.25,
-            borderpad=0.0,
-            borderaxespad=0.0,
-        )
+        columns = min(row.legend_columns, len(row.legend))
+        look = {"handlelength": 2.0, "handletextpad": 0.4, "columnspacing": 1.0, "labelspacing": 0.25}
+        _draw_legend(figure, row.legend, "upper right", width - row.right, top - 0.03, ncols=columns, **look)
+
+
+def _draw_heading(figure: Figure, page: PlotPage, tracks: Tracks, footer: str) -> None:
+    """Write title, state of the solutions, note and footer."""
+    width, height = figure.get_size_inches()
+
+    def text(x: float, y: float, words: str, **options: object) -> None:
+        look = {"va": "top", **options}
+        figure.text(x / width, 1 - y / height, style.literal(words), **look)  # type: ignore[arg-type]
+
+    text(LEFT, TOP, style.short(title_of(tracks), TITLE_LETTERS), fontsize=style.TITLE, weight="bold")
+    text(width - RIGHT, TOP + 0.02, page.title, fontsize=style.TITLE, ha="right", color=style.GREY)
+    warning = failures_of(tracks)
+    below = TOP + 0.24
+    if warning:
+        text(LEFT, below, warning, fontsize=style.FONT, weight="bold", color=style.RED)
+    elif len(tracks) == 1:
+        text(LEFT, below, state_of(tracks[0]), fontsize=style.SMALL, color=style.GREY)
+    if len(tracks) > 1:
+        _draw_solutions(figure, tracks, TOP + TITLE - 0.08)
+    lines = page.note_lines
+    for number, line in enumerate(lines):
+        below = height - BOTTOM + 0.12 - NOTE_LINE * (len(lines) - number)
+        text(LEFT, below, line, fontsize=6.5, color=style.GREY)
+    text(LEFT, height - 0.26, footer, fontsize=6.5, color=style.GREY)
+
+
+def _draw_solutions(figure: Figure, tracks: Tracks, top: float) -> None:
+    """Write which line style is which solution, ``top`` inches from the page's top."""
+    legend = []
+    for number, track in enumerate(tracks):
+        name = style.literal(style.short(track.label, LEGEND_LETTERS // len(tracks)))
+        look = {"color": style.BLACK, "linestyle": style.line_style(number)}
+        legend.append((name + ("" if track.meta["success"] else " (not solved)"), look))
+    spaces = {"handlelength": 3.2, "columnspacing": 1.5}
+    _draw_legend(figure, legend, "upper left", LEFT, top, ncols=len(tracks), **spaces)
+
+
+def _draw_legend(
+    figure: Figure, legend: Sequence[LegendEntry], corner: Any, left: float, top: float, **look: Any
+) -> None:
+    """Draw a legend with its ``corner`` at inches from the page's left and top."""
+    from matplotlib.lines import Line2D
+
+    width, height = figure.get_size_inches()
+    handles, labels = [Line2D([], [], **line) for _, line in legend], [label for label, _ in legend]
+    figure.legend(handles, labels, loc=corner, bbox_to_anchor=(left / width, 1 - top / height), **look)
+
+
+def title_of(tracks: Tracks) -> str:
+    """Return problem and robot; of several problems their names."""
+    names = list(dict.fromkeys(str(track.meta["problem"]) for track in tracks))
+    return f"{', '.join(names)} on {tracks[0].meta['robot']}"
+
+
+def state_of(track: Track) -> str:
+    """Describe a solution in a line: how it ended, by what, on which grid."""
+    meta, plan = track.meta, track.solution
+    objective = meta.get("objective")
+    parts = [
+        "solved" if meta["success"] else f"not solved, {str(meta['status']).replace('_', ' ')}",
+        f"{meta['solver']}, {meta['iterations']} iterations",
+        f"objective {objective:.6g}" if isinstance(objective, float) else "",
+        f"{meta['transcription']}, {plan.n_intervals} interval{'s' * (plan.n_intervals > 1)}",
+        f"{plan.t[-1] - plan.t[0]:.3g} s",
+    ]
+    return "  \u00b7  ".join(part for part in parts if part)
+
+
+def failures_of(tracks: Tracks) -> str:
+    """Say which solutions failed; empty if none did."""
+    found = []
+    for track in tracks:
+        name = f"{track.label}: " if len(tracks) > 1 else ""
+        if not track.meta["success"] and not track.is_simulated:
+            found.append(
+                f"{name}NOT SOLVED ({str(track.meta['status']).replace('_', ' ')}): the last iterate"
+            )
+        if not track.is_finite:
+            found.append(f"{name}NOT FINITE: what is finite is shown")
+    return "; ".join(found)

@@ -7,7 +7,7 @@ from html import escape
 
 from trajopt.versions import installed_version
 from trajopt.view.plotting.facts import FigureTable
-from trajopt.view.plotting.heading import failures_of, state_of, title_of
+from trajopt.view.plotting.figure import failures_of, state_of, title_of
 from trajopt.view.plotting.page import PlotPage, Tracks
 from trajopt.view.plotting.sheet import with_unique_ids
 
@@ -37,9 +37,10 @@ def html_page(
     """The file's text. ``drawings`` are pages with their SVG, ``sections`` the tables."""
     title = escape(title_of(tracks))
     warning = failures_of(tracks)
+    labelled = [(f"{track.label}: " if len(tracks) > 1 else "", track) for track in tracks]
     head = [
         f'<p class="warning">{escape(warning)}</p>' if warning else "",
-        *(f'<p class="state">{escape(_named_state(tracks, i))}</p>' for i in range(len(tracks))),
+        *(f'<p class="state">{escape(label + state_of(track))}</p>' for label, track in labelled),
     ]
     anchors = _anchors([page for page, _ in drawings])
     links = "".join(f'<a href="#{anchor}">{escape(text)}</a>' for anchor, text in anchors)
@@ -66,21 +67,12 @@ def html_page(
     )
 
 
-def _named_state(tracks: Tracks, number: int) -> str:
-    label = f"{tracks[number].label}: " if len(tracks) > 1 else ""
-    return label + state_of(tracks[number])
-
-
 def _anchors(pages: Sequence[PlotPage]) -> list[tuple[str, str]]:
     """An anchor and a text for every page; pages of one name are counted."""
-    names = [page.name for page in pages]
-    found = []
+    names, found = [page.name for page in pages], []
     for number, page in enumerate(pages):
-        nth = names[: number + 1].count(page.name)
-        several = names.count(page.name) > 1
-        found.append(
-            (f"{page.name}-{nth}" if several else page.name, f"{page.title} {nth}" if several else page.title)
-        )
+        nth = names[: number + 1].count(page.name) if names.count(page.name) > 1 else 0
+        found.append((f"{page.name}-{nth}", f"{page.title} {nth}") if nth else (page.name, page.title))
     return found
 
 

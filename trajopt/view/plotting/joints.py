@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -18,7 +18,6 @@ from trajopt.view.plotting.motion import MotionQuantities
 MOST_CURVES = 7
 # A branch of fewer joints (fingers, a head) shares the panel of other such branches.
 LEAST_BRANCH = 3
-AXIS_NAMES = {1: ("",), 2: (" x", " y"), 3: (" x", " y", " z")}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +26,7 @@ class JointAxis:
 
     ``row`` of v; ``torque`` its row of tau, None for a passive joint; ``column`` of q, None where q has no
     such coordinate by itself. Limits in rad or m, rad/s or m/s, N m or N, on the joint side; infinite where
-    there is none. ``group`` is the number of its limb.
+    there is none.
     """
 
     name: str
@@ -40,7 +39,6 @@ class JointAxis:
     upper: float
     speed: float
     effort: float
-    group: int = 0
 
     @property
     def unit(self) -> str:
@@ -80,7 +78,7 @@ def axes_of(solution: Solution) -> tuple[JointAxis, ...]:
             row = joint.idx_v + i
             torque = row - solution.n_unactuated
             column = joint.idx_q + i if joint.nq == joint.nv else None
-            suffix = AXIS_NAMES[joint.nv][i] if joint.nv in AXIS_NAMES else f" {i + 1}"
+            suffix = "" if joint.nv == 1 else f" {'xyz'[i] if joint.nv <= 3 else i + 1}"
             found.append(
                 JointAxis(
                     name=model.names[joint.id] + suffix,
@@ -149,16 +147,16 @@ def limbs_of(axes: Sequence[JointAxis], model: pin.Model) -> tuple[Limb, ...]:
     prefixes = [_limb_name([axis.name for axis in group]) for group in groups]
     shorts = [_short_names([axis.name for axis in group]) for group in groups]
     every = [short for own in shorts for short in own]
+    unique = len(set(every)) == len(every)
     limbs = []
-    for number, (group, prefix, short) in enumerate(zip(groups, prefixes, shorts, strict=True)):
+    for group, prefix, short in zip(groups, prefixes, shorts, strict=True):
         alone = len(group) == 1
         named = bool(prefix) and prefixes.count(prefix) == 1 and not alone
-        unique = len(set(every)) == len(every)
         limbs.append(
             Limb(
                 name=prefix if named or alone else f"{group[0].name} to {group[-1].name}",
                 prefix=prefix if named else "",
-                axes=tuple(replace(axis, group=number) for axis in group),
+                axes=tuple(group),
                 short=short,
                 long=tuple(
                     f"{prefix} {name}" if named else name if unique else axis.name
@@ -171,23 +169,14 @@ def limbs_of(axes: Sequence[JointAxis], model: pin.Model) -> tuple[Limb, ...]:
 
 def _chains(model: pin.Model, joints: set[int]) -> list[list[int]]:
     """Joints of the given set in chains: each ends at a leaf, or where the tree forks."""
-    children: dict[int, list[int]] = {joint: [] for joint in range(model.njoints)}
-    for joint in range(1, model.njoints):
-        children[model.parents[joint]].append(joint)
-    found: list[list[int]] = []
-
-    def follow(joint: int, chain: list[int]) -> None:
-        chain.append(joint)
-        if len(children[joint]) == 1:
-            follow(children[joint][0], chain)
-            return
-        found.append(chain)
-        for child in children[joint]:
-            follow(child, [])
-
     roots = [joint for joint in sorted(joints) if model.parents[joint] not in joints]
-    for root in roots:
-        follow(root, [])
+    found, waiting = [], roots[::-1]
+    while waiting:
+        chain = [waiting.pop()]
+        while len(children := list(model.children[chain[-1]])) == 1:
+            chain += children
+        found.append(chain)
+        waiting += children[::-1]
     return found
 
 

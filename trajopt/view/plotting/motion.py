@@ -112,11 +112,9 @@ class MotionQuantities:
 
         def placement(model: pin.Model, data: pin.Data, q: np.ndarray, v: np.ndarray) -> np.ndarray:
             pin.forwardKinematics(model, data, q)
-            return np.asarray(
-                pin.SE3(data.oMi[joint].rotation @ turn, data.oMi[joint].translation).homogeneous
-            )
+            return np.asarray((data.oMi[joint] * pin.SE3(turn, np.zeros(3))).homogeneous).ravel()
 
-        return self._rows(16, lambda *state: placement(*state).ravel()).reshape(-1, 4, 4)
+        return self._rows(16, placement).reshape(-1, 4, 4)
 
     def _rows(self, size: int, of: _State) -> np.ndarray:
         model, data = self.solution.model, self.solution.model.createData()
@@ -204,11 +202,7 @@ class MotionQuantities:
         distances = np.full((len(self.t), len(scene.pairs)), np.nan)
         for row in np.flatnonzero(self.finite):
             distances[row] = scene.distances(self.solution.q[row])
-        outer = {
-            obstacle.name: [
-                i for i, pair in enumerate(scene.pairs[: scene.n_outer]) if pair[1] == obstacle.name
-            ]
-            for obstacle in scene.obstacles
-        }
-        columns = {**outer, "itself": list(range(scene.n_outer, len(scene.pairs)))}
+        columns: dict[str, list[int]] = {name: [] for name in (*(o.name for o in scene.obstacles), "itself")}
+        for i, pair in enumerate(scene.pairs):
+            columns[pair[1] if i < scene.n_outer else "itself"].append(i)
         return {name: distances[:, index].min(axis=1) for name, index in columns.items() if index}

@@ -6,7 +6,7 @@ import math
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from trajopt.view.plotting import style
 from trajopt.view.plotting.track import Track
@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 
 Tracks = Sequence[Track]
 Draw = Callable[["Axes", Tracks], None]
+# Label and the keywords of its line.
+LegendEntry = tuple[str, dict[str, Any]]
+_Item = TypeVar("_Item")
 
 # Inches: edges of the page, its title, a line of a heading, space under a row, an x axis with its label.
 LEFT, RIGHT, TOP, BOTTOM = 0.72, 0.3, 0.35, 0.45
@@ -30,14 +33,6 @@ LETTER, TITLE_LETTER, HANDLE = 0.06, 0.072, 0.48
 OFFSET_TEXT = 2
 # Letters in a line of a note.
 NOTE_LETTERS = 155
-
-
-@dataclass(frozen=True, kw_only=True)
-class LegendEntry:
-    """A legend's entry: ``label`` and the keywords of its line."""
-
-    label: str
-    style: dict[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +76,7 @@ class PlotRow:
     def legend_columns(self) -> int:
         """Entries in one line of the legend: all, or as many columns as its widest entry allows."""
         free = style.WIDTH - self.left - self.right - TITLE_LETTER * (len(self.title) + 2)
-        widths = [HANDLE + LETTER * len(entry.label) for entry in self.legend]
+        widths = [HANDLE + LETTER * len(label) for label, _ in self.legend]
         if sum(widths) <= free:
             return max(1, len(widths))
         return max(1, int(free / max(widths)))
@@ -108,7 +103,18 @@ class PlotPage:
         return textwrap.wrap(self.note, NOTE_LETTERS)
 
 
-def page_of(name: str, title: str, rows: Iterable[PlotRow | None], note: str = "") -> list[PlotPage]:
-    """Return the page of the rows that there are; no page without any."""
-    present = tuple(row for row in rows if row is not None)
-    return [PlotPage(name=name, title=title, rows=present, note=note)] if present else []
+def panel_row(title: str, name: str, ylabel: str, draw: Draw, *, timed: bool = True, **row: Any) -> PlotRow:
+    """Return a row with one panel; ``row`` are more fields of the row."""
+    panel = PlotPanel(name=name, ylabel=ylabel, draw=draw, timed=timed)
+    return PlotRow(title=title, panels=(panel,), **row)
+
+
+def page_of(name: str, title: str, *parts: Iterable[PlotRow | None], note: str = "") -> list[PlotPage]:
+    """Return a page of each part's rows that there are; no page without any."""
+    present = [tuple(row for row in part if row is not None) for part in parts]
+    return [PlotPage(name=name, title=title, rows=rows, note=note) for rows in present if rows]
+
+
+def batches(items: Sequence[_Item], size: int) -> list[Sequence[_Item]]:
+    """Return the items in order, ``size`` at a time."""
+    return [items[start : start + size] for start in range(0, len(items), size)]

@@ -32,21 +32,16 @@ def svg_of(figure: Figure) -> str:
     return shorten_svg(text[text.index("<svg") :])
 
 
-def picture(figure: Figure) -> np.ndarray:
-    """A figure as pixels (h, w, 3) uint8."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
-
-
 def png_sheet(figures: Sequence[Figure]) -> bytes:
     """Figures of one width below one another as a PNG file."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.image import imsave
 
-    buffer = io.BytesIO()
-    imsave(buffer, np.concatenate([picture(figure) for figure in figures]), format="png", dpi=style.DOTS)
+    pictures, buffer = [], io.BytesIO()
+    for canvas in map(FigureCanvasAgg, figures):
+        canvas.draw()
+        pictures.append(np.asarray(canvas.buffer_rgba())[..., :3])
+    imsave(buffer, np.concatenate(pictures), format="png", dpi=style.DOTS)
     return buffer.getvalue()
 
 

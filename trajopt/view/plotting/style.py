@@ -6,7 +6,7 @@ from typing import Any
 
 # Okabe and Ito, Color Universal Design (2008), without the yellow, which is too light for lines on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#000000", "#CC79A7", "#56B4E9", "#E69F00")
-BLUE, RED, GREEN, BLACK, PINK, SKY, ORANGE = COLOURS
+BLUE, RED, _, BLACK = COLOURS[:4]
 # By curve of a panel: a grey print tells curves by these.
 MARKERS = ("o", "s", "^", "D", "v", "x", "+")
 # By solution.
@@ -80,6 +80,8 @@ RC: dict[str, Any] = {
     "lines.linewidth": 1.1,
     "legend.fontsize": SMALL,
     "legend.frameon": False,
+    "legend.borderpad": 0.0,
+    "legend.borderaxespad": 0.0,
     "hatch.linewidth": 0.4,
     "svg.fonttype": "path",
     "svg.hashsalt": "trajopt",

@@ -38,17 +38,17 @@ def summary_pages(tracks: Tracks) -> list[PlotPage]:
     rows += [base.clearance_row(tracks), base.power_row(tracks), accuracy.residual_row(tracks)]
     maps = "Maps: share of the limit that is used, dark is all of it, on the right its largest in per cent. "
     note = f"{maps if len(tracks) == 1 else ''}Residuals in natural units (weight, reach, g)."
-    return page_of("summary", "summary", rows, note)
+    return page_of("summary", "summary", rows, note=note)
 
 
 def _shares(tracks: Tracks) -> PlotRow | None:
     """One solution's map of shares of limits; of several the largest share of each as a curve."""
-    found = joints.limbs(tracks)
-    rows = [axis for limb in found for axis in limb.axes]
+    rows, names = limits.axes_and_names(tracks)
     if not rows or len(tracks) > 1:
         return limits.largest_row(tracks) if rows else None
-    groups, names = [[axis] for axis in rows], [name for limb in found for name in limb.long]
+    groups = [[axis] for axis in rows]
     if len(rows) > MAP_ROWS:
+        found = joints.limbs(tracks)
         groups, names = [list(limb.axes) for limb in found], [limb.name for limb in found]
     return limits.map_row(tracks, 0, groups, names, max(0.5, limits.MAP_ROW * len(groups)))
 

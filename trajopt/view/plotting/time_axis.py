@@ -54,34 +54,31 @@ def phase_strip(row: PlotRow, tracks: Tracks) -> float:
     phases = tracks[0].phases
     if len(phases) < 2:
         return 0.0
-    if len(row.panels) > 1 or _fit(row, tracks):
+    width = (style.WIDTH - row.left - row.right) / sum(panel.wide for panel in row.panels)
+    if len(row.panels) > 1 or _names_fit(tracks, width):
         return 0.13
     return 0.06 + PHASE_LETTER * max(len(phase.name) for phase in phases)
 
 
-def _fit(row: PlotRow, tracks: Tracks) -> bool:
-    width = (style.WIDTH - row.left - row.right) / sum(panel.wide for panel in row.panels)
-    return _names_fit(tracks, width)
+def _rooms(tracks: Tracks, width: float) -> list[float]:
+    """The width of each phase on axes of a ``width``, inches."""
+    phases = tracks[0].phases
+    whole = max(track.phases[-1].end for track in tracks) - phases[0].start
+    return [(phase.end - phase.start) / whole * width for phase in phases]
 
 
 def _names_fit(tracks: Tracks, width: float) -> bool:
     """Whether each name of a phase fits beside its neighbours on axes of a width in inches."""
-    phases = tracks[0].phases
-    whole = max(track.phases[-1].end for track in tracks) - phases[0].start
-    room = [(phase.end - phase.start) / whole * width for phase in phases]
-    need = [PHASE_LETTER * len(phase.name) for phase in phases]
-    return all(one <= space for one, space in zip(need, room, strict=True))
+    need = [PHASE_LETTER * len(phase.name) for phase in tracks[0].phases]
+    return all(one <= space for one, space in zip(need, _rooms(tracks, width), strict=True))
 
 
 def _phase_names(axes: Axes, tracks: Tracks, strip: float) -> None:
     """Names above their phases: level, or upright where the strip has room for that."""
-    phases = tracks[0].phases
     width = axes.get_position().width * style.WIDTH
-    whole = max(track.phases[-1].end for track in tracks) - phases[0].start
     level = _names_fit(tracks, width)
     upright = not level and strip > 0.2
-    for number, phase in enumerate(phases):
-        room = (phase.end - phase.start) / whole * width
+    for number, (phase, room) in enumerate(zip(tracks[0].phases, _rooms(tracks, width), strict=True)):
         if not level and not upright:
             text = str(number + 1)
             if room < PHASE_LETTER * (len(text) + 0.5):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,7 @@ from trajopt.solution.grid import interval_schemes
 from trajopt.view.plotting import draw, style
 from trajopt.view.plotting.draw import Curve
 from trajopt.view.plotting.motion import MotionQuantities
-from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, page_of
+from trajopt.view.plotting.page import PlotPage, PlotRow, Tracks, page_of, panel_row
 from trajopt.view.plotting.track import MotionQuantity, Track
 
 if TYPE_CHECKING:
@@ -27,25 +28,18 @@ FLOOR = 1e-12
 DECADES = 3
 
 
-def base_residual(motion: MotionQuantities) -> np.ndarray:
-    """Largest base row of the dynamics (K,), over weight and reach."""
-    rows, base = motion.residual_rows.base, motion.solution.n_unactuated
-    return _largest(rows / motion.units.generalized_force(motion.solution.model)[:base])
-
-
-def actuated_residual(motion: MotionQuantities) -> np.ndarray:
-    """Largest actuated row of the dynamics (K,), over weight and reach."""
-    rows, base = motion.residual_rows.actuated, motion.solution.n_unactuated
-    return _largest(rows / motion.units.generalized_force(motion.solution.model)[base:])
+def dynamics_residual(motion: MotionQuantities, part: str) -> np.ndarray:
+    """Largest row (K,) of a part of the dynamics, "base" or "actuated", over weight and reach."""
+    rows, base = getattr(motion.residual_rows, part), motion.solution.n_unactuated
+    scale = motion.units.generalized_force(motion.solution.model)
+    return _largest(rows / (scale[:base] if part == "base" else scale[base:]))
 
 
 def contact_residual(motion: MotionQuantities) -> np.ndarray:
     """Largest acceleration of active contacts (K,) over g; of a velocity source velocities over sqrt(g l)."""
     units, turning = motion.units, np.array([1.0] * 3 + [1.0 / motion.units.length] * 3)
-    gravity = units.gravity
-    scale = (
-        math.sqrt(gravity * units.length) if motion.solution.meta.get("actuation") == "velocity" else gravity
-    )
+    is_velocity = motion.solution.meta.get("actuation") == "velocity"
+    scale = math.sqrt(units.gravity * units.length) if is_velocity else units.gravity
     rows = motion.residual_rows.contact / (scale * turning)
     return _largest(rows.reshape(len(rows), -1))
 
@@ -54,59 +48,35 @@ def _largest(rows: np.ndarray) -> np.ndarray:
     return np.abs(rows).max(axis=1, initial=0.0)
 
 
-RESIDUALS = {
-    "base": base_residual,
-    "actuated": actuated_residual,
-    "contacts": contact_residual,
-}
-
-
-def friction_violation(motion: MotionQuantities) -> np.ndarray:
-    """By how much tangential forces (K,) leave their cones, over the weight."""
-    return _beyond_zero((motion.tangential - motion.cone) / motion.units.weight)
-
-
-def pull(motion: MotionQuantities) -> np.ndarray:
-    """The largest pull (K,) of a surface that can only push, over the weight."""
-    return _beyond_zero(np.where(motion.surfaces.bilateral, np.nan, -motion.normal) / motion.units.weight)
-
-
-def penetration(motion: MotionQuantities) -> np.ndarray:
-    """The largest depth (K,) of a contact below its surface, over the reach."""
-    return _beyond_zero(-motion.surfaces.distance(motion.samples.position) / motion.units.length)
-
-
-def effort_excess(motion: MotionQuantities) -> np.ndarray:
-    """Torques beyond their limits (K,), over the limits."""
-    return _beyond_zero(_beyond(motion.solution.tau, motion.solution.meta["effort_limit"]))
-
-
-def velocity_excess(motion: MotionQuantities) -> np.ndarray:
-    """Velocities beyond their limits (K,), over the limits."""
-    return _beyond_zero(_beyond(motion.solution.v, motion.solution.meta["velocity_limit"]))
-
-
 def position_excess(motion: MotionQuantities) -> np.ndarray:
-    """Positions beyond their limits (K,), over the joints' ranges."""
+    """Positions (K, nq) beyond their limits, over the joints' ranges."""
     lower, upper = position_limits(motion.solution.model)
     with np.errstate(invalid="ignore"):
         span = np.where(np.isfinite(upper - lower) & (upper > lower), upper - lower, 1.0)
-    return _beyond_zero(np.maximum(motion.solution.q - upper, lower - motion.solution.q) / span)
+    return np.maximum(motion.solution.q - upper, lower - motion.solution.q) / span
 
 
-def _beyond_zero(values: np.ndarray) -> np.ndarray:
-    """The largest of values (K, n) above zero, zero without any."""
-    return np.nanmax(np.where(np.isfinite(values), values, 0.0), axis=1, initial=0.0)
-
-
-VIOLATIONS = {
-    "friction": friction_violation,
-    "pull": pull,
-    "penetration": penetration,
-    "torque": effort_excess,
-    "velocity": velocity_excess,
+RESIDUALS: dict[str, MotionQuantity] = {
+    "base": partial(dynamics_residual, part="base"),
+    "actuated": partial(dynamics_residual, part="actuated"),
+    "contacts": contact_residual,
+}
+# By how much constraints are broken (K, n), positive where they are: forces over the weight (tangential ones
+# beyond the cone, the pull of what can only push), depths over the reach, the rest over its limits.
+VIOLATIONS: dict[str, MotionQuantity] = {
+    "friction": lambda m: (m.tangential - m.cone) / m.units.weight,
+    "pull": lambda m: np.where(m.surfaces.bilateral, np.nan, -m.normal) / m.units.weight,
+    "penetration": lambda m: -m.surfaces.distance(m.samples.position) / m.units.length,
+    "torque": lambda m: _beyond(m.solution.tau, m.solution.meta["effort_limit"]),
+    "velocity": lambda m: _beyond(m.solution.v, m.solution.meta["velocity_limit"]),
     "position": position_excess,
 }
+
+
+def largest_violation(motion: MotionQuantities, of: MotionQuantity) -> np.ndarray:
+    """The largest of values (K, n) above zero, zero without any."""
+    values = of(motion)
+    return np.nanmax(np.where(np.isfinite(values), values, 0.0), axis=1, initial=0.0)
 
 
 def accuracy_pages(tracks: Tracks) -> list[PlotPage]:
@@ -117,7 +87,7 @@ def accuracy_pages(tracks: Tracks) -> list[PlotPage]:
         "vanish at the collocation points, dots, up to the solver's tolerance. Local error: each interval "
         "integrated from its planned start, largest error of a point of the robot at its end."
     )
-    return page_of("accuracy", "errors between points", rows, note)
+    return page_of("accuracy", "errors between points", rows, note=note)
 
 
 def plans(tracks: Tracks) -> list[tuple[int, Track]]:
@@ -127,30 +97,29 @@ def plans(tracks: Tracks) -> list[tuple[int, Track]]:
 
 def residual_row(tracks: Tracks) -> PlotRow | None:
     """Rows of the dynamics between the points on a logarithmic axis."""
-    return _log_row(tracks, RESIDUALS, "residual", "dynamics between the collocation points", "residual [1]")
+    return _log_row(tracks, RESIDUALS, "residual", "dynamics")
 
 
 def violation_row(tracks: Tracks) -> PlotRow | None:
     """Constraints broken between the points."""
-    return _log_row(
-        tracks, VIOLATIONS, "violation", "constraints broken between the collocation points", "violation [1]"
-    )
+    named = {label: partial(largest_violation, of=values) for label, values in VIOLATIONS.items()}
+    return _log_row(tracks, named, "violation", "constraints broken")
 
 
-def _log_row(
-    tracks: Tracks, named: Mapping[str, MotionQuantity], name: str, title: str, ylabel: str
-) -> PlotRow | None:
+def _log_row(tracks: Tracks, named: Mapping[str, MotionQuantity], name: str, what: str) -> PlotRow | None:
     shown = plans(tracks)
     if not shown:
         return None
     drawn = [
-        Curve(label=label, values=partial(_floored, values), number=i, dots=False, width=0.9)
-        for i, (label, values) in enumerate(named.items())
-        if any(values(track.dense).max(initial=0.0) > FLOOR for _, track in shown)
+        curve
+        for curve in draw.numbered(named.items(), dots=False, width=0.9)
+        if any(curve.values(track.dense).max(initial=0.0) > FLOOR for _, track in shown)
     ]
-    panel = PlotPanel(name=name, ylabel=ylabel, draw=partial(_log, drawn=drawn))
+    drawn = [replace(curve, values=partial(_floored, curve.values)) for curve in drawn]
+    title = f"{what} between the collocation points{'' if drawn else ': none'}"
     legend, height = tuple(curve.entry for curve in drawn), 1.0 if drawn else 0.4
-    return PlotRow(title=title if drawn else f"{title}: none", panels=(panel,), legend=legend, height=height)
+    scale = partial(_log, drawn=drawn)
+    return panel_row(title, name, f"{name} [1]", scale, legend=legend, height=height)
 
 
 def _floored(values: MotionQuantity, motion: MotionQuantities) -> np.ndarray:
@@ -169,13 +138,8 @@ def _ticks_at_points(axes: Axes, track: Track) -> None:
     """Mark the collocation points along the lower edge."""
     points = track.solution.t[track.solution.collocation]
     edge = np.full(len(points), 0.012)
-    look: dict[str, Any] = {
-        "color": style.BLACK,
-        "transform": axes.get_xaxis_transform(),
-        "clip_on": False,
-        "zorder": 3.5,
-    }
-    axes.plot(points, edge, **look, **style.DOTTED)
+    look: dict[str, Any] = {"color": style.BLACK, "clip_on": False, "zorder": 3.5, **style.DOTTED}
+    axes.plot(points, edge, transform=axes.get_xaxis_transform(), **look)
 
 
 def log_range(axes: Axes) -> None:
@@ -198,8 +162,8 @@ def log_range(axes: Axes) -> None:
 
 def local_row(tracks: Tracks) -> PlotRow | None:
     """Return the local error of every interval on a logarithmic axis."""
-    panel = PlotPanel(name="local error", ylabel="local error [m]", draw=_local)
-    return PlotRow(title="local error of every interval", panels=(panel,)) if plans(tracks) else None
+    title, name = "local error of every interval", "local error"
+    return panel_row(title, name, "local error [m]", _local) if plans(tracks) else None
 
 
 def _local(axes: Axes, tracks: Tracks) -> None:
@@ -219,10 +183,8 @@ def mesh_row(tracks: Tracks) -> PlotRow | None:
         return None
     points = [sorted({len(method.c) for method in interval_schemes(track.solution)}) for _, track in shown]
     listed = "; ".join(", ".join(map(str, counts)) for counts in points)
-    panel = PlotPanel(name="mesh", ylabel="width h [ms]", draw=_mesh)
-    return PlotRow(
-        title=f"mesh: width of every interval, {listed} points in each", panels=(panel,), height=0.7
-    )
+    title = f"mesh: width of every interval, {listed} points in each"
+    return panel_row(title, "mesh", "width h [ms]", _mesh, height=0.7)
 
 
 def _mesh(axes: Axes, tracks: Tracks) -> None:

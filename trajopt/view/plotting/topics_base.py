@@ -53,7 +53,7 @@ VECTORS: dict[str, tuple[str, str, Sequence[str], MotionQuantity, bool]] = {
 def vector_row(tracks: Tracks, name: str) -> PlotRow:
     """Return the row of one of `VECTORS`; of robots in a plane the components within it."""
     title, ylabel, words, values, zero = VECTORS[name]
-    curves = [Curve(label=word, values=draw.column(values, i), number=i) for i, word in enumerate(words)]
+    curves = draw.numbered((word, draw.column(values, i)) for i, word in enumerate(words))
     if base_of(tracks[0].solution.model) == "planar":
         moving = [curve for curve in curves if any(_moves(curve.values(track.dense)) for track in tracks)]
         curves = moving or curves[:1]
@@ -73,7 +73,7 @@ def base_pages(tracks: Tracks) -> list[PlotPage]:
     """Return position, orientation and velocities of a base that moves."""
     names = [name for name in VECTORS if name.startswith("base")] if has_base(tracks) else []
     rows = [vector_row(tracks, name) for name in names]
-    return page_of("base", "base", rows, "Angles continue past half a turn.")
+    return page_of("base", "base", rows, note="Angles continue past half a turn.")
 
 
 def momentum_pages(tracks: Tracks) -> list[PlotPage]:
@@ -81,7 +81,7 @@ def momentum_pages(tracks: Tracks) -> list[PlotPage]:
     names = ("centre of mass", "linear momentum", "angular momentum")
     rows = [*(vector_row(tracks, name) for name in names), power_row(tracks)]
     note = "Of the robot without what it carries." if tracks[0].meta.get("payloads") else ""
-    return page_of("momentum", "centre of mass, momentum and power", rows, note)
+    return page_of("momentum", "centre of mass, momentum and power", rows, note=note)
 
 
 def power_row(tracks: Tracks) -> PlotRow | None:
@@ -102,10 +102,7 @@ def power_row(tracks: Tracks) -> PlotRow | None:
     total = Curve(
         label="all", values=lambda motion: motion.power.sum(axis=1), marked=False, width=2.0, shade=style.GREY
     )
-    parts = [
-        Curve(label=name, values=partial(_power, axes), number=i)
-        for i, (name, axes) in enumerate(groups.items())
-    ]
+    parts = draw.numbered((name, partial(_power, axes)) for name, axes in groups.items())
     title = f"mechanical power of the {'drives' if tracks[0].dense.drives else 'joints'}"
     scale = partial(draw.fit_with_zero_line, color=style.GREY, linewidth=0.5)
     return draw.curve_row("power", title, "power P [W]", [total, *parts], scale)
@@ -121,14 +118,9 @@ def clearance_row(tracks: Tracks) -> PlotRow | None:
     names = list(dict.fromkeys(name for track in tracks for name in track.dense.clearances))
     if not names:
         return None
-    curves = [
-        Curve(label=name, values=partial(_clearance, name), number=i, dots=False)
-        for i, name in enumerate(names)
-    ]
-    title = "least distance of the links' capsules"
-    return draw.curve_row(
-        "clearance", title, "distance d [m]", curves, partial(draw.fit_with_zero_line, **draw.LIMIT)
-    )
+    curves = draw.numbered(((name, partial(_clearance, name)) for name in names), dots=False)
+    title, scale = "least distance of the links' capsules", partial(draw.fit_with_zero_line, **draw.LIMIT)
+    return draw.curve_row("clearance", title, "distance d [m]", curves, scale)
 
 
 def _clearance(name: str, motion: MotionQuantities) -> np.ndarray:
@@ -138,4 +130,4 @@ def _clearance(name: str, motion: MotionQuantities) -> np.ndarray:
 def clearance_pages(tracks: Tracks) -> list[PlotPage]:
     """Return distances from obstacles."""
     note = "Signed distance by Coal; below zero shapes overlap."
-    return page_of("clearance", "clearance", [clearance_row(tracks)], note)
+    return page_of("clearance", "clearance", [clearance_row(tracks)], note=note)

@@ -11,7 +11,17 @@ import numpy as np
 
 from trajopt.view.plotting import draw, style
 from trajopt.view.plotting.draw import Curve
-from trajopt.view.plotting.page import LEFT, LegendEntry, PlotPage, PlotPanel, PlotRow, Tracks, page_of
+from trajopt.view.plotting.page import (
+    LEFT,
+    LegendEntry,
+    PlotPage,
+    PlotPanel,
+    PlotRow,
+    Tracks,
+    batches,
+    page_of,
+    panel_row,
+)
 from trajopt.view.plotting.time_axis import impact_times
 from trajopt.view.plotting.track import MotionQuantity, Track
 
@@ -39,13 +49,9 @@ def stance_row(tracks: Tracks) -> PlotRow | None:
     if not found:
         return None
     left = max(LEFT, 0.25 + NAME_LETTER * max(len(frames[i]) for i in found))
-    return PlotRow(
-        title="contacts",
-        panels=(PlotPanel(name="contacts", ylabel="", draw=partial(_stances, found=found)),),
-        height=STANCE_ROW * len(found) * max(1.0, 0.7 * len(tracks)),
-        left=left,
-        rigid=True,
-    )
+    height = STANCE_ROW * len(found) * max(1.0, 0.7 * len(tracks))
+    stances = partial(_stances, found=found)
+    return panel_row("contacts", "contacts", "", stances, height=height, left=left, rigid=True)
 
 
 def _stances(axes: Axes, tracks: Tracks, found: Sequence[int]) -> None:
@@ -76,10 +82,8 @@ def stance_spans(track: Track, contact: int) -> list[tuple[float, float]]:
 
 def normal_row(tracks: Tracks) -> PlotRow:
     """Return normal forces of all contacts."""
-    curves = contact_curves(tracks, lambda motion: motion.normal)
-    return draw.curve_row(
-        "normal", "normal contact forces", "f\u2099 [N]", curves, partial(draw.fit, zero=True)
-    )
+    curves, scale = contact_curves(tracks, lambda motion: motion.normal), partial(draw.fit, zero=True)
+    return draw.curve_row("normal", "normal contact forces", "f\u2099 [N]", curves, scale)
 
 
 def cone_row(tracks: Tracks) -> PlotRow:
@@ -92,10 +96,7 @@ def cone_row(tracks: Tracks) -> PlotRow:
 def contact_curves(tracks: Tracks, values: MotionQuantity) -> list[Curve]:
     """Return a curve for each contact: ``values`` (K, nc) of a motion."""
     frames = tracks[0].solution.contact_frames
-    return [
-        Curve(label=frames[contact], values=draw.column(values, contact), number=number)
-        for number, contact in enumerate(contacts(tracks))
-    ]
+    return draw.numbered((frames[i], draw.column(values, i)) for i in contacts(tracks))
 
 
 def force_pages(tracks: Tracks) -> list[PlotPage]:
@@ -110,29 +111,25 @@ def force_pages(tracks: Tracks) -> list[PlotPage]:
         "Forces of carried bodies are left out."
     )
     if len(rows) <= ROWS_A_PAGE:
-        return page_of("forces", title, [stance_row(tracks), *rows, *last], note)
+        return page_of("forces", title, [stance_row(tracks), *rows, *last], note=note)
     first, more = rows[:ROWS_ALONE], rows[ROWS_ALONE:]
-    parts = ([stance_row(tracks), *first], more, last)
-    return [page for part in parts for page in page_of("forces", title, part, note)]
+    return page_of("forces", title, [stance_row(tracks), *first], more, last, note=note)
 
 
 def _force_rows(tracks: Tracks) -> list[PlotRow]:
-    legend = (
-        LegendEntry(label="normal f\u2099", style={"color": NORMAL}),
-        LegendEntry(
-            label="tangential f\u209c",
-            style={"color": TANGENTIAL, "linewidth": 0.9, "marker": "s", **draw.marker_look(TANGENTIAL)},
-        ),
-        LegendEntry(label="cone, f\u209c \u2264 \u03bc f\u2099", style={"color": CONE, "linewidth": 5}),
+    tangential = {"color": TANGENTIAL, "linewidth": 0.9, "marker": "s", **draw.marker_look(TANGENTIAL)}
+    legend: tuple[LegendEntry, ...] = (
+        ("normal f\u2099", {"color": NORMAL}),
+        ("tangential f\u209c", tangential),
+        ("cone, f\u209c \u2264 \u03bc f\u2099", {"color": CONE, "linewidth": 5}),
     )
     frames = tracks[0].solution.contact_frames
     panels = [
         PlotPanel(name=f"force:{frames[i]}", ylabel=f"{frames[i]} f [N]", draw=partial(_force, contact=i))
         for i in contacts(tracks)
     ]
-    parts = [tuple(panels[i : i + CONTACTS_A_ROW]) for i in range(0, len(panels), CONTACTS_A_ROW)]
-    first = PlotRow(title="contact forces", panels=parts[0], legend=legend, height=1.1)
-    return [first, *(PlotRow(title="", panels=part, height=1.1) for part in parts[1:])]
+    rows = [PlotRow(title="", panels=tuple(part), height=1.1) for part in batches(panels, CONTACTS_A_ROW)]
+    return [replace(rows[0], title="contact forces", legend=legend), *rows[1:]]
 
 
 def _force(axes: Axes, tracks: Tracks, contact: int) -> None:
@@ -147,10 +144,9 @@ def _force(axes: Axes, tracks: Tracks, contact: int) -> None:
 def plane_row(tracks: Tracks) -> PlotRow:
     """Return tangential over normal force: the friction cone seen from the side, by contact."""
     drawn = contact_curves(tracks, lambda motion: motion.normal)
-    ylabel = "tangential force f\u209c [N]"
-    panel = PlotPanel(name="plane", ylabel=ylabel, draw=partial(_plane, drawn=drawn), timed=False)
-    legend = tuple(curve.entry for curve in drawn)
-    return PlotRow(title="tangential over normal force", panels=(panel,), legend=legend, height=1.7)
+    title, ylabel = "tangential over normal force", "tangential force f\u209c [N]"
+    legend, plane = tuple(curve.entry for curve in drawn), partial(_plane, drawn=drawn)
+    return panel_row(title, "plane", ylabel, plane, timed=False, legend=legend, height=1.7)
 
 
 def _plane(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
@@ -199,13 +195,13 @@ def impulses_of(track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _impulse_row(tracks: Tracks) -> PlotRow | None:
     if not any(impact_times(track) for track in tracks):
         return None
-    legend = (
-        LegendEntry(label="normal", style={"color": NORMAL, "marker": "o", "linestyle": "none"}),
-        LegendEntry(label="tangential", style={"color": TANGENTIAL, "marker": "s", "linestyle": "none"}),
-        LegendEntry(label="\u03bc normal", style={"color": style.BLACK, "marker": "_", "linestyle": "none"}),
+    looks = {"normal": (NORMAL, "o"), "tangential": (TANGENTIAL, "s"), "\u03bc normal": (style.BLACK, "_")}
+    legend = tuple(
+        (label, {"color": colour, "marker": marker, "linestyle": "none"})
+        for label, (colour, marker) in looks.items()
     )
-    panel = PlotPanel(name="impulses", ylabel="impulse \u039b [N s]", draw=_impulses, timed=False)
-    return PlotRow(title="impulses of the impacts", panels=(panel,), legend=legend)
+    title, ylabel = "impulses of the impacts", "impulse \u039b [N s]"
+    return panel_row(title, "impulses", ylabel, _impulses, timed=False, legend=legend)
 
 
 def _impulses(axes: Axes, tracks: Tracks) -> None:
@@ -231,6 +227,6 @@ def _impulses(axes: Axes, tracks: Tracks) -> None:
 def _load_row(tracks: Tracks) -> PlotRow | None:
     if not tracks[0].meta.get("payloads"):
         return None
-    load = Curve(label="magnitude", values=lambda motion: motion.load, number=0)
+    load = Curve(label="magnitude", values=lambda motion: motion.load)
     title, scale = "force of carried bodies on the robot", partial(draw.fit, zero=True)
     return replace(draw.curve_row("load", title, "force |f| [N]", [load], scale, height=1.2), legend=())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -10,10 +10,9 @@ import numpy as np
 
 from trajopt.robot.actuators.drive import Drive
 from trajopt.view.plotting import draw, style
-from trajopt.view.plotting.draw import Curve
 from trajopt.view.plotting.joints import JointAxis
 from trajopt.view.plotting.motion import MotionQuantities
-from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, page_of
+from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, batches, page_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,13 +24,9 @@ ENVELOPE, BEYOND = 200, 1.1
 
 def driven_axes(tracks: Tracks) -> list[tuple[JointAxis, Drive]]:
     """Axes with a drive."""
-    drives = tracks[0].dense.drives
-    found = []
-    for axis in tracks[0].axes:
-        drive = drives[axis.torque] if axis.torque is not None and axis.torque < len(drives) else None
-        if drive is not None:
-            found.append((axis, drive))
-    return found
+    drives = dict(enumerate(tracks[0].dense.drives))
+    found = ((axis, None if axis.torque is None else drives.get(axis.torque)) for axis in tracks[0].axes)
+    return [(axis, drive) for axis, drive in found if drive is not None]
 
 
 def torque_share(axis: JointAxis, drive: Drive, motion: MotionQuantities) -> np.ndarray:
@@ -54,47 +49,32 @@ def drive_pages(tracks: Tracks) -> list[PlotPage]:
     if not found:
         return []
     rows: list[PlotRow] = []
-    for start in range(0, len(found), len(style.COLOURS)):
-        part = found[start : start + len(style.COLOURS)]
+    for number, part in enumerate(batches(found, len(style.COLOURS))):
         for share, title in (
             (torque_share, "motor torque (current) over its limit"),
             (voltage_share, "motor voltage over its limit"),
         ):
-            drawn = [
-                Curve(label=axis.name, values=partial(share, axis, drive), number=i)
-                for i, (axis, drive) in enumerate(part)
-            ]
+            drawn = draw.numbered((axis.name, partial(share, axis, drive)) for axis, drive in part)
             if any(np.isfinite(curve.values(tracks[0].dense)).any() for curve in drawn):
-                name = f"{share.__name__}:{start}"
+                name = f"{share.__name__}:{number}"
                 rows.append(draw.curve_row(name, title, "share [1]", drawn, draw.share_axis))
-    planes = _plane_rows(found)
+    panels = [
+        PlotPanel(
+            name=f"plane:{axis.name}",
+            ylabel=f"{axis.name}  {'f [N]' if axis.slides else 'τ [N m]'}",
+            draw=partial(_plane, axis=axis, drive=drive),
+            timed=False,
+            gap=0.7,
+        )
+        for axis, drive in found
+    ]
+    planes = [PlotRow(title="", panels=tuple(part), height=1.5) for part in batches(panels, PLANES_A_ROW)]
+    planes[0] = replace(planes[0], title="torque over speed, joint side")
     note = (
         "Torque that the drive delivers, with joint friction. Shaded: what voltage and current allow. Dots: "
         "collocation points. Dashed red: the joint's velocity limit."
     )
-    parts = [rows + planes[:2], *(planes[i : i + ROWS_A_PAGE] for i in range(2, len(planes), ROWS_A_PAGE))]
-    return [page for part in parts for page in page_of("drives", "drives", part, note)]
-
-
-def _plane_rows(found: Sequence[tuple[JointAxis, Drive]]) -> list[PlotRow]:
-    """Each drive in its torque-speed plane."""
-    return [
-        PlotRow(
-            title="torque over speed, joint side" if start == 0 else "",
-            panels=tuple(
-                PlotPanel(
-                    name=f"plane:{axis.name}",
-                    ylabel=f"{axis.name}  {'f [N]' if axis.slides else 'τ [N m]'}",
-                    draw=partial(_plane, axis=axis, drive=drive),
-                    timed=False,
-                    gap=0.7,
-                )
-                for axis, drive in found[start : start + PLANES_A_ROW]
-            ),
-            height=1.5,
-        )
-        for start in range(0, len(found), PLANES_A_ROW)
-    ]
+    return page_of("drives", "drives", rows + planes[:2], *batches(planes[2:], ROWS_A_PAGE), note=note)
 
 
 def _plane(axes: Axes, tracks: Tracks, axis: JointAxis, drive: Drive) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -10,9 +11,8 @@ import numpy as np
 from trajopt.view.plotting import draw, style
 from trajopt.view.plotting.draw import Curve
 from trajopt.view.plotting.joints import JointAxis, Limb, limbs_of, position
-from trajopt.view.plotting.limit_lines import Limit, limit_lines
 from trajopt.view.plotting.motion import MotionQuantities
-from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks
+from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, batches, page_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 LIMBS_A_PAGE, WIDE_LIMBS = 6, 2
 # Smallest span of a vertical axis in SI units: less is rounding.
 LEAST_SPAN = 1e-6
+# A limit is shown where values come as near as this part of it, else it would only flatten the curves.
+NEAR = 0.75
 SYMBOLS = {"position": "q", "velocity": "v", "torque": "\u03c4"}
 KINDS = ("position", "velocity", "torque")
 
@@ -36,16 +38,11 @@ def share(kind: str, axis: JointAxis, motion: MotionQuantities) -> np.ndarray:
     Of a position its distance from the middle of its range over half of it; of velocities and torques the
     magnitude over the limit.
     """
-    empty = np.full(len(motion.t), np.nan)
-    if kind == "position":
-        half = (axis.upper - axis.lower) / 2
-        if not (np.isfinite(half) and half > 0):
-            return empty
-        return np.abs(position(axis, motion) - (axis.upper + axis.lower) / 2) / half
-    limit = axis.speed if kind == "velocity" else axis.effort
-    if not (np.isfinite(limit) and limit > 0) or (kind == "torque" and axis.torque is None):
-        return empty
-    return np.abs(value(kind, axis, motion)) / limit
+    lower, upper = limit_of(kind, axis)
+    half = (upper - lower) / 2
+    if not (np.isfinite(half) and half > 0):
+        return np.full(len(motion.t), np.nan)
+    return np.abs(value(kind, axis, motion) - (upper + lower) / 2) / half
 
 
 def value(kind: str, axis: JointAxis, motion: MotionQuantities) -> np.ndarray:
@@ -76,8 +73,7 @@ def joint_pages(tracks: Tracks) -> list[PlotPage]:
         "Curves are the solution's own interpolation, dots its collocation points. Dashed: limits that "
         "values come near, in the joint's colour; black, hatched beyond, where a panel's joints share them."
     )
-    parts = [rows[start : start + LIMBS_A_PAGE] for start in range(0, len(rows), LIMBS_A_PAGE)]
-    return [PlotPage(name="joints", title="joints", rows=tuple(part), note=note) for part in parts]
+    return page_of("joints", "joints", *batches(rows, LIMBS_A_PAGE), note=note)
 
 
 def limb_rows(limb: Limb, *, wide: bool, alone: bool = False) -> list[PlotRow]:
@@ -85,7 +81,7 @@ def limb_rows(limb: Limb, *, wide: bool, alone: bool = False) -> list[PlotRow]:
 
     A limb that is ``alone`` needs no name beside what its joints' names begin with.
     """
-    legend = tuple(Curve(label=short, values=_nothing, number=i).entry for i, short in enumerate(limb.short))
+    legend = tuple(curve.entry for curve in draw.numbered((name, _nothing) for name in limb.short))
     panels = [
         PlotPanel(
             name=f"{kind}:{limb.name}",
@@ -127,10 +123,36 @@ def _limb(axes: Axes, tracks: Tracks, limb: Limb, kind: str) -> None:
     shown = [(i, axis) for i, axis in enumerate(limb.axes) if kind != "torque" or axis.torque is not None]
     drawn = [Curve(label=limb.short[i], values=partial(value, kind, axis), number=i) for i, axis in shown]
     draw.curves(axes, tracks, drawn)
-    limit_lines(axes, [_limit(kind, axis, i, tracks) for i, axis in shown], least=LEAST_SPAN)
+    _draw_limits(axes, tracks, kind, shown)
 
 
-def _limit(kind: str, axis: JointAxis, number: int, tracks: Tracks) -> Limit:
-    lower, upper = limit_of(kind, axis)
-    values = np.concatenate([value(kind, axis, track.dense) for track in tracks])
-    return Limit(lower=lower, upper=upper, values=values, colour=style.COLOURS[number])
+def _draw_limits(axes: Axes, tracks: Tracks, kind: str, shown: Sequence[tuple[int, JointAxis]]) -> None:
+    """Fit the vertical axis, with the limits that values come near; those all curves share are hatched."""
+    low, high = draw.fit(axes, least=LEAST_SPAN)
+    limits = [limit_of(kind, axis) for _, axis in shown]
+    values = [np.concatenate([value(kind, axis, track.dense) for track in tracks]) for _, axis in shown]
+    near = [_near(*limit, reached) for limit, reached in zip(limits, values, strict=True)]
+    every = [line for lines in near for line in lines]
+    draw.set_range(axes, min([low, *every]), max([high, *every]), LEAST_SPAN)
+    if len(limits) < 2 or len(set(limits)) > 1:
+        for (number, _), lines in zip(shown, near, strict=True):
+            for line in lines:
+                axes.axhline(line, **{**draw.LIMIT, "color": style.COLOURS[number]}, zorder=2)
+        return
+    bottom, top = axes.get_ylim()
+    for line in set(every):
+        axes.axhline(line, **draw.LIMIT, zorder=2)
+        side = bottom if line == limits[0][0] else top
+        axes.axhspan(*sorted((line, side)), facecolor="none", edgecolor=style.GREY, hatch="////", lw=0)
+
+
+def _near(lower: float, upper: float, values: np.ndarray) -> list[float]:
+    """The limits that values come near: `NEAR` of the way from the middle of what is allowed, or zero."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return []
+    middle = (lower + upper) / 2 if np.isfinite(lower) and np.isfinite(upper) else 0.0
+    reached = {lower: middle - finite.min(), upper: finite.max() - middle}
+    return [
+        limit for limit, way in reached.items() if np.isfinite(limit) and way >= NEAR * abs(limit - middle)
+    ]

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajopt.view.plotting import draw, style
-from trajopt.view.plotting.draw import Curve
 from trajopt.view.plotting.joints import JointAxis
 from trajopt.view.plotting.motion import MotionQuantities
-from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, page_of
-from trajopt.view.plotting.share_map import share_map
+from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, batches, page_of, panel_row
 from trajopt.view.plotting.topics_joints import KINDS, limbs, share
+from trajopt.view.plotting.track import Track
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,35 +22,37 @@ if TYPE_CHECKING:
 MAP_ROW, LEAST_MAP = 0.105, 0.75
 # Inches of a letter in the names of a map's rows; rows of maps on a page, and beside curves.
 NAME_LETTER, MAP_ROWS_A_PAGE, MAP_ROWS_WITH_CURVES = 0.058, 56, 26
+# A share of the limit from which its number is bold, and how far beyond 1 counts as on the limit.
+CLOSE, BEYOND = 0.98, 1e-4
+COLUMNS = 400
 # Joints whose shares are drawn as curves: those that come nearest to their limits.
 MOST_USED = 5
 
 
 def limit_pages(tracks: Tracks) -> list[PlotPage]:
     """Maps of the shares of all limits over time, for each solution."""
-    found = limbs(tracks)
-    rows = [axis for limb in found for axis in limb.axes]
-    names = [name for limb in found for name in limb.long]
+    rows, names = axes_and_names(tracks)
     if not rows:
         return []
-    height = max(LEAST_MAP, MAP_ROW * len(rows))
-    parts: list[list[PlotRow | None]]
-    maps = [
-        map_row(tracks, number, [[axis] for axis in rows], names, height) for number in range(len(tracks))
-    ]
+    height, groups = max(LEAST_MAP, MAP_ROW * len(rows)), [[axis] for axis in rows]
+    maps = [map_row(tracks, number, groups, names, height) for number in range(len(tracks))]
     note = (
         "Share of the limit that each joint uses, and on the right its largest in per cent, bold from 98 %. "
         "Of a position: its distance from the middle of its range over half of it. White: no limit. "
         "Each column of the picture shows the largest value within its time."
     )
     used = [used_row(tracks, kind, rows, names) for kind in KINDS]
-    scale = scale_row(maps[0].left)
-    step = max(1, MAP_ROWS_A_PAGE // len(rows))
-    parts = [[*maps[start : start + step], scale] for start in range(0, len(maps), step)]
-    parts.append(used)
+    scale, title = scale_row(maps[0].left), "shares of the limits"
     if len(maps) == 1 and len(rows) <= MAP_ROWS_WITH_CURVES:
-        parts = [[maps[0], scale, *used]]
-    return [page for part in parts for page in page_of("limits", "shares of the limits", part, note)]
+        return page_of("limits", title, [maps[0], scale, *used], note=note)
+    parts = [[*part, scale] for part in batches(maps, max(1, MAP_ROWS_A_PAGE // len(rows)))]
+    return page_of("limits", title, *parts, used, note=note)
+
+
+def axes_and_names(tracks: Tracks) -> tuple[list[JointAxis], list[str]]:
+    """Return the axes of all limbs, and names that tell them apart."""
+    found = limbs(tracks)
+    return [axis for limb in found for axis in limb.axes], [name for limb in found for name in limb.long]
 
 
 def used_row(tracks: Tracks, kind: str, axes: Sequence[JointAxis], names: Sequence[str]) -> PlotRow | None:
@@ -64,10 +65,7 @@ def used_row(tracks: Tracks, kind: str, axes: Sequence[JointAxis], names: Sequen
     chosen = sorted(peaks, key=lambda entry: -entry[0])[:MOST_USED]
     if not chosen:
         return None
-    drawn = [
-        Curve(label=name, values=partial(share, kind, axis), number=i)
-        for i, (_, name, axis) in enumerate(chosen)
-    ]
+    drawn = draw.numbered((name, partial(share, kind, axis)) for _, name, axis in chosen)
     return draw.curve_row(f"used:{kind}", f"{kind}: most used", "share [1]", drawn, draw.share_axis)
 
 
@@ -103,11 +101,10 @@ def largest_share(kind: str, group: Sequence[JointAxis], motion: MotionQuantitie
 
 def largest_row(tracks: Tracks) -> PlotRow | None:
     """The largest share over all joints of positions, velocities and torques; None where none is limited."""
-    rows = [axis for limb in limbs(tracks) for axis in limb.axes]
+    rows, _ = axes_and_names(tracks)
+    curves = draw.numbered(((kind, partial(largest_share, kind, rows)) for kind in KINDS), dots=False)
     drawn = [
-        Curve(label=kind, values=partial(largest_share, kind, rows), number=i, dots=False)
-        for i, kind in enumerate(KINDS)
-        if rows and any(np.isfinite(largest_share(kind, rows, track.dense)).any() for track in tracks)
+        curve for curve in curves if any(np.isfinite(curve.values(track.dense)).any() for track in tracks)
     ]
     if not drawn:
         return None
@@ -117,8 +114,7 @@ def largest_row(tracks: Tracks) -> PlotRow | None:
 
 def scale_row(left: float) -> PlotRow:
     """The scale of colours of the maps."""
-    panel = PlotPanel(name="scale", ylabel="", draw=_scale, timed=False)
-    return PlotRow(title="", panels=(panel,), height=0.07, left=left, right=0.45, rigid=True)
+    return panel_row("", "scale", "", _scale, timed=False, height=0.07, left=left, right=0.45, rigid=True)
 
 
 def _scale(axes: Axes, tracks: Tracks) -> None:
@@ -131,3 +127,50 @@ def _scale(axes: Axes, tracks: Tracks) -> None:
         xlim=(0, 104), xticks=[0, 20, 40, 60, 80, 100], yticks=[], xlabel="share of the limit [%]; beyond it"
     )
     axes.grid(False)
+
+
+def share_map(axes: Axes, track: Track, names: Sequence[str], shares: np.ndarray, *, named: bool) -> None:
+    """A row for each name and its share (K, n) of a limit over time as a colour, its largest in per cent.
+
+    A column of the picture shows the largest share within its time, so that no peak is lost. What is beyond
+    the limit has a colour of its own; NaN, where there is no limit, is left white.
+    """
+    import matplotlib as mpl
+
+    start, end = track.phases[0].start, track.phases[-1].end
+    grid = column_maxima(track.dense.t, shares, start, end)
+    colours = mpl.colormaps[style.SHARES].with_extremes(over=style.BEYOND, bad="white")
+    rows = len(names)
+    axes.imshow(
+        grid.T,
+        extent=(start, end, rows - 0.5, -0.5),
+        aspect="auto",
+        interpolation="nearest",
+        cmap=colours,
+        vmin=0.0,
+        vmax=1.0 + BEYOND,
+    )
+    axes.grid(False)
+    for phase in track.phases[1:]:
+        axes.axvline(phase.start, color=style.GREY, linewidth=0.4)
+    axes.set_ylim(rows - 0.5, -0.5)
+    axes.set_yticks(range(rows), list(names) if named else [""] * rows)
+    axes.tick_params(axis="y", length=0, labelsize=6.5)
+    for row in range(rows):
+        finite = shares[:, row][np.isfinite(shares[:, row])]
+        if finite.size:
+            text = f"{100 * finite.max():.0f}"
+            weight = "bold" if finite.max() >= CLOSE else "normal"
+            axes.text(
+                1.015, row, text, transform=axes.get_yaxis_transform(), fontsize=6, va="center", weight=weight
+            )
+
+
+def column_maxima(t: np.ndarray, shares: np.ndarray, start: float, end: float) -> np.ndarray:
+    """The largest of ``shares`` (K, n) in each of `COLUMNS` equal times; between samples those around."""
+    edges = np.linspace(start, end, COLUMNS + 1)
+    centres = (edges[1:] + edges[:-1]) / 2
+    found = shares[np.clip(np.searchsorted(t, centres), 0, len(t) - 1)]
+    column = np.clip(((t - start) / (end - start) * COLUMNS).astype(int), 0, COLUMNS - 1)
+    np.fmax.at(found, column, shares)
+    return found

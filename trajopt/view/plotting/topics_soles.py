@@ -20,6 +20,7 @@ from trajopt.view.plotting.page import (
     PlotPanel,
     PlotRow,
     Tracks,
+    batches,
     page_of,
 )
 from trajopt.view.plotting.topics_contacts import CONTACTS_A_ROW, contact_curves, contacts
@@ -39,9 +40,9 @@ def sole_pages(tracks: Tracks) -> list[PlotPage]:
     ]
     if not any(np.isfinite(track.dense.pressure_centre[:, soles]).any() for track in tracks):
         return []
-    frames, rows = tracks[0].solution.contact_frames, []
-    for start in range(0, len(soles), CONTACTS_A_ROW):
-        part = soles[start : start + CONTACTS_A_ROW]
+    frames = tracks[0].solution.contact_frames
+    rows = []
+    for part in batches(soles, CONTACTS_A_ROW):
         panels = tuple(
             PlotPanel(
                 name=f"sole:{frames[i]}",
@@ -61,7 +62,7 @@ def sole_pages(tracks: Tracks) -> list[PlotPage]:
         ylabel = "offset / half size [1]"
         rows.append(draw.curve_row(f"pressure:{axis}", title, ylabel, drawn, _fit_sole))
     note = "Centre of pressure in the sole's own axes; the frame is its edge. Dots darken with time."
-    return page_of("soles", "centres of pressure", rows, note)
+    return page_of("soles", "centres of pressure", rows, note=note)
 
 
 def _height(size: Sequence[float]) -> float:

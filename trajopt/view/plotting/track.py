@@ -82,12 +82,12 @@ class Track:
     @cached_property
     def report(self) -> CheckReport | None:
         """The check of the solution, None where it is inconsistent or not finite."""
-        return self._tried(lambda: check(self.solution))
+        return tried(lambda: check(self.solution))
 
     @cached_property
     def accuracy(self) -> Accuracy | None:
         """The accuracy of a plan, None of what a simulation did and where it cannot be measured."""
-        return None if self.is_simulated else self._tried(lambda: measure(self.solution))
+        return None if self.is_simulated else tried(lambda: measure(self.solution))
 
     @cached_property
     def local_errors(self) -> np.ndarray:
@@ -95,17 +95,8 @@ class Track:
         measured = self.__dict__.get("accuracy")  # where it is known already: it takes a second
         if measured is not None:
             return np.asarray(measured.interval_errors)
-        found = self._tried(lambda: interval_drifts(self.points.solution))
+        found = tried(lambda: interval_drifts(self.points.solution))
         return np.full(self.solution.n_intervals, np.nan) if found is None else found
-
-    @staticmethod
-    def _tried(compute: Callable[[], _Result]) -> _Result | None:
-        """The result, or None where an iterate that is no motion has none."""
-        try:
-            with np.errstate(all="ignore"):
-                return compute()
-        except (TrajoptError, ArithmeticError, ValueError):
-            return None
 
     def curve(self, values: MotionQuantity) -> tuple[np.ndarray, np.ndarray]:
         """Times and values of the interpolated motion, with NaN between where it jumps.
@@ -135,6 +126,15 @@ class Track:
         """Times and values at the collocation points."""
         rows = self.points.solution.collocation
         return self.points.t[rows], np.asarray(values(self.points), dtype=float)[rows]
+
+
+def tried(compute: Callable[[], _Result]) -> _Result | None:
+    """The result, or None where an iterate that is no motion has none."""
+    try:
+        with np.errstate(all="ignore"):
+            return compute()
+    except (TrajoptError, ArithmeticError, ValueError, KeyError):
+        return None
 
 
 def between_points(plan: Solution) -> Solution:
@@ -177,22 +177,21 @@ def tracks_of(solutions: Sequence[Solution], labels: Sequence[str] | None = None
         raise InputError(
             f"{len(labels)} labels for {len(solutions)} solutions", "allowed: one label for each, or none"
         )
-    first = solutions[0]
     for other in solutions[1:]:
-        same = list(other.model.names) == list(first.model.names) and other.q.shape[1] == first.q.shape[1]
-        if (
-            not same
-            or other.contact_frames != first.contact_frames
-            or other.tau.shape[1] != first.tau.shape[1]
-        ):
+        if _robot_of(other) != _robot_of(solutions[0]):
             raise InputError(
-                f"'{first.meta['robot']}' and '{other.meta['robot']}' have other joints or contacts",
+                f"'{solutions[0].meta['robot']}' and '{other.meta['robot']}' have other joints or contacts",
                 "allowed: solutions of one robot",
             )
     names = [str(label) for label in labels] if labels else _labels(solutions)
     return tuple(
         Track(label=label, solution=solution) for label, solution in zip(names, solutions, strict=True)
     )
+
+
+def _robot_of(solution: Solution) -> tuple[object, ...]:
+    """What solutions of one robot have in common."""
+    return list(solution.model.names), solution.contact_frames, solution.q.shape[1], solution.tau.shape[1]
 
 
 def _labels(solutions: Sequence[Solution]) -> list[str]:

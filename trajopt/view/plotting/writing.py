@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +12,10 @@ import numpy as np
 
 from trajopt.errors import InputError
 from trajopt.solution.input import solutions_of
-from trajopt.solution.output import check_output
+from trajopt.solution.output import check_output, replacing
 from trajopt.solution.solution import Solution
 from trajopt.versions import installed_version
-from trajopt.view.plotting.figure import figure_of
-from trajopt.view.plotting.heading import title_of
+from trajopt.view.plotting.figure import figure_of, title_of
 from trajopt.view.plotting.page import PlotPage, Tracks
 from trajopt.view.plotting.sheet import png_sheet, svg_of, svg_sheet
 from trajopt.view.plotting.summary import PAGES, pages_of
@@ -27,8 +24,7 @@ from trajopt.view.plotting.track import tracks_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-ENDINGS = (".png", ".svg", ".pdf", ".html")
-# A picture is the summary, a document has all pages.
+# By ending: a picture is the summary, a document has all pages.
 DEFAULT_PAGES = {".png": ("summary",), ".svg": ("summary",), ".pdf": tuple(PAGES), ".html": tuple(PAGES)}
 
 
@@ -62,13 +58,13 @@ def write_plots(
             several robots.
         SolutionFileError: For a file that cannot be read.
     """
-    place = Path(target).expanduser()
+    place = Path(target)
     ending = place.suffix.lower()
-    if ending not in ENDINGS:
+    if ending not in DEFAULT_PAGES:
         raise InputError(
-            f"cannot plot to {place}: its ending is '{ending}'", f"allowed: {', '.join(ENDINGS)}"
+            f"cannot plot to {place}: its ending is '{ending}'", f"allowed: {', '.join(DEFAULT_PAGES)}"
         )
-    check_output(place)  # before anything is computed
+    place = check_output(place)
     read = solutions_of(solutions)
     for one in read:
         if one.n_samples < 2:
@@ -77,7 +73,8 @@ def write_plots(
         tracks = tracks_of(read, labels)
         chosen = pages_of(tracks, pages or DEFAULT_PAGES[ending])
         content = _content(chosen, tracks, ending)
-    _write(place, content)
+    with replacing(place) as unfinished:
+        unfinished.write_bytes(content)
     return Plotted(path=place, size=len(content), pages=tuple(page.name for page in chosen))
 
 
@@ -113,18 +110,3 @@ def _pdf(figures: Sequence[Figure], title: str) -> bytes:
         for figure in figures:
             document.savefig(figure)
     return buffer.getvalue()
-
-
-def _write(place: Path, content: bytes) -> None:
-    """Write at once or not at all."""
-    handle, name = tempfile.mkstemp(dir=place.parent, prefix=f".{place.name}.", suffix=".part")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(name, 0o666 & ~umask)
-        os.replace(name, place)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise

@@ -29,6 +29,7 @@ from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces
 from trajopt.terrain.surface import SAME_PLANE, UP, Surface
 from trajopt.view.replay.motion import LEAST_PRESSURE, ReplayMotion
+from trajopt.view.replay.surfaces import plane_of
 
 # A surface whose normal is nearer to level than to vertical is a wall: it steadies and does not carry.
 LEVEL = np.sqrt(0.5)
@@ -168,7 +169,7 @@ def on_ground(solution: Solution, places: np.ndarray) -> np.ndarray:
     """Where vertical lines through ``places`` (n, 3) meet the terrain (n, 3), m; NaN over holes, at walls."""
     terrain = terrain_of(solution.meta.get("terrain"))
     if terrain is None or isinstance(terrain, Surface):
-        plane, up = terrain or Surface(point=np.zeros(3), normal=np.array(UP)), upward(solution.model)
+        plane, up = plane_of(solution), upward(solution.model)
         slope = float(plane.normal @ up)
         if slope <= SAME_PLANE:
             return np.full_like(places, np.nan)

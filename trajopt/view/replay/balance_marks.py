@@ -9,25 +9,30 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
-from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import frame_of_normal
 from trajopt.view.replay.balance import Balance, SupportArea, upward
-from trajopt.view.replay.coloured_mesh import WHITE, ColouredMesh, fan
 from trajopt.view.replay.commands import Animation
 from trajopt.view.replay.parts import (
     DARK,
+    UPRIGHT,
+    WHITE,
+    ColouredMesh,
     ColouredMeshGeometry,
     bullseye,
     colour_array,
     draw_line,
     draw_showing_through,
     draw_unshadowed,
+    fan,
+    placed,
     two_tone_ball,
     two_tone_disc,
 )
+from trajopt.view.replay.runs import DrawnSolution
 from trajopt.view.replay.thinning import hold_while_hidden
 
-ZMP_COLOUR, SUPPORT_COLOUR, COM_TRAIL_COLOUR = 0xB5179E, 0x2A9D6F, 0x30343B
+ZMP_COLOUR, SUPPORT_COLOUR = 0xB5179E, 0x2A9D6F
+COM_TRAIL_COLOUR, PLUMB_COLOUR = 0x30343B, 0x50565F
 SUPPORT_OPACITY = 0.28
 # The robot hides these marks most of the time: they shine through it.
 THROUGH = 0.75
@@ -38,43 +43,27 @@ BALL, MARK, ZMP_MARK, PLUMB, SEGMENT = 0.032, 0.028, 0.024, 0.0025, 0.006
 SUPPORT_LIFT, MARK_LIFT, ZMP_LIFT = 0.003, 0.0045, 0.006
 
 
-def draw_balance(
-    node: Any,
-    tracks: Animation,
-    solution: Solution,
-    balance: Balance,
-    drop: float,
-    size: float,
-    tint: int | None = None,
-) -> None:
-    """Animate the marks; ``drop`` m is how far below the contacts the drawn ground lies, ``size`` the extent.
-
-    ``tint`` colours everything of a robot laid over another.
-    """
-    up = upward(solution.model)
-    _draw_com(node["com"], tracks, balance, up, drop, size, tint)
-    if not balance.supports or not BASE_JOINT[base_of(solution.model)]:  # a base that is bolted down
+def draw_balance(run: DrawnSolution, tracks: Animation, balance: Balance, drop: float, size: float) -> None:
+    """Animate the marks; ``drop`` m is how far below the contacts the drawn ground lies."""
+    node, model = run.node, run.solution.model
+    dark = colour_array(run.colour) if run.tinted else DARK
+    _draw_com(run, tracks, balance, drop, size, dark)
+    if not balance.supports or not BASE_JOINT[base_of(model)]:  # a base that is bolted down
         return
-    _draw_zmp(node["zmp"], tracks, balance, drop, size, ZMP_COLOUR if tint is None else tint)
+    _draw_zmp(node["zmp"], tracks, balance, drop, size, run.ink(ZMP_COLOUR))
     for number, support in enumerate(balance.supports):
         place = node["support"][f"stance{number}"]
-        _draw_support(place, support, drop, size, SUPPORT_COLOUR if tint is None else tint)
-        tracks.add(place, "visible", "boolean", support.rows)
+        _draw_support(place, support, drop, size, run.ink(SUPPORT_COLOUR))
+        tracks.add(place, "visible", support.rows)
 
 
 def _draw_com(
-    node: Any,
-    tracks: Animation,
-    balance: Balance,
-    up: np.ndarray,
-    drop: float,
-    size: float,
-    tint: int | None,
+    run: DrawnSolution, tracks: Animation, balance: Balance, drop: float, size: float, dark: np.ndarray
 ) -> None:
-    dark = DARK if tint is None else colour_array(tint)
+    node, up = run.node["com"], upward(run.solution.model)
     draw_showing_through(node["ball"], two_tone_ball(BALL * size, dark), through=THROUGH, vertexColors=True)
-    tracks.add(node["ball"], "position", "vector3", balance.com)
-    draw_line(node["trail"], balance.com, COM_TRAIL_COLOUR if tint is None else tint)
+    tracks.add(node["ball"], "position", balance.com)
+    draw_line(node["trail"], balance.com, run.ink(COM_TRAIL_COLOUR))
     shown = np.isfinite(balance.below).all(axis=1)
     if not shown.any():
         return
@@ -83,18 +72,17 @@ def _draw_com(
     turn = frame_of_normal(up)
     mark, plumb = node["projection"], node["plumb"]
     draw_showing_through(mark["disc"], two_tone_disc(MARK * size, dark), lit=False, vertexColors=True)
-    mark["disc"].set_transform(pin.SE3(turn, MARK_LIFT * size * up).homogeneous)
-    tracks.add(mark, "position", "vector3", ground)
-    tracks.add(mark, "visible", "boolean", shown)
-    colour = 0x50565F if tint is None else tint
+    mark["disc"].set_transform(placed(MARK_LIFT * size * up, turn))
+    tracks.add(mark, "position", ground)
+    tracks.add(mark, "visible", shown)
     upright, rod = plumb["upright"], plumb["upright"]["length"]
-    upright.set_transform(pin.SE3(turn, np.zeros(3)).homogeneous)
-    draw_unshadowed(rod["rod"], shapes.Cylinder(1.0, PLUMB * size), shapes.MeshBasicMaterial(color=colour))
-    lying = pin.utils.rotate("x", np.pi / 2)  # Meshcat's cylinders lie along y
-    rod["rod"].set_transform(pin.SE3(lying, np.array([0.0, 0.0, 0.5])).homogeneous)
-    tracks.add(plumb, "position", "vector3", ground)
-    tracks.add(plumb, "visible", "boolean", shown)
-    tracks.add(rod, "scale", "vector3", np.column_stack([np.ones((len(height), 2)), height]))
+    upright.set_transform(placed(np.zeros(3), turn))
+    line = shapes.MeshBasicMaterial(color=run.ink(PLUMB_COLOUR))
+    draw_unshadowed(rod["rod"], shapes.Cylinder(1.0, PLUMB * size), line)
+    rod["rod"].set_transform(placed([0.0, 0.0, 0.5], UPRIGHT))
+    tracks.add(plumb, "position", ground)
+    tracks.add(plumb, "visible", shown)
+    tracks.add(rod, "scale", np.column_stack([np.ones((len(height), 2)), height]))
 
 
 def _draw_zmp(node: Any, tracks: Animation, balance: Balance, drop: float, size: float, colour: int) -> None:
@@ -106,12 +94,13 @@ def _draw_zmp(node: Any, tracks: Animation, balance: Balance, drop: float, size:
         normal = support.plane.normal
         place[support.rows] = balance.zmp[support.rows] + (ZMP_LIFT * size - drop) * normal
         turn[support.rows] = pin.Quaternion(support.plane.frame).coeffs()
+    mark = node["mark"]
     draw_showing_through(
-        node["mark"], bullseye(ZMP_MARK * size, colour), lit=False, through=THROUGH, vertexColors=True
+        mark, bullseye(ZMP_MARK * size, colour), lit=False, through=THROUGH, vertexColors=True
     )
-    tracks.add(node["mark"], "position", "vector3", hold_while_hidden(place, shown))
-    tracks.add(node["mark"], "quaternion", "quaternion", hold_while_hidden(turn, shown))
-    tracks.add(node["mark"], "visible", "boolean", shown)
+    tracks.add(mark, "position", place, shown)
+    tracks.add(mark, "quaternion", turn, shown)
+    tracks.add(mark, "visible", shown)
 
 
 def _draw_support(node: Any, support: SupportArea, drop: float, size: float, colour: int) -> None:

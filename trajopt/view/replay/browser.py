@@ -9,7 +9,7 @@ import io
 import os
 import shutil
 import threading
-from collections.abc import Awaitable, Iterator
+from collections.abc import Awaitable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -107,14 +107,12 @@ class OpenedPage:
 
     def camera(self, name: str) -> None:
         """Choose one of ``cameras``; raises `InputError` for another name."""
-        if name not in self.cameras:
-            raise InputError(f"camera '{name}' is unknown", "allowed: " + ", ".join(self.cameras))
+        _require_known("camera", name, self.cameras)
         self.evaluate("name => { trajopt.camera(name); trajopt.render(); }", name)
 
     def layer(self, name: str, visible: bool) -> None:
         """Show or hide one of ``layers``; raises `InputError` for another name."""
-        if name not in self.layers:
-            raise InputError(f"layer '{name}' is unknown", "allowed: " + ", ".join(self.layers))
+        _require_known("layer", name, self.layers)
         self.evaluate("([name, on]) => { trajopt.layer(name, on); trajopt.render(); }", [name, visible])
 
     def state(self) -> dict[str, Any]:
@@ -132,6 +130,11 @@ class OpenedPage:
         from PIL import Image
 
         return np.array(Image.open(io.BytesIO(self.png())).convert("RGB"))
+
+
+def _require_known(kind: str, name: str, known: Sequence[str]) -> None:
+    if name not in known:
+        raise InputError(f"{kind} '{name}' is unknown", f"allowed: {', '.join(known)}")
 
 
 class _Heard:
@@ -173,8 +176,8 @@ class Chromium:
         """Open a replay's ``page`` in a window of ``size`` (width, height) pixels.
 
         fragment: what stands behind # in its address, as in ``"t=0.3&camera=side&panel=off"``: paused at that
-        time; without ``t`` it plays. Raises `InputError`
-        for a file that does not exist and `TrajoptError` for a page that is not ready within ``limit`` s.
+        time; without ``t`` it plays. Raises `InputError` for a file that does not exist and `TrajoptError`
+        for a page that is not ready within ``limit`` s.
         """
         path = Path(page).absolute()
         if not path.is_file():
@@ -219,14 +222,9 @@ def chromium() -> Iterator[Chromium]:
 
 
 @contextlib.contextmanager
-def open_page(
-    page: str | Path,
-    size: tuple[int, int] = (1280, 720),
-    fragment: str = AT_START,
-    limit: float = READY_LIMIT,
-) -> Iterator[OpenedPage]:
-    """Open one page in a Chromium of its own: `chromium` and its ``opened`` in one."""
-    with chromium() as browser, browser.opened(page, size, fragment, limit) as view:
+def open_page(page: str | Path, *how: Any, **options: Any) -> Iterator[OpenedPage]:
+    """Open one page in a Chromium of its own, as `Chromium.opened`."""
+    with chromium() as browser, browser.opened(page, *how, **options) as view:
         yield view
 
 
@@ -242,15 +240,11 @@ def require_chromium() -> str:
 def find_chromium() -> str:
     """Return the Chromium or Chrome to use; raises `InputError` where there is none."""
     given = os.environ.get(EXECUTABLE_VARIABLE)
-    if given:
-        found = shutil.which(given)
-        if found is None:
-            raise InputError(f"{EXECUTABLE_VARIABLE} is {given}, which is no program", INSTALL_CHROMIUM)
+    found = next(filter(None, map(shutil.which, [given] if given else EXECUTABLES)), None)
+    if found is not None:
         return found
-    for name in EXECUTABLES:
-        found = shutil.which(name)
-        if found is not None:
-            return found
+    if given:
+        raise InputError(f"{EXECUTABLE_VARIABLE} is {given}, which is no program", INSTALL_CHROMIUM)
     raise InputError("pictures of a replay need Chromium, which is not installed", INSTALL_CHROMIUM)
 
 
@@ -279,9 +273,8 @@ async def _open(
 async def _ready(page: AsyncPage, address: str, heard: _Heard) -> None:
     """Load the page and wait until it has drawn; raises `TrajoptError` if its script is missing or fails."""
     await page.goto(address, wait_until="load", timeout=0)
-    if not await page.evaluate(
-        "typeof trajopt !== 'undefined'"
-    ):  # scripts in a page run before its load ends
+    # Scripts in a page run before its load ends.
+    if not await page.evaluate("typeof trajopt !== 'undefined'"):
         failed = heard.failures() or ["it is not of trajopt replay, or of another version"]
         raise TrajoptError(f"page {address} does not start: {failed[0]}")
     await page.evaluate("trajopt.ready.then(() => true)")
@@ -295,4 +288,4 @@ def _reason(error: Exception) -> str:
 
 
 def _first_line(text: str) -> str:
-    return text.strip().splitlines()[0] if text.strip() else ""
+    return next(iter(text.strip().splitlines()), "")

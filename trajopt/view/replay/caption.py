@@ -4,31 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.arrows import FORCE_COLOUR, IMPULSE_COLOUR
 from trajopt.view.replay.motion import FLASH, ReplayMotion
-from trajopt.view.replay.scene import ReplayScene
+from trajopt.view.replay.runs import DrawnSolution
 
 Line = dict[str, str]
 
 
-def page_facts(
-    scene: ReplayScene, solutions: Sequence[Solution], motions: Sequence[ReplayMotion]
-) -> dict[str, Any]:
-    """Return the scene's facts with what the page says, JSON-able.
+def caption_lines(
+    runs: Sequence[DrawnSolution], motions: Sequence[ReplayMotion], weight_arrow: float, note: str
+) -> list[Line]:
+    """Return the lines of the caption: solutions, scales of arrows, and what is missing, ``note``.
 
-    Added are ``title``, ``picture`` (s of the solution between two pictures of the animation) and ``lines``:
-    [{text, kind, colour}] with kind "", "run", "quiet", "warned" or "failed", and a colour or none.
+    Kinds are "", "run", "quiet", "warned" or "failed"; ``weight_arrow`` is the length of a weight's arrow, m.
     """
-    facts = scene.facts
-    return {
-        **facts,
-        "title": " | ".join(dict.fromkeys(title(solution) for solution in solutions)),
-        "picture": facts["speed"] / motions[0].frame_rate,
-        "lines": [*_about(scene, solutions), *_scales(scene, motions), *_notes(scene)],
-    }
+    notes = [line(note, "warned")] if note else []
+    return [*_about(runs), *_scales(motions, weight_arrow), *notes]
 
 
 def title(solution: Solution) -> str:
@@ -37,20 +30,22 @@ def title(solution: Solution) -> str:
     return " – ".join(dict.fromkeys(str(name) for name in names if name)) or "trajectory"
 
 
-def _about(scene: ReplayScene, solutions: Sequence[Solution]) -> list[Line]:
-    if len(solutions) == 1:
-        return [_line(solution_line(solutions[0]), "quiet"), *_unsolved(solutions[0])]
-    names = [title(solution) for solution in solutions]
-    own = [label.replace(" – ", " ") for label in names]  # as runs are called that are given no label
-    lines = []
-    for run, solution, name, usual in zip(scene.facts["runs"], solutions, names, own, strict=True):
-        told = len(set(names)) == 1 or run["label"] == usual
-        said = run["label"] if told else f"{run['label']}: {name}"
-        lines += [
-            _line(said, "run", run["colour"]),
-            _line(solution_line(solution), "quiet"),
-            *_unsolved(solution),
-        ]
+def _about(runs: Sequence[DrawnSolution]) -> list[Line]:
+    if len(runs) == 1:
+        return _state(runs[0].solution)
+    names, lines = [title(run.solution) for run in runs], []
+    for run, name in zip(runs, names, strict=True):
+        usual = name.replace(" – ", " ")  # as runs are called that are given no label
+        told = len(set(names)) == 1 or run.label == usual
+        said = run.label if told else f"{run.label}: {name}"
+        lines += [line(said, "run", f"#{run.colour:06x}"), *_state(run.solution)]
+    return lines
+
+
+def _state(solution: Solution) -> list[Line]:
+    lines = [line(solution_line(solution), "quiet")]
+    if not solution.meta.get("success", True):
+        lines.append(line(f"not solved: {str(solution.meta.get('status')).replace('_', ' ')}", "failed"))
     return lines
 
 
@@ -74,30 +69,21 @@ def _is_finite(value: object) -> bool:
     return isinstance(value, int | float) and math.isfinite(value)
 
 
-def _unsolved(solution: Solution) -> list[Line]:
-    if solution.meta.get("success", True):
-        return []
-    return [_line(f"not solved: {str(solution.meta.get('status')).replace('_', ' ')}", "failed")]
-
-
-def _scales(scene: ReplayScene, motions: Sequence[ReplayMotion]) -> list[Line]:
+def _scales(motions: Sequence[ReplayMotion], weight_arrow: float) -> list[Line]:
     """Scales of arrows; several robots have a weight each, and arrows are in parts of it."""
     lines = []
     weights = dict.fromkeys(f"{motion.weight:.1f} N" for motion in motions)
     if any(motion.force.shape[1] for motion in motions):
-        text = f"forces: {scene.weight_arrow:.2f} m is the weight, {' or '.join(weights)}"
-        lines.append(_line(text, "quiet", f"#{FORCE_COLOUR:06x}"))
+        text = f"forces: {weight_arrow:.2f} m is the weight, {' or '.join(weights)}"
+        lines.append(line(text, "quiet", f"#{FORCE_COLOUR:06x}"))
     struck = [motion for motion in motions if motion.impact.any()]
     if struck:
         scales = dict.fromkeys(f"{motion.weight * FLASH:.2f} N s" for motion in struck)
-        text = f"impulses: {scene.weight_arrow:.2f} m is {' or '.join(scales)}"
-        lines.append(_line(text, "quiet", f"#{IMPULSE_COLOUR:06x}"))
+        text = f"impulses: {weight_arrow:.2f} m is {' or '.join(scales)}"
+        lines.append(line(text, "quiet", f"#{IMPULSE_COLOUR:06x}"))
     return lines
 
 
-def _notes(scene: ReplayScene) -> list[Line]:
-    return [_line(scene.note, "warned")] if scene.note else []
-
-
-def _line(text: str, kind: str = "", colour: str = "") -> Line:
+def line(text: str, kind: str = "", colour: str = "") -> Line:
+    """Return a line of the caption."""
     return {"text": text, "kind": kind, "colour": colour}

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from trajopt.view.replay.coloured_mesh import ColouredMesh, MeshPart
+from trajopt.view.replay.parts import ColouredMesh, MeshPart
 
 TRANSFORMATIONS = ("matrix", "translate", "scale", "rotate")
 # Files that are kept once read.
@@ -28,27 +28,23 @@ class ColladaError(ValueError):
     """The file is not COLLADA, or holds something other than coloured triangles."""
 
 
-@lru_cache(maxsize=MOST_FILES)
-def _read_once(path: Path, changed: float, plain: tuple[float, ...]) -> ColouredMesh:
-    """The mesh of a file that was ``changed`` then: robots have one file at several places."""
-    return _read(path, np.array(plain))
-
-
 def read_collada(path: str | Path, plain: np.ndarray = GREY) -> ColouredMesh:
     """Read the mesh of a file, in m; ``plain`` (3,) colours what has no plain colour in the file.
 
     Raises `ColladaError`, or `OSError` if the file cannot be opened.
     """
     file = Path(path)
-    return _read_once(file, file.stat().st_mtime, tuple(float(part) for part in plain))
+    return _read(file, file.stat().st_mtime, tuple(float(part) for part in plain))
 
 
-def _read(path: Path, plain: np.ndarray) -> ColouredMesh:
+@lru_cache(maxsize=MOST_FILES)
+def _read(path: Path, changed: float, plain: tuple[float, ...]) -> ColouredMesh:
+    """The mesh of a file that was ``changed`` then: robots have one file at several places."""
     try:
         root = Tree.parse(path).getroot()
         for element in root.iter():
             element.tag = element.tag.rpartition("}")[2]
-        return _Reader(root, plain).mesh()
+        return _Reader(root, np.array(plain)).mesh()
     except (Tree.ParseError, KeyError, IndexError, StopIteration, ValueError) as error:
         raise ColladaError(f"{path}: {error}") from None
 

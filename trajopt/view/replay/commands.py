@@ -13,10 +13,20 @@ from trajopt.view.replay.thinning import (
     COLOUR_ERROR,
     POSITION_ERROR,
     ROUNDING,
+    hold_while_hidden,
     rounded,
     thin_key_frames,
 )
+from trajopt.view.replay.turns import quaternions_of
 
+# Types of three.js of the properties that are animated.
+KINDS = {
+    "position": "vector3",
+    "scale": "vector3",
+    "quaternion": "quaternion",
+    "material.color": "color",
+    "visible": "boolean",
+}
 # msgpack extension of a Float32Array, as Meshcat's viewer decodes it.
 FLOAT32 = 0x17
 
@@ -64,12 +74,15 @@ class Animation:
         }
         self._clips: dict[str, list[dict[str, Any]]] = {}
 
-    def add(self, node: Any, name: str, kind: str, values: np.ndarray) -> None:
-        """Animate property ``name``, of three.js type ``kind``, of ``node``: a row of ``values`` a frame.
+    def add(self, node: Any, name: str, values: np.ndarray, shown: np.ndarray | None = None) -> None:
+        """Animate property ``name`` (of `KINDS`) of ``node``: a row of ``values`` a frame.
 
         Vectors, quaternions and colours are interpolated between the frames that `thin_key_frames` keeps,
-        within its errors; a boolean holds until the next.
+        within its errors; a boolean holds until the next. ``shown`` (n,): frames at which values matter.
         """
+        kind = KINDS[name]
+        if shown is not None:
+            values = hold_while_hidden(values, shown)
         rows, error = np.asarray(values).reshape(self._n_frames, -1), self._error[kind]
         kept = thin_key_frames(rows, kind, error * (1 - ROUNDING))
         if kind == "boolean":
@@ -79,6 +92,11 @@ class Animation:
         times = umsgpack.Ext(FLOAT32, kept.astype(np.float32).tobytes())
         track = {"name": f".{name}", "type": kind, "times": times, "values": packed}
         self._clips.setdefault(node.path.lower(), []).append(track)
+
+    def place(self, node: Any, placements: np.ndarray) -> None:
+        """Animate position and rotation of ``node``: a placement (4, 4) a frame."""
+        self.add(node, "position", placements[:, :3, 3])
+        self.add(node, "quaternion", quaternions_of(placements[:, :3, :3]))
 
     def command(self) -> ViewerCommand:
         """Return the message that loads and plays the animation, again and again."""

@@ -7,13 +7,19 @@ from typing import Any
 import meshcat.geometry as shapes
 import numpy as np
 
-from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces
-from trajopt.view.replay.coloured_mesh import WHITE, ColouredMesh
 from trajopt.view.replay.commands import Animation
 from trajopt.view.replay.motion import LEAST_PRESSURE, ReplayMotion
-from trajopt.view.replay.parts import UPWARD, ColouredMeshGeometry, colour_array, draw_unshadowed, line_points
-from trajopt.view.replay.thinning import hold_while_hidden
+from trajopt.view.replay.parts import (
+    UPWARD,
+    WHITE,
+    ColouredMesh,
+    ColouredMeshGeometry,
+    colour_array,
+    draw_unshadowed,
+    line_points,
+)
+from trajopt.view.replay.runs import DrawnSolution
 from trajopt.view.replay.turns import turns_to
 
 # Length of a cone's side over the robot's extent; half angle, axis and apex are to scale.
@@ -25,41 +31,29 @@ COLOURS = (0x3C93C2, 0x3C93C2, 0xF0A202, 0xB0170B)
 ROUND, RIBS = 24, 8
 
 
-def draw_cones(
-    node: Any,
-    tracks: Animation,
-    solution: Solution,
-    motion: ReplayMotion,
-    touched: TouchedSurfaces,
-    size: float,
-) -> None:
+def draw_cones(run: DrawnSolution, tracks: Animation, touched: TouchedSurfaces, size: float) -> None:
     """Animate the cone of every contact that friction holds; ``touched`` is of the motion's frames.
 
     Hidden while the contact is not active; a contact on a bilateral surface has none, as its force is free.
     """
+    motion = run.motion
     shown = motion.active & ~touched.bilateral
     used = friction_used(motion, touched)
-    for contact, frame in enumerate(solution.contact_frames):
+    for contact, frame in enumerate(run.solution.contact_frames):
         visible = shown[:, contact]
         if not visible.any():
             continue
-        place = node[frame.replace("/", "_")]
+        place = run.node["cones"][frame.replace("/", "_")]
         _draw(place)
         friction = touched.friction[:, contact]
         height = SIDE * size / np.sqrt(1 + friction**2)
         scale = np.column_stack([friction * height, friction * height, height])
-        tracks.add(place, "visible", "boolean", visible)
-        tracks.add(place, "position", "vector3", hold_while_hidden(motion.pressed[:, contact], visible))
-        tracks.add(
-            place,
-            "quaternion",
-            "quaternion",
-            hold_while_hidden(turns_to(touched.normal[:, contact]), visible),
-        )
-        tracks.add(place, "scale", "vector3", hold_while_hidden(scale, visible))
-        colours = hold_while_hidden(colours_of(used[:, contact]), visible)
+        tracks.add(place, "visible", visible)
+        tracks.add(place, "position", motion.pressed[:, contact], visible)
+        tracks.add(place, "quaternion", turns_to(touched.normal[:, contact]), visible)
+        tracks.add(place, "scale", scale, visible)
         for part in ("side", "rim"):
-            tracks.add(place[part]["<object>"], "material.color", "color", colours)
+            tracks.add(place[part]["<object>"], "material.color", colours_of(used[:, contact]), visible)
 
 
 def friction_used(motion: ReplayMotion, touched: TouchedSurfaces) -> np.ndarray:

@@ -27,15 +27,29 @@ def messages_below(recorder: Recorder, place: str) -> list[dict[str, Any]]:
     return [c.message for c in recorder.commands if c.message.get("path", "").startswith(start)]
 
 
-def tint(recorder: Recorder, place: str, colour: int, opacity: float = TINT_OPACITY) -> None:
+def tint(recorder: Recorder, place: str, colour: int) -> None:
     """Give everything that was drawn below ``place`` one colour, translucent."""
     start = f"{PREFIX}{place}/"
     recorder.commands[:] = [
-        ViewerCommand(_in_colour(command.message, colour, opacity))
+        ViewerCommand(_in_colour(command.message, colour, TINT_OPACITY))
         if command.message.get("path", "").startswith(start) and command.message["type"] == "set_object"
         else command
         for command in recorder.commands
     ]
+
+
+def draw_copy(recorder: Recorder, drawn: list[dict[str, Any]], place: str, copy: str, colour: int) -> None:
+    """Draw what was ``drawn`` below ``place`` again below ``copy``, as a translucent ghost without shadow."""
+    for message in drawn:
+        path = f"{PREFIX}{copy}" + message["path"].removeprefix(f"{PREFIX}{place}")
+        moved = {**message, "path": path}
+        if message["type"] != "set_object":
+            recorder.note(moved)
+            continue
+        recorder.note(_in_colour(moved, colour, GHOST_OPACITY, behind=True))
+        for name in ("castShadow", "receiveShadow"):
+            shadow = {"type": "set_property", "path": f"{path}/<object>", "property": name, "value": False}
+            recorder.note(shadow)
 
 
 def _in_colour(message: dict[str, Any], colour: int, opacity: float, behind: bool = False) -> dict[str, Any]:
@@ -75,23 +89,14 @@ def draw_ghosts(
     recorder: Recorder, run: DrawnSolution, joints: Sequence[tuple[int, str]], frames: list[int]
 ) -> None:
     """Draw translucent copies of a run's robot as it is at ``frames``; ``joints`` with their places in it."""
-    drawn, colour = messages_below(recorder, run.path("robot")), run.colour if run.tinted else GHOST_COLOUR
+    drawn = messages_below(recorder, run.path("robot"))
     for number, frame in enumerate(frames):
-        ghost = f"{PREFIX}{run.path('ghosts')}/pose{number}"
+        ghost = f"{run.path('ghosts')}/pose{number}"
         for joint, place in joints:
             matrix = run.motion.joints[frame, joint].T.ravel().tolist()
-            path = f"{ghost}/{place.removeprefix('robot/')}"
+            path = f"{PREFIX}{ghost}/{place.removeprefix('robot/')}"
             recorder.note({"type": "set_transform", "path": path, "matrix": matrix})
-        for message in drawn:
-            path = ghost + message["path"].removeprefix(f"{PREFIX}{run.path('robot')}")
-            moved = {**message, "path": path}
-            if message["type"] == "set_object":
-                recorder.note(_in_colour(moved, colour, GHOST_OPACITY, behind=True))
-                shadow = {"type": "set_property", "path": f"{path}/<object>"}
-                recorder.note({**shadow, "property": "castShadow", "value": False})
-                recorder.note({**shadow, "property": "receiveShadow", "value": False})
-            else:
-                recorder.note(moved)
+        draw_copy(recorder, drawn, run.path("robot"), ghost, run.ink(GHOST_COLOUR))
 
 
 def ghost_frames(motion: ReplayMotion, size: float) -> list[int]:

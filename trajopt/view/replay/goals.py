@@ -13,8 +13,9 @@ from trajopt.schedule.targets import Target, targets_of
 from trajopt.solution.descriptions import surfaces_of, terrain_of
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import UP, Surface, frame_of_normal
-from trajopt.view.replay.parts import bullseye, draw_showing_through, draw_unshadowed
+from trajopt.view.replay.parts import bullseye, draw_showing_through, draw_unshadowed, placed
 from trajopt.view.replay.robot import tip_frames
+from trajopt.view.replay.runs import DrawnSolution
 
 CROSS_COLOUR = 0xB8860B
 AXIS_COLOURS = (0xC0392B, 0x2E8B57, 0x1F5FBF)
@@ -22,22 +23,18 @@ AXIS_COLOURS = (0xC0392B, 0x2E8B57, 0x1F5FBF)
 CROSS, AXIS, RADIUS, RING, LIFT = 0.05, 0.1, 0.004, 0.03, 0.0035
 
 
-def draw_goals(node: Any, solution: Solution, drop: float, size: float) -> np.ndarray:
-    """Draw what the problem asked for (``meta["goals"]``) below ``node``; returns the places (k, 3), m.
+def draw_goals(run: DrawnSolution, drop: float, size: float) -> np.ndarray:
+    """Draw what the problem asked for (``meta["goals"]``); returns the places (k, 3), m.
 
     drop: how far below the contacts the drawn ground lies, m. Raises `SolutionFileError`.
     """
-    places = [np.zeros((0, 3))]
     drawn: list[np.ndarray] = []
-    for target in targets_of(solution.meta.get("goals")):
-        for placement, kind in _marks(solution, target):
-            if any(np.allclose(placement, other, atol=1e-9) for other in drawn):
-                continue
-            place = node[f"{kind}{len(drawn)}"]
-            _draw(place, kind, placement, drop, size)
-            drawn.append(placement)
-            places.append(placement[None, :3, 3])
-    return np.concatenate(places)
+    for target in targets_of(run.solution.meta.get("goals")):
+        for placement, kind in _marks(run.solution, target):
+            if not any(np.allclose(placement, other, atol=1e-9) for other in drawn):
+                _draw(run.node["goals"][f"{kind}{len(drawn)}"], kind, placement, drop, size)
+                drawn.append(placement)
+    return np.reshape([placement[:3, 3] for placement in drawn], (-1, 3))
 
 
 def _marks(solution: Solution, target: Target) -> list[tuple[np.ndarray, str]]:
@@ -48,11 +45,10 @@ def _marks(solution: Solution, target: Target) -> list[tuple[np.ndarray, str]]:
     if target.frame is None or not model.existFrame(target.frame) or target.position is None:
         return []  # a rotation alone has no place
     if target.rotation is not None:
-        return [(pin.SE3(target.rotation, target.position).homogeneous, "pose")]
+        return [(placed(target.position, target.rotation), "pose")]
     if _lands(solution, target):
-        turn = frame_of_normal(_normal(solution, target))
-        return [(pin.SE3(turn, target.position).homogeneous, "foothold")]
-    return [(pin.SE3(np.eye(3), target.position).homogeneous, "place")]
+        return [(placed(target.position, frame_of_normal(_normal(solution, target))), "foothold")]
+    return [(placed(target.position), "place")]
 
 
 def _lands(solution: Solution, target: Target) -> bool:
@@ -114,5 +110,5 @@ def _draw(node: Any, kind: str, placement: np.ndarray, drop: float, size: float)
         draw_showing_through(arm, shapes.Cylinder(length, RADIUS * size), color=colour)
         turn = pin.Quaternion.FromTwoVectors(np.eye(3)[1], np.eye(3)[axis]).toRotationMatrix()
         middle = length / 2 * np.eye(3)[axis] if kind == "pose" else np.zeros(3)
-        arm.set_transform(pin.SE3(turn, middle).homogeneous)
+        arm.set_transform(placed(middle, turn))
     draw_showing_through(node["centre"], shapes.Sphere(2 * RADIUS * size), color=CROSS_COLOUR)

@@ -1,34 +1,40 @@
-"""Ground, grid, light and sky of a replay."""
+"""The ground of a replay: the plane of every solution, how deep drawn feet reach below it; light and sky."""
 
 from __future__ import annotations
 
-import itertools
 import uuid
+from dataclasses import dataclass, replace
 from typing import Any
 
 import meshcat.geometry as shapes
 import numpy as np
-import pinocchio as pin
 from pinocchio.visualize.meshcat_visualizer import Plane
 
+from trajopt.solution.descriptions import terrain_of
+from trajopt.terrain.piecewise import PiecewiseTerrain
+from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import Surface
 from trajopt.view.replay.commands import ViewerCommand
-from trajopt.view.replay.parts import line_points
+from trajopt.view.replay.parts import box_corners, line_points, placed
+from trajopt.view.replay.runs import GAP, DrawnSolution
+from trajopt.view.replay.surfaces import Touch, depth_below_contacts, drawn_plane, plane_of, touches_of
+from trajopt.view.replay.terrain import GRID_STRONG, MARGIN, draw_terrain
 
 SKY_TOP, SKY_BOTTOM = [0.70, 0.79, 0.90], [0.96, 0.97, 0.98]
-GROUND_COLOUR, GRID_COLOUR, GRID_STRONG = 0xDCE1E8, 0xAEB7C3, 0x808C9B
-# Faces that follow each other differ a little.
-GROUND_TINTS = (0xCDD4DD, 0xB9C3CF)
+GROUND_COLOUR, GRID_COLOUR = 0xDCE1E8, 0xAEB7C3
 # Grid cells over the robot's extent, rounded down to 1, 2 or 5 times a power of ten; bold every fifth.
 CELL_PART, BOLD_EVERY = 0.3, 5
 # A motion is at most about so many cells long: those of one that flies off are larger.
 MOST_CELLS = 250
 # Ground on each side of the motion, in robot extents.
-MARGIN = 8.0
+PLANE_MARGIN = 8.0
 # Light from the sun and around it; together a level white surface is just white.
-SUN, FILL_LIGHTS = (
-    0.6,
-    {"AmbientLight": 0.45, "FillLight": 0.15, "PointLightNegativeX": 0.1, "PointLightPositiveX": 0.1},
+SUN = 0.6
+FILL_LIGHTS = (
+    ("AmbientLight", 0.45),
+    ("FillLight", 0.15),
+    ("PointLightNegativeX", 0.1),
+    ("PointLightPositiveX", 0.1),
 )
 SUN_DIRECTION = np.array([0.35, -0.5, 1.0])
 # Half the side of the square with shadows, in robot extents.
@@ -37,7 +43,81 @@ SHADOW_REACH = 3.0
 GRID_LIFT = 0.002
 
 
-def draw_plane(vis: Any, box: np.ndarray, ground: Surface, size: float) -> None:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DrawnGround:
+    """plane: the terrain's, of uneven ground a level one. seen: as drawn, ``drop`` m below the contacts.
+
+    elsewhere: touches of other surfaces than the terrain. uneven: the terrain, if it is no plane.
+    """
+
+    plane: Surface
+    seen: Surface
+    drop: float
+    elsewhere: list[Touch]
+    uneven: PiecewiseTerrain | SmoothTerrain | None
+
+
+def grounds_of(runs: list[DrawnSolution], size: float) -> list[DrawnGround]:
+    """The ground under each solution, in its own world; ``size`` m is the robots' extent.
+
+    Where several stand on one plane it is drawn at the height of the smallest feet: the others' sink into
+    it by as much as their tips are rounder.
+    """
+    grounds = [_ground_of(run, size) for run in runs]
+    plane = grounds[0].plane
+    shared = [g for g in grounds if g.uneven is None and g.drop > 0 and g.plane.same_plane(plane)]
+    if not shared:
+        return grounds
+    highest = min(shared, key=lambda ground: ground.drop)
+    return [replace(g, seen=highest.seen, drop=highest.drop) if g in shared else g for g in grounds]
+
+
+def _ground_of(run: DrawnSolution, size: float) -> DrawnGround:
+    standing, elsewhere = touches_of(run)
+    terrain, plane = terrain_of(run.solution.meta.get("terrain")), plane_of(run.solution)
+    if isinstance(terrain, PiecewiseTerrain | SmoothTerrain):
+        drop = depth_below_contacts(standing, run, size)
+        return DrawnGround(plane=plane, seen=plane, drop=drop, elsewhere=elsewhere, uneven=terrain)
+    seen = drawn_plane(standing, run, size) if standing else _under(run, plane)
+    drop = max(plane.height - seen.height, 0.0) if standing else 0.0
+    return DrawnGround(plane=plane, seen=seen, drop=drop, elsewhere=elsewhere, uneven=None)
+
+
+def _under(run: DrawnSolution, plane: Surface) -> Surface:
+    """The plane; under a robot without contacts as low as it hangs, which a pendulum does."""
+    if run.solution.contact_frames or not run.cloud.size:
+        return plane
+    depth = min(float((run.cloud @ plane.normal).min()) - plane.height, 0.0)
+    return Surface(point=plane.point + depth * plane.normal, normal=plane.normal)
+
+
+def draw_grounds(
+    vis: Any, runs: list[DrawnSolution], grounds: list[DrawnGround], box: np.ndarray, size: float
+) -> Surface:
+    """Draw sky, light and each different ground; returns the first solution's plane.
+
+    ``box`` (2, 3) m is around everything. Runs on planes share the first one; uneven ground of runs that are
+    moved aside goes with them, and no further than half way to the next.
+    """
+    _draw_sky_and_light(vis, size)
+    aside, drawn = any(run.shift.any() for run in runs), []
+    for run, ground in zip(runs, grounds, strict=True):
+        described = ground.uneven and (run.solution.meta.get("terrain"), run.shift.tolist())
+        if described in drawn:
+            continue
+        drawn.append(described)
+        if ground.uneven is None:
+            _draw_plane(vis, box, ground.seen, size)
+            continue
+        margin = np.full(2, MARGIN * size)
+        if aside:
+            margin[runs[-1].shift[:2] != 0] = GAP * size / 2
+        own = np.array([run.cloud.min(axis=0), run.cloud.max(axis=0)]) if aside else box
+        draw_terrain(run.node if aside else vis, ground.uneven, own, margin, ground.drop, size)
+    return grounds[0].seen
+
+
+def _draw_plane(vis: Any, box: np.ndarray, ground: Surface, size: float) -> None:
     """Draw plane and grid of the ``ground`` around ``box`` (2, 3).
 
     The grid's lines run along the plane's tangents, every line at a round distance from the world's origin.
@@ -45,25 +125,16 @@ def draw_plane(vis: Any, box: np.ndarray, ground: Surface, size: float) -> None:
     span = float(np.ptp(box, axis=0).max())
     cell = _round_cell(max(CELL_PART * size, span / MOST_CELLS))
     step = BOLD_EVERY * cell
-    corners = np.array(list(itertools.product(*box.T))) @ ground.tangents.T
-    low = np.floor((corners.min(axis=0) - MARGIN * size) / step) * step
-    high = np.ceil((corners.max(axis=0) + MARGIN * size) / step) * step
+    corners = box_corners(*box) @ ground.tangents.T
+    low = np.floor((corners.min(axis=0) - PLANE_MARGIN * size) / step) * step
+    high = np.ceil((corners.max(axis=0) + PLANE_MARGIN * size) / step) * step
     centre = ground.frame @ np.array([*(low + high) / 2, ground.height - GRID_LIFT * size])
-    plane = pin.SE3(ground.frame, centre).homogeneous
+    plane = placed(centre, ground.frame)
     width, depth = (float(length) for length in high - low)
     vis["ground"]["plane"].set_object(Plane(width, depth), shapes.MeshLambertMaterial(color=GROUND_COLOUR))
     vis["ground"]["plane"].set_transform(plane)
     vis["ground"]["grid"].set_object(_grid(low, high, cell, ground, bold=False))
     vis["ground"]["bold"].set_object(_grid(low, high, cell, ground, bold=True))
-
-
-def sky_and_light(vis: Any, size: float) -> None:
-    """A pale sky and a light with shadows, without Meshcat's own grid and axes."""
-    vis["/Background"].set_property("top_color", SKY_TOP)
-    vis["/Background"].set_property("bottom_color", SKY_BOTTOM)
-    vis["/Grid"].set_property("visible", False)
-    vis["/Axes"].set_property("visible", False)
-    _lights(vis, size)
 
 
 def _round_cell(length: float) -> float:
@@ -86,28 +157,20 @@ def _grid(low: np.ndarray, high: np.ndarray, cell: float, ground: Surface, bold:
     return shapes.LineSegments(points, shapes.LineBasicMaterial(color=GRID_STRONG if bold else GRID_COLOUR))
 
 
-def _lights(vis: Any, size: float) -> None:
-    """One sun that casts shadows around the origin of the viewer; Meshcat's own lights only fill."""
-    for name, intensity in FILL_LIGHTS.items():
+def _draw_sky_and_light(vis: Any, size: float) -> None:
+    """A pale sky, and one sun with shadows around the origin of the viewer; Meshcat's lights only fill."""
+    vis["/Background"].set_property("top_color", SKY_TOP)
+    vis["/Background"].set_property("bottom_color", SKY_BOTTOM)
+    vis["/Grid"].set_property("visible", False)
+    vis["/Axes"].set_property("visible", False)
+    for name, intensity in FILL_LIGHTS:
         vis[f"/Lights/{name}/<object>"].set_property("intensity", intensity)
     reach = SHADOW_REACH * size
     camera = {"uuid": str(uuid.uuid4()), "type": "OrthographicCamera", "near": 0.0, "far": 4 * reach}
     camera |= {"left": -reach, "right": reach, "top": reach, "bottom": -reach}
-    shadow = {
-        "bias": -0.0005,
-        "normalBias": 0.01 * size,
-        "radius": 2,
-        "mapSize": [2048, 2048],
-        "camera": camera,
-    }
-    place = np.eye(4)
-    place[:3, 3] = 2 * reach * SUN_DIRECTION / np.linalg.norm(SUN_DIRECTION)
-    sun = {"uuid": str(uuid.uuid4()), "type": "DirectionalLight", "color": 0xFFFFFF, "shadow": shadow}
-    sun |= {"intensity": SUN, "matrix": place.T.ravel().tolist()}
-    message = {
-        "metadata": {"version": 4.5, "type": "Object"},
-        "geometries": [],
-        "materials": [],
-        "object": sun,
-    }
-    vis.window.send(ViewerCommand({"type": "set_object", "path": "/Lights/Sun", "object": message}))
+    shadow = {"bias": -0.0005, "normalBias": 0.01 * size, "radius": 2, "mapSize": [2048, 2048]}
+    place = placed(2 * reach * SUN_DIRECTION / np.linalg.norm(SUN_DIRECTION))
+    sun = {"uuid": str(uuid.uuid4()), "type": "DirectionalLight", "color": 0xFFFFFF}
+    sun |= {"shadow": shadow | {"camera": camera}, "intensity": SUN, "matrix": place.T.ravel().tolist()}
+    scene = {"metadata": {"version": 4.5, "type": "Object"}, "geometries": [], "materials": [], "object": sun}
+    vis.window.send(ViewerCommand({"type": "set_object", "path": "/Lights/Sun", "object": scene}))

@@ -3,47 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.view.replay.arrows import FORCE_COLOUR, IMPULSE_COLOUR
 from trajopt.view.replay.balance_marks import SUPPORT_COLOUR, ZMP_COLOUR
+from trajopt.view.replay.bodies import OBSTACLE_COLOUR, PAYLOAD_COLOUR
 from trajopt.view.replay.copies import GHOST_COLOUR
 from trajopt.view.replay.goals import CROSS_COLOUR
-from trajopt.view.replay.payloads import PAYLOAD_COLOUR
+from trajopt.view.replay.ground import GROUND_COLOUR
 from trajopt.view.replay.runs import DrawnSolution, travels
-
-
-@dataclass(frozen=True)
-class Layer:
-    """What one toggle shows: the parts at ``places`` of every run or of the scene."""
-
-    name: str
-    label: str
-    colour: int
-    places: tuple[str, ...]
-
+from trajopt.view.replay.surfaces import WALL_COLOUR
 
 # A robot ends elsewhere if its base is this part of its extent from where it began.
 ELSEWHERE = 0.5
 
+# Name, label, colour, and place in the scene tree of every run or of the scene.
 LAYERS = (
-    Layer("robot", "robot", 0x8A93A0, ("robot",)),
-    Layer("forces", "contact forces", 0xD9421F, ("forces",)),
-    Layer("impulses", "impulses", 0x7A1FA2, ("impulses",)),
-    Layer("cones", "friction cones", 0x3C93C2, ("cones",)),
-    Layer("com", "centre of mass", 0x1A1F26, ("com",)),
-    Layer("zmp", "zero-moment point", ZMP_COLOUR, ("zmp",)),
-    Layer("support", "support", SUPPORT_COLOUR, ("support",)),
-    Layer("trails", "trails", 0x1F77B4, ("trails",)),
-    Layer("ghosts", "poses at changes of phase", GHOST_COLOUR, ("ghosts",)),
-    Layer("goals", "goals", CROSS_COLOUR, ("goals",)),
-    Layer("payloads", "payload", PAYLOAD_COLOUR, ("payloads",)),
-    Layer("obstacles", "obstacles", 0xC1553B, ("obstacles",)),
-    Layer("surfaces", "walls and handles", 0xB98A4E, ("surfaces",)),
-    Layer("terrain", "terrain", 0xDCE1E8, ("ground",)),
+    ("robot", "robot", 0x8A93A0, "robot"),
+    ("forces", "contact forces", FORCE_COLOUR, "forces"),
+    ("impulses", "impulses", IMPULSE_COLOUR, "impulses"),
+    ("cones", "friction cones", 0x3C93C2, "cones"),
+    ("com", "centre of mass", 0x1A1F26, "com"),
+    ("zmp", "zero-moment point", ZMP_COLOUR, "zmp"),
+    ("support", "support", SUPPORT_COLOUR, "support"),
+    ("trails", "trails", 0x1F77B4, "trails"),
+    ("ghosts", "poses at changes of phase", GHOST_COLOUR, "ghosts"),
+    ("goals", "goals", CROSS_COLOUR, "goals"),
+    ("payloads", "payload", PAYLOAD_COLOUR, "payloads"),
+    ("obstacles", "obstacles", OBSTACLE_COLOUR, "obstacles"),
+    ("surfaces", "walls and handles", WALL_COLOUR, "surfaces"),
+    ("terrain", "terrain", GROUND_COLOUR, "ground"),
 )
 
 
@@ -56,14 +48,19 @@ def layers_of(
     """
     places = {"/".join(path.split("/")[:depth]) for path in drawn for depth in range(1, path.count("/") + 2)}
     found = []
-    for layer in LAYERS:
-        wanted = [run.path(place) for run in runs for place in layer.places] + list(layer.places)
+    for name, label, colour, place in LAYERS:
+        wanted = [*(run.path(place) for run in runs), place]
         paths = [path for path in dict.fromkeys(wanted) if path in places]
         if paths:
-            found.append(_described(layer.name, layer.label, layer.colour, paths, layer.name not in hidden))
+            found.append(layer(name, label, colour, paths, name not in hidden))
     if len(runs) > 1:
-        found += [_described(run.root, run.label, run.colour, [run.root], True) for run in runs]
+        found += [layer(run.root, run.label, run.colour, [run.root]) for run in runs]
     return found
+
+
+def layer(name: str, label: str, colour: int, paths: list[str], visible: bool = True) -> dict[str, Any]:
+    """Return what the page is told of a layer: the parts of the scene tree that one toggle shows."""
+    return {"name": name, "label": label, "colour": f"#{colour:06x}", "paths": paths, "visible": visible}
 
 
 def hidden_layers(runs: Sequence[DrawnSolution], tangents: np.ndarray) -> set[str]:
@@ -86,13 +83,3 @@ def _parts_from_itself(run: DrawnSolution, tangents: np.ndarray) -> bool:
         return True
     way = float(np.linalg.norm((run.base[-1] - run.base[0]) @ tangents.T))
     return way > ELSEWHERE * run.size and not travels(run, tangents)
-
-
-def _described(name: str, label: str, colour: int, paths: list[str], visible: bool) -> dict[str, Any]:
-    return {
-        "name": name,
-        "label": label,
-        "colour": f"#{colour:06x}",
-        "paths": paths,
-        "visible": visible,
-    }

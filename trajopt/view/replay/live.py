@@ -38,7 +38,7 @@ class LiveWindow(ViewerWindow):
     def show(self, commands: Sequence[ViewerCommand], facts: dict[str, Any]) -> None:
         """Tell the server a scene and what its page says of it; browsers that are open show it at once.
 
-        facts: of `trajopt.view.replay.caption.page_facts`.
+        facts: of a `ReplayScene`.
         """
         self._ask(server.PAGE, "", live_page(facts).encode())
         self.tell("facts", facts)

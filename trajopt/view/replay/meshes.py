@@ -12,12 +12,9 @@ degree. Files without normals of vertices (STL) get theirs in the page: smooth b
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-
-from trajopt.view.replay.stl import stated_triangles, stl_corners
 
 # Steps of a position over the extent along an axis: 1 m in steps of 0.06 mm.
 LEVELS = 2**14 - 1
@@ -31,25 +28,20 @@ LARGEST_KEY = 2**62
 PLANES = {"position": 2, "normal": 2, "colour": 4}
 # A file whose normals make this many vertices of one draws every face flat: the page makes better ones.
 FACETED = 1.5
+# Of a binary STL file: a header that ends with the number of triangles, and 50 bytes for each.
+STL_HEADER = 84
+STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 STL_FORMATS = ("_meshfile", "_meshfile_geometry")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TriangleMesh:
-    """Vertices: position (n, 3) m, of some normal (n, 3) and colour (n, 3) bytes; index (3m,) of corners."""
-
-    position: np.ndarray
-    index: np.ndarray
-    normal: np.ndarray | None = None
-    colour: np.ndarray | None = None
+# Vertices: position (n, 3) m, of some normal (n, 3) and color (n, 3) bytes; index (3m,) of corners.
+TriangleMesh = tuple[dict[str, np.ndarray], np.ndarray]
 
 
 def compact_geometry(geometry: dict[str, Any]) -> dict[str, Any] | None:
     """Return the content of a three.js geometry in few bytes; None for what is small or no triangle mesh."""
-    triangles = _triangles(geometry)
-    if triangles is None or len(triangles.index) < LEAST_CORNERS:
-        return None
-    return _packed(triangles)
+    found = _triangles(geometry)
+    return _packed(*found) if found is not None and len(found[1]) >= LEAST_CORNERS else None
 
 
 def _triangles(geometry: dict[str, Any]) -> TriangleMesh | None:
@@ -61,15 +53,9 @@ def _triangles(geometry: dict[str, Any]) -> TriangleMesh | None:
     attributes = {name: _array(entry) for name, entry in data["attributes"].items()}
     if not set(attributes) <= {"position", "normal", "color"} or attributes["position"].shape[1:] != (3,):
         return None
-    colour = attributes.get("color")
-    if colour is not None and colour.dtype != np.uint8:
+    if "color" in attributes and attributes["color"].dtype != np.uint8:
         return None
-    return TriangleMesh(
-        position=attributes["position"],
-        index=_array(data["index"]).astype(np.int64),
-        normal=attributes.get("normal"),
-        colour=colour,
-    )
+    return attributes, _array(data["index"]).astype(np.int64)
 
 
 def _array(entry: dict[str, Any]) -> np.ndarray:
@@ -81,34 +67,39 @@ def _array(entry: dict[str, Any]) -> np.ndarray:
 
 def _stl_triangles(data: bytes) -> TriangleMesh | None:
     corners = stl_corners(data)
-    if corners is None or len(corners) == 0 or len(corners) != 3 * stated_triangles(data):
+    if corners is None or len(corners) != 3 * int(np.frombuffer(data, "<u4", 1, STL_HEADER - 4)[0]):
         return None  # text, or damaged: the viewer may make something of it
-    return TriangleMesh(position=corners, index=np.arange(len(corners)))
+    return {"position": corners}, np.arange(len(corners))
 
 
-def _packed(mesh: TriangleMesh) -> dict[str, Any] | None:
-    if not np.isfinite(mesh.position).all():
+def stl_corners(data: bytes) -> np.ndarray | None:
+    """Corners (3m, 3) of the m triangles that a file is long enough for; None of a text."""
+    count = (len(data) - STL_HEADER) // STL_TRIANGLE.itemsize
+    if count < 0 or len(data) != STL_HEADER + count * STL_TRIANGLE.itemsize:
         return None
-    low = mesh.position.min(axis=0).astype(float)
-    step = (mesh.position.max(axis=0) - low) / LEVELS
-    columns = {"position": np.rint((mesh.position - low) / np.where(step > 0, step, 1.0)).astype(np.int64)}
+    return np.asarray(np.frombuffer(data, STL_TRIANGLE, count, STL_HEADER)["corners"].reshape(-1, 3))
+
+
+def _packed(vertex: dict[str, np.ndarray], index: np.ndarray) -> dict[str, Any] | None:
+    position = vertex["position"]
+    if not np.isfinite(position).all():
+        return None
+    low = position.min(axis=0).astype(float)
+    step = (position.max(axis=0) - low) / LEVELS
+    columns = {"position": np.rint((position - low) / np.where(step > 0, step, 1.0)).astype(np.int64)}
     packed: dict[str, Any] = {"low": low.tolist(), "step": step.tolist()}
-    if mesh.colour is not None:
-        palette, columns["colour"] = _palette(mesh.colour)
+    if "color" in vertex:
+        palette, columns["colour"] = _palette(vertex["color"])
         packed["palette"] = palette.tobytes()
-    welded = _welded(columns, mesh.index)
-    if mesh.normal is not None:
-        with_normals = _welded({**columns, "normal": octahedral_coordinates(mesh.normal)}, mesh.index)
-        if len(with_normals[1]["position"]) <= FACETED * len(welded[1]["position"]):
-            welded = with_normals
-    index, vertices = welded
-    if len(index) == 0:
+    corners, vertices = _welded(columns, index)
+    if "normal" in vertex:
+        with_normals = _welded({**columns, "normal": octahedral_coordinates(vertex["normal"])}, index)
+        if len(with_normals[1]["position"]) <= FACETED * len(vertices["position"]):
+            corners, vertices = with_normals
+    if len(corners) == 0:
         return None
-    packed |= {
-        "vertices": len(vertices["position"]),
-        "corners": len(index),
-        "index": _planes(_backward(index), 4),
-    }
+    packed |= {"vertices": len(vertices["position"]), "corners": len(corners)}
+    packed["index"] = _planes(_backward(corners), 4)
     return packed | {name: _planes(_differences(rows), PLANES[name]) for name, rows in vertices.items()}
 
 
@@ -122,7 +113,7 @@ def _palette(colour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _welded(columns: dict[str, np.ndarray], index: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """The vertex of every corner, and the columns of distinct vertices in the order of their first use.
 
-    columns: whole numbers (n, k), not negative. ColouredMeshGeometry that have shrunk to a line are left out.
+    columns: whole numbers (n, k), not negative. Triangles that have shrunk to a line are left out.
     """
     first, number = _distinct(np.column_stack(list(columns.values())))
     triangles = number[index].reshape(-1, 3)

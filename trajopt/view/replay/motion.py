@@ -14,6 +14,7 @@ from trajopt.errors import InputError
 from trajopt.robot.sole import centre_of_pressure
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import held_samples
+from trajopt.terrain.surface import is_number
 
 # Pictures a second of playback: what screens show.
 FRAME_RATE = 60.0
@@ -74,6 +75,13 @@ class ReplayMotion:
         return np.asarray((1 - part) * values[self.last] + part * values[self.last + 1])
 
 
+def require_speed(speed: float) -> None:
+    """Raise `InputError` unless a ``speed`` of playback is a positive number."""
+    if not (is_number(speed) and speed > 0):
+        shown = f"{speed:g}" if isinstance(speed, int | float) else repr(speed)
+        raise InputError(f"speed is {shown}", "a positive number; 1 is real time")
+
+
 def replay_motion(solution: Solution, speed: float = 1.0) -> ReplayMotion:
     """The motion of one solution: see `replay_motions`."""
     return replay_motions([solution], speed)[0]
@@ -83,9 +91,10 @@ def replay_motions(solutions: Sequence[Solution], speed: float = 1.0) -> list[Re
     """Resample solutions on the manifold at about `FRAME_RATE`, all from the first start to the last end.
 
     Before its start and after its end a solution stays as it is there. Forces are interpolated linearly
-    within an interval. Raises `InputError` without a duration, `SolutionFileError` for terrain or surfaces
-    that cannot be read.
+    within an interval. Raises `InputError` without a duration and for a speed that is not positive,
+    `SolutionFileError` for terrain or surfaces that cannot be read.
     """
+    require_speed(speed)
     if not solutions:
         raise InputError("there is nothing to replay", "one or more solutions")
     for solution in solutions:
@@ -103,11 +112,14 @@ def replay_motions(solutions: Sequence[Solution], speed: float = 1.0) -> list[Re
 
 def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: float) -> ReplayMotion:
     q = solution.interpolate(t)
-    joints, contacts = _placements(solution, q)
+    frames = [solution.model.getFrameId(name) for name in solution.contact_frames]
+    joints, contacts = placements(solution.model, frames, q)
     last, part = _spans(solution, t)
     wrench = (1 - part)[:, None, None] * solution.f[last] + part[:, None, None] * solution.f[last + 1]
-    weight = _weight(solution.model)
-    feet, soles = contacts[:, :, :3, 3], _pressing_soles(solution, last)
+    mass = mass_of(solution.model)
+    weight = mass * gravity_of(solution.model) if mass > 0 else 1.0
+    feet = contacts[:, :, :3, 3]
+    soles = ~held_samples(solution)[last] & is_sole(solution)  # held by nothing but pressure
     impact = _impacts(solution, t)
     return ReplayMotion(
         t=t,
@@ -128,10 +140,9 @@ def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: floa
     )
 
 
-def _placements(solution: Solution, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """World placements of the joints (n, njoints, 4, 4) and contact frames (n, nc, 4, 4)."""
-    model, data = solution.model, solution.model.createData()
-    frames = [model.getFrameId(name) for name in solution.contact_frames]
+def placements(model: pin.Model, frames: Sequence[int], q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """World placements of the joints (n, njoints, 4, 4) and of ``frames`` (n, f, 4, 4) at ``q`` (n, nq)."""
+    data = model.createData()
     joints = np.empty((len(q), model.njoints, 4, 4))
     contacts = np.empty((len(q), len(frames), 4, 4))
     for row, configuration in enumerate(q):
@@ -164,11 +175,6 @@ def _impacts(solution: Solution, t: np.ndarray) -> np.ndarray:
     return impact
 
 
-def _pressing_soles(solution: Solution, sample: np.ndarray) -> np.ndarray:
-    """Where (n, nc) a contact has a centre of pressure: soles that nothing but pressure holds."""
-    return ~held_samples(solution)[sample] & is_sole(solution)
-
-
 def _pressure_offsets(
     contacts: np.ndarray, wrench: np.ndarray, soles: np.ndarray, weight: float
 ) -> np.ndarray:
@@ -176,8 +182,3 @@ def _pressure_offsets(
     normal, force, moment = contacts[:, :, :3, 2], wrench[:, :, :3], wrench[:, :, 3:]
     pressed = soles & (np.sum(normal * force, axis=-1) > LEAST_PRESSURE * weight)
     return np.where(pressed[:, :, None], centre_of_pressure(force, moment, normal), 0.0)
-
-
-def _weight(model: pin.Model) -> float:
-    mass = mass_of(model)
-    return mass * gravity_of(model) if mass > 0 else 1.0

@@ -38,12 +38,12 @@ LIVE = {"live": " 'self' ws://127.0.0.1:* ws://localhost:*", "code": " 'unsafe-e
 ALONE = {"live": "", "code": ""}
 
 
-def page(scene: ReplayScene, facts: dict[str, Any]) -> str:
-    """Return the text of the page, with `trajopt.view.replay.caption.page_facts`.
+def page(scene: ReplayScene) -> str:
+    """Return the text of the page.
 
     Raises `TrajoptError` if Meshcat's viewer is not installed whole.
     """
-    return _text({**facts, "live": False}, ALONE, packed_scene(scene))
+    return _text({**scene.facts, "live": False}, ALONE, packed_scene(scene))
 
 
 def live_page(facts: dict[str, Any]) -> str:

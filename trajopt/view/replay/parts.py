@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import meshcat.geometry as shapes
 import numpy as np
+import pinocchio as pin
 
-from trajopt.view.replay.coloured_mesh import ColouredMesh, MeshPart, fan
 from trajopt.view.replay.commands import without_shadow
 
 # What the robot hides shines through it this much.
@@ -16,8 +18,38 @@ HIDDEN_OPACITY = 0.55
 THROUGH = {"opacity": HIDDEN_OPACITY, "transparent": True, "depthTest": False, "depthWrite": False, "side": 0}
 # Pieces of a full circle.
 ROUND = 32
+# Points (n, 3); normals and colours, (n, 3) or one (3,); triangles (m, 3) or their corners (3m,).
+MeshPart = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 UPWARD = np.array([0.0, 0.0, 1.0])
-DARK, BRIGHT = np.array([0.10, 0.12, 0.15]), np.array([1.0, 1.0, 1.0])
+# Turns Meshcat's cylinders, which lie along y, along z.
+UPRIGHT = pin.utils.rotate("x", np.pi / 2)
+DARK, WHITE = np.array([0.10, 0.12, 0.15]), np.ones(3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColouredMesh:
+    """vertices, normals, colours: (n, 3), colours from 0 to 1; triangles: (m, 3) indices."""
+
+    vertices: np.ndarray
+    normals: np.ndarray
+    colours: np.ndarray
+    triangles: np.ndarray
+
+    @classmethod
+    def joined(cls, parts: Sequence[MeshPart]) -> ColouredMesh:
+        """Return one mesh of several parts, each with triangles of its own points."""
+        starts = np.cumsum([0, *(len(points) for points, *_ in parts)])
+        corners = [index.ravel() + start for (*_, index), start in zip(parts, starts, strict=False)]
+
+        def column(i: int) -> np.ndarray:
+            return np.concatenate([np.broadcast_to(part[i], part[0].shape) for part in parts])
+
+        return cls(
+            vertices=column(0).astype(np.float32),
+            normals=column(1).astype(np.float32),
+            colours=column(2).astype(np.float32),
+            triangles=np.concatenate(corners).reshape(-1, 3).astype(np.uint32),
+        )
 
 
 class ColouredMeshGeometry(shapes.Geometry):
@@ -47,6 +79,17 @@ class ColouredMeshGeometry(shapes.Geometry):
 def colour_array(colour: int) -> np.ndarray:
     """Red, green, blue (3,) from 0 to 1 of a colour written as 0xRRGGBB."""
     return np.array([colour >> 16 & 255, colour >> 8 & 255, colour & 255]) / 255
+
+
+def placed(position: Sequence[float] | np.ndarray, rotation: np.ndarray | None = None) -> np.ndarray:
+    """Return the placement (4, 4) at ``position`` (3,) m, turned by ``rotation`` (3, 3) if there is one."""
+    turn = np.eye(3) if rotation is None else rotation
+    return np.asarray(pin.SE3(turn, np.asarray(position)).homogeneous)
+
+
+def box_corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return the corners (8, 3) of a box from ``low`` (3,) to ``high`` (3,)."""
+    return np.array(list(itertools.product(*zip(low, high, strict=True))))
 
 
 def draw_unshadowed(node: Any, shape: Any, material: Any, kind: Any = None) -> None:
@@ -84,7 +127,7 @@ def two_tone_ball(radius: float, dark: np.ndarray = DARK) -> ColouredMeshGeometr
         elevation, turn = (part.ravel() for part in np.meshgrid(grid, grid + quarter * np.pi / 2))
         level = np.cos(elevation)
         unit = np.column_stack([level * np.cos(turn), level * np.sin(turn), up * np.sin(elevation)])
-        tone = dark if (up > 0) == (quarter % 2 == 0) else BRIGHT
+        tone = dark if (up > 0) == (quarter % 2 == 0) else WHITE
         parts.append((radius * unit, unit, tone, grid_triangles(pieces, pieces)[:, ::up]))
     return ColouredMeshGeometry(ColouredMesh.joined(parts))
 
@@ -95,7 +138,7 @@ def two_tone_disc(radius: float, dark: np.ndarray = DARK) -> ColouredMeshGeometr
     for quarter in range(4):
         rim = _circle(np.linspace(0, np.pi / 2, ROUND // 4 + 1) + quarter * np.pi / 2)
         points = radius * np.vstack([np.zeros(3), rim])
-        parts.append((points, UPWARD, BRIGHT if quarter % 2 else dark, fan(len(points))))
+        parts.append((points, UPWARD, WHITE if quarter % 2 else dark, fan(len(points))))
     return ColouredMeshGeometry(ColouredMesh.joined(parts))
 
 
@@ -103,12 +146,14 @@ def bullseye(radius: float, colour: int) -> ColouredMeshGeometry:
     """Return a disc across z of a coloured point, a bright and a coloured ring: the zero-moment point."""
     rim, ink = radius * _circle(np.linspace(0, 2 * np.pi, ROUND + 1)), colour_array(colour)
     parts: list[MeshPart] = []
-    for inner, outer, tone in ((0.0, 0.4, ink), (0.4, 0.72, BRIGHT), (0.72, 1.0, ink)):
-        a = np.arange(ROUND)
-        b = a + len(rim)
-        index = np.concatenate([np.column_stack([a, b, b + 1]), np.column_stack([a, b + 1, a + 1])])
-        parts.append((np.vstack([inner * rim, outer * rim]), UPWARD, tone, index))
+    for inner, outer, tone in ((0.0, 0.4, ink), (0.4, 0.72, WHITE), (0.72, 1.0, ink)):
+        parts.append((np.vstack([inner * rim, outer * rim]), UPWARD, tone, grid_triangles(1, ROUND)))
     return ColouredMeshGeometry(ColouredMesh.joined(parts))
+
+
+def fan(corners: int) -> np.ndarray:
+    """Return the triangles (k - 2, 3) of a convex polygon of ``corners`` k."""
+    return np.array([(0, i, i + 1) for i in range(1, corners - 1)])
 
 
 def grid_triangles(rows: int, columns: int) -> np.ndarray:

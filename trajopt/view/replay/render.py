@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
-import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
@@ -15,6 +13,7 @@ import numpy as np
 
 from trajopt.errors import InputError
 from trajopt.solution.input import SolutionOrFile, require_motion, solutions_of
+from trajopt.solution.output import check_output, replacing
 from trajopt.solution.solution import Solution
 from trajopt.view.replay import video
 from trajopt.view.replay.browser import AT_START, OpenedPage, open_page, require_chromium
@@ -71,7 +70,7 @@ def render(
         TrajoptError: If Chromium or ffmpeg fails.
     """
     several = [require_motion(solution) for solution in solutions_of(solutions)]
-    target = Path(target).expanduser()
+    target = check_output(Path(target))
     known = [field.name for field in fields(Shots) if field.name != "ending"]
     unknown = ", ".join(sorted(set(options) - set(known)))
     if unknown:
@@ -81,11 +80,12 @@ def render(
     if shots.is_video:
         video.find_ffmpeg()
     times = shots.times(*_span(several), representative_time(several[0]))
-    with _replacing(target) as unfinished, tempfile.TemporaryDirectory(prefix="trajopt-") as folder:
+    with replacing(target) as unfinished, tempfile.TemporaryDirectory(prefix="trajopt-") as folder:
         page = Path(folder, "page.html")
         speed = min(max(shots.speed, SLOWEST), 1.0)  # of slow motion the page has more frames
         replay(several, html=page, open_browser=False, speed=speed, layout=layout, labels=labels)
-        with open_page(page, shots.pixels, _fragment(shots)) as view:
+        fragment = AT_START + ("&panel=off" if shots.caption and not shots.strip else "&bare")
+        with open_page(page, shots.pixels, fragment) as view:
             _arrange(view, shots)
             _write(unfinished, shots, times, _pictures(view, times, progress))
         size = unfinished.stat().st_size
@@ -105,11 +105,6 @@ def _span(solutions: Sequence[Solution]) -> tuple[float, float]:
     if not solutions:
         raise InputError("there is nothing to render", "one or more solutions")
     return min(float(s.t[0]) for s in solutions), max(float(s.t[-1]) for s in solutions)
-
-
-def _fragment(shots: Shots) -> str:
-    """How the page opens: without its controls; a strip has text of its own."""
-    return AT_START + ("&panel=off" if shots.caption and not shots.strip else "&bare")
 
 
 def _arrange(view: OpenedPage, shots: Shots) -> None:
@@ -153,24 +148,3 @@ def _write_strip(target: Path, shots: Shots, times: np.ndarray, pictures: Iterat
             corner = (number * step + TEXT_MARGIN * letter, TEXT_MARGIN * letter)
             draw.text(corner, f"{t:.2f} s", fill=INK, font=font)
     whole.save(target, format="PNG", optimize=True)
-
-
-@contextlib.contextmanager
-def _replacing(target: Path) -> Iterator[Path]:
-    """Give a place beside ``target`` to write to, and move what is there to ``target`` if all goes well."""
-    refused = f"cannot write {target}"
-    allowed = "allowed: a file in an existing folder that can be written"
-    if target.is_dir():
-        raise InputError(f"{refused}: it is a folder", allowed)
-    if target.exists() and not target.is_file():
-        raise InputError(f"{refused}: it is no regular file", allowed)
-    if not target.parent.is_dir():
-        raise InputError(f"{refused}: the folder {target.parent} does not exist", allowed)
-    try:
-        beside = tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.")
-    except OSError as error:
-        raise InputError(f"{refused}: {error.strerror or error}", allowed) from None
-    with beside as folder:
-        unfinished = Path(folder, target.name)
-        yield unfinished
-        os.replace(unfinished, target)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import warnings
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,7 +18,7 @@ from trajopt.robot.building import reach
 from trajopt.robot.data import VisualSource
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.collada import ColladaError, read_collada
-from trajopt.view.replay.parts import ColouredMeshGeometry
+from trajopt.view.replay.parts import ColouredMeshGeometry, box_corners, placed
 from trajopt.view.replay.visuals import Visuals, mesh_points, visuals_of
 
 BONE_COLOUR, JOINT_COLOUR, FOOT_COLOUR = 0x8A93A0, 0x2F6DB5, 0x303438
@@ -72,7 +71,8 @@ class _JointTree(MeshcatVisualizer):
     """Pinocchio's loader of geometry and materials, with every geometry hung on its joint."""
 
     def getViewerNodeName(self, geometry_object: Any, geometry_type: Any) -> str:
-        return f"{joint_path(self.model, geometry_object.parentJoint)}/{_plain(geometry_object.name)}"
+        name = geometry_object.name.replace("/", "_")
+        return f"{joint_path(self.model, geometry_object.parentJoint)}/{name}"
 
     def loadViewerGeometryObject(self, geometry_object: Any, *args: Any, **options: Any) -> None:
         if geometry_object.name in self.meshes:  # a box stands for it, see `visuals`
@@ -113,11 +113,9 @@ def _draw_meshes(vis: Any, model: pin.Model, visuals: Visuals) -> DrawnRobot:
 
 def _left_out(missing: dict[str, str], unreadable: list[str]) -> str:
     """One line on what is not drawn of a robot; empty if that is nothing."""
-    parts = []
-    if missing:
-        parts.append(f"without mesh files that are not found: {', '.join(sorted(set(missing.values())))}")
-    if unreadable:
-        parts.append(f"without geometry that Meshcat cannot show: {', '.join(unreadable)}")
+    reasons = {"mesh files that are not found": sorted(set(missing.values()))}
+    reasons["geometry that Meshcat cannot show"] = unreadable
+    parts = [f"without {what}: {', '.join(names)}" for what, names in reasons.items() if names]
     return f"the robot is drawn {'; '.join(parts)}" if parts else ""
 
 
@@ -132,8 +130,7 @@ def _points(entry: Any, is_mesh: bool) -> np.ndarray | None:
     if isinstance(geometry, coal.Sphere):
         return geometry.radius * _round_probes()
     geometry.computeLocalAABB()
-    corners = np.array([geometry.aabb_local.min_, geometry.aabb_local.max_])
-    return np.array(list(itertools.product(*corners.T)))
+    return box_corners(geometry.aabb_local.min_, geometry.aabb_local.max_)
 
 
 def subsample(points: np.ndarray, most: int) -> np.ndarray:
@@ -167,7 +164,7 @@ def draw_skeleton(vis: Any, solution: Solution) -> DrawnRobot:
         drawn.add(joint, end[None])
         if is_tip:
             node[f"tip{number}"].set_object(shapes.Sphere(ball), shapes.MeshPhongMaterial(color=FOOT_COLOUR))
-            node[f"tip{number}"].set_transform(pin.SE3(np.eye(3), end).homogeneous)
+            node[f"tip{number}"].set_transform(placed(end))
             drawn.add(joint, end + ball * _round_probes())
         if length > ball:
             rod = shapes.Cylinder(length, bone)
@@ -180,9 +177,7 @@ def draw_skeleton(vis: Any, solution: Solution) -> DrawnRobot:
 def _draw_trunk(vis: Any, model: pin.Model, drawn: DrawnRobot) -> None:
     """Draw the link of a moving base, which no rod shows, as the solid box of its mass and inertia."""
     base = _base_joint(model)
-    if base == 0:
-        return
-    box = box_of_inertia(model.inertias[base])
+    box = box_of_inertia(model.inertias[base]) if base else None
     if box is None:
         return
     sides, place = box
@@ -190,8 +185,7 @@ def _draw_trunk(vis: Any, model: pin.Model, drawn: DrawnRobot) -> None:
     material = shapes.MeshPhongMaterial(color=BONE_COLOUR, opacity=TRUNK_OPACITY)
     node.set_object(shapes.Box(sides.tolist()), material)
     node.set_transform(place.homogeneous)
-    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * sides
-    drawn.add(base, corners @ place.rotation.T + place.translation)
+    drawn.add(base, box_corners(-sides / 2, sides / 2) @ place.rotation.T + place.translation)
 
 
 def box_of_inertia(inertia: pin.Inertia) -> tuple[np.ndarray, pin.SE3] | None:
@@ -222,32 +216,20 @@ def _rods(solution: Solution) -> list[tuple[int, np.ndarray, bool]]:
         if parent > 0 or model.joints[child].nv == 1:  # a floating base hangs on nothing
             rods.append((parent, model.jointPlacements[child].translation.copy(), False))
     tips = {model.getFrameId(name) for name in solution.contact_frames} | set(tip_frames(model))
-    for frame in sorted(tips):
-        rods.append(
-            (int(model.frames[frame].parentJoint), model.frames[frame].placement.translation.copy(), True)
-        )
+    for frame in (model.frames[number] for number in sorted(tips)):
+        rods.append((int(frame.parentJoint), frame.placement.translation.copy(), True))
     return rods
 
 
 def tip_frames(model: pin.Model) -> list[int]:
     """Return, for each joint without child, its frame that lies furthest from it."""
+    lengths = [np.linalg.norm(frame.placement.translation) for frame in model.frames]
     leaves = set(range(1, model.njoints)) - {int(parent) for parent in model.parents}
-    tips = []
-    for joint in sorted(leaves):
-        frames = [number for number, frame in enumerate(model.frames) if frame.parentJoint == joint]
-        if frames:
-            tips.append(
-                max(frames, key=lambda number: np.linalg.norm(model.frames[number].placement.translation))
-            )
-    return tips
+    frames = ([i for i, f in enumerate(model.frames) if f.parentJoint == joint] for joint in sorted(leaves))
+    return [max(own, key=lengths.__getitem__) for own in frames if own]
 
 
 def _rod_placement(end: np.ndarray) -> np.ndarray:
     """Placement of a Meshcat cylinder (along y, centred) from the origin to ``end``."""
     rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 1.0, 0.0]), end).toRotationMatrix()
-    placement: np.ndarray = pin.SE3(rotation, end / 2).homogeneous
-    return placement
-
-
-def _plain(name: str) -> str:
-    return name.replace("/", "_")
+    return placed(end / 2, rotation)

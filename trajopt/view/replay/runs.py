@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 
@@ -14,8 +14,7 @@ from trajopt.solution.solution import Solution
 from trajopt.view.replay.motion import ReplayMotion
 from trajopt.view.replay.robot import DrawnRobot, draw_robot, joint_path, subsample
 
-_Layout = Literal["overlaid", "side-by-side"]
-LAYOUTS: tuple[_Layout, ...] = get_args(_Layout)
+LAYOUTS = ("overlaid", "side-by-side")
 
 # Colours of several solutions, told apart by the colour-blind (Okabe and Ito, "Color universal design").
 RUN_COLOURS = (0x5B6570, 0x0072B2, 0xD55E00, 0x009E73, 0xCC79A7, 0xE69F00, 0x56B4E9)
@@ -49,6 +48,10 @@ class DrawnSolution:
     cloud: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     size: float = 1.0
     shift: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    def ink(self, colour: int) -> int:
+        """Return a colour for what is drawn of the run: the run's own instead where it is tinted."""
+        return self.colour if self.tinted else colour
 
     @property
     def base_joint(self) -> int:

@@ -8,47 +8,49 @@ from typing import Any
 
 import meshcat
 import numpy as np
-import pinocchio as pin
 
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import touched_surfaces
+from trajopt.terrain.surface import Surface
 from trajopt.view.phases import phase_spans
-from trajopt.view.replay.arrows import draw_arrows, weight_arrow_of
+from trajopt.view.replay.arrows import draw_arrows, draw_trails, weight_arrow_of
 from trajopt.view.replay.balance import balance_of
 from trajopt.view.replay.balance_marks import draw_balance
-from trajopt.view.replay.camera import initial_camera
+from trajopt.view.replay.bodies import draw_obstacles, draw_payloads
+from trajopt.view.replay.caption import caption_lines, title
 from trajopt.view.replay.commands import Animation, Recorder, ViewerCommand
 from trajopt.view.replay.cones import draw_cones
-from trajopt.view.replay.copies import draw_ghosts, ghost_frames, tint
+from trajopt.view.replay.copies import PREFIX, draw_ghosts, ghost_frames, tint
 from trajopt.view.replay.goals import draw_goals
-from trajopt.view.replay.grounds import DrawnGround, draw_grounds, grounds_of
+from trajopt.view.replay.ground import DrawnGround, draw_grounds, grounds_of
 from trajopt.view.replay.layers import hidden_layers, layers_of
 from trajopt.view.replay.motion import ReplayMotion
-from trajopt.view.replay.obstacles import draw_obstacles
-from trajopt.view.replay.payloads import draw_payloads
+from trajopt.view.replay.parts import placed
 from trajopt.view.replay.robot import joint_path
 from trajopt.view.replay.runs import DrawnSolution, drawn_runs, travels
 from trajopt.view.replay.surfaces import draw_surfaces
-from trajopt.view.replay.trails import draw_trails
-from trajopt.view.replay.turns import quaternions_of
 
-PREFIX = "/meshcat/"
+# Of Meshcat's own page; the cameras of the player are in web/cameras.js.
+# Vertical field of view in degrees: little perspective.
+FIELD_OF_VIEW = 35.0
+# Direction from the robot to the camera: from its right and ahead, slightly above.
+CAMERA_DIRECTION = np.array([0.62, -1.0, 0.42])
 
 
 @dataclass(frozen=True)
 class ReplayScene:
-    """Commands in order; ``note`` if a robot is not drawn in full; ``weight_arrow`` in m.
+    """Commands in order; ``note`` if a robot is not drawn in full.
 
     facts: what a page tells of the scene, JSON-able: ``start`` (s of the solution), ``speed``, ``duration``
     (s of playback), ``phases`` [{name, start, end}] of the first solution, s, ``layers`` [{name, label,
     colour, paths, visible}], ``runs`` [{label, colour, root, base}] with places in the scene tree, ``size``
     (m, the largest robot's extent), ``box`` [[low], [high]] (m, world) around all motions and what they
-    touch, ``travels``: whether a base goes so far that a camera should follow it.
+    touch, ``travels``: whether a base goes so far that a camera should follow it, ``title``, ``picture`` (s
+    of the solution between two pictures of the animation), ``lines`` [{text, kind, colour}] of the caption.
     """
 
     commands: list[ViewerCommand]
     note: str
-    weight_arrow: float
     facts: dict[str, Any] = field(default_factory=dict)
 
 
@@ -84,12 +86,12 @@ def build_scene(
     for layer in layers:
         for path in () if layer["visible"] else layer["paths"]:
             vis[path].set_property("visible", False)
-    initial_camera(vis, box, ground)
+    _frame(vis, box, ground)
     recorder.commands.append(tracks.command())
-    notes = list(dict.fromkeys(run.robot.note for run in runs if run.robot.note))
-    return ReplayScene(
-        recorder.commands, "; ".join(notes), weight_arrow, _facts(runs, layers, box, size, follows)
-    )
+    note = "; ".join(dict.fromkeys(run.robot.note for run in runs if run.robot.note))
+    facts = _facts(runs, layers, box, size, follows)
+    facts["lines"] = caption_lines(runs, motions, weight_arrow, note)
+    return ReplayScene(recorder.commands, note, facts)
 
 
 def _draw_run(
@@ -102,27 +104,42 @@ def _draw_run(
 ) -> np.ndarray:
     """Draw what belongs to one solution; returns points (k, 3) of the scene's world that it takes up, m."""
     solution, motion, node = run.solution, run.motion, run.node
-    colour = run.colour if run.tinted else None
     if run.shift.any():
-        node.set_transform(pin.SE3(np.eye(3), run.shift).homogeneous)
+        node.set_transform(placed(run.shift))
     joints = [(joint, joint_path(solution.model, joint)) for joint in range(1, solution.model.njoints)]
     draw_ghosts(recorder, run, joints, ghost_frames(motion, run.size))
     for joint, place in joints:
-        tracks.add(node[place], "position", "vector3", motion.joints[:, joint, :3, 3])
-        tracks.add(node[place], "quaternion", "quaternion", quaternions_of(motion.joints[:, joint, :3, :3]))
+        tracks.place(node[place], motion.joints[:, joint])
     touching = touched_surfaces(solution, motion.feet, motion.phase)
     places = [
         run.cloud,
-        draw_surfaces(node["surfaces"], ground.elsewhere, run, size),
-        draw_obstacles(node["obstacles"], solution),
-        draw_goals(node["goals"], solution, ground.drop, size),
-        draw_payloads(node["payloads"], tracks, solution, motion),
+        draw_surfaces(run, ground.elsewhere, size),
+        draw_obstacles(run),
+        draw_goals(run, ground.drop, size),
+        draw_payloads(run, tracks),
     ]
-    draw_arrows(node, tracks, solution, motion, size, weight_arrow, colour)
-    draw_cones(node["cones"], tracks, solution, motion, touching, size)
-    draw_balance(node, tracks, solution, balance_of(solution, motion, touching), ground.drop, size, colour)
-    draw_trails(node["trails"], solution, motion, colour)
+    draw_arrows(run, tracks, size, weight_arrow)
+    draw_cones(run, tracks, touching, size)
+    draw_balance(run, tracks, balance_of(solution, motion, touching), ground.drop, size)
+    draw_trails(run)
     return np.asarray(np.concatenate(places) + run.shift)
+
+
+def _frame(vis: Any, box: np.ndarray, ground: Surface) -> None:
+    """Let the camera of Meshcat's own page show the whole ``box`` (2, 3), m, and the ground below it.
+
+    Meshcat's camera always looks at the origin of the viewer: the world is moved there instead.
+    """
+    middle = box.mean(axis=0)
+    below = middle - ground.distance(middle) * ground.normal
+    low, high = np.minimum(box[0], below), np.maximum(box[1], below)
+    target = (low + high) / 2
+    distance = float(np.linalg.norm(high - low)) / 2 / np.sin(np.radians(FIELD_OF_VIEW) / 2)
+    offset = distance * CAMERA_DIRECTION / np.linalg.norm(CAMERA_DIRECTION)
+    lens = vis["/Cameras/default/rotated/<object>"]
+    lens.set_property("fov", FIELD_OF_VIEW)
+    lens.set_property("position", [float(offset[0]), float(offset[2]), float(-offset[1])])  # y is up there
+    vis.set_transform(placed(-target))
 
 
 def _drawn(recorder: Recorder) -> list[str]:
@@ -148,4 +165,6 @@ def _facts(
         "size": size,
         "box": box.tolist(),
         "travels": follows,
+        "title": " | ".join(dict.fromkeys(title(run.solution) for run in runs)),
+        "picture": motion.speed / motion.frame_rate,
     }

@@ -11,8 +11,9 @@ import numpy as np
 
 from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
+from trajopt.terrain.surface import is_number
+from trajopt.view.replay.motion import require_speed
 
-VIDEOS, PICTURES = (".mp4", ".gif"), (".png",)
 # Pixels (width, height): of a GIF fewer, because it is compressed badly; of each picture of a strip.
 SIZES = {".mp4": (1280, 720), ".gif": (640, 360), ".png": (1280, 720)}
 STRIP_SIZE = (480, 480)
@@ -61,16 +62,12 @@ class Shots:
         if self.ending not in SIZES:
             name = f"'{self.ending}'" if self.ending else "missing"
             raise InputError(f"the ending of the output is {name}", "allowed: " + ", ".join(SIZES))
-        self._check_kinds()
+        self._check_numbers()
         self._check_use()
         self._check_size()
-        self._check_rates()
-        for name in ("start", "end", "time"):
-            value = getattr(self, name)
-            if value is not None and not math.isfinite(value):
-                raise InputError(f"{name} is {value}", "a number of seconds of the solution")
-        if self.strip is not None and not 2 <= self.strip <= MOST_STRIP:
-            raise InputError(f"a strip of {self.strip} pictures", f"allowed: 2 to {MOST_STRIP}")
+        most = MOST_RATE.get(self.ending)
+        if self.fps is not None and most is not None and not 1 <= self.fps <= most:
+            raise InputError(f"--fps is {self.fps:g}", f"allowed for a {self.ending}: 1 to {most:g}")
 
     @property
     def pixels(self) -> tuple[int, int]:
@@ -91,7 +88,7 @@ class Shots:
     @property
     def is_video(self) -> bool:
         """It is more than one picture, one after the other."""
-        return self.ending in VIDEOS
+        return self.ending in RATES
 
     def times(self, first: float, last: float, telling: float) -> np.ndarray:
         """Return the times (n,) of the pictures, s of a solution that lasts from ``first`` to ``last``.
@@ -123,18 +120,15 @@ class Shots:
         times[-1] = end
         return times
 
-    def _check_kinds(self) -> None:
+    def _check_numbers(self) -> None:
         """Numbers where numbers are meant: a script may give anything."""
-        if self.size is not None:
-            pair = isinstance(self.size, Sequence) and len(self.size) == 2
-            if not pair or not all(isinstance(side, int) for side in self.size):
-                raise InputError(f"size is {self.size!r}", "allowed: (width, height) in whole pixels")
-        if self.strip is not None and not isinstance(self.strip, int):
+        require_speed(self.speed)
+        named = {"--fps": self.fps, "start": self.start, "end": self.end, "time": self.time}
+        for name, value in named.items():
+            if value is not None and not is_number(value):
+                raise InputError(f"{name} is {value!r}", "allowed: a finite number")
+        if self.strip is not None and not (isinstance(self.strip, int) and 2 <= self.strip <= MOST_STRIP):
             raise InputError(f"a strip of {self.strip!r} pictures", f"allowed: 2 to {MOST_STRIP}")
-        for name in ("fps", "speed", "start", "end", "time"):
-            value = getattr(self, name)
-            if not isinstance(value, int | float) and (value is not None or name == "speed"):
-                raise InputError(f"{name} is {value!r}", "allowed: a number")
 
     def _check_use(self) -> None:
         """Every value that is given has a meaning for this kind of file."""
@@ -154,6 +148,9 @@ class Shots:
                 raise InputError(f"{name} has no use for {what}", allowed)
 
     def _check_size(self) -> None:
+        pair = isinstance(self.pixels, Sequence) and len(self.pixels) == 2
+        if not pair or not all(isinstance(side, int) for side in self.pixels):
+            raise InputError(f"size is {self.size!r}", "allowed: (width, height) in whole pixels")
         width, height = self.pixels
         allowed = f"allowed: WIDTHxHEIGHT, each {LEAST_SIDE} to {MOST_SIDE} pixels, as in 1280x720"
         if not (LEAST_SIDE <= width <= MOST_SIDE and LEAST_SIDE <= height <= MOST_SIDE):
@@ -165,14 +162,6 @@ class Shots:
             raise InputError(
                 f"{self.strip} pictures of {width} pixels side by side", f"allowed: {MOST_WIDTH} pixels"
             )
-
-    def _check_rates(self) -> None:
-        if not (math.isfinite(self.speed) and self.speed > 0):
-            raise InputError(f"speed is {self.speed:g}", "a positive number; 1 is real time")
-        if self.fps is not None:
-            most = MOST_RATE[self.ending]
-            if not 1 <= self.fps <= most:
-                raise InputError(f"--fps is {self.fps:g}", f"allowed for a {self.ending}: 1 to {most:g}")
 
 
 def representative_time(solution: Solution) -> float:

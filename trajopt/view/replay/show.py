@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import math
-import os
 import sys
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from trajopt.errors import InputError
 from trajopt.solution.input import SolutionOrFile, require_motion, solutions_of
+from trajopt.solution.output import check_output, replacing
 from trajopt.solving.interruption import LOOK
-from trajopt.view.replay.caption import page_facts
 from trajopt.view.replay.live import LiveWindow, server_address_text
 from trajopt.view.replay.motion import replay_motions
 from trajopt.view.replay.page import page
@@ -27,7 +23,7 @@ class Replay:
 
     frames: pictures of the animation; duration: seconds it plays (solution time over speed).
     note: one line if a robot could not be drawn with its meshes, else empty.
-    facts: what the page says: phases, layers, runs, lines of its caption; see `ReplayScene` and `page_facts`.
+    facts: what the page says: phases, layers, runs, lines of its caption; see `ReplayScene`.
     html, size: the page and its bytes, or url, window: where the Meshcat server shows it, and the window
     through which a script can add to it, as in ``meshcat.Visualizer(window=shown.window)``.
     """
@@ -73,21 +69,20 @@ def replay(
             another number, or a file that cannot be written.
         TrajoptError: If the server does not start.
     """
-    if not isinstance(speed, int | float) or not (math.isfinite(speed) and speed > 0):
-        raise InputError(f"speed is {speed}", "a positive number; 1 is real time")
-    target = None if html is None else _target(Path(html).expanduser())
+    target = None if html is None else check_output(Path(html))
     several = [require_motion(solution) for solution in solutions_of(solutions)]
     motions = replay_motions(several, speed)
     scene = build_scene(several, motions, layout, labels)
-    facts = page_facts(scene, several, motions)
     if scene.note:
         print(scene.note, file=sys.stderr)
-    shown: dict[str, Any] = {"frames": motions[0].n_frames, "note": scene.note, "facts": facts}
+    shown: dict[str, Any] = {"frames": motions[0].n_frames, "note": scene.note, "facts": scene.facts}
     shown["duration"] = (motions[0].n_frames - 1) / motions[0].frame_rate
     if target is not None:
-        return Replay(**shown, html=target, size=_write(target, page(scene, facts)))
+        with replacing(target) as unfinished:
+            size = unfinished.write_bytes(page(scene).encode())
+        return Replay(**shown, html=target, size=size)
     window = LiveWindow()
-    window.show(scene.commands, facts)
+    window.show(scene.commands, scene.facts)
     print(server_address_text(window.web_url))
     if open_browser:
         window.open()
@@ -105,46 +100,3 @@ def serve(shown: Replay, leaving: Callable[[], bool] = bool) -> None:
         pass
     finally:
         shown.close()
-
-
-def _target(target: Path) -> Path:
-    """The file to write, refused before anything is computed for it."""
-    try:
-        if target.is_dir():
-            raise _refused(target, "it is a folder")
-        if target.exists() and not target.is_file():
-            raise _refused(target, "it is no regular file")
-        if not target.parent.is_dir():
-            raise _refused(target, f"the folder {target.parent} does not exist")
-    except OSError as error:  # as of a name that is too long
-        raise _refused(target, error.strerror or str(error)) from None
-    return target
-
-
-def _refused(target: Path, reason: str) -> InputError:
-    return InputError(f"cannot write {target}: {reason}", "a file in an existing folder")
-
-
-def _write(target: Path, text: str) -> int:
-    """Write beside the target, then put it in its place: the page is there whole, or the old one is."""
-    data = text.encode()
-    try:
-        handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
-    except OSError as error:
-        raise _refused(target, error.strerror or str(error)) from None
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        os.chmod(name, 0o666 & ~_umask())
-        os.replace(name, target)
-    except OSError as error:
-        raise _refused(target, error.strerror or str(error)) from None
-    finally:
-        Path(name).unlink(missing_ok=True)
-    return len(data)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -7,13 +7,12 @@ from typing import Any
 
 import meshcat.geometry as shapes
 import numpy as np
-import pinocchio as pin
 
 from trajopt.solution.descriptions import surfaces_of, terrain_of
 from trajopt.solution.solution import Solution
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.surface import UP, Surface, frame_of_normal
-from trajopt.view.replay.parts import draw_unshadowed
+from trajopt.view.replay.parts import UPRIGHT, draw_unshadowed, placed
 from trajopt.view.replay.runs import DrawnSolution
 
 WALL_COLOUR, HANDLE_COLOUR = 0xB98A4E, 0x1E8C7E
@@ -50,22 +49,12 @@ def plane_of(solution: Solution) -> Surface:
 
 def depth_below_contacts(standing: list[Touch], run: DrawnSolution, size: float) -> float:
     """Return how far below their contact frames drawn feet reach on ground that is no plane, m."""
-    drops = [0.0]
-    for touch in standing:
-        for rows in _stances(touch.rows):
-            place = run.motion.feet[rows, touch.contact]
-            plane = Surface(point=place[0], normal=np.array(UP))
-            one = np.zeros_like(touch.rows)
-            one[rows[0]] = True
-            seen = drawn_plane([Touch(surface=plane, contact=touch.contact, rows=one)], run, size)
-            drops.append(plane.height - seen.height)
-    return float(np.median(drops[1:])) if len(drops) > 1 else 0.0
-
-
-def _stances(rows: np.ndarray) -> list[np.ndarray]:
-    """Indices of the stretches of consecutive frames."""
-    found = np.flatnonzero(rows)
-    return np.split(found, np.flatnonzero(np.diff(found) > 1) + 1) if len(found) else []
+    drops = [
+        _believed(_reach_below(run, (int(row), touch.contact), np.array(UP)), size)
+        for touch in standing
+        for row in np.flatnonzero(np.diff(touch.rows.astype(int), prepend=0) == 1)
+    ]
+    return float(np.median(drops)) if drops else 0.0
 
 
 def touches_of(run: DrawnSolution) -> tuple[list[Touch], list[Touch]]:
@@ -100,29 +89,38 @@ def drawn_plane(touches: list[Touch], run: DrawnSolution, size: float) -> Surfac
     Contact frames may lie inside the foot (the centre of a rounded tip): the plane is drawn deeper
     along its normal by the typical distance from the frame to the lowest point of its link in contact.
     """
-    solution, motion = run.solution, run.motion
-    surface, drops = touches[0].surface, []
+    surface = touches[0].surface
     normal = surface.normal
-    stances = [(row, touch.contact) for touch in touches for row in np.flatnonzero(touch.rows)]
-    heights = [float(normal @ motion.feet[stance]) for stance in stances]
-    for number in np.unique(np.linspace(0, len(stances) - 1, MEASURED_STANCES).astype(int)):
-        row, contact = stances[number]
-        frame = solution.model.getFrameId(solution.contact_frames[contact])
-        joint = solution.model.frames[frame].parentJoint
-        turn, place = motion.joints[row, joint, :3, :3], motion.joints[row, joint, :3, 3]
-        points = np.concatenate(run.robot.points.get(joint, [np.zeros((1, 3))]))
-        drops.append(heights[number] - float((points @ (turn.T @ normal)).min() + normal @ place))
-    drop = float(np.median(drops))
-    height = min(heights) - (drop if 0 < drop < DEEPEST_FOOT * size else 0.0)
+    stances = [(row, touch.contact) for touch in touches for row in np.flatnonzero(touch.rows).tolist()]
+    heights = [float(normal @ run.motion.feet[stance]) for stance in stances]
+    measured = np.unique(np.linspace(0, len(stances) - 1, MEASURED_STANCES).astype(int))
+    drop = float(np.median([_reach_below(run, stances[number], normal) for number in measured]))
+    height = min(heights) - _believed(drop, size)
     return Surface(point=surface.point + (height - surface.height) * normal, normal=normal)
 
 
-def draw_surfaces(vis: Any, touches: list[Touch], run: DrawnSolution, size: float) -> np.ndarray:
+def _reach_below(run: DrawnSolution, stance: tuple[int, int], normal: np.ndarray) -> float:
+    """How far a drawn link reaches below its contact frame, m; ``stance``: row of the motion, contact."""
+    row, contact = stance
+    model, motion = run.solution.model, run.motion
+    joint = model.frames[model.getFrameId(run.solution.contact_frames[contact])].parentJoint
+    turn, place = motion.joints[row, joint, :3, :3], motion.joints[row, joint, :3, 3]
+    points = np.concatenate(run.robot.points.get(joint, [np.zeros((1, 3))]))
+    lowest = float((points @ (turn.T @ normal)).min() + normal @ place)
+    return float(normal @ motion.feet[stance]) - lowest
+
+
+def _believed(drop: float, size: float) -> float:
+    """A depth of drawn feet below their contacts, 0 where it is more than feet have."""
+    return drop if 0 < drop < DEEPEST_FOOT * size else 0.0
+
+
+def draw_surfaces(run: DrawnSolution, touches: list[Touch], size: float) -> np.ndarray:
     """Draw each plane as a patch around where it is touched, a handle where a contact is held.
 
     Returns the corners of the patches and the handles' places (k, 3) in m: what the camera has to show.
     """
-    places, motion = [np.zeros((0, 3))], run.motion
+    places, motion, vis = [np.zeros((0, 3))], run.motion, run.node["surfaces"]
     for number, group in enumerate(_by_plane([touch for touch in touches if not touch.surface.bilateral])):
         plane = drawn_plane(group, run, size)
         points = np.concatenate([motion.feet[touch.rows, touch.contact] for touch in group])
@@ -157,7 +155,7 @@ def _patch(node: Any, plane: Surface, points: np.ndarray, size: float) -> np.nda
     centre = plane.point + turn @ np.array([*(low + high) / 2, -thickness / 2])
     material = shapes.MeshLambertMaterial(color=WALL_COLOUR, opacity=WALL_OPACITY)
     draw_unshadowed(node, shapes.Box([*(high - low).tolist(), thickness]), material)
-    node.set_transform(pin.SE3(turn, centre).homogeneous)
+    node.set_transform(placed(centre, turn))
     corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
     return np.asarray(plane.point + corners @ turn[:, :2].T)
 
@@ -174,7 +172,7 @@ def _patch_frame(normal: np.ndarray) -> np.ndarray:
 def _handle(node: Any, surface: Surface, place: np.ndarray, size: float) -> None:
     """A disc whose front lies where the contact is held."""
     thickness = THICKNESS * size
-    turn = frame_of_normal(surface.normal) @ pin.utils.rotate("x", np.pi / 2)  # a cylinder lies along y
+    turn = frame_of_normal(surface.normal) @ UPRIGHT
     material = shapes.MeshLambertMaterial(color=HANDLE_COLOUR, opacity=HANDLE_OPACITY)
     draw_unshadowed(node, shapes.Cylinder(thickness, HANDLE_RADIUS * size), material)
-    node.set_transform(pin.SE3(turn, place - thickness / 2 * surface.normal).homogeneous)
+    node.set_transform(placed(place - thickness / 2 * surface.normal, turn))

@@ -10,11 +10,20 @@ import numpy as np
 from trajopt.terrain.patch import Patch, cut_polygon
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
-from trajopt.terrain.surface import UP
-from trajopt.view.replay.coloured_mesh import ColouredMesh, MeshPart, fan
-from trajopt.view.replay.ground import GRID_STRONG, GROUND_TINTS
-from trajopt.view.replay.parts import ColouredMeshGeometry, colour_array, grid_triangles, line_points
+from trajopt.view.replay.parts import (
+    UPWARD,
+    ColouredMesh,
+    ColouredMeshGeometry,
+    MeshPart,
+    colour_array,
+    fan,
+    grid_triangles,
+    line_points,
+)
 
+GRID_STRONG = 0x808C9B
+# Faces that follow each other differ a little.
+GROUND_TINTS = (0xCDD4DD, 0xB9C3CF)
 # Ground on each side of the motion, in robot extents; blocks reach this far below the lowest face drawn.
 MARGIN, DEPTH = 3.0, 0.3
 # Cells of a smooth ground along its longer side.
@@ -25,7 +34,6 @@ SMOOTH_COLOUR = 0xC2CAD4
 WALL_SHADE = 0.75
 # Lines lie over the ground by this part of the robot's extent, so that both show.
 LINE_LIFT = 0.002
-UPWARD = np.array(UP)
 
 
 def draw_terrain(
@@ -37,21 +45,18 @@ def draw_terrain(
     size: float,
 ) -> None:
     """Draw the ground ``margin`` (2,) m around ``box`` (2, 3), lowered by ``drop`` m to the drawn feet."""
-    low, high = box[0, :2] - margin, box[1, :2] + margin
+    area = np.array([box[0, :2] - margin, box[1, :2] + margin])
     if isinstance(terrain, PiecewiseTerrain):
-        _draw_faces(vis["ground"], terrain, (low, high), drop, size)
+        _draw_faces(vis["ground"], terrain, area, drop, size)
     else:
-        _draw_smooth(vis["ground"], terrain, (low, high), drop, size)
+        _draw_smooth(vis["ground"], terrain, area, drop, size)
 
 
-def _draw_faces(
-    node: Any, terrain: PiecewiseTerrain, area: tuple[np.ndarray, np.ndarray], drop: float, size: float
-) -> None:
-    drawn = [(face, _within(face, area)) for face in terrain.faces]
-    seen = [(face, corners) for face, corners in drawn if len(corners) >= 3]
-    bottom = min([corners[:, 2].min() for _, corners in seen], default=0.0) - drop - DEPTH * size
+def _draw_faces(node: Any, terrain: PiecewiseTerrain, area: np.ndarray, drop: float, size: float) -> None:
+    seen = [corners for face in terrain.faces if len(corners := _within(face, area)) >= 3]
+    bottom = min([corners[:, 2].min() for corners in seen], default=0.0) - drop - DEPTH * size
     material = shapes.MeshLambertMaterial(vertexColors=True)
-    for number, (_, corners) in enumerate(seen):
+    for number, corners in enumerate(seen):
         top = corners - drop * UPWARD
         colour = GROUND_TINTS[number % len(GROUND_TINTS)]
         node[f"face{number}"].set_object(_block(top, bottom, colour), material)
@@ -61,7 +66,7 @@ def _draw_faces(
         )
 
 
-def _within(face: Patch, area: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+def _within(face: Patch, area: np.ndarray) -> np.ndarray:
     """Corners (k, 3) of the part of a face over the drawn area."""
     corners = face.vertices
     for axis in (0, 1):
@@ -90,15 +95,11 @@ def _normal(polygon: np.ndarray) -> np.ndarray:
     return np.asarray(normal / length if length > 0 else normal)
 
 
-def _draw_smooth(
-    node: Any, terrain: SmoothTerrain, area: tuple[np.ndarray, np.ndarray], drop: float, size: float
-) -> None:
-    low, high = area
-    cell = float(np.max(high - low)) / CELLS
-    x, y = (
-        np.arange(int(np.ceil(span / cell)) + 1) * cell + start
-        for span, start in zip(high - low, low, strict=True)
-    )
+def _draw_smooth(node: Any, terrain: SmoothTerrain, area: np.ndarray, drop: float, size: float) -> None:
+    spans = np.ptp(area, axis=0)
+    cell = float(spans.max()) / CELLS
+    counts = np.ceil(spans / cell).astype(int) + 1
+    x, y = (low + cell * np.arange(count) for low, count in zip(area[0], counts, strict=True))
     across, along = np.meshgrid(x, y, indexing="ij")
     grid = np.stack([across, along, terrain.height(across, along) - drop], axis=-1)
     mesh = shapes.TriangularMeshGeometry(grid.reshape(-1, 3), grid_triangles(len(x) - 1, len(y) - 1))

@@ -19,7 +19,7 @@ import pinocchio as pin
 from trajopt.errors import InputError, first_line
 from trajopt.robot.data import VisualSource
 from trajopt.view.replay.collada import GREY, ColladaError, read_collada
-from trajopt.view.replay.stl import stl_corners
+from trajopt.view.replay.meshes import stl_corners
 
 SCHEMES = ("package://", "model://", "file://")
 

@@ -8,14 +8,17 @@ from typing import Any
 import meshcat
 import numpy as np
 import pinocchio as pin
+import umsgpack
 
 from trajopt.errors import TrajoptError
 from trajopt.robot.building import reach
 from trajopt.solution.solution import Solution
 from trajopt.solving.monitoring import Iterate
-from trajopt.view.replay.caption import page_facts, title
+from trajopt.view.replay.arrows import TRAIL_COLOURS
+from trajopt.view.replay.caption import line, title
 from trajopt.view.replay.commands import Animation, Recorder, ViewerCommand
-from trajopt.view.replay.copies import GHOST_COLOUR, GHOST_OPACITY, messages_below, tint
+from trajopt.view.replay.copies import GHOST_COLOUR, draw_copy, messages_below
+from trajopt.view.replay.layers import layer
 from trajopt.view.replay.motion import replay_motion
 from trajopt.view.replay.parts import draw_line
 from trajopt.view.replay.robot import draw_robot, draw_skeleton, joint_path, tip_frames
@@ -28,8 +31,7 @@ ROBOT, POSES, PATHS = "robot", "poses", "paths"
 STILL = (ROBOT, "ground", "terrain", "surfaces", "obstacles", "goals")
 # Bytes of the robot's meshes from which poses are skeletons: a browser holds each pose's own.
 HEAVY = 8_000_000
-# Colours of paths, of feet in turn, and of the centre of mass.
-PATH_COLOURS, MASS_COLOUR = (0x1F77B4, 0x2CA02C, 0x9467BD, 0xC77700), 0x303438
+MASS_COLOUR = 0x303438
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +65,7 @@ class IterateScene:
             new = True
         if self._problem is None:
             return None
-        facts = self._facts | {"lines": [_line(text, kind) for text, kind in _words(iterate, len(t))]}
+        facts = self._facts | {"lines": [line(text, kind) for text, kind in _words(iterate, len(t))]}
         if len(t):
             motion = IterateMotion(model=self._model, t=t, q=q, phase=phase, frames=self._frames)
             vis = meshcat.Visualizer(window=recorder)
@@ -82,7 +84,7 @@ class IterateScene:
         self._frames = named or tip_frames(self._model)
         still, self._facts = _still(solution)
         recorder.commands += [ViewerCommand({"type": "delete", "path": TOP}), *still]
-        recorder.commands += _posed(solution, recorder)
+        _draw_poses(recorder, solution)
 
 
 def _still(solution: Solution) -> tuple[list[ViewerCommand], dict[str, Any]]:
@@ -92,27 +94,21 @@ def _still(solution: Solution) -> tuple[list[ViewerCommand], dict[str, Any]]:
     """
     name = f"solving {title(solution)}"
     own = [
-        _layer(POSES, "poses on the way", GHOST_COLOUR),
-        _layer(PATHS, "paths of feet and mass", PATH_COLOURS[0]),
+        layer(POSES, "poses on the way", GHOST_COLOUR, [POSES]),
+        layer(PATHS, "paths of feet and mass", TRAIL_COLOURS[0], [PATHS]),
     ]
     try:
         with np.errstate(all="ignore"):
-            motion = replay_motion(solution)
-            scene = build_scene([solution], [motion])
-            facts = page_facts(scene, [solution], [motion])
+            scene = build_scene([solution], [replay_motion(solution)])
     except (TrajoptError, ArithmeticError, ValueError):
         recorder = Recorder()
         draw_robot(meshcat.Visualizer(window=recorder), solution)
         size = reach(solution.model) or 1.0
         facts = {"start": 0.0, "speed": 1.0, "size": size, "box": [[-size] * 3, [size] * 3], "runs": []}
         return recorder.commands, facts | {"title": name, "layers": own}
-    layers = [layer for layer in facts["layers"] if all(_is_still(path) for path in layer["paths"])]
+    layers = [one for one in scene.facts["layers"] if all(_is_still(path) for path in one["paths"])]
     kept = [command for command in scene.commands if _stands(command.message)]
-    return kept, facts | {"title": name, "layers": [*layers, *own]}
-
-
-def _layer(place: str, label: str, colour: int) -> dict[str, Any]:
-    return {"name": place, "label": label, "colour": f"#{colour:06x}", "paths": [place], "visible": True}
+    return kept, scene.facts | {"title": name, "layers": [*layers, *own]}
 
 
 def _is_still(path: str) -> bool:
@@ -121,39 +117,19 @@ def _is_still(path: str) -> bool:
 
 def _stands(message: dict[str, Any]) -> bool:
     path = str(message["path"])
-    if message["type"] == "set_animation":
-        return False
-    return not path.startswith(f"{TOP}/") or _is_still(path.removeprefix(f"{TOP}/"))
+    above = not path.startswith(f"{TOP}/")
+    return message["type"] != "set_animation" and (above or _is_still(path.removeprefix(f"{TOP}/")))
 
 
-def _posed(solution: Solution, drawn: Recorder) -> list[ViewerCommand]:
-    """The robot that is ``drawn``, again at every pose, translucent; skeletons where its meshes are heavy."""
-    own = messages_below(drawn, ROBOT)
-    if sum(_bytes(message) for message in own) > HEAVY:
+def _draw_poses(recorder: Recorder, solution: Solution) -> None:
+    """Draw the robot again for every pose, translucent; as a skeleton where its meshes are heavy."""
+    drawn = messages_below(recorder, ROBOT)
+    if len(umsgpack.packb(drawn)) > HEAVY:
         skeleton = Recorder()
         draw_skeleton(meshcat.Visualizer(window=skeleton), solution)
-        own = messages_below(skeleton, ROBOT)
-    recorder = Recorder()
+        drawn = messages_below(skeleton, ROBOT)
     for number in range(MOST_POSES):
-        place = f"{TOP}/{POSES}/{number}/"
-        for message in own:
-            path = place + message["path"].removeprefix(f"{TOP}/")
-            recorder.commands.append(ViewerCommand({**message, "path": path}))
-            if message["type"] == "set_object":
-                shadow = {"type": "set_property", "property": "castShadow", "value": False}
-                recorder.commands.append(ViewerCommand({**shadow, "path": f"{path}/<object>"}))
-    tint(recorder, POSES, GHOST_COLOUR, GHOST_OPACITY)
-    return recorder.commands
-
-
-def _bytes(part: Any) -> int:
-    """Bytes of a message, about: those of its text and binary parts."""
-    if isinstance(part, dict):
-        return sum(_bytes(value) for value in part.values())
-    if isinstance(part, list):
-        return sum(_bytes(value) for value in part)
-    data = getattr(part, "data", part)
-    return len(data) if isinstance(data, bytes | str) else 0
+        draw_copy(recorder, drawn, ROBOT, f"{POSES}/{number}/{ROBOT}", GHOST_COLOUR)
 
 
 def _move_poses(node: Any, motion: IterateMotion) -> None:
@@ -161,28 +137,22 @@ def _move_poses(node: Any, motion: IterateMotion) -> None:
     for number in range(MOST_POSES):
         node[str(number)].set_property("visible", number < len(joints))
         for joint in range(1, motion.model.njoints if number < len(joints) else 0):
-            place = pin.XYZQUATToSE3(joints[number, joint]).homogeneous
-            node[str(number)][joint_path(motion.model, joint)].set_transform(place)
+            node[str(number)][joint_path(motion.model, joint)].set_transform(joints[number, joint])
 
 
 def _draw_paths(node: Any, motion: IterateMotion) -> None:
     """The paths of contact frames (of tips where there are none) and of the centre of mass, as lines."""
-    names = [motion.model.frames[frame].name.replace("/", "_") for frame in motion.frames]
-    paths = [
-        (name, motion.points[:, number], PATH_COLOURS[number % len(PATH_COLOURS)])
-        for number, name in enumerate(names)
-    ]
-    for name, points, colour in (*paths, ("centre of mass", motion.mass, MASS_COLOUR)):
-        draw_line(node[name], points, colour)
+    for number, frame in enumerate(motion.frames):
+        name = motion.model.frames[frame].name.replace("/", "_")
+        draw_line(node[name], motion.points[:, number], TRAIL_COLOURS[number % len(TRAIL_COLOURS)])
+    draw_line(node["centre of mass"], motion.mass, MASS_COLOUR)
 
 
 def _animation(vis: Any, motion: IterateMotion) -> ViewerCommand:
     count = len(motion.joints)
     tracks = Animation(count, (count - 1) / motion.duration, reach(motion.model) or 1.0)
     for joint in range(1, motion.model.njoints):
-        node = vis[joint_path(motion.model, joint)]
-        tracks.add(node, "position", "vector3", motion.joints[:, joint, :3])
-        tracks.add(node, "quaternion", "quaternion", motion.joints[:, joint, 3:])
+        tracks.place(vis[joint_path(motion.model, joint)], motion.joints[:, joint])
     return tracks.command()
 
 
@@ -213,7 +183,3 @@ def _words(iterate: Iterate, finite: int) -> list[tuple[str, str]]:
         found.append(("no node of this iterate is finite", "failed"))
     found.append((f"objective {figures['objective']:.5g}", "quiet"))
     return [*found, (f"infeasibility {figures['primal']:.1e}, optimality {figures['dual']:.1e}", "quiet")]
-
-
-def _line(text: str, kind: str) -> dict[str, str]:
-    return {"text": text, "kind": kind, "colour": ""}

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pinocchio as pin
 
+from trajopt.view.replay.motion import placements
+
 # Pictures a second of the animation: nodes are further apart than its frames.
 FRAME_RATE = 30.0
 # Poses of the robot along the motion.
@@ -39,19 +41,13 @@ class IterateMotion:
         """Place the robot at times (k,).
 
         Returns:
-            Placements of joints (k, njoints, 7) as position and quaternion x, y, z, w; positions of
-            ``frames`` (k, f, 3) and of the centre of mass (k, 3), m, world.
+            Placements of joints (k, njoints, 4, 4); positions of ``frames`` (k, f, 3) and of the centre of
+            mass (k, 3), m, world.
         """
-        model, data = self.model, self.model.createData()
-        joints = np.empty((len(times), model.njoints, 7))
-        points, mass = np.empty((len(times), len(self.frames), 3)), np.empty((len(times), 3))
-        for row, t in enumerate(times):
-            mass[row] = pin.centerOfMass(model, data, self._at(float(t)))
-            pin.updateFramePlacements(model, data)
-            joints[row] = [pin.SE3ToXYZQUAT(placement) for placement in data.oMi]
-            for column, frame in enumerate(self.frames):
-                points[row, column] = data.oMf[frame].translation
-        return joints, points, mass
+        q, data = np.array([self._at(float(t)) for t in times]), self.model.createData()
+        joints, frames = placements(self.model, self.frames, q)
+        mass = np.array([pin.centerOfMass(self.model, data, row) for row in q])
+        return joints, frames[:, :, :3, 3], mass
 
     def _at(self, t: float) -> np.ndarray:
         """Configuration on the geodesic between the nodes around ``t``."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
-from types import TracebackType
 from typing import TextIO
 
 from trajopt.errors import InputError
@@ -35,9 +34,7 @@ class IterationTable:
     def __enter__(self) -> IterationTable:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._file.close()
 
     def __call__(self, iterate: Iterate) -> None:

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import threading
 import time
 import warnings
 from queue import SimpleQueue
-from types import TracebackType
 
 import zmq
 
 from trajopt.solution.solution import Solution
-from trajopt.solving.interruption import LOOK
 from trajopt.solving.monitoring import Iterate
-from trajopt.view.replay.caption import page_facts
 from trajopt.view.replay.commands import ViewerCommand
 from trajopt.view.replay.live import LiveWindow
 from trajopt.view.replay.motion import replay_motion
@@ -102,13 +98,9 @@ class Viewer:
         """Whether it shows what it is given: it has not failed and is not closed."""
         return not (self._failed or self._closed)
 
-    def wait(self, timeout: float = math.inf) -> bool:
+    def wait(self, timeout: float) -> bool:
         """Block until the server ends, at most ``timeout`` s; whether it has ended."""
-        end = time.monotonic() + timeout
-        while not self._window.ended(LOOK):
-            if time.monotonic() > end:
-                return False
-        return True
+        return self._window.ended(timeout)
 
     def close(self) -> None:
         """End the thread and the server; nothing where that was done."""
@@ -123,9 +115,7 @@ class Viewer:
     def __enter__(self) -> Viewer:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     @property
@@ -155,10 +145,9 @@ class Viewer:
     def _draw(self, what: Iterate | Solution | None) -> None:
         begin, used = time.perf_counter(), time.thread_time()
         if isinstance(what, Solution):
-            motion = replay_motion(what)
-            scene = build_scene([what], [motion])
+            scene = build_scene([what], [replay_motion(what)])
             clear = ViewerCommand({"type": "delete", "path": TOP})
-            self._window.show([clear, *scene.commands], page_facts(scene, [what], [motion]))
+            self._window.show([clear, *scene.commands], scene.facts)
         elif what is not None:
             picture = self._scene.picture(what)
             if picture is not None:

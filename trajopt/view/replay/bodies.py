@@ -1,0 +1,101 @@
+"""Bodies of a replay beside the robot: obstacles that it stays clear of, and what it carries."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import meshcat.geometry as shapes
+import numpy as np
+import pinocchio as pin
+
+from trajopt.certify.payloads import payload_inertia
+from trajopt.robot.collision.shapes import BoxObstacle, CapsuleObstacle, Obstacle, segment_placement
+from trajopt.solution.descriptions import scene_of_meta
+from trajopt.solution.solution import Solution
+from trajopt.view.replay.commands import Animation
+from trajopt.view.replay.parts import UPRIGHT, box_corners, placed
+from trajopt.view.replay.robot import box_of_inertia
+from trajopt.view.replay.runs import DrawnSolution
+from trajopt.view.replay.thinning import hold_while_hidden
+
+OBSTACLE_COLOUR, OBSTACLE_OPACITY = 0xC1553B, 0.75
+_CORNERS = box_corners(-np.ones(3), np.ones(3))
+PAYLOAD_COLOUR = 0xC98A2B
+# A point mass is drawn as a ball of this density, kg/m^3: between wood and water.
+DENSITY = 800.0
+
+
+def draw_obstacles(run: DrawnSolution) -> np.ndarray:
+    """Draw what the robot stays clear of; returns the corners (k, 3), world, m."""
+    scene = scene_of_meta(run.solution.model, run.solution.meta.get("collision"))
+    corners = [np.zeros((0, 3))]
+    for obstacle in scene.obstacles if scene is not None else ():
+        corners.append(_draw_obstacle(run.node["obstacles"][obstacle.name.replace("/", "_")], obstacle))
+    return np.concatenate(corners)
+
+
+def _draw_obstacle(node: Any, obstacle: Obstacle) -> np.ndarray:
+    if isinstance(obstacle, BoxObstacle):
+        placement = pin.SE3(obstacle.turn, obstacle.position)
+        _solid(node, shapes.Box(obstacle.sides.tolist()), placement)
+        return np.asarray(_CORNERS * obstacle.sides / 2 @ obstacle.turn.T + obstacle.position)
+    start, end = obstacle.axis
+    _solid(node["start"], shapes.Sphere(obstacle.radius), pin.SE3(np.eye(3), start))
+    length = float(np.linalg.norm(end - start))
+    if isinstance(obstacle, CapsuleObstacle) and length > 0:
+        _solid(node["end"], shapes.Sphere(obstacle.radius), pin.SE3(np.eye(3), end))
+        placement = segment_placement(start, end) * pin.SE3(UPRIGHT, np.zeros(3))
+        _solid(node["side"], shapes.Cylinder(length, obstacle.radius), placement)
+    return np.concatenate([place + obstacle.radius * _CORNERS for place in (start, end)])
+
+
+def _solid(node: Any, shape: Any, placement: pin.SE3) -> None:
+    material = shapes.MeshLambertMaterial(color=OBSTACLE_COLOUR, opacity=OBSTACLE_OPACITY)
+    node.set_object(shape, material)
+    node.set_transform(placement.homogeneous)
+
+
+def draw_payloads(run: DrawnSolution, tracks: Animation) -> np.ndarray:
+    """Animate what is carried; returns places (k, 3) that it takes up, m, world."""
+    solution, motion, places = run.solution, run.motion, [np.zeros((0, 3))]
+    for number, (entry, phases) in enumerate(_bodies(solution)):
+        contact = solution.contact_frames.index(entry["frame"])
+        carried = np.isin(motion.phase, phases)
+        if not carried.any():
+            continue
+        body, part = payload_inertia(entry), run.node["payloads"][f"body{number}"]
+        extent = _draw_payload(part["shape"], body)
+        # It waits where it is taken, and stays where it is left.
+        hand = hold_while_hidden(motion.contacts[:, contact], carried)
+        tracks.place(part, hand)
+        centres = hand[:, :3, :3] @ body.lever + hand[:, :3, 3]
+        places += [centres - extent, centres + extent]
+    return np.concatenate(places)
+
+
+def _bodies(solution: Solution) -> list[tuple[dict[str, Any], list[int]]]:
+    """Each carried body with the phases in which it is; a body is described once for every phase."""
+    found: list[tuple[dict[str, Any], list[int]]] = []
+    for entry in solution.meta.get("payloads") or []:
+        body = {key: value for key, value in entry.items() if key != "phases"}
+        same = [phases for other, phases in found if other == body]
+        if same:
+            same[0].extend(entry["phases"])
+        else:
+            found.append((body, list(entry["phases"])))
+    return found
+
+
+def _draw_payload(node: Any, body: pin.Inertia) -> float:
+    """A box of the body's mass and inertia, or a ball for a point; returns half its extent, m."""
+    material = shapes.MeshLambertMaterial(color=PAYLOAD_COLOUR)
+    box = box_of_inertia(body)
+    if box is not None:
+        sides, placement = box
+        node.set_object(shapes.Box(sides.tolist()), material)
+        node.set_transform(placement.homogeneous)
+        return float(np.linalg.norm(sides)) / 2
+    radius = float((3 * max(body.mass, 1e-6) / (4 * np.pi * DENSITY)) ** (1 / 3))
+    node.set_object(shapes.Sphere(radius), material)
+    node.set_transform(placed(body.lever))
+    return radius
