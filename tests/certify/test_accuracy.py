@@ -10,11 +10,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
-from problems_for_tests import SCHEME_ORDERS, hopper, lean, one_joint_arm, reach
-from synthetic import Motion, arm_motion, pushing_off, sampled, standing, tumbling_flight
-from test_transitions import landing, still
 
 import trajopt
+from tests.support.problems import SCHEME_ORDERS, hopper, landing, lean, one_joint_arm, reach, still
+from tests.support.synthetic_motions import (
+    Motion,
+    arm_motion,
+    pushing_off,
+    sampled,
+    standing,
+    tumbling_flight,
+)
 from trajopt.certify.accuracy.measures import interval_errors, measure
 from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.certify.accuracy.table import accuracy_table

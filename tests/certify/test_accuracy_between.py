@@ -8,14 +8,13 @@ from functools import lru_cache
 import numpy as np
 import pinocchio as pin
 import pytest
-import robots_for_tests
 from numpy.testing import assert_allclose
-from problems_for_tests import SCHEME_ORDERS, hop, reach
-from symbolic_interpolation import SymbolicInterpolation
-from synthetic import arm_motion, sampled, standing, tumbling_flight
-from test_transitions import landing, still
 
 import trajopt
+from tests.support import models
+from tests.support.problems import SCHEME_ORDERS, hop, landing, reach, still
+from tests.support.symbolic_interpolation import SymbolicInterpolation
+from tests.support.synthetic_motions import arm_motion, sampled, standing, tumbling_flight
 from trajopt.certify.accuracy.comparison import compare
 from trajopt.certify.accuracy.measures import measure
 from trajopt.certify.accuracy.named_points import NamedPoints
@@ -43,12 +42,12 @@ def arm() -> Solution:
     return sampled(robots.load("ur5"), [arm_motion(robots.load("ur5"))], INTERVALS)
 
 
-@pytest.mark.parametrize("kind", [*robots_for_tests.JOINT_KINDS, "solo12", "go2_planar"])
+@pytest.mark.parametrize("kind", [*models.JOINT_KINDS, "solo12", "go2_planar"])
 def test_local_states_are_inverted(kind):
-    known = kind in robots_for_tests.ROBOTS
-    model = (robots_for_tests.robot if known else robots_for_tests.hand_built)(kind)[0]
-    start, _, _ = robots_for_tests.random_state(model, 1)
-    q, v, a = robots_for_tests.random_state(model, 2)
+    known = kind in models.ROBOTS
+    model = (models.robot if known else models.hand_built)(kind)[0]
+    start, _, _ = models.random_state(model, 1)
+    q, v, a = models.random_state(model, 2)
     q = pin.integrate(model, start, 0.5 * pin.difference(model, start, q))
     back = state_from_local(model, start, *local_state(model, start, q, v, a))
     assert_allclose(pin.difference(model, q, back[0]), 0.0, atol=ROUNDING)
@@ -156,7 +155,7 @@ def test_units_of_prismatic_and_revolute_rows_are_force_and_moment():
 
 def test_points_of_a_robot_move_as_their_velocities_say():
     model = robots.load("solo12").model
-    q, v, _ = robots_for_tests.random_state(model, 3)
+    q, v, _ = models.random_state(model, 3)
     points, step = NamedPoints.of(model), 1e-6
     ahead, behind = (points.positions(pin.integrate(model, q, sign * step * v)) for sign in (1, -1))
     assert_allclose(points.velocities(q, v), (ahead - behind) / (2 * step), atol=1e-8)

@@ -9,8 +9,15 @@ import casadi
 import numpy as np
 import pinocchio as pin
 import pytest
-from synthetic import arm_motion, planar_flight, pushing_off, sampled, standing, tumbling_flight
 
+from tests.support.synthetic_motions import (
+    arm_motion,
+    planar_flight,
+    pushing_off,
+    sampled,
+    standing,
+    tumbling_flight,
+)
 from trajopt.certify.check import check
 from trajopt.certify.report import Tolerances
 from trajopt.errors import InputError, SolutionFileError

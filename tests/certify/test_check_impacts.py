@@ -7,9 +7,9 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from test_transitions import landing, still
 
 import trajopt
+from tests.support.problems import landing, still
 from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
 from trajopt_library import problems

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from synthetic import Motion, sampled
 
+from tests.support.synthetic_motions import Motion, sampled
 from trajopt.certify.check import check
 from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot

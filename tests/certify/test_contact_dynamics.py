@@ -5,9 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from contact_cases import INDEPENDENT, Case, body, close, independent, pinocchio_constraints, vanishes
-from robots_for_tests import robot
 
+from tests.support.contact_cases import (
+    INDEPENDENT,
+    Case,
+    body,
+    close,
+    independent,
+    pinocchio_constraints,
+    vanishes,
+)
+from tests.support.models import robot
 from trajopt.certify.contact.contact_dynamics import (
     ContactDynamics,
     ContactMotion,

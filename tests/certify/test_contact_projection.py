@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from contact_cases import INDEPENDENT, Case, body, close, independent, vanishes
 
+from tests.support.contact_cases import INDEPENDENT, Case, body, close, independent, vanishes
 from trajopt.certify.contact.contact_dynamics import actuated_force, count_unactuated, forward_dynamics
 from trajopt.certify.contact.contact_projection import (
     consistent_projector,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from contact_cases import FEET, body, close, independent, vanishes
-from robots_for_tests import robot
 
+from tests.support.contact_cases import FEET, body, close, independent, vanishes
+from tests.support.models import robot
 from trajopt.certify.contact.contact_dynamics import ContactDynamics, actuated_force, forward_dynamics
 from trajopt.certify.contact.contact_set import ContactSet
 from trajopt.dynamics.model_quantities import contact_jacobian

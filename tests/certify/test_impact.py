@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from contact_cases import INDEPENDENT, body, close, independent, pinocchio_constraints, vanishes
-from robots_for_tests import robot
 from scipy.linalg import expm
 
+from tests.support.contact_cases import INDEPENDENT, body, close, independent, pinocchio_constraints, vanishes
+from tests.support.models import robot
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
 from trajopt.certify.contact.impact import cone_margins, impact, momentum_of_links, total_wrench
 from trajopt.dynamics.base_joint import base_of

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import arm_motion, pushing_off, sampled, standing, tumbling_flight
 
+from tests.support.synthetic_motions import arm_motion, pushing_off, sampled, standing, tumbling_flight
 from trajopt.certify.check import check
 from trajopt.certify.reintegration import open_loop
 from trajopt.certify.report import Tolerances

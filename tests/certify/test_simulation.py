@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from synthetic import Motion, arm_motion, sampled, standing, tumbling_flight
 
+from tests.support.synthetic_motions import Motion, arm_motion, sampled, standing, tumbling_flight
 from trajopt import Contact, Robot, Solution, solve
 from trajopt.certify.closing import periodic_image
 from trajopt.certify.samples import sample_quantities
@@ -391,5 +391,7 @@ def test_a_simulation_that_runs_away_ends_with_its_last_finite_state_and_says_so
 
 def test_missing_mujoco_is_said_in_one_line(stand, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
-    with pytest.raises(InputError, match=r"MuJoCo, which is not installed; pip install 'trajopt-contacts\[mujoco\]'"):
+    with pytest.raises(
+        InputError, match=r"MuJoCo, which is not installed; pip install 'trajopt-contacts\[mujoco\]'"
+    ):
         simulate(stand)

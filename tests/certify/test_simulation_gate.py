@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_suite_data import outcome_of
 
+from tests.support.suite_outcomes import outcome_of
 from trajopt import Solution
 from trajopt.cli.commands import main
 from trajopt.errors import InputError

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from robots_for_tests import JOINT_KINDS, hand_built, random_state
 
+from tests.support.models import JOINT_KINDS, hand_built, random_state
 from trajopt.certify.simulation.bodies import body_name, build_bodies, compile_bodies, write_inertias
 from trajopt.errors import InputError
 from trajopt_library import robots

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from synthetic import arm_motion, sampled, standing
 
+from tests.support.synthetic_motions import arm_motion, sampled, standing
 from trajopt import Solution
 from trajopt.certify.samples import sample_quantities
 from trajopt.certify.simulation.settings import SimulationSettings

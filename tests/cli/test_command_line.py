@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from command_lines import assert_refused
-from processes_for_tests import TRAJOPT, run
 
+from tests.support.command_lines import assert_refused
+from tests.support.processes import TRAJOPT, run
 from trajopt import Solution
 from trajopt.cli.commands import main
 from trajopt.cli.report import to_json

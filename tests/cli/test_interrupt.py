@@ -10,9 +10,9 @@ import uuid
 from pathlib import Path
 
 import pytest
-from problems_for_tests import hop
-from processes_for_tests import COLUMNS, TRAJOPT, AtTerminal, needs_proc, processes, python, until
 
+from tests.support.problems import hop
+from tests.support.processes import COLUMNS, TRAJOPT, AtTerminal, needs_proc, processes, python, until
 from trajopt import Solution, solve
 
 # So many intervals that building and solving last seconds.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 import uuid
 from collections.abc import Sequence
@@ -11,17 +10,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-import suite_problems
-import sweep_problems
-from problems_for_tests import hop
-from processes_for_tests import LIMIT, needs_proc, processes, run
 
+from tests.support import suite_problems, sweep_problems
+from tests.support.problems import hop
+from tests.support.processes import LIMIT, environment, needs_proc, processes, run
 from trajopt import solve
 from trajopt.transcription.compilation import CACHE_VARIABLE
 
 pytestmark = [pytest.mark.slow, needs_proc]
 
-TESTS = Path(__file__).parent
 SMALL = ("hopper-hop", "--intervals", "12")
 WATCH = ("solve", *SMALL, "--compile", "none", "--output", "x.npz", "--watch")
 SWEPT = ("--compile", "none", "--repeats", "0", "--reference", "0", "--intervals", "4,5")
@@ -56,16 +53,16 @@ def at(name: str, *statuses: int, event: str = "call", count: int = 1) -> Moment
 def outcomes(arguments: Sequence[object], moments: Sequence[Moment], folder: Path) -> list[dict]:
     """What became of a command at each moment; no process of any is left."""
     marker = uuid.uuid4().hex
-    path = os.pathsep.join([str(folder), str(TESTS), *filter(None, [os.environ.get("PYTHONPATH")])])
-    environment = {**os.environ, "MARKER": marker, "PYTHONPATH": path, CACHE_VARIABLE: str(folder / "cache")}
+    known = environment(folder, **{"MARKER": marker, CACHE_VARIABLE: str(folder / "cache")})
     asked = {
         "arguments": list(map(str, arguments)),
         "moments": [[one.module, one.name, one.event, one.count] for one in moments],
         "limit": EACH,
     }
     done = run(
-        sys.executable, TESTS / "pressing.py", cwd=folder, input=json.dumps(asked) + "\n", stdin=None,
-        env={name: value for name, value in environment.items() if name not in ("DISPLAY", "BROWSER")},
+        sys.executable, "-m", "tests.support.pressing_ctrl_c",
+        cwd=folder, input=json.dumps(asked) + "\n", stdin=None,
+        env={name: value for name, value in known.items() if name not in ("DISPLAY", "BROWSER")},
         timeout=2 * LIMIT,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -2,7 +2,7 @@
 
 import sys
 
-from processes_for_tests import python, run
+from tests.support.processes import python, run
 
 MISMATCH = """
 import sys, trajopt.versions

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
-from command_lines import assert_refused
-from problems_for_tests import one_joint_arm
-from synthetic import arm_motion, sampled
 
+from tests.support.command_lines import assert_refused
+from tests.support.problems import one_joint_arm
+from tests.support.synthetic_motions import arm_motion, sampled
 from trajopt.cli.commands import main
 
 

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from problems_for_tests import hop
-from processes_for_tests import python
 from rich.cells import cell_len
 
+from tests.support.problems import hop
+from tests.support.processes import python
 from trajopt import solve
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from synthetic import sampled, standing
 
+from tests.support.synthetic_motions import sampled, standing
 from trajopt import Solution
 from trajopt.cli.commands import main
 from trajopt_library import robots

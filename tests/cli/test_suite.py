@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import suite_problems
 from click.testing import CliRunner, Result
-from task_processes import needs_proc, task_processes, task_processes_left
 
+from tests.support import suite_problems
+from tests.support.processes import (
+    TRAJOPT,
+    Running,
+    environment,
+    needs_proc,
+    no_task_process_left,
+    task_processes,
+)
 from trajopt.cli.commands import main
 from trajopt.study.suite import data
 
-WAIT = 120.0
 FAST = ("--compile", "none")
 
 
@@ -107,39 +110,31 @@ def test_results_are_printed_written_resumed_and_compared(tmp_path: Path):
     assert "outside its bands: t-reach@arm: solved with legendre:2, 10 intervals" in other.stdout
 
 
-class Running:
+def running(package: Path) -> Running:
     """``trajopt suite`` in a process of its own on a good pair and one that hangs."""
-
-    def __init__(self, package: Path) -> None:
-        path = os.pathsep.join([str(package), str(Path(__file__).parent)])
-        command = [sys.executable, "-m", "trajopt", "suite", "--problems", "t-reach,t-hanging", "--json"]
-        self.popen = subprocess.Popen(
-            [*command, *FAST, "--jobs", "2"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            env={**os.environ, "PYTHONPATH": path},
-            # Ctrl-C works as in a terminal, also where the tests themselves run under nohup.
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        )  # fmt: skip
-        assert self.popen.stderr is not None
-        assert self.popen.stderr.readline().startswith("1/2 t-reach@arm: solved")
-        assert task_processes(package)
+    arguments = ("suite", "--problems", "t-reach,t-hanging", "--json", *FAST, "--jobs", "2")
+    process = Running(*TRAJOPT, *arguments, env=environment(package))
+    assert process.line().startswith("1/2 t-reach@arm: solved")
+    assert task_processes(package)
+    return process
 
 
 @needs_proc
 def test_ctrl_c_prints_what_is_done_and_leaves_no_process(package: Path):
-    running = Running(package)
-    running.popen.send_signal(signal.SIGINT)
-    output, errors = running.popen.communicate(timeout=WAIT)
+    with running(package) as process:
+        process.popen.send_signal(signal.SIGINT)
+        status, output, errors = process.finish()
     found = json.loads(output)
-    assert running.popen.returncode == 130
+    assert status == 130
     assert errors == "trajopt: cancelled, 1 of 2 pairs are done\n"
     assert found["complete"] is False
     assert [pair["problem"] for pair in found["pairs"]] == ["t-reach"]
-    assert task_processes_left(package, WAIT) == []
+    assert no_task_process_left(package)
 
 
 @needs_proc
 def test_no_process_outlives_a_suite_that_is_killed(package: Path):
-    running = Running(package)
-    running.popen.kill()
-    running.popen.communicate(timeout=WAIT)
-    assert task_processes_left(package, WAIT) == []
+    with running(package) as process:
+        process.popen.kill()
+        process.finish()
+        assert no_task_process_left(package)

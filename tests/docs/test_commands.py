@@ -12,10 +12,10 @@ import click
 import pytest
 
 from scripts.measure.__main__ import main as measure
+from tests.support.repository import ROOT
 from trajopt.cli.commands import main
 from trajopt.problem.catalogue import families
 
-ROOT = Path(__file__).parent.parent
 DOCUMENTS = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 LINE = re.compile(r"^ *(?:\$ )?(?:uv run )?trajopt ((?:[a-z]+)(?: .*)?)$", re.MULTILINE)
 SCRIPT = re.compile(r"python -m scripts\.(\w+)([^`\n]*)")

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parent.parent
+from tests.support.repository import ROOT
+
 NOT_OURS = {"puppy.py", "paw.py"}  # files that a reader makes
 DOCUMENTS = (
     "README.md",

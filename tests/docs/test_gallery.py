@@ -9,17 +9,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser_for_tests import require_chromium
 from PIL import Image
-from problems_for_tests import hop
 
 import trajopt
 from scripts import gallery
+from tests.support.browser import require_chromium
+from tests.support.problems import hop
+from tests.support.repository import ROOT
 from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
 from trajopt_library import problems
 
-GALLERY = Path(__file__).parent.parent / "docs" / "gallery"
+GALLERY = ROOT / "docs" / "gallery"
 # Bytes of all committed pictures: a clone stays small.
 LARGEST = 2_000_000
 # Grey values of a picture without content vary less than this.

@@ -8,19 +8,19 @@ from pathlib import Path
 
 import nbformat
 import pytest
-from browser_for_tests import require_chromium
 from nbclient import NotebookClient
 from playwright.sync_api import sync_playwright
-from problems_for_tests import reach
-from processes_for_tests import LIMIT
 
 import trajopt
+from tests.support.browser import require_chromium
+from tests.support.problems import reach
+from tests.support.processes import LIMIT
+from tests.support.repository import ROOT
 from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
 from trajopt.view.notebook import plots, show
 from trajopt.view.replay.browser import FLAGS
 
-ROOT = Path(__file__).parent.parent
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 # Bytes of a notebook in the repository: without outputs, which are made by running it.
 LARGEST = 200_000

@@ -12,9 +12,10 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from processes_for_tests import LIMIT
 
-ROOT = Path(__file__).parent.parent
+from tests.support.processes import LIMIT
+from tests.support.repository import ROOT
+
 TUTORIAL = ROOT / "docs" / "tutorial" / "bring-your-own-robot.md"
 BLOCK = re.compile(r"^```(\w+) ?([\w.]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 NUMBER = re.compile(r"-?\d+\.?\d*(?:e[+-]?\d+)?")

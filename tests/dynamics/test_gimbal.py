@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from problems_for_tests import hop, hopper
 
 import trajopt
+from tests.support.problems import hop, hopper
 from trajopt.dynamics.base_joint import ORDERS
 from trajopt.dynamics.virtual_base import (
     LEAST_MARGIN,

@@ -6,10 +6,10 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from models_for_structure import HALF_TORSO, THIGH, named, planar_hopper, three_joint_arm
 from numpy.testing import assert_allclose
-from robots_for_tests import JOINT_KINDS, random_state, robot
 
+from tests.support.lecture_models import HALF_TORSO, THIGH, named, planar_hopper, three_joint_arm
+from tests.support.models import JOINT_KINDS, random_state, robot
 from trajopt.dynamics import lagrange, rigid_body
 from trajopt.dynamics.newton_euler import joint_forces
 from trajopt.dynamics.structure import mass_matrix_at, symbolic_mass_matrix_rate

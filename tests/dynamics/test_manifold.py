@@ -7,8 +7,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
-from robots_for_tests import JOINT_KINDS, hand_built, random_state, robot
 
+from tests.support.models import JOINT_KINDS, hand_built, random_state, robot
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.rotations import body_rates, exp_quaternion, right_jacobian, rotation_matrix
 from trajopt.errors import UnsupportedJointError

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from models_for_structure import named, three_joint_arm
 from numpy.testing import assert_allclose
-from robots_for_tests import robot
 
+from tests.support.lecture_models import named, three_joint_arm
+from tests.support.models import robot
 from trajopt.dynamics.base_joint import position_limits
 from trajopt.dynamics.mass_bounds import a_priori_bounds, eigenvalue_range, random_postures
 from trajopt.dynamics.structure import mass_matrix_at

@@ -6,10 +6,10 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from models_for_structure import named, three_joint_arm
 from numpy.testing import assert_allclose
-from robots_for_tests import JOINT_KINDS, random_state, robot
 
+from tests.support.lecture_models import named, three_joint_arm
+from tests.support.models import JOINT_KINDS, random_state, robot
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.dynamics.newton_euler import joint_forces, newton_euler
 from trajopt.errors import InputError, UnsupportedJointError

@@ -7,8 +7,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
-from robots_for_tests import JOINT_KINDS, ROBOTS, TIP, hand_built, random_state, robot
 
+from tests.support.models import JOINT_KINDS, ROBOTS, TIP, hand_built, random_state, robot
 from trajopt.dynamics import rigid_body
 from trajopt.errors import InputError, UnsupportedJointError, VersionMismatchError
 from trajopt.versions import check_versions, installed_version

@@ -7,7 +7,9 @@ from dataclasses import FrozenInstanceError
 import numpy as np
 import pinocchio as pin
 import pytest
-from models_for_structure import (
+from numpy.testing import assert_allclose
+
+from tests.support.lecture_models import (
     BASE_JOINTS,
     BASE_SIZES,
     FIXED,
@@ -18,9 +20,7 @@ from models_for_structure import (
     planar_hopper,
     three_joint_arm,
 )
-from numpy.testing import assert_allclose
-from robots_for_tests import JOINT_KINDS, random_state
-
+from tests.support.models import JOINT_KINDS, random_state
 from trajopt.dynamics import structure
 from trajopt.dynamics.model_quantities import mass_of
 from trajopt.errors import InputError, UnsupportedJointError

@@ -8,9 +8,9 @@ import meshcat
 import numpy as np
 import pinocchio as pin
 import pytest
-from problems_for_tests import FOOT, hopper, lean
 
 import trajopt
+from tests.support.problems import FOOT, hopper, lean
 from trajopt.dynamics.base_joint import ORDERS, base_of, virtual_order
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.dynamics.virtual_base import (

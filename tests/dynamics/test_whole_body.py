@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 import pytest
-from models_for_structure import BASE_JOINTS, BASE_SIZES, FIXED, FLOATING, link_momentum_matrix, named
 from numpy.testing import assert_allclose
-from robots_for_tests import random_state
 from scipy.integrate import solve_ivp
 
+from tests.support.lecture_models import BASE_JOINTS, BASE_SIZES, FIXED, FLOATING, link_momentum_matrix, named
+from tests.support.models import random_state
 from trajopt.dynamics import structure
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.dynamics.newton_euler import joint_forces

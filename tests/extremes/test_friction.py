@@ -9,8 +9,8 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from extremes.motions import stand
-from extremes.outcomes import Failed, Refused, Solved, assert_outcome
+from tests.extremes.motions import stand
+from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.solvers.status import Status
 from trajopt_library import problems, robots
 

@@ -9,10 +9,9 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from extremes.changed_robots import with_gravity
-from extremes.motions import stand, turn_over
-from extremes.outcomes import Failed, Refused, Solved, assert_outcome
-from extremes.test_masses import made, robot_file
+from tests.extremes.changed_robots import made, robot_file, with_gravity
+from tests.extremes.motions import stand, turn_over
+from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.solvers.status import Status
 from trajopt_library import robots
 

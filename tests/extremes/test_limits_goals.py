@@ -11,8 +11,8 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from extremes.moves import legged, reach, stance, with_joints
-from extremes.outcomes import Failed, Refused, Solved, assert_outcome
+from tests.extremes.moves import legged, reach, stance, with_joints
+from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import contact_positions, frame_pose

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from functools import lru_cache, partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from extremes.changed_robots import longer
-from extremes.outcomes import Failed, Refused, Solved, assert_outcome
+from tests.extremes.changed_robots import longer, made, robot_file
+from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.certify.check import check
 from trajopt.certify.report import Tolerances
 from trajopt.solution.solution import Solution
@@ -27,23 +26,6 @@ MOTIONS = {
     JUMP: ("solo12", "quadruped", 15, 2.0, 0.05),
 }
 SHORT = [ARM, HOP, pytest.param(JUMP, marks=pytest.mark.slow)]
-
-
-def robot_file(folder: Path, kind: str, robot: str) -> str:
-    """A file that builds a robot, as a user gives one: ``robot`` is an expression over ``own(name)``."""
-    path = folder / "robot.py"
-    tool = "TOOL = 'tool0'\n" if kind == "arm" else ""
-    path.write_text(
-        "import numpy as np\nimport pinocchio as pin\nfrom trajopt_library.robots import load as own\n"
-        f"from extremes.changed_robots import *\nKIND = {kind!r}\n{tool}"
-        f"def build():\n    return {robot}\n"
-    )
-    return str(path)
-
-
-def made(name: str, path: str):
-    """The problem on the robot of a file."""
-    return problems.load(name, robot=path)
 
 
 @lru_cache

@@ -11,8 +11,8 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from extremes.moves import reach
-from extremes.outcomes import Failed, Refused, Solved, assert_outcome
+from tests.extremes.moves import reach
+from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.problem.problem import Problem
 from trajopt.reduced.base_conversion import with_virtual_base

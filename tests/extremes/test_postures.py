@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from extremes.moves import lowered, pose_goal, reach, stance, with_joints
-from extremes.outcomes import Failed, Solved, assert_outcome, in_process
+from tests.extremes.moves import lowered, pose_goal, reach, stance, with_joints
+from tests.extremes.outcomes import Failed, Solved, assert_outcome, in_process
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot

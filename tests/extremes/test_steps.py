@@ -9,10 +9,10 @@ from itertools import product
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from problems_for_tests import REACH, reach
 
-from extremes.motions import stand
-from extremes.outcomes import Failed, Refused, Solved, assert_outcome
+from tests.extremes.motions import stand
+from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
+from tests.support.problems import REACH, reach
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solvers.status import Status
 from trajopt_library import problems, robots

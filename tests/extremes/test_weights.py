@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from extremes.outcomes import Refused, Solved, assert_outcome
+from tests.extremes.outcomes import Refused, Solved, assert_outcome
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.terms import Cost, NodeCost

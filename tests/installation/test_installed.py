@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests.support.repository import ROOT
+
 # Seconds after which a build, an installation or a solve is ended.
 LIMIT = 600
 SCRIPT = """

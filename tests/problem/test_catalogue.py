@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
-from command_lines import assert_refused
 
+from tests.support.command_lines import assert_refused
 from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.problem import catalogue

@@ -12,16 +12,17 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.repository import ROOT
 from trajopt.problem.catalogue import families
 from trajopt.study.suite import data
 from trajopt.study.suite.cases import Case, all_cases
 from trajopt.study.suite.run import measure_case
 from trajopt.study.suite.settings import SuiteSettings
 
-DATA = Path(__file__).parent / "data" / "suite.csv"
+DATA = ROOT / "tests" / "data" / "suite.csv"
 SETTINGS = SuiteSettings(compile="none")
 CASES = all_cases(families())
-UPDATE = f"trajopt suite --perturbed 20 --update {DATA.relative_to(Path(__file__).parents[1])}"
+UPDATE = f"trajopt suite --perturbed 20 --update {DATA.relative_to(ROOT)}"
 
 
 def representatives(cases: Sequence[Case]) -> tuple[Case, ...]:

@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose
 
 import trajopt
 from scripts.measure.scenes import SQUAT_INTERVALS, sideways, talos_squat, upright_jump
-from tests.problems_for_tests import hopper, one_joint_arm, reach
-from tests.scenes_for_tests import FEET, biped, drive, push, symmetrised, usual
+from tests.support.problems import hopper, one_joint_arm, reach
+from tests.support.scenes import FEET, biped, drive, push, symmetrised, usual
 from trajopt import Contact, FlatGround, InputError, Phase, Problem, Robot, Schedule, Solution
 from trajopt.reduced.scenes.goals import scene
 from trajopt.reduced.scenes.smallest import smallest

@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.scenes_for_tests import FEET, biped, drive, push, symmetrised
+from tests.support.scenes import FEET, biped, drive, push, symmetrised
 from trajopt import Contact, InputError, Robot
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.reduced.scenes.half import half_robot, turned_by_mirror

@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import trajopt
-from tests.problems_for_tests import FOOT, hop, hopper, planar_hopper
+from tests.support.problems import FOOT, hop, hopper, planar_hopper
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem

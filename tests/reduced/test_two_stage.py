@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import linprog
 
 import trajopt
-from tests.problems_for_tests import FOOT, hop, hopper, reach
+from tests.support.problems import FOOT, hop, hopper, reach
 from trajopt.certify.samples import sample_quantities
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tests.problems_for_tests import hopper, one_joint_arm
+from tests.support.problems import hopper, one_joint_arm
 from trajopt.errors import InputError, UnsupportedJointError
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.on_robot import drive_torque_values

@@ -11,7 +11,7 @@ import pytest
 from scipy import sparse
 
 import trajopt
-from tests.problems_for_tests import REACH, REACH_TIME, hopper, one_joint_arm, point_of, random_point, reach
+from tests.support.problems import REACH, REACH_TIME, hopper, one_joint_arm, point_of, random_point, reach
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.robot.actuators.drive import Drive

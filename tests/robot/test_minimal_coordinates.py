@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from problems_for_tests import FOOT, hopper
 
+from tests.support.problems import FOOT, hopper
 from trajopt.certify.check import check
 from trajopt.errors import InputError, UnsupportedJointError
 from trajopt.problem.problem import Problem

@@ -8,10 +8,10 @@ from functools import lru_cache
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from problems_for_tests import FOOT, hop, hopper
-from test_transcription import Matrices, assert_derivatives, random_unknowns
 
 import trajopt
+from tests.support.derivatives import Matrices, assert_derivatives, random_unknowns
+from tests.support.problems import FOOT, hop, hopper
 from trajopt.errors import InputError
 from trajopt.robot.data import robot_file
 from trajopt.robot.robot import Robot

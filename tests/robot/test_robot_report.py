@@ -13,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 import trajopt
+from tests.support.repository import ROOT
 from trajopt import Robot
 from trajopt.cli.commands import main
 from trajopt.robot.inspection.faults import lowest_drawn
@@ -22,7 +23,7 @@ from trajopt.robot.inspection.starter import guessed, starter
 from trajopt.solving.rest import rest
 from trajopt_library import robots
 
-URDF = Path(__file__).parent.parent / "docs" / "tutorial" / "puppy" / "urdf" / "puppy.urdf"
+URDF = ROOT / "docs" / "tutorial" / "puppy" / "urdf" / "puppy.urdf"
 LEGS = ("lf", "rf", "lh", "rh")
 BENT = {f"{leg}_{joint}": angle for leg in LEGS for joint, angle in (("pitch", 0.7), ("knee", -1.4))}
 # Virtual work by central differences of 1e-6: the truncation is 1e-12 of the work, rounding 1e-10.

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.robots_for_tests import random_state
+from tests.support.models import random_state
 from trajopt.errors import InputError
 from trajopt.robot.legs import biped_legs, feet_in_base, quadruped_legs
 from trajopt.schedule.gaits import SHORTEST, Gait

@@ -9,10 +9,21 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
-from problems_for_tests import FOOT, REACH, hop, hopper, lean, one_joint_arm, reach
-from test_transcription import Matrices, assert_derivatives, random_unknowns
 
 import trajopt
+from tests.support.derivatives import Matrices, assert_derivatives, random_unknowns
+from tests.support.problems import (
+    FOOT,
+    REACH,
+    hop,
+    hopper,
+    landing,
+    lean,
+    one_joint_arm,
+    phases,
+    reach,
+    still,
+)
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
@@ -23,15 +34,11 @@ from trajopt.terms import (
     BaseDynamics,
     EffortLimits,
     FrameHeight,
-    FrictionCone,
-    ImpulseCost,
     PositionLimits,
-    PostureCost,
     TimeCost,
     TorqueCost,
     VelocityCost,
     VelocityLimits,
-    WrenchCost,
 )
 from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.timeline import StageKind
@@ -41,35 +48,6 @@ from trajopt_library import problems
 SOLVED = 1e-5
 # A bang-bang input has its switch within an interval: the optimum is met to the length of one, squared.
 SWITCH = 2e-3
-
-
-def phases(*, free: bool, impact: bool) -> Schedule:
-    bounds = {"stance": (0.15, 0.6), "flight": (0.1, 0.4)} if free else {}
-    return Schedule(
-        (
-            Phase(name="stance", duration=0.3, contacts=(FOOT,), duration_bounds=bounds.get("stance")),
-            Phase(name="flight", duration=0.2, duration_bounds=bounds.get("flight")),
-            Phase(name="landing", duration=0.3, contacts=(FOOT,), impact=impact),
-        )
-    )
-
-
-def landing(*, free: bool = False, impact: bool = False) -> Problem:
-    terms = (*hop().terms, *((ImpulseCost(weight=1e-2),) if impact else ()))
-    return hop(schedule=phases(free=free, impact=impact), terms=terms)
-
-
-def still() -> Problem:
-    """The hopper balances on its foot and moves to another posture, as a source of velocity."""
-    terms = (
-        VelocityCost(weight=1.0),
-        WrenchCost(weight=1e-2),
-        PostureCost(weight=1.0),
-        FrictionCone(friction=0.7),
-        PositionLimits(),
-        VelocityLimits(),
-    )
-    return replace(lean(), initial_v=np.zeros(8), actuation="velocity", terms=terms)
 
 
 def moving_start() -> Problem:

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from synthetic import arm_motion, sampled, standing, tumbling_flight
 
+from tests.support.synthetic_motions import arm_motion, sampled, standing, tumbling_flight
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.solution.arrays import OTHERS, SAMPLED
 from trajopt.solution.solution import Solution

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from replay_pages import hopping
 
+from tests.support.replay_pages import hopping
 from trajopt.errors import InputError
 from trajopt.solution.input import require_motion, solutions_of
 from trajopt.solution.solution import Solution

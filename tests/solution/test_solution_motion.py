@@ -8,11 +8,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
-from problems_for_tests import SCHEME_ORDERS, hop
-from robots_for_tests import JOINT_KINDS, hand_built, random_state
-from symbolic_interpolation import local_from_pinocchio
-from test_warm_start import ROUNDING, SAME_STATE, solved, solved_hop
 
+from tests.support.models import JOINT_KINDS, hand_built, random_state
+from tests.support.problems import SCHEME_ORDERS, hop
+from tests.support.solved_problems import ROUNDING, SAME_STATE, solved, solved_hop
+from tests.support.symbolic_interpolation import local_from_pinocchio
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.solution.motion import motion_of
 from trajopt.transcription.guess import initial_guess

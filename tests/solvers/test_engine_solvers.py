@@ -5,9 +5,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from grouped_nlps import GroupedProblem, arguments, cart_pole, dense_jacobian, logarithm_well
 from numpy.testing import assert_allclose
 
+from tests.support.grouped_nlps import GroupedProblem, arguments, cart_pole, dense_jacobian, logarithm_well
 from trajopt import _engine
 
 ROUNDING = 1e-12  # sums of the same terms in another order

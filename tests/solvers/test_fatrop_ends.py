@@ -8,10 +8,10 @@ import os
 import casadi as ca
 import numpy as np
 import pytest
-from grouped_nlps import GroupedProblem, arguments, cart_pole, logarithm_well
 from numpy.testing import assert_allclose
-from processes_for_tests import python
 
+from tests.support.grouped_nlps import GroupedProblem, arguments, cart_pole, logarithm_well
+from tests.support.processes import python
 from trajopt import _engine
 
 LIMIT = 0.5  # s, of each solve

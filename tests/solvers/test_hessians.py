@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from numpy.testing import assert_allclose
-from problems_for_tests import hop, hopper, one_joint_arm, planar_hopper, point_of, random_point, reach
 from scipy import sparse
 
+from tests.support.problems import hop, hopper, one_joint_arm, planar_hopper, point_of, random_point, reach
 from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem

@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from problems_for_tests import hop, lean, reach
 
+from tests.support.problems import hop, lean, reach
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solvers.drivers import IPOPT_OPTIONS, SOLVERS, run_solver

@@ -10,10 +10,10 @@ import numpy as np
 import osqp
 import pytest
 from numpy.testing import assert_allclose
-from problems_for_tests import SCHEME_ORDERS, hop, lean, reach
 from scipy import sparse
 from scipy.optimize import linprog
 
+from tests.support.problems import SCHEME_ORDERS, hop, lean, reach
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solvers.convexification import ConvexifiedHessian

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from command_lines import assert_refused
 from numpy.testing import assert_allclose
-from problems_for_tests import REACH_TIME, reach
 
 import trajopt
+from tests.support.command_lines import assert_refused
+from tests.support.problems import REACH_TIME, reach
 from trajopt import Solution, continuation, solve_ladder
 from trajopt.cli.commands import main
 from trajopt.errors import InputError

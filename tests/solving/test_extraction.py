@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from problems_for_tests import FOOT, hop, hopper, planar_hopper, reach
 
+from tests.support.problems import FOOT, hop, hopper, planar_hopper, reach
 from trajopt.certify.samples import sample_quantities
 from trajopt.solution.solution import Solution
 from trajopt.solving.extraction import extract

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import signal
 
-from processes_for_tests import ctrl_c_here, python
-
+from tests.support.processes import ctrl_c_here, python
 from trajopt.solving.interruption import Interruption
 
 PRESSED = """

@@ -11,9 +11,9 @@ import pinocchio as pin
 import pytest
 from click.testing import CliRunner
 from numpy.testing import assert_allclose
-from problems_for_tests import lean, reach
 
 import trajopt
+from tests.support.problems import lean, reach
 from trajopt.certify.accuracy.measures import measure
 from trajopt.cli.commands import main
 from trajopt.errors import InputError

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from problems_for_tests import hop, reach
 
+from tests.support.problems import hop, reach
 from trajopt.certify.accuracy.measures import measure
 from trajopt.errors import InputError
 from trajopt.solution.grid import mesh_of

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from problems_for_tests import REACH, REACH_TIME, SCHEME_ORDERS, hop, one_joint_arm, reach
 
+from tests.support.problems import REACH, REACH_TIME, SCHEME_ORDERS, hop, one_joint_arm, reach
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.robot.units import Units

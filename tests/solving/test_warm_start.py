@@ -2,36 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from problems_for_tests import REACH, REACH_TIME, SCHEME_ORDERS, hop, planar_hopper, reach
 
 import trajopt
+from tests.support.problems import REACH, REACH_TIME, SCHEME_ORDERS, hop, planar_hopper, reach
+from tests.support.solved_problems import ROUNDING, SAME_STATE, Solved, solved, solved_hop
 from trajopt.problem.problem import Problem
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solution.motion import motion_of
 from trajopt.solution.solution import Solution
-from trajopt.solvers.drivers import SOLVERS, run_solver
-from trajopt.solvers.result import Result, StoppingCriteria
+from trajopt.solvers.drivers import SOLVERS
 from trajopt.solving.extraction import extract
-from trajopt.solving.multipliers import with_multipliers
 from trajopt.solving.solving import prepare
 from trajopt.solving.warm_start import warm_start
 from trajopt.terms import AccelerationCost, TorqueCost, VelocityCost
-from trajopt.transcription.transcription import Transcription
 from trajopt.transcription.violations import row_violations
 from trajopt_library import problems
 
-# Polynomials through up to four points, evaluated by powers of the fraction, lose three digits.
-ROUNDING = 1e-12
-# The solution's times are sums of steps; a sample at a node lies within rounding of it.
-SAME_STATE = 1e-9
 # What the solver's tolerance leaves in rows that repeat a state (changes of coordinates).
 DEFECT = 1e-6
 SOLVED = 1e-6
@@ -39,23 +32,6 @@ SOLVED = 1e-6
 PER_NORM = 20.0
 # IPOPT relaxes bounds by 1e-9; a free duration starts within its own.
 RELAXED = 2e-9
-
-
-@dataclass(frozen=True)
-class Solved:
-    transcription: Transcription
-    result: Result
-    solution: Solution
-
-
-def solved(problem: Problem, scheme: str, intervals: int) -> Solved:
-    prepared = prepare(problem, transcription=scheme, intervals=intervals, compile="none")
-    result = run_solver(prepared.nlp, prepared.guess, "ipopt", StoppingCriteria(), {}, lambda *_: True)
-    t = prepared.transcription
-    meta = {"success": True, "status": "solved", "solver": "ipopt"}
-    meta |= {"iterations": 0, "objective": 0.0, "tolerance": 1e-6, "wall_time_s": 0.0}
-    found = with_multipliers(extract(t, result.x, meta), t, result.lam_g, result.lam_x)
-    return Solved(t, result, found)
 
 
 def impact_hop() -> Problem:
@@ -68,11 +44,6 @@ def timed_hop(nominal: float = 1.0) -> Problem:
     phases = hop().schedule.phases
     flight = replace(phases[1], duration=0.2 * nominal, duration_bounds=(0.1, 0.4))
     return hop(schedule=Schedule((phases[0], flight, phases[2])))
-
-
-@lru_cache
-def solved_hop() -> Solved:
-    return solved(hop(), "legendre:2", 8)
 
 
 def swing() -> Problem:

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from problems_for_tests import FOOT, hop, hopper, reach
-from test_warm_start import SAME_STATE, solved_hop
 
 import trajopt
+from tests.support.problems import FOOT, hop, hopper, reach
+from tests.support.solved_problems import SAME_STATE, solved_hop
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solving.solving import prepare

@@ -7,8 +7,8 @@ import math
 import pytest
 from click.testing import CliRunner
 from numpy.testing import assert_allclose
-from problems_for_tests import hop, reach
 
+from tests.support.problems import hop, reach
 from trajopt.certify.accuracy.measures import measure
 from trajopt.cli.aim import Seconds
 from trajopt.cli.commands import main

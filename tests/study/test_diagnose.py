@@ -7,11 +7,11 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from problems_for_tests import REACH, REACH_TIME, hop, lean, one_joint_arm, reach
 from scipy.optimize import linprog
-from test_redundancy import corners, solo_hop
 
 import trajopt
+from tests.support.problems import REACH, REACH_TIME, hop, lean, one_joint_arm, reach
+from tests.support.redundant_contacts import corners, solo_hop
 from trajopt import Problem, Robot, Solution
 from trajopt.errors import InputError
 from trajopt.robot.units import Units

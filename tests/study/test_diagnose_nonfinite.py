@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 import pytest
-from problems_for_tests import hop, reach
 
+from tests.support.problems import hop, reach
 from trajopt.robot.units import Units
 from trajopt.solving.solving import prepare, solve
 from trajopt.study.diagnosis.diagnose import diagnose

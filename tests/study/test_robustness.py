@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-import suite_problems
-from problems_for_tests import hop, hopper, planar_hopper, reach
 
+from tests.support import suite_problems
+from tests.support.problems import hop, hopper, planar_hopper, reach
 from trajopt import solve
 from trajopt.study.suite.cases import Case
 from trajopt.study.suite.optima import SAME_MOTION, counted, described, distances, embedded

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import suite_problems
 
+from tests.support import suite_problems
 from trajopt import Solution, check, solve
 from trajopt.errors import InputError
 from trajopt.problem.catalogue import families

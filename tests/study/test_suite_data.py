@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-import suite_problems
-from problems_for_tests import reach
 
+from tests.support import suite_problems
+from tests.support.problems import reach
+from tests.support.suite_outcomes import outcome_of
 from trajopt import check, solve
 from trajopt.errors import InputError
 from trajopt.study.suite import data
-from trajopt.study.suite.outcome import Attempt, Checked, Grid, Outcome, quantile
+from trajopt.study.suite.outcome import Outcome, quantile
 from trajopt.study.suite.records import SuiteRecords
 from trajopt.study.suite.run import worst_figure
 from trajopt.study.suite.settings import SuiteSettings
@@ -42,18 +43,6 @@ def test_quantiles_are_numpys(part: float):
     values = sorted(np.random.default_rng(0).integers(0, 100, 20).tolist())
     assert quantile(values, part) == np.quantile(values, part, method="inverted_cdf")
     assert quantile(values[:1], part) == values[0]
-
-
-def outcome_of(**changes: Any) -> Outcome:
-    own = Attempt(seed=None, mode="", status="solved", iterations=40, wall_time=1.5, objective=2.0)
-    starts = tuple(replace(own, seed=seed, iterations=40 + 10 * seed) for seed in range(10))
-    grid = Grid(
-        scheme="legendre:2", intervals=30, variables=9, constraints=8, legged=True,
-        build_time=0.1, compile_time=0.2,
-    )  # fmt: skip
-    checked = Checked(ok=True, figure="drift", used=0.25)
-    values = {"problem": "jump", "robot": "dog", "grid": grid, "own": own, "check": checked, "starts": starts}
-    return Outcome(**{**values, **changes})
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from problems_for_tests import REACH_TIME, hop, reach
 
+from tests.support.problems import REACH_TIME, hop, reach
 from trajopt.errors import InputError
 from trajopt.robot.units import Units
 from trajopt.study.sweep.front import load_front, packaged_fronts

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-import sweep_problems
 from click.testing import CliRunner, Result
-from problems_for_tests import hop
-from task_processes import needs_proc, task_processes, task_processes_left
 
+from tests.support import sweep_problems
+from tests.support.problems import hop
+from tests.support.processes import (
+    TRAJOPT,
+    Running,
+    environment,
+    needs_proc,
+    no_task_process_left,
+    task_processes,
+)
 from trajopt import solve
 from trajopt.certify.accuracy.measures import measure
 from trajopt.cli.commands import main
@@ -34,7 +38,6 @@ from trajopt.study.sweep.run import objective_of, run_setting, with_torques
 from trajopt.study.sweep.setting import Setting
 from trajopt.study.workers.display import TaskDisplay
 
-WAIT = 120.0
 # The same arithmetic, called in another way.
 SAME = 1e-12
 # From all starts the reach is the same to the solver's tolerance, of errors of 1e-4 m.
@@ -237,39 +240,32 @@ def test_an_unsolved_default_has_exit_status_one(tmp_path: Path):
     assert not (tmp_path / "front.png").exists()
 
 
-class Running:
-    """A sweep of many settings in a process of its own, some of whose runs have ended."""
+def swept(folder: Path) -> tuple[str, ...]:
+    """Arguments of a sweep of many settings into a folder."""
+    measured = ("--compile", "none", "--repeats", "1", "--reference", "0", "--output-dir", str(folder))
+    return ("s-reach", *measured, "--intervals", "4,5,6,7,8,9")
 
-    def __init__(self, package: Path, folder: Path) -> None:
-        path = [str(package), str(Path(__file__).parent), *sys.path]
-        self.arguments = (
-            "s-reach", "--compile", "none", "--repeats", "1", "--reference", "0", "--output-dir", str(folder),
-            "--intervals", "4,5,6,7,8,9",
-        )  # fmt: skip
-        self.popen = subprocess.Popen(
-            [sys.executable, "-m", "trajopt", "sweep", *self.arguments],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(path)},
-            # Ctrl-C works as in a terminal, also where the tests themselves run under nohup.
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        )  # fmt: skip
-        assert self.popen.stderr is not None
-        while "solved" not in self.popen.stderr.readline():
-            assert self.popen.poll() is None
+
+def running(package: Path, folder: Path) -> Running:
+    """That sweep in a process of its own, some of whose runs have ended."""
+    process = Running(*TRAJOPT, "sweep", *swept(folder), env=environment(package))
+    while "solved" not in process.line():
+        assert process.popen.poll() is None
+    return process
 
 
 @needs_proc
 def test_ctrl_c_keeps_what_is_there_and_leaves_no_process(package: Path, tmp_path: Path):
-    running = Running(package, tmp_path)
-    assert task_processes(package)
-    running.popen.send_signal(signal.SIGINT)
-    _, errors = running.popen.communicate(timeout=WAIT)
-    assert running.popen.returncode == 130
+    with running(package, tmp_path) as process:
+        assert task_processes(package)
+        process.popen.send_signal(signal.SIGINT)
+        status, _, errors = process.finish()
+    assert status == 130
     assert errors.endswith(f"trajopt: cancelled; --resume --output-dir {tmp_path} goes on\n")
-    assert task_processes_left(package, WAIT) == []
+    assert no_task_process_left(package)
     done = rows(tmp_path / "runs.csv")
     assert 0 < len(done) < 14
-    result = sweep(*running.arguments, "--resume")
+    result = sweep(*swept(tmp_path), "--resume")
     assert result.exit_code == 0
     runs = rows(tmp_path / "runs.csv")
     assert runs[: len(done)] == done
@@ -278,7 +274,7 @@ def test_ctrl_c_keeps_what_is_there_and_leaves_no_process(package: Path, tmp_pat
 
 @needs_proc
 def test_no_process_outlives_a_sweep_that_is_killed(package: Path, tmp_path: Path):
-    running = Running(package, tmp_path)
-    running.popen.kill()
-    running.popen.communicate(timeout=WAIT)
-    assert task_processes_left(package, WAIT) == []
+    with running(package, tmp_path) as process:
+        process.popen.kill()
+        process.finish()
+        assert no_task_process_left(package)

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from task_processes import needs_proc
 
+from tests.support.processes import environment, needs_proc
 from trajopt.errors import InputError
 from trajopt.study.workers.display import TaskDisplay
 from trajopt.study.workers.executor import ProcessPerTaskExecutor
@@ -213,7 +213,7 @@ def test_an_exception_ends_all_processes(tmp_path: Path):
 ORPHANED = """
 import sys
 from pathlib import Path
-import test_workers
+from tests.study import test_workers
 from trajopt.study.workers.executor import ProcessPerTaskExecutor
 if __name__ == "__main__":
     with ProcessPerTaskExecutor(1) as executor:
@@ -223,12 +223,9 @@ if __name__ == "__main__":
 
 @needs_proc
 def test_no_task_outlives_the_process_that_waits(tmp_path: Path):
-    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
     script = tmp_path / "script.py"
     script.write_text(ORPHANED)
-    process = subprocess.Popen(
-        [sys.executable, str(script), str(tmp_path / "pids")], env={**os.environ, "PYTHONPATH": path}
-    )
+    process = subprocess.Popen([sys.executable, str(script), str(tmp_path / "pids")], env=environment())
     written(tmp_path / "pids")
     process.kill()
     process.wait(WAIT)
@@ -288,10 +285,9 @@ def test_without_a_terminal_only_lines_are_shown(capsys: pytest.CaptureFixture[s
 
 def test_a_terminal_shows_what_runs_and_keeps_the_lines():
     mine, end = pty.openpty()
-    code = "import test_workers; test_workers.show()"
-    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
-    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "80", "PYTHONPATH": path}
-    subprocess.run([sys.executable, "-c", code], stderr=end, env=environment, timeout=WAIT, check=True)
+    code = "from tests.study import test_workers; test_workers.show()"
+    known = environment(TERM="xterm", COLUMNS="80")
+    subprocess.run([sys.executable, "-c", code], stderr=end, env=known, timeout=WAIT, check=True)
     os.close(end)
     seen = os.read(mine, 65536).decode()
     os.close(mine)

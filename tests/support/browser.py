@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from synthetic import Motion, sampled
 
+from tests.support.synthetic_motions import Motion, sampled
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot

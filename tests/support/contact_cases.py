@@ -7,8 +7,8 @@ from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
-from robots_for_tests import robot
 
+from tests.support.models import robot
 from trajopt.certify.contact.contact_set import ContactSet
 
 FEET = tuple(f"{leg}_FOOT" for leg in ("FL", "FR", "HL", "HR"))

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
-from processes_for_tests import LIMIT
 from scipy import sparse
+
+from tests.support.processes import LIMIT
 
 INFINITY = np.inf
 

@@ -6,8 +6,8 @@ from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
-from robots_for_tests import ROBOTS, hand_built, random_state, robot
 
+from tests.support.models import ROBOTS, hand_built, random_state, robot
 from trajopt.robot.data import robot_file
 from trajopt.robot.reading import read_urdf
 

@@ -1,4 +1,4 @@
-"""Commands with Ctrl-C pressed at chosen moments: ``python pressing.py``, asked by one line of JSON on stdin.
+"""Commands with Ctrl-C pressed at chosen moments, asked by one line of JSON on stdin: run as a module.
 
 Each moment is pressed in a fork of this process, which has loaded the library, with a terminal of its own. A
 moment is named by a function of the main thread, not by a time: ``[module, qualified name, event, count]``,

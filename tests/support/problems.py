@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import casadi as ca
@@ -23,8 +24,10 @@ from trajopt.terms import (
     EffortLimits,
     FrameHeight,
     FrictionCone,
+    ImpulseCost,
     PointConstraint,
     PositionLimits,
+    PostureCost,
     SoleLimits,
     Term,
     TerminalRest,
@@ -172,6 +175,37 @@ def lean() -> Problem:
     stance = Schedule((Phase(name="stance", duration=0.1, contacts=(FOOT,)),))
     push = np.array([0.0, 0.0, 0.0, 0.3, -0.4, 0.5, 0.2, 0.1])
     return hop(schedule=stance, initial_v=push, terms=terms)
+
+
+def phases(*, free: bool, impact: bool) -> Schedule:
+    """Of the hop: with free durations of stance and flight, with an impact at touchdown."""
+    bounds = {"stance": (0.15, 0.6), "flight": (0.1, 0.4)} if free else {}
+    return Schedule(
+        (
+            Phase(name="stance", duration=0.3, contacts=(FOOT,), duration_bounds=bounds.get("stance")),
+            Phase(name="flight", duration=0.2, duration_bounds=bounds.get("flight")),
+            Phase(name="landing", duration=0.3, contacts=(FOOT,), impact=impact),
+        )
+    )
+
+
+def landing(*, free: bool = False, impact: bool = False) -> Problem:
+    """The hop with those phases, its impulse costed."""
+    terms = (*hop().terms, *((ImpulseCost(weight=1e-2),) if impact else ()))
+    return hop(schedule=phases(free=free, impact=impact), terms=terms)
+
+
+def still() -> Problem:
+    """The hopper balances on its foot and moves to another posture, as a source of velocity."""
+    terms = (
+        VelocityCost(weight=1.0),
+        WrenchCost(weight=1e-2),
+        PostureCost(weight=1.0),
+        FrictionCone(friction=0.7),
+        PositionLimits(),
+        VelocityLimits(),
+    )
+    return replace(lean(), initial_v=np.zeros(8), actuation="velocity", terms=terms)
 
 
 def point_of(

@@ -18,6 +18,8 @@ from typing import Any
 
 import pytest
 
+from tests.support.repository import ROOT
+
 # Seconds that a process, or what a test waits for, may take on a machine that does other things too: a guard
 # against waiting for ever, which no test measures. Below pytest's own limit: the test can say what it saw.
 LIMIT = 300
@@ -75,6 +77,12 @@ def until(holds: Callable[[], Any]) -> Any:
     return found
 
 
+def environment(*folders: Path, **variables: str) -> dict[str, str]:
+    """Of a process that finds modules in those folders, and the tests' own as ``tests.support``."""
+    path = [*map(str, folders), str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return {**os.environ, **variables, "PYTHONPATH": os.pathsep.join(path)}
+
+
 def processes(marker: str, words: str = "") -> dict[int, str]:
     """Commands by number of the processes whose environment holds ``marker`` and whose command ``words``."""
     found = {}
@@ -86,6 +94,16 @@ def processes(marker: str, words: str = "") -> dict[int, str]:
         if marker.encode() in given and words.encode() in command:
             found[int(folder.name)] = command.replace(b"\0", b" ").decode()
     return found
+
+
+def task_processes(package: Path) -> dict[int, str]:
+    """Processes of tasks and their server that were started with that folder on their path."""
+    return processes(str(package), "multiprocessing.forkserver")
+
+
+def no_task_process_left(package: Path) -> bool:
+    """Whether all of them end, within `LIMIT`."""
+    return until(lambda: not task_processes(package))
 
 
 class Running:

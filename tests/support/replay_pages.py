@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import umsgpack
-from page_meshes import restored
 from scipy.spatial.transform import Rotation, Slerp
-from synthetic import Motion, sampled, standing
 
+from tests.support.page_meshes import restored
+from tests.support.synthetic_motions import Motion, sampled, standing
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import Surface

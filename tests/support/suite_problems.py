@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from problems_for_tests import hop, reach
 
+from tests.support.problems import hop, reach
 from trajopt.errors import InputError
 from trajopt.problem.family import Family
 from trajopt.problem.problem import Problem
@@ -117,4 +117,6 @@ def install(folder: Path) -> None:
     information = folder / "suite_problems-1.dist-info"
     information.mkdir()
     (information / "METADATA").write_text("Metadata-Version: 2.1\nName: suite-problems\nVersion: 1\n")
-    (information / "entry_points.txt").write_text("[trajopt.problems]\ntests = suite_problems\n")
+    (information / "entry_points.txt").write_text(
+        "[trajopt.problems]\ntests = tests.support.suite_problems\n"
+    )

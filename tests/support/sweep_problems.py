@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from problems_for_tests import REACH_TIME, reach
 
+from tests.support.problems import REACH_TIME, reach
 from trajopt.errors import InputError
 from trajopt.problem.family import Family, Parameter
 from trajopt.problem.problem import Problem
@@ -73,4 +73,6 @@ def install(folder: Path) -> None:
     information = folder / "sweep_problems-1.dist-info"
     information.mkdir()
     (information / "METADATA").write_text("Metadata-Version: 2.1\nName: sweep-problems\nVersion: 1\n")
-    (information / "entry_points.txt").write_text("[trajopt.problems]\ntests = sweep_problems\n")
+    (information / "entry_points.txt").write_text(
+        "[trajopt.problems]\ntests = tests.support.sweep_problems\n"
+    )

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from goals_for_tests import objective, sampled, wandering, with_terms
 from numpy.testing import assert_allclose
-from problems_for_tests import FOOT, REACH, hop, hopper, one_joint_arm, reach
-from scenes_for_tests import biped, push, usual
 from scipy import sparse
 
+from tests.support.goals import objective, sampled, wandering, with_terms
+from tests.support.problems import FOOT, REACH, hop, hopper, one_joint_arm, reach
+from tests.support.scenes import biped, push, usual
 from trajopt.certify.energy import energy
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem

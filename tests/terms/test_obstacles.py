@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from replay_pages import objects_of, placements_of, shown, with_meta
 
+from tests.support.replay_pages import objects_of, placements_of, shown, with_meta
 from trajopt import solve
 from trajopt.certify.check import check
 from trajopt.dynamics.manifold import Coordinates

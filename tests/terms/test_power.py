@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from goals_for_tests import integral, objective, sampled, wandering, with_terms
 from numpy.testing import assert_allclose
-from problems_for_tests import hop, hopper, one_joint_arm, reach
 
+from tests.support.goals import integral, objective, sampled, wandering, with_terms
+from tests.support.problems import hop, hopper, one_joint_arm, reach
 from trajopt.certify.energy import cost_of_transport, energy
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.units import Units

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from goals_for_tests import integral, objective, sampled, wandering, with_terms
 from numpy.testing import assert_allclose
-from problems_for_tests import REACH, REACH_TIME, hop, hopper, one_joint_arm, reach
 
+from tests.support.goals import integral, objective, sampled, wandering, with_terms
+from tests.support.problems import REACH, REACH_TIME, hop, hopper, one_joint_arm, reach
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot

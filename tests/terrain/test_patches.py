@@ -9,10 +9,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
-from problems_for_tests import FOOT, hop, hopper
 from scipy.optimize import minimize
-from synthetic import sampled, standing
 
+from tests.support.problems import FOOT, hop, hopper
+from tests.support.synthetic_motions import sampled, standing
 from trajopt.certify.check import check
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError, SolutionFileError

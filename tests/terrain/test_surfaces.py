@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
-from problems_for_tests import FOOT, hop, hopper, lean
 from scipy.optimize import linprog
 
+from tests.support.problems import FOOT, hop, hopper, lean
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem

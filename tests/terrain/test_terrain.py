@@ -10,11 +10,11 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from problems_for_tests import FOOT, hop, hopper
-from replay_pages import shown
 from scipy.spatial import Delaunay
-from synthetic import Motion, sampled, standing
 
+from tests.support.problems import FOOT, hop, hopper
+from tests.support.replay_pages import shown
+from tests.support.synthetic_motions import Motion, sampled, standing
 from trajopt.certify.check import check
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError, SolutionFileError

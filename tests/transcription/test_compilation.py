@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from problems_for_tests import hop, hopper, reach
-from processes_for_tests import LIMIT
 
+from tests.support.problems import hop, hopper, reach
+from tests.support.processes import LIMIT, environment
 from trajopt.errors import InputError, TrajoptError
 from trajopt.problem.problem import Problem
 from trajopt.solving.solving import prepare, solve
@@ -210,7 +210,7 @@ def test_damaged_entry_is_made_anew(cache, damage):
 
 
 COMPILE = """
-from problems_for_tests import reach
+from tests.support.problems import reach
 from trajopt import solve
 solution = solve(reach(), transcription="legendre:2", compile="quick")
 print(solution.meta["status"], solution.meta["compile"])
@@ -218,10 +218,10 @@ print(solution.meta["status"], solution.meta["compile"])
 
 
 def test_two_processes_may_fill_an_empty_cache_at_once(cache):
-    environment = {**os.environ, CACHE_VARIABLE: str(cache), "PYTHONPATH": str(Path(__file__).parent)}
+    known = environment(**{CACHE_VARIABLE: str(cache)})
     command = [sys.executable, "-c", COMPILE]
     processes = [
-        subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        subprocess.Popen(command, env=known, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         for _ in range(2)
     ]
     for process in processes:

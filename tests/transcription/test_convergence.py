@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
-from problems_for_tests import SCHEME_ORDERS, hopper
 from scipy.integrate import solve_ivp
 
+from tests.support.problems import SCHEME_ORDERS, hopper
 from trajopt.dynamics import rigid_body
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.problem.problem import Problem

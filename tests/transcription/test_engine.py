@@ -8,10 +8,17 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from grouped_nlps import GroupedProblem, arguments, cart_pole, dense, dense_jacobian, logarithm_well
 from numpy.testing import assert_allclose, assert_array_equal
-from processes_for_tests import LIMIT
 
+from tests.support.grouped_nlps import (
+    GroupedProblem,
+    arguments,
+    cart_pole,
+    dense,
+    dense_jacobian,
+    logarithm_well,
+)
+from tests.support.processes import LIMIT
 from trajopt import _engine
 
 ROUNDING = 1e-12  # sums of the same terms in another order

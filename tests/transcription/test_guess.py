@@ -8,9 +8,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from problems_for_tests import SCHEME_ORDERS, hop, hopper, reach
-from robots_for_tests import hand_built, random_state
 
+from tests.support.models import hand_built, random_state
+from tests.support.problems import SCHEME_ORDERS, hop, hopper, reach
 from trajopt.certify.samples import sample_quantities
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot

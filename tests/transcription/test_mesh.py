@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from problems_for_tests import hop, lean
 
+from tests.support.problems import hop, lean
 from trajopt.certify.check import check
 from trajopt.certify.energy import energy
 from trajopt.errors import InputError

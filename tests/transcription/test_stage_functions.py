@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
-from problems_for_tests import FOOT, hopper, one_joint_arm, planar_hopper, point_of, random_point
 
+from tests.support.problems import FOOT, hopper, one_joint_arm, planar_hopper, point_of, random_point
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units

@@ -11,14 +11,15 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from replay_pages import hopping, scene_of, with_meta
 
+from tests.support.replay_pages import hopping, scene_of, with_meta
+from tests.support.repository import ROOT
 from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.show import replay
 
-WEB = Path(__file__).parents[1] / "trajopt" / "view" / "replay" / "web"
+WEB = ROOT / "trajopt" / "view" / "replay" / "web"
 # Bytes: Meshcat's viewer takes 0.29 MB, solo12's meshes 0.15 MB; a second run of it adds tracks.
 SMALL_PAGE, SECOND_RUN = 0.7e6, 0.05e6
 CONTRAST = 4.5  # of text to its ground, WCAG 2.1 AA

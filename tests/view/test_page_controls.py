@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from browser_for_tests import running_chromium, until
-from replay_pages import hopping, with_meta
 from scipy.ndimage import gaussian_filter1d
 
+from tests.support.browser import running_chromium, until
+from tests.support.replay_pages import hopping, with_meta
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.browser import OpenedPage
 from trajopt.view.replay.show import replay

@@ -12,10 +12,10 @@ import webbrowser
 import meshcat
 import meshcat.geometry as shapes
 import pytest
-from browser_for_tests import running_chromium
-from processes_for_tests import LIMIT, Running, until
-from replay_pages import hopping, with_meta
 
+from tests.support.browser import running_chromium
+from tests.support.processes import LIMIT, Running, until
+from tests.support.replay_pages import hopping, with_meta
 from trajopt.solution.solution import Solution
 from trajopt.view.replay import live
 from trajopt.view.replay.browser import FLAGS, find_chromium

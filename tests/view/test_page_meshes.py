@@ -8,9 +8,9 @@ import meshcat.geometry as shapes
 import numpy as np
 import pytest
 import umsgpack
-from page_meshes import array_of, restored
 from scipy.spatial import ConvexHull
 
+from tests.support.page_meshes import array_of, restored
 from trajopt.view.replay.meshes import LEVELS, compact_geometry
 
 HALF_STEP = 0.5 / LEVELS

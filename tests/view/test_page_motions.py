@@ -10,7 +10,9 @@ import signal
 import numpy as np
 import pinocchio as pin
 import pytest
-from browser_for_tests import (
+
+import trajopt
+from tests.support.browser import (
     boxes,
     descendants,
     drawn_by,
@@ -20,9 +22,7 @@ from browser_for_tests import (
     running_chromium,
     until,
 )
-from synthetic import arm_motion, sampled
-
-import trajopt
+from tests.support.synthetic_motions import arm_motion, sampled
 from trajopt.errors import InputError, TrajoptError
 from trajopt.problem.catalogue import families
 from trajopt.solution.solution import Solution

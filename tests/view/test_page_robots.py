@@ -8,7 +8,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
-from browser_for_tests import (
+
+from tests.support.browser import (
     WORLD,
     boxes,
     drawn_by,
@@ -18,7 +19,6 @@ from browser_for_tests import (
     running_chromium,
     until,
 )
-
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.collada import ColladaError, read_collada

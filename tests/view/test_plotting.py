@@ -15,10 +15,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
-from problems_for_tests import hop, hopper, one_joint_arm, planar_hopper
-from symbolic_interpolation import SymbolicInterpolation
-from synthetic import arm_motion, sampled, tumbling_flight
 
+from tests.support.problems import hop, hopper, one_joint_arm, planar_hopper
+from tests.support.symbolic_interpolation import SymbolicInterpolation
+from tests.support.synthetic_motions import arm_motion, sampled, tumbling_flight
 from trajopt import solve
 from trajopt.certify.check import check
 from trajopt.errors import InputError
@@ -390,7 +390,7 @@ def test_one_interval_and_one_joint_are_enough(tmp_path: Path, actuation: str) -
 
 
 def test_a_robot_in_a_plane_shows_what_moves_in_it(tmp_path: Path) -> None:
-    from synthetic import planar_flight
+    from tests.support.synthetic_motions import planar_flight
 
     robot = planar_hopper()
     solution = sampled(robot, [planar_flight(robot)], 4)

@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser_for_tests import in_motion, running_chromium
 from click.testing import CliRunner, Result
-from command_lines import assert_refused
 from PIL import Image
-from processes_for_tests import TRAJOPT, Running, needs_proc, processes, run, until
-from synthetic import arm_motion, sampled
 
+from tests.support.browser import in_motion, running_chromium
+from tests.support.command_lines import assert_refused
+from tests.support.processes import TRAJOPT, Running, needs_proc, processes, run, until
+from tests.support.synthetic_motions import arm_motion, sampled
 from trajopt.cli.commands import main
 from trajopt.errors import InputError, TrajoptError
 from trajopt.solution.solution import Solution

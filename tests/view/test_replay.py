@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from page_meshes import array_of, distance_between, stl_points
-from processes_for_tests import LIMIT, ctrl_c_here
-from replay_pages import objects_of, scene_of, tracks_of, with_meta
-from synthetic import Motion, arm_motion, meta_of, sampled, standing
 
+from tests.support.page_meshes import array_of, distance_between, stl_points
+from tests.support.processes import LIMIT, ctrl_c_here
+from tests.support.replay_pages import objects_of, scene_of, tracks_of, with_meta
+from tests.support.synthetic_motions import Motion, arm_motion, meta_of, sampled, standing
 from trajopt.errors import InputError
 from trajopt.robot.data import robot_file
 from trajopt.robot.robot import Robot

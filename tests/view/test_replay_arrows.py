@@ -9,9 +9,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
-from replay_pages import FLIGHT, STANCE, hopping, objects_of, on_surface, shown, tracks_of, with_meta
-from synthetic import sampled, standing
 
+from tests.support.replay_pages import (
+    FLIGHT,
+    STANCE,
+    hopping,
+    objects_of,
+    on_surface,
+    shown,
+    tracks_of,
+    with_meta,
+)
+from tests.support.synthetic_motions import sampled, standing
 from trajopt.robot.contact import Contact
 from trajopt.robot.data import data_share, robot_file
 from trajopt.robot.robot import Robot

@@ -8,7 +8,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
-from replay_pages import (
+
+from tests.support.replay_pages import (
     hopping,
     objects_of,
     on_surface,
@@ -17,8 +18,7 @@ from replay_pages import (
     tracks_of,
     with_meta,
 )
-from synthetic import arm_motion, pushing_off, sampled, standing
-
+from tests.support.synthetic_motions import arm_motion, pushing_off, sampled, standing
 from trajopt.certify.samples import sample_quantities
 from trajopt.robot.payload import Payload, loaded, loaded_model
 from trajopt.solution.solution import Solution

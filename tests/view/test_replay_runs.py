@@ -9,9 +9,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
-from replay_pages import STANCE, hopping, objects_of, placements_of, scene_of, shown, tracks_of, with_meta
-from synthetic import arm_motion, sampled
 
+from tests.support.replay_pages import (
+    STANCE,
+    hopping,
+    objects_of,
+    placements_of,
+    scene_of,
+    shown,
+    tracks_of,
+    with_meta,
+)
+from tests.support.synthetic_motions import arm_motion, sampled
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.schedule.targets import Target
 from trajopt.solution.solution import Solution

@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
-from replay_pages import hopping, objects_of, placements_of, shown, with_meta
-from synthetic import Motion, arm_motion, sampled
 
+from tests.support.replay_pages import hopping, objects_of, placements_of, shown, with_meta
+from tests.support.synthetic_motions import Motion, arm_motion, sampled
 from trajopt.robot.data import robot_file
 from trajopt.view.replay.visuals import mesh_points, visuals_of
 from trajopt_library import robots

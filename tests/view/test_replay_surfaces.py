@@ -8,7 +8,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
-from replay_pages import (
+
+from tests.support.replay_pages import (
     flying,
     hopping,
     objects_of,
@@ -17,8 +18,7 @@ from replay_pages import (
     shown,
     with_meta,
 )
-from synthetic import sampled
-
+from tests.support.synthetic_motions import sampled
 from trajopt.errors import SolutionFileError
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import Surface

@@ -6,9 +6,9 @@ import meshcat
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from replay_pages import hopping, key_frames_of, shown
 from scipy.spatial.transform import Rotation, Slerp
 
+from tests.support.replay_pages import hopping, key_frames_of, shown
 from trajopt.view.replay.commands import Animation, Recorder
 from trajopt.view.replay.thinning import (
     ANGLE_ERROR,

@@ -15,11 +15,11 @@ import pinocchio as pin
 import pytest
 import umsgpack
 from numpy.testing import assert_allclose, assert_array_equal
-from problems_for_tests import hop, hopper, lean, reach
-from processes_for_tests import LIMIT, TRAJOPT, AtTerminal, run
-from replay_pages import objects_of, placements_of, tracks_of
 from tornado.websocket import websocket_connect
 
+from tests.support.problems import hop, hopper, lean, reach
+from tests.support.processes import LIMIT, TRAJOPT, AtTerminal, run
+from tests.support.replay_pages import objects_of, placements_of, tracks_of
 from trajopt import Problem, solve
 from trajopt.robot.building import reach as reach_of
 from trajopt.solvers.drivers import SOLVERS
