@@ -14,7 +14,7 @@ import trajopt
 from tests.support import models
 from tests.support.problems import SCHEME_ORDERS, hop, landing, reach, still
 from tests.support.symbolic_interpolation import SymbolicInterpolation
-from tests.support.synthetic_motions import arm_motion, sampled, standing, tumbling_flight
+from tests.support.synthetic_motions import arm_motion, sampled, standing, tumbling_flight, with_meta
 from trajopt.certify.accuracy.comparison import compare
 from trajopt.certify.accuracy.measures import measure
 from trajopt.certify.accuracy.named_points import NamedPoints
@@ -86,10 +86,6 @@ def test_interpolation_passes_through_the_samples():
         assert_allclose(found.a[points], plan.a[own][points], atol=1e-6)
         for name in ("v", "tau", "f"):
             assert_allclose(getattr(found, name), getattr(plan, name)[own], atol=1e-9, rtol=1e-9)
-
-
-def with_meta(solution: Solution, **changes: object) -> Solution:
-    return replace(solution, meta={**solution.meta, **changes})
 
 
 def test_torque_that_breaks_its_limit_between_points_alone_is_found():

@@ -11,12 +11,11 @@ import pinocchio as pin
 import pytest
 
 from tests.support.synthetic_motions import (
-    arm_motion,
     planar_flight,
     pushing_off,
     sampled,
-    standing,
     tumbling_flight,
+    with_meta,
 )
 from trajopt.certify.check import check
 from trajopt.certify.report import Tolerances
@@ -32,37 +31,11 @@ FOOT = 2
 
 
 @pytest.fixture(scope="module")
-def solo() -> Robot:
-    return robots.load("solo12")
-
-
-@pytest.fixture(scope="module")
-def arm() -> Solution:
-    robot = robots.load("ur5")
-    return sampled(robot, [arm_motion(robot)], INTERVALS)
-
-
-@pytest.fixture(scope="module")
-def flight(solo: Robot) -> Solution:
-    return sampled(solo, [tumbling_flight(solo)], INTERVALS)
-
-
-@pytest.fixture(scope="module")
 def planar() -> Solution:
     solo = robots.load("solo12")
     feet = [contact.frame for contact in solo.contacts]
     robot = Robot.from_urdf(solo.visual.urdf, base="planar", contacts=feet, reference=solo.reference[7:])
     return sampled(robot, [planar_flight(robot)], INTERVALS)
-
-
-@pytest.fixture(scope="module")
-def stance(solo: Robot) -> Solution:
-    return sampled(solo, [standing(solo)], INTERVALS)
-
-
-@pytest.fixture(scope="module")
-def push(solo: Robot) -> Solution:
-    return sampled(solo, [pushing_off(solo)], INTERVALS)
 
 
 @pytest.mark.parametrize("which", ["flight", "planar", "stance", "push"])
@@ -132,10 +105,6 @@ def changed(solution: Solution, name: str, index: object, value: object) -> Solu
     array = getattr(solution, name).copy()
     array[index] = value
     return replace(solution, **{name: array})
-
-
-def with_meta(solution: Solution, **changes: object) -> Solution:
-    return replace(solution, meta={**solution.meta, **changes})
 
 
 def test_wrong_torque_shows_in_the_actuated_rows_alone(stance, solo):

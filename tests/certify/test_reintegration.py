@@ -7,31 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.synthetic_motions import arm_motion, pushing_off, sampled, standing, tumbling_flight
+from tests.support.synthetic_motions import arm_motion, sampled, standing, tumbling_flight
 from trajopt.certify.check import check
 from trajopt.certify.reintegration import open_loop
 from trajopt.certify.report import Tolerances
-from trajopt.robot.robot import Robot
-from trajopt.solution.solution import Solution
 from trajopt_library import robots
 
 INTERVALS = 20
 EXACT = 1e-9  # motions are integrated to 1e-13; the numbers here are of order one
-
-
-@pytest.fixture(scope="module")
-def solo() -> Robot:
-    return robots.load("solo12")
-
-
-@pytest.fixture(scope="module")
-def flight(solo: Robot) -> Solution:
-    return sampled(solo, [tumbling_flight(solo)], INTERVALS)
-
-
-@pytest.fixture(scope="module")
-def push(solo: Robot) -> Solution:
-    return sampled(solo, [pushing_off(solo)], INTERVALS)
 
 
 def test_open_loop_error_of_interpolated_torques_falls_with_the_fourth_power():

@@ -10,12 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from tests.support.command_lines import assert_refused
+from tests.support.command_lines import assert_refused, invoke
 from tests.support.processes import TRAJOPT, run
 from trajopt import Solution
-from trajopt.cli.commands import main
 from trajopt.cli.report import to_json
 from trajopt.problem import catalogue
 
@@ -29,10 +27,6 @@ KEYS = {
     "accuracy", "file", "solver", "transcription", "intervals", "tolerance", "seed", "perturb", "compile",
     "parameters", "warm_start",
 }  # fmt: skip
-
-
-def trajopt(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def trajopt_process(*arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
@@ -67,7 +61,7 @@ def hop_file(hop: subprocess.CompletedProcess[str], folder: Path) -> Path:
 
 
 def test_list_json_names_robot_phases_and_parameters() -> None:
-    result = trajopt("list", "--json")
+    result = invoke("list", "--json")
     assert result.exit_code == 0
     problems = {problem["name"]: problem for problem in strict(result.stdout)["problems"]}
     jump = problems["solo12-jump"]
@@ -78,7 +72,7 @@ def test_list_json_names_robot_phases_and_parameters() -> None:
 
 
 def test_list_shows_every_parameter_with_its_unit() -> None:
-    result = trajopt("list")
+    result = invoke("list")
     assert result.exit_code == 0
     for family in catalogue.families().values():
         assert family.name in result.stdout
@@ -114,22 +108,22 @@ def test_default_output_is_named_by_the_problem(
 
 
 def test_accuracy_is_what_check_prints(hop: subprocess.CompletedProcess[str], hop_file: Path) -> None:
-    result = trajopt("check", hop_file, "--json")
+    result = invoke("check", hop_file, "--json")
     checked, accuracy = strict(result.stdout), strict(hop.stdout)["accuracy"]
     assert checked["failures"] == accuracy["failures"]
     assert checked["foot_drift"] == pytest.approx(accuracy["foot_drift"])
 
 
 def test_check_beyond_tolerance_ends_with_one(hop_file: Path) -> None:
-    result = trajopt("check", hop_file)
+    result = invoke("check", hop_file)
     assert result.exit_code == 1
     assert "beyond" in result.stdout
-    assert strict(trajopt("check", hop_file, "--json").stdout)["ok"] is False
+    assert strict(invoke("check", hop_file, "--json").stdout)["ok"] is False
 
 
 def test_summary_says_where_the_file_is_and_what_is_beyond(tmp_path: Path) -> None:
     target = tmp_path / "no suffix"
-    result = trajopt(*HOP, "--output", target)
+    result = invoke(*HOP, "--output", target)
     assert result.exit_code == 0, result.stderr
     assert target.is_file()
     assert f"trajopt check '{target}'" in result.stdout
@@ -139,7 +133,7 @@ def test_summary_says_where_the_file_is_and_what_is_beyond(tmp_path: Path) -> No
 
 def test_solve_leaves_the_handler_of_ctrl_c_as_it_was(tmp_path: Path) -> None:
     before = signal.getsignal(signal.SIGINT)
-    assert trajopt(*HOP, "--max-iterations", 1, "--output", tmp_path / "x.npz").exit_code == 1
+    assert invoke(*HOP, "--max-iterations", 1, "--output", tmp_path / "x.npz").exit_code == 1
     assert signal.getsignal(signal.SIGINT) is before
     assert signal.set_wakeup_fd(-1) == -1
 
@@ -155,7 +149,7 @@ def test_chatter_of_the_solver_is_not_on_stdout(tmp_path: Path) -> None:
 @pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
 def test_iteration_limit_ends_with_one_and_names_the_worst_rows(solver: str, tmp_path: Path) -> None:
     target = tmp_path / "x.npz"
-    result = trajopt(*HOP, "--solver", solver, "--max-iterations", 2, "--output", target, "--json")
+    result = invoke(*HOP, "--solver", solver, "--max-iterations", 2, "--output", target, "--json")
     found = strict(result.stdout)
     assert result.exit_code == 1
     assert (found["success"], found["status"]) == (False, "iteration_limit")
@@ -166,7 +160,7 @@ def test_iteration_limit_ends_with_one_and_names_the_worst_rows(solver: str, tmp
 
 @pytest.mark.slow
 def test_impossible_goal_ends_with_one_and_names_rows_phase_and_time(tmp_path: Path) -> None:
-    result = trajopt(
+    result = invoke(
         *HOP[:2], *IMPOSSIBLE, "--intervals", 12, "--max-iterations", 80, "--output", tmp_path / "x.npz"
     )
     assert result.exit_code == 1
@@ -225,7 +219,7 @@ def test_bad_input_is_one_line_and_two(
     arguments: tuple[str, ...], words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert_refused(trajopt(*arguments), *words)
+    assert_refused(invoke(*arguments), *words)
     assert not list(tmp_path.iterdir())
 
 
@@ -241,14 +235,14 @@ def test_output_is_refused_before_anything_else_of_the_solve(tmp_path: Path) -> 
         tmp_path / ("n" * 250): "too long",
     }
     for place, words in places.items():
-        assert_refused(trajopt(*HOP, "--solver", "unknown", "--output", place), words)
+        assert_refused(invoke(*HOP, "--solver", "unknown", "--output", place), words)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
     assert file.read_text() == "mine"
 
 
 def test_cache_that_cannot_be_written_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TRAJOPT_CACHE_DIR", "/proc/none")
-    assert_refused(trajopt(*HOP, "--output", tmp_path / "x.npz"), "/proc/none", "TRAJOPT_CACHE_DIR")
+    assert_refused(invoke(*HOP, "--output", tmp_path / "x.npz"), "/proc/none", "TRAJOPT_CACHE_DIR")
 
 
 @pytest.mark.parametrize("verb", ["check", "replay"])
@@ -257,25 +251,25 @@ def test_files_that_are_no_solution_are_refused(verb: str, hop_file: Path, tmp_p
     truncated.write_bytes(hop_file.read_bytes()[:5000])
     np.savez(foreign, x=np.arange(3))
     text.write_text("no archive")
-    assert_refused(trajopt(verb, truncated), "truncated.npz is truncated or damaged")
-    assert_refused(trajopt(verb, foreign), "foreign.npz is not a trajopt-solution file")
-    assert_refused(trajopt(verb, text), "text.npz is not a trajopt-solution file")
-    assert_refused(trajopt(verb, tmp_path / "missing.npz"), "missing.npz does not exist")
-    assert_refused(trajopt(verb, tmp_path), "is not a file")
+    assert_refused(invoke(verb, truncated), "truncated.npz is truncated or damaged")
+    assert_refused(invoke(verb, foreign), "foreign.npz is not a trajopt-solution file")
+    assert_refused(invoke(verb, text), "text.npz is not a trajopt-solution file")
+    assert_refused(invoke(verb, tmp_path / "missing.npz"), "missing.npz does not exist")
+    assert_refused(invoke(verb, tmp_path), "is not a file")
 
 
 def test_replay_writes_a_page(hop_file: Path, tmp_path: Path) -> None:
     page = tmp_path / "hop.html"
-    result = trajopt("replay", hop_file, "--html", page)
+    result = invoke("replay", hop_file, "--html", page)
     assert result.exit_code == 0, result.stderr
     assert str(page) in result.stdout
     assert "<html" in page.read_text()[:1000]
-    assert_refused(trajopt("replay", hop_file, "--html", tmp_path / "none" / "x.html"), "none/x.html")
+    assert_refused(invoke("replay", hop_file, "--html", tmp_path / "none" / "x.html"), "none/x.html")
     before = hop_file.read_bytes()
-    assert_refused(trajopt("replay", hop_file, "--html", hop_file), "is what is read")
+    assert_refused(invoke("replay", hop_file, "--html", hop_file), "is what is read")
     assert hop_file.read_bytes() == before
-    assert_refused(trajopt("replay", hop_file, "--html", "/dev/null"), "no regular file")
-    assert_refused(trajopt("replay", hop_file, "--html", page, "--speed", "1e-9"), "a higher speed")
+    assert_refused(invoke("replay", hop_file, "--html", "/dev/null"), "no regular file")
+    assert_refused(invoke("replay", hop_file, "--html", page, "--speed", "1e-9"), "a higher speed")
 
 
 def test_module_and_version_run(tmp_path: Path) -> None:
@@ -292,7 +286,7 @@ def test_numbers_that_are_not_finite_are_null_in_json() -> None:
 def test_a_log_replaces_neither_the_solution_nor_the_start(hop_file: Path, tmp_path: Path) -> None:
     before = hop_file.read_bytes()
     solve = ("solve", "hopper-hop", "--compile", "none", "--log", hop_file)
-    assert_refused(trajopt(*solve, "-o", hop_file), "written twice")
-    assert_refused(trajopt(*solve, "-o", tmp_path / "new.npz", "--start", hop_file), "is what is read")
+    assert_refused(invoke(*solve, "-o", hop_file), "written twice")
+    assert_refused(invoke(*solve, "-o", tmp_path / "new.npz", "--start", hop_file), "is what is read")
     assert hop_file.read_bytes() == before
     assert not (tmp_path / "new.npz").exists()

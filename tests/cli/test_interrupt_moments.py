@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.support import suite_problems, sweep_problems
+from tests.support.packages import install
 from tests.support.problems import hop
 from tests.support.processes import LIMIT, environment, needs_proc, processes, run
 from trajopt import solve
@@ -169,8 +170,8 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a solution and the tests' own families, in which the commands run."""
     found = tmp_path_factory.mktemp("moments")
-    suite_problems.install(found)
-    sweep_problems.install(found)
+    install(suite_problems, found)
+    install(sweep_problems, found)
     solve(hop(), compile="none", intervals=8).save(found / HOP)
     return found
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 import json
 
 import pytest
-from click.testing import CliRunner
 
+from tests.support.command_lines import invoke
 from trajopt.cli.commands import COMMANDS
-from trajopt.cli.list import list_command
 from trajopt.errors import InputError
 
 
 def _listed(*arguments: str) -> list[str]:
-    result = CliRunner().invoke(list_command, [*arguments, "--json"])
+    result = invoke("list", *arguments, "--json")
     assert result.exit_code == 0, result.output
     return [entry["name"] for entry in json.loads(result.output)["problems"]]
 
@@ -29,7 +28,7 @@ def test_a_robot_chooses_the_problems_it_is_tested_on() -> None:
 
 
 def test_brief_is_one_table_of_names_robots_and_summaries() -> None:
-    result = CliRunner().invoke(list_command, ["arm-reach", "--brief"])
+    result = invoke("list", "arm-reach", "--brief")
     assert "panda" in result.output
     assert "parameter" not in result.output
 
@@ -38,7 +37,7 @@ def test_brief_is_one_table_of_names_robots_and_summaries() -> None:
     ("arguments", "says"), [(["no-such*"], "'no-such*' is unknown"), (["--robot", "nao"], "'nao' is unknown")]
 )
 def test_unknown_names_are_refused_with_what_is_known(arguments: list[str], says: str) -> None:
-    result = CliRunner().invoke(list_command, arguments)
+    result = invoke("list", *arguments)
     assert isinstance(result.exception, InputError)
     assert says in str(result.exception)
     assert "list" in COMMANDS

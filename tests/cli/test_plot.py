@@ -6,12 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
-from tests.support.command_lines import assert_refused
+from tests.support.command_lines import assert_refused, invoke
 from tests.support.problems import one_joint_arm
 from tests.support.synthetic_motions import arm_motion, sampled
-from trajopt.cli.commands import main
 
 
 @pytest.fixture
@@ -21,7 +20,7 @@ def file(tmp_path: Path) -> Path:
 
 
 def plot(*arguments: object) -> Result:
-    return CliRunner().invoke(main, ["plot", *map(str, arguments)])
+    return invoke("plot", *arguments)
 
 
 def test_a_page_is_written_and_named_with_its_size(file: Path, tmp_path: Path) -> None:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
+from tests.support.command_lines import invoke
 from tests.support.synthetic_motions import sampled, standing
 from trajopt import Solution
-from trajopt.cli.commands import main
 from trajopt_library import robots
 
 
@@ -30,7 +30,7 @@ def limp(stand: Path) -> Path:
 
 
 def run(*arguments: object) -> Result:
-    return CliRunner().invoke(main, ["simulate", *map(str, arguments)])
+    return invoke("simulate", *arguments)
 
 
 def test_tracked_plan_ends_with_zero_and_says_so(stand):

@@ -8,9 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
 from tests.support import suite_problems
+from tests.support.command_lines import invoke
+from tests.support.packages import installed
 from tests.support.processes import (
     TRAJOPT,
     Running,
@@ -19,7 +21,6 @@ from tests.support.processes import (
     no_task_process_left,
     task_processes,
 )
-from trajopt.cli.commands import main
 from trajopt.study.suite import data
 
 FAST = ("--compile", "none")
@@ -28,15 +29,12 @@ FAST = ("--compile", "none")
 @pytest.fixture(scope="module", autouse=True)
 def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The folder that offers the tests' own families."""
-    folder = tmp_path_factory.mktemp("package")
-    suite_problems.install(folder)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(folder)
+    with installed(suite_problems, tmp_path_factory.mktemp("package")) as folder:
         yield folder
 
 
 def suite(*arguments: object) -> Result:
-    return CliRunner().invoke(main, ["suite", *map(str, arguments)])
+    return invoke("suite", *arguments)
 
 
 @pytest.mark.parametrize(

@@ -6,17 +6,16 @@ import json
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
-from tests.support.command_lines import assert_refused
-from trajopt.cli.commands import main
+from tests.support.command_lines import assert_refused, invoke
 from trajopt.errors import InputError
 from trajopt.problem import catalogue
 from trajopt.problem.family import Parameter
 
 
 def trajopt(*arguments: str) -> Result:
-    return CliRunner().invoke(main, arguments)
+    return invoke(*arguments)
 
 
 def test_an_empty_group_of_problems_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

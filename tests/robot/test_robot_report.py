@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from click.testing import CliRunner
 
 import trajopt
+from tests.support.command_lines import invoke
 from tests.support.repository import ROOT
 from trajopt import Robot
-from trajopt.cli.commands import main
 from trajopt.robot.inspection.faults import lowest_drawn
 from trajopt.robot.inspection.report import robot_report
 from trajopt.robot.inspection.standing import inside, standing_feet, standing_posture
@@ -234,7 +233,7 @@ def test_a_robot_at_rest_stays_where_it_is(name: str) -> None:
 
 
 def run(*words: str) -> tuple[int, str]:
-    done = CliRunner().invoke(main, list(words))
+    done = invoke(*words)
     return done.exit_code, done.output
 
 

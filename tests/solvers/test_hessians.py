@@ -9,12 +9,11 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from numpy.testing import assert_allclose
 from scipy import sparse
 
+from tests.support.command_lines import invoke
 from tests.support.problems import hop, hopper, one_joint_arm, planar_hopper, point_of, random_point, reach
-from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.robot.actuators.drive import Drive
@@ -232,7 +231,7 @@ def test_unknown_hessian_is_refused(call):
 
 
 def test_command_line_refuses_an_unknown_hessian_in_one_line():
-    found = CliRunner().invoke(main, ["solve", "ur5-reach", "--hessian", "newton"])
+    found = invoke("solve", "ur5-reach", "--hessian", "newton")
     assert found.exit_code == 2
     assert found.stderr.strip().splitlines() == [
         "trajopt: unknown Hessian 'newton'; allowed: exact, gauss-newton, limited-memory"

@@ -8,14 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 from numpy.testing import assert_allclose
 
 import trajopt
-from tests.support.command_lines import assert_refused
+from tests.support.command_lines import assert_refused, invoke
 from tests.support.problems import REACH_TIME, reach
 from trajopt import Solution, continuation, solve_ladder
-from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solving.continuation import Continuation
@@ -49,10 +47,6 @@ def swing(goal: float) -> Problem:
 
 def swings(values: tuple[float, ...] = VALUES, **settings: object) -> Continuation:
     return continuation(swing, values, compile="none", **settings)
-
-
-def command(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 # Sequences
@@ -229,13 +223,13 @@ def test_ladders_that_are_none_are_refused(rungs, words):
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("warm") / "arm.npz"
-    assert command("solve", "ur5-reach", *ARM, "--output", file).exit_code == 0
+    assert invoke("solve", "ur5-reach", *ARM, "--output", file).exit_code == 0
     return file
 
 
 def test_solve_starts_from_a_file(arm, tmp_path):
     target = tmp_path / "next.npz"
-    result = command("solve", "ur5-reach", *ARM, "--set", "x=0.35", "--start", arm, "--compare",
+    result = invoke("solve", "ur5-reach", *ARM, "--set", "x=0.35", "--start", arm, "--compare",
                      "--output", target, "--json")  # fmt: skip
     found = json.loads(result.stdout)
     assert result.exit_code == 0
@@ -245,7 +239,7 @@ def test_solve_starts_from_a_file(arm, tmp_path):
 
 
 def test_solve_climbs_a_ladder(tmp_path):
-    result = command("solve", "ur5-reach", "--set", "y=0.4", "--ladder", "legendre:1@6,legendre:2@12",
+    result = invoke("solve", "ur5-reach", "--set", "y=0.4", "--ladder", "legendre:1@6,legendre:2@12",
                      "--output", tmp_path / "arm.npz")  # fmt: skip
     assert result.exit_code == 0
     assert "legendre:1, 6 intervals: solved" in result.stdout
@@ -253,7 +247,7 @@ def test_solve_climbs_a_ladder(tmp_path):
 
 
 def test_continue_writes_a_table_and_files(tmp_path):
-    result = command("continue", "ur5-reach", *ARM, "--vary", "x=0.3:35cm:3", "--compare",
+    result = invoke("continue", "ur5-reach", *ARM, "--vary", "x=0.3:35cm:3", "--compare",
                      "--output-dir", tmp_path / "new")  # fmt: skip
     assert result.exit_code == 0, result.output
     assert "3 of 3 values solved" in result.stdout
@@ -263,7 +257,7 @@ def test_continue_writes_a_table_and_files(tmp_path):
 
 
 def test_continue_prints_one_json_object():
-    result = command("continue", "ur5-reach", *ARM, "--vary", "x=0.3:0.35:2", "--json")
+    result = invoke("continue", "ur5-reach", *ARM, "--vary", "x=0.3:0.35:2", "--json")
     found = json.loads(result.stdout)
     assert found["parameter"] == "x"
     assert found["values"] == [0.3, 0.35]
@@ -272,7 +266,7 @@ def test_continue_prints_one_json_object():
 
 
 def test_continue_ends_with_1_where_a_value_is_not_solved():
-    result = command("continue", "ur5-reach", *ARM, "--vary", "duration=1:0.1:2", "--max-halvings", 0,
+    result = invoke("continue", "ur5-reach", *ARM, "--vary", "duration=1:0.1:2", "--max-halvings", 0,
                      "--max-iterations", 8)  # fmt: skip
     assert result.exit_code == 1
     assert "1 of 2 values solved" in result.stdout
@@ -293,7 +287,7 @@ BAD = {
 
 @pytest.mark.parametrize(("arguments", "words"), BAD.values(), ids=BAD.keys())
 def test_bad_input_of_continue_is_refused(arguments, words):
-    assert_refused(command("continue", "ur5-reach", *arguments), words)
+    assert_refused(invoke("continue", "ur5-reach", *arguments), words)
 
 
 BAD_SOLVE = {
@@ -308,9 +302,9 @@ BAD_SOLVE = {
 
 @pytest.mark.parametrize(("arguments", "words"), BAD_SOLVE.values(), ids=BAD_SOLVE.keys())
 def test_bad_starts_of_solve_are_refused(arguments, words, tmp_path):
-    assert_refused(command("solve", "ur5-reach", *arguments, "--output", tmp_path / "arm.npz"), words)
+    assert_refused(invoke("solve", "ur5-reach", *arguments, "--output", tmp_path / "arm.npz"), words)
 
 
 def test_a_solution_of_another_robot_is_refused(arm, tmp_path):
-    result = command("solve", "hopper-hop", "--start", arm, "--output", tmp_path / "hop.npz")
+    result = invoke("solve", "hopper-hop", "--start", arm, "--output", tmp_path / "hop.npz")
     assert_refused(result, "'ur5' has other joints")

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from numpy.testing import assert_allclose
 
 import trajopt
+from tests.support.command_lines import invoke
 from tests.support.problems import lean, reach
 from trajopt.certify.accuracy.measures import measure
 from trajopt.cli.commands import main
@@ -168,7 +169,7 @@ def test_commands_make_a_reference_and_check_against_it(tmp_path):
 def test_command_that_finds_none_writes_no_file(tmp_path):
     made = tmp_path / "reference.npz"
     arguments = ["reference", "ur5-reach", "--compile", "none", "--distance", "1e-15", "--max-time", "0.5"]
-    result = CliRunner().invoke(main, [*arguments, "--output", str(made)])
+    result = invoke(*arguments, "--output", made)
     assert result.exit_code == 1
     assert re.search(TIME, result.stderr)
     assert not made.exists()

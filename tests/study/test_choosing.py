@@ -1,17 +1,18 @@
 """Settings chosen from a measured front: what is predicted, what is tried, and what is reached."""
 
+from __future__ import annotations
+
 import csv
 import json
 import math
 
 import pytest
-from click.testing import CliRunner
 from numpy.testing import assert_allclose
 
+from tests.support.command_lines import invoke
 from tests.support.problems import hop, reach
 from trajopt.certify.accuracy.measures import measure
 from trajopt.cli.aim import Seconds
-from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.robot.units import Units
 from trajopt.solving.refine import phase_errors, unknowns_on_mesh
@@ -192,7 +193,7 @@ def test_times_are_read_with_their_units(text, seconds):
 
 
 def run(*arguments):
-    return CliRunner().invoke(main, ["solve", "hopper-hop", "--compile", "none", *map(str, arguments)])
+    return invoke("solve", "hopper-hop", "--compile", "none", *arguments)
 
 
 def test_command_reaches_an_accuracy_and_reports_it(front, tmp_path):

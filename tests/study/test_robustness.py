@@ -13,6 +13,7 @@ import pinocchio as pin
 import pytest
 
 from tests.support import suite_problems
+from tests.support.packages import installed
 from tests.support.problems import hop, hopper, planar_hopper, reach
 from trajopt import solve
 from trajopt.study.suite.cases import Case
@@ -32,10 +33,7 @@ SINGLE = 1e-6
 @pytest.fixture(scope="module", autouse=True)
 def problems(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """The tests' own families beside the library's."""
-    folder = tmp_path_factory.mktemp("package")
-    suite_problems.install(folder)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(folder)
+    with installed(suite_problems, tmp_path_factory.mktemp("package")):
         yield
 
 

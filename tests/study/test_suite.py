@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from tests.support import suite_problems
+from tests.support.packages import installed
 from trajopt import Solution, check, solve
 from trajopt.errors import InputError
 from trajopt.problem.catalogue import families
@@ -37,10 +38,7 @@ SLACK = 1e-2
 @pytest.fixture(scope="module", autouse=True)
 def problems(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """The tests' own families beside the library's."""
-    folder = tmp_path_factory.mktemp("package")
-    suite_problems.install(folder)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(folder)
+    with installed(suite_problems, tmp_path_factory.mktemp("package")):
         yield
 
 

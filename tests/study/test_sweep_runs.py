@@ -10,9 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
 from tests.support import sweep_problems
+from tests.support.command_lines import invoke
+from tests.support.packages import installed
 from tests.support.problems import hop
 from tests.support.processes import (
     TRAJOPT,
@@ -24,7 +26,6 @@ from tests.support.processes import (
 )
 from trajopt import solve
 from trajopt.certify.accuracy.measures import measure
-from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.problem import Problem
 from trajopt.reduced.two_stage import base_rows_problem
@@ -52,15 +53,12 @@ REQUEST = SweepRequest(problem="s-reach", max_iterations=200)
 @pytest.fixture(scope="module", autouse=True)
 def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The folder that offers the tests' own families."""
-    folder = tmp_path_factory.mktemp("package")
-    sweep_problems.install(folder)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(folder)
+    with installed(sweep_problems, tmp_path_factory.mktemp("package")) as folder:
         yield folder
 
 
 def sweep(*arguments: object) -> Result:
-    return CliRunner().invoke(main, ["sweep", *map(str, arguments)])
+    return invoke("sweep", *arguments)
 
 
 def rows(path: Path) -> list[dict[str, str]]:

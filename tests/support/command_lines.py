@@ -1,8 +1,15 @@
-"""What every command does with bad input."""
+"""The command line in this process, and what every command does with bad input."""
 
 from __future__ import annotations
 
-from click.testing import Result
+from click.testing import CliRunner, Result
+
+from trajopt.cli.commands import main
+
+
+def invoke(*arguments: object) -> Result:
+    """``trajopt`` with these arguments."""
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def assert_refused(result: Result, *words: str) -> None:

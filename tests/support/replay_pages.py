@@ -13,7 +13,7 @@ import umsgpack
 from scipy.spatial.transform import Rotation, Slerp
 
 from tests.support.page_meshes import restored
-from tests.support.synthetic_motions import Motion, sampled, standing
+from tests.support.synthetic_motions import Motion, sampled, standing, with_meta
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import Surface
@@ -28,16 +28,14 @@ def hopping() -> Solution:
     """Solo12, with its meshes, stands, floats where it stood, and stands again."""
     robot = robots.load("solo12")
     stance = standing(robot, STANCE)
-    return sampled(robot, [stance, flying(robot), stance], INTERVALS, visual=robot.visual.to_meta())
+    return sampled(
+        robot, [stance, flying(robot), stance], INTERVALS, visual=robot.visual.to_meta(), problem="hop"
+    )
 
 
 def flying(robot: Robot) -> Motion:
     still = standing(robot)
     return replace(still, duration=FLIGHT, contacts=(), f=lambda t: np.zeros_like(still.f(t)))
-
-
-def with_meta(solution: Solution, **changes: object) -> Solution:
-    return replace(solution, meta={**solution.meta, **changes})
 
 
 def shown(solution: Solution, tmp_path: Path, **options: float) -> dict:

@@ -1,4 +1,4 @@
-"""A package of families for the suite's tests, each with its own way to end; `install` puts it on a path."""
+"""A package of families for the suite's tests, each with its own way to end."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import signal
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -110,13 +109,3 @@ def families() -> dict[str, Family]:
     """The families by name; one of them takes a robot."""
     found = {name: _family(name, build, robot="arm") for name, build in BUILDERS.items()}
     return {**found, "t-robots": _family("t-robots", on_robot, robots=("one", "two"))}
-
-
-def install(folder: Path) -> None:
-    """The metadata that make this module a package of problems, as pip writes them."""
-    information = folder / "suite_problems-1.dist-info"
-    information.mkdir()
-    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: suite-problems\nVersion: 1\n")
-    (information / "entry_points.txt").write_text(
-        "[trajopt.problems]\ntests = tests.support.suite_problems\n"
-    )

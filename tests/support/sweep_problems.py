@@ -6,7 +6,6 @@ import os
 import signal
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -66,13 +65,3 @@ def families() -> dict[str, Family]:
             name="s-reach", phases=("reach",), summary="", parameters=(gravity,), build=weighed, robot="arm"
         ),
     }
-
-
-def install(folder: Path) -> None:
-    """The metadata that make this module a package of problems, as pip writes them."""
-    information = folder / "sweep_problems-1.dist-info"
-    information.mkdir()
-    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: sweep-problems\nVersion: 1\n")
-    (information / "entry_points.txt").write_text(
-        "[trajopt.problems]\ntests = tests.support.sweep_problems\n"
-    )

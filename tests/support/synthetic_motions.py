@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -55,6 +55,11 @@ def meta_of(robot: Robot, **changes: Any) -> dict[str, Any]:
         "versions": {},
         **changes,
     }
+
+
+def with_meta(solution: Solution, **changes: object) -> Solution:
+    """The solution with other entries of its meta data."""
+    return replace(solution, meta={**solution.meta, **changes})
 
 
 def sampled(

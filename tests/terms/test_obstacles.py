@@ -10,7 +10,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tests.support.replay_pages import objects_of, placements_of, shown, with_meta
+from tests.support.replay_pages import objects_of, placements_of, shown
+from tests.support.synthetic_motions import with_meta
 from trajopt import solve
 from trajopt.certify.check import check
 from trajopt.dynamics.manifold import Coordinates

@@ -10,11 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from tests.support.replay_pages import hopping, scene_of, with_meta
+from tests.support.command_lines import invoke
+from tests.support.replay_pages import scene_of
 from tests.support.repository import ROOT
-from trajopt.cli.commands import main
+from tests.support.synthetic_motions import with_meta
 from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.show import replay
@@ -23,11 +23,6 @@ WEB = ROOT / "trajopt" / "view" / "replay" / "web"
 # Bytes: Meshcat's viewer takes 0.29 MB, solo12's meshes 0.15 MB; a second run of it adds tracks.
 SMALL_PAGE, SECOND_RUN = 0.7e6, 0.05e6
 CONTRAST = 4.5  # of text to its ground, WCAG 2.1 AA
-
-
-@pytest.fixture(scope="module")
-def hop() -> Solution:
-    return with_meta(hopping(), problem="hop")
 
 
 @pytest.fixture(scope="module")
@@ -172,10 +167,10 @@ def test_command_writes_several_files_to_one_page_and_tells_its_size(hop, tmp_pa
     files = [str(replace(hop).save(tmp_path / f"{name}.npz")) for name in ("a", "b")]
     target = tmp_path / "both.html"
     call = ["replay", *files, "--html", str(target), "--side-by-side", "--label", "a", "--label", "b"]
-    done = CliRunner().invoke(main, [*call, "--speed", "0.25"])
+    done = invoke(*call, "--speed", "0.25")
     assert done.exit_code == 0
     assert done.stdout == f"{target}: 2.00 s, {target.stat().st_size / 1e6:.1f} MB\n"
-    refused = CliRunner().invoke(main, call[:-2])
+    refused = invoke(*call[:-2])
     assert (refused.exit_code, refused.stderr.count("\n")) == (2, 1)
     assert "1 labels for 2 solutions" in refused.stderr
 

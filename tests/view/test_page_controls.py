@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from tests.support.browser import running_chromium, until
-from tests.support.replay_pages import hopping, with_meta
+from tests.support.browser import until
+from tests.support.replay_pages import hopping
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.browser import OpenedPage
 from trajopt.view.replay.show import replay
@@ -40,15 +40,9 @@ RESET = """() => {
 
 
 @pytest.fixture(scope="module")
-def browser():
-    with running_chromium() as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
 def hop() -> Solution:
     """It hops ahead by a part of its length."""
-    still = with_meta(hopping(), problem="hop")
+    still = hopping()
     moved = still.q.copy()
     moved[:, 0] += AHEAD * still.t / still.t[-1]
     return replace(still, q=moved)

@@ -15,8 +15,6 @@ import pytest
 
 from tests.support.browser import running_chromium
 from tests.support.processes import LIMIT, Running, until
-from tests.support.replay_pages import hopping, with_meta
-from trajopt.solution.solution import Solution
 from trajopt.view.replay import live
 from trajopt.view.replay.browser import FLAGS, find_chromium
 from trajopt.view.replay.show import replay
@@ -30,11 +28,6 @@ shown = replay(Solution.load(sys.argv[1]), open_browser=False)
 print(shown.window.server_proc.pid, flush=True)
 time.sleep(600)
 """
-
-
-@pytest.fixture(scope="module")
-def hop() -> Solution:
-    return with_meta(hopping(), problem="hop")
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,6 @@ from tests.support.browser import (
     extent,
     pixels_of,
     placements,
-    running_chromium,
     until,
 )
 from tests.support.synthetic_motions import arm_motion, sampled
@@ -43,12 +42,6 @@ ARROW_SCALE = r"forces: ([0-9.]+) m is the weight, ([0-9.]+) N"
 ABOUT = "document.getElementById('caption').textContent"
 # The middle of a silhouette moves as the projected joints do but for this part of its height: legs fold.
 MIDDLE = 0.25
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with running_chromium() as running:
-        yield running
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,6 @@ from tests.support.browser import (
     extent,
     in_motion,
     pixels_of,
-    running_chromium,
     until,
 )
 from trajopt.robot.robot import Robot
@@ -48,12 +47,6 @@ COLOURS = """path => {%s
     });
     return [...found];
 }"""
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with running_chromium() as running:
-        yield running
 
 
 def part_path(robot: Robot, part: pin.GeometryObject) -> str:

@@ -12,14 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 from PIL import Image
 
 from tests.support.browser import in_motion, running_chromium
-from tests.support.command_lines import assert_refused
+from tests.support.command_lines import assert_refused, invoke
 from tests.support.processes import TRAJOPT, Running, needs_proc, processes, run, until
 from tests.support.synthetic_motions import arm_motion, sampled
-from trajopt.cli.commands import main
 from trajopt.errors import InputError, TrajoptError
 from trajopt.solution.solution import Solution
 from trajopt.view.replay import video
@@ -199,7 +198,7 @@ def test_times_outside_the_motion_are_refused_in_one_line(options, told):
 
 
 def command(*arguments: object) -> Result:
-    return CliRunner().invoke(main, ["render", *map(str, arguments)])
+    return invoke("render", *arguments)
 
 
 def test_bad_input_is_one_line_and_writes_nothing(hop_file, tmp_path, monkeypatch):

@@ -15,8 +15,8 @@ import pytest
 
 from tests.support.page_meshes import array_of, distance_between, stl_points
 from tests.support.processes import LIMIT, ctrl_c_here
-from tests.support.replay_pages import objects_of, scene_of, tracks_of, with_meta
-from tests.support.synthetic_motions import Motion, arm_motion, meta_of, sampled, standing
+from tests.support.replay_pages import objects_of, scene_of, tracks_of
+from tests.support.synthetic_motions import Motion, arm_motion, meta_of, sampled, standing, with_meta
 from trajopt.errors import InputError
 from trajopt.robot.data import robot_file
 from trajopt.robot.robot import Robot

@@ -10,16 +10,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.support.replay_pages import (
-    FLIGHT,
-    STANCE,
-    hopping,
-    objects_of,
-    on_surface,
-    shown,
-    tracks_of,
-    with_meta,
-)
+from tests.support.replay_pages import FLIGHT, STANCE, objects_of, on_surface, shown, tracks_of
 from tests.support.synthetic_motions import sampled, standing
 from trajopt.robot.contact import Contact
 from trajopt.robot.data import data_share, robot_file
@@ -32,11 +23,6 @@ INTERVALS, FOOT = 3, "FL_FOOT"
 ROUNDING = 1e-12
 SINGLE_PRECISION = 2e-6  # of lengths around one
 TALOS = "talos_data/robots/talos_reduced.urdf"
-
-
-@pytest.fixture(scope="module")
-def bones() -> Solution:
-    return with_meta(hopping(), visual=None)
 
 
 @pytest.mark.parametrize("held", [False, True])

@@ -9,16 +9,8 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.support.replay_pages import (
-    hopping,
-    objects_of,
-    on_surface,
-    placements_of,
-    shown,
-    tracks_of,
-    with_meta,
-)
-from tests.support.synthetic_motions import arm_motion, pushing_off, sampled, standing
+from tests.support.replay_pages import objects_of, on_surface, placements_of, shown, tracks_of
+from tests.support.synthetic_motions import arm_motion, pushing_off, sampled, standing, with_meta
 from trajopt.certify.samples import sample_quantities
 from trajopt.robot.payload import Payload, loaded, loaded_model
 from trajopt.solution.solution import Solution
@@ -36,11 +28,6 @@ EXACT = 1e-9  # m: rounding of positions around one
 INTEGRATED = 1e-9  # over weight and metre: accelerations of the synthetic motion solve a linear system
 INTERPOLATED = 1e-5  # m: feet of configurations that are interpolated between samples move a little
 UP = np.array([0.0, 0.0, 1.0])
-
-
-@pytest.fixture(scope="module")
-def bones() -> Solution:
-    return with_meta(hopping(), visual=None)
 
 
 @pytest.fixture(scope="module")

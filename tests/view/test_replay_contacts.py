@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.support.replay_pages import STANCE, hopping, objects_of, on_surface, shown, tracks_of, with_meta
+from tests.support.replay_pages import STANCE, objects_of, on_surface, shown, tracks_of
 from tests.support.synthetic_motions import sampled, standing
 from trajopt.robot.contact import Contact
 from trajopt.robot.data import data_share, robot_file
@@ -26,11 +26,6 @@ TALOS = "talos_data/robots/talos_reduced.urdf"
 THINNED = 5e-4  # m: twice the stated error of a robot half a metre long, and rounding
 TURNED = 1e-3  # of axes: the stated error of angles, and rounding
 TINTED = 4e-3  # of colours: the stated error, and rounding
-
-
-@pytest.fixture(scope="module")
-def bones() -> Solution:
-    return with_meta(hopping(), visual=None)
 
 
 def axes_of(quaternions: np.ndarray) -> np.ndarray:

@@ -10,17 +10,8 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.support.replay_pages import (
-    STANCE,
-    hopping,
-    objects_of,
-    placements_of,
-    scene_of,
-    shown,
-    tracks_of,
-    with_meta,
-)
-from tests.support.synthetic_motions import arm_motion, sampled
+from tests.support.replay_pages import STANCE, objects_of, placements_of, scene_of, shown, tracks_of
+from tests.support.synthetic_motions import arm_motion, sampled, with_meta
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.schedule.targets import Target
 from trajopt.solution.solution import Solution
@@ -37,16 +28,6 @@ INTERVALS = 3
 THINNED = 5e-4  # m: twice the stated error of a robot half a metre long, and rounding
 SINGLE_PRECISION = 2e-6  # of lengths around one
 GHOST_COST = 8e3  # bytes of a page for one more pose of a robot with 17 meshes
-
-
-@pytest.fixture(scope="module")
-def hop() -> Solution:
-    return hopping()
-
-
-@pytest.fixture(scope="module")
-def bones(hop) -> Solution:
-    return with_meta(hop, visual=None)
 
 
 @pytest.fixture(scope="module")

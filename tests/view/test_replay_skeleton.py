@@ -11,8 +11,8 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.support.replay_pages import hopping, objects_of, placements_of, shown, with_meta
-from tests.support.synthetic_motions import Motion, arm_motion, sampled
+from tests.support.replay_pages import hopping, objects_of, placements_of, shown
+from tests.support.synthetic_motions import Motion, arm_motion, sampled, with_meta
 from trajopt.robot.data import robot_file
 from trajopt.view.replay.visuals import mesh_points, visuals_of
 from trajopt_library import robots

@@ -9,16 +9,8 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.support.replay_pages import (
-    flying,
-    hopping,
-    objects_of,
-    on_surface,
-    placements_of,
-    shown,
-    with_meta,
-)
-from tests.support.synthetic_motions import sampled
+from tests.support.replay_pages import flying, objects_of, on_surface, placements_of, shown
+from tests.support.synthetic_motions import sampled, with_meta
 from trajopt.errors import SolutionFileError
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import Surface
@@ -30,16 +22,6 @@ from trajopt_library import robots
 INTERVALS, FOOT = 3, "FL_FOOT"
 SINGLE_PRECISION = 2e-6  # of lengths around one
 PROBES = 0.03  # a sphere's extent, over its radius, from evenly spread points
-
-
-@pytest.fixture(scope="module")
-def hop() -> Solution:
-    return hopping()
-
-
-@pytest.fixture(scope="module")
-def bones(hop) -> Solution:
-    return with_meta(hop, visual=None)
 
 
 def turned(solution: Solution, turn: np.ndarray, shift: np.ndarray) -> Solution:
