@@ -55,16 +55,13 @@ def test_physics_tracks_jumps_and_trots_without_a_fall(problem: str, robot: str,
     assert error == pytest.approx(outcome.physics.base_error_end, abs=ROUNDING)
 
 
-def test_a_fixed_base_has_no_physics(tmp_path: Path):
+@pytest.mark.parametrize(("simulate", "physics"), [(True, Physics()), (False, None)])
+def test_a_fixed_base_has_no_physics_and_without_the_option_there_is_none(
+    simulate: bool, physics: Physics | None
+):
     ledger = Ledger(Case(problem="double-pendulum", robot="double_pendulum", takes_robot=False))
-    run_stages(ledger.case, SETTINGS, ledger.add)
-    assert ledger.outcome(0.0).physics == Physics()
-
-
-def test_nothing_is_simulated_that_was_not_asked_for():
-    ledger = Ledger(Case(problem="double-pendulum", robot="double_pendulum", takes_robot=False))
-    run_stages(ledger.case, replace(SETTINGS, simulate=False), ledger.add)
-    assert ledger.outcome(0.0).physics is None
+    run_stages(ledger.case, replace(SETTINGS, simulate=simulate), ledger.add)
+    assert ledger.outcome(0.0).physics == physics
 
 
 def found(word: str = TRACKED, **changes: Any) -> Outcome:

@@ -149,18 +149,17 @@ def test_hop_in_space_agrees_in_both_coordinates():
         assert trajopt.check(solution).ok
 
 
-def test_mode_of_an_unknown_phase_is_refused():
+@pytest.mark.parametrize(
+    ("phase", "words"),
+    [
+        ("glide", "a mode is given for phase 'glide'; allowed: stance, flight, landing"),
+        ("flight", "mode of phase 'flight' stands on 'foot'"),
+    ],
+)
+def test_mode_of_an_unknown_phase_or_without_its_contact_is_refused(phase, words):
     problem = hop_of_the_plane()
-    with pytest.raises(
-        InputError, match="a mode is given for phase 'glide'; allowed: stance, flight, landing"
-    ):
-        replace(problem, modes={"glide": problem.modes["stance"]})
-
-
-def test_mode_whose_contact_is_not_active_is_refused():
-    problem = hop_of_the_plane()
-    with pytest.raises(InputError, match="mode of phase 'flight' stands on 'foot'"):
-        replace(problem, modes={"flight": problem.modes["stance"]})
+    with pytest.raises(InputError, match=words):
+        replace(problem, modes={phase: problem.modes["stance"]})
 
 
 def test_mode_away_from_its_foothold_is_refused():

@@ -9,14 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from click.testing import CliRunner
 from numpy.testing import assert_allclose
 
 import trajopt
 from tests.support.command_lines import invoke
 from tests.support.problems import lean, reach
 from trajopt.certify.accuracy.measures import measure
-from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
@@ -146,22 +144,19 @@ def test_solutions_in_different_optima_are_told_from_those_on_different_meshes()
 
 def test_commands_make_a_reference_and_check_against_it(tmp_path):
     made, plan = tmp_path / "reference.npz", tmp_path / "plan.npz"
-    run = CliRunner()
-    result = run.invoke(
-        main, ["reference", "ur5-reach", "--compile", "none", "--output", str(made), "--json"]
-    )
+    result = invoke("reference", "ur5-reach", "--compile", "none", "--output", made, "--json")
     assert result.exit_code == 0
     assert json.loads(result.stdout)["file"] == str(made)
     assert "30 intervals" in result.stderr
-    assert run.invoke(main, ["solve", "ur5-reach", "--compile", "none", "--output", str(plan)]).exit_code == 0
-    plain = json.loads(run.invoke(main, ["check", str(plan), "--json"]).stdout)
-    full = json.loads(run.invoke(main, ["check", str(plan), "--reference", str(made), "--json"]).stdout)
+    assert invoke("solve", "ur5-reach", "--compile", "none", "--output", plan).exit_code == 0
+    plain = json.loads(invoke("check", plan, "--json").stdout)
+    full = json.loads(invoke("check", plan, "--reference", made, "--json").stdout)
     found = full.pop("accuracy")
     assert full == plain
     assert abs(found["objective_gap"]) < 1e-4
     assert found["distance"] < 1e-3
     assert found["open_loop"] == pytest.approx(measure(plan).open_loop)
-    text = run.invoke(main, ["check", str(plan), "--accuracy"]).stdout
+    text = invoke("check", plan, "--accuracy").stdout
     assert "local error of one interval" in text
     assert "reference" not in text
 

@@ -15,9 +15,8 @@ def install(module: ModuleType, folder: Path) -> None:
     name = module.__name__.rpartition(".")[2]
     information = folder / f"{name}-1.dist-info"
     information.mkdir()
-    (information / "METADATA").write_text(
-        f"Metadata-Version: 2.1\nName: {name.replace('_', '-')}\nVersion: 1\n"
-    )
+    metadata = ("Metadata-Version: 2.1", f"Name: {name.replace('_', '-')}", "Version: 1", "")
+    (information / "METADATA").write_text("\n".join(metadata))
     (information / "entry_points.txt").write_text(f"[trajopt.problems]\ntests = {module.__name__}\n")
 
 
