@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.robot.robot import Robot
-from trajopt_library import problems
+from trajopt_library import problems, robots
 
 
 def similar(robot: Robot, *, mass: float = 1.0, length: float = 1.0, gravity: float = 1.0) -> Robot:
@@ -122,3 +122,16 @@ def robot_file(folder: Path, kind: str, robot: str) -> str:
 def made(name: str, path: str):
     """The problem on the robot of a file."""
     return problems.load(name, robot=path)
+
+
+def ur5() -> Robot:
+    return robots.load("ur5")
+
+
+def solo() -> Robot:
+    return robots.load("solo12")
+
+
+def limited(torque: float) -> Robot:
+    """Solo12 with that largest torque in every joint, N m."""
+    return replace(solo(), effort_limit=np.full(12, torque))

@@ -1,349 +1,40 @@
-"""Terrain: heights and normals, what lies under a swing, and the check on ground that is no plane."""
+"""Terrain in schedules, problems, the check, the replay, and a motion; bad input."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from itertools import pairwise
 
-import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.spatial import Delaunay
 
+from tests.support.ground import HILLS, STAIRS
 from tests.support.problems import FOOT, hop, hopper
 from tests.support.replay_pages import shown
 from tests.support.synthetic_motions import Motion, sampled, standing
 from trajopt.certify.check import check
-from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.robot.kinematics import contact_positions
-from trajopt.robot.units import Units
 from trajopt.schedule.placing import placed_on
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import solve
 from trajopt.terms import (
-    Context,
     FrictionCone,
     FrictionPyramid,
-    NodePlace,
     SwingClearance,
-    SwingOver,
-    swing_clearance,
 )
-from trajopt.terms.friction import surface_force
-from trajopt.terrain.crossing import crossing
-from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.piecewise import PiecewiseTerrain
-from trajopt.terrain.shapes import Bump, Incline, Ramp, Wave
+from trajopt.terrain.shapes import Bump, Incline, Wave
 from trajopt.terrain.smooth import SmoothTerrain
-from trajopt.terrain.surface import Surface, frame_of_normal
+from trajopt.terrain.surface import Surface
 from trajopt.terrain.swing_path import swing_path
 from trajopt.terrain.terrain import terrain_from_description
-from trajopt.transcription.mesh import equal_fractions
 from trajopt_library import robots
 
 ROUNDING = 1e-12  # numbers of order one after a few products
-DIFFERENCES = 1e-7  # central differences with steps of 1e-5 of functions of order one
 SOLVED = 1e-6  # rows of a solve that stops at 1e-8, over their units
-SEED = 5
-STAIRS = PiecewiseTerrain.stairs(0.1, 0.3, 3, width=1.0)
-HILLS = SmoothTerrain(
-    shapes=(
-        Bump(rise=0.2, radius=0.5, centre=(0.3, -0.2)),
-        Incline(level=0.05, slope_x=0.1, slope_y=-0.2),
-        Ramp(rise=0.3, length=0.6, at=(1.0, 0.0), yaw=0.4),
-        Wave(amplitude=0.05, wavelength=0.8, yaw=-0.7),
-    ),
-    friction=0.6,
-)
-
-
-def points(count: int, reach: float = 2.0) -> np.ndarray:
-    return np.random.default_rng(SEED).uniform(-reach, reach, (count, 2))
-
-
-# Piecewise ground
-
-
-def test_stairs_rise_by_a_step_at_every_riser():
-    x = np.array([-1.0, 0.01, 0.29, 0.31, 0.61, 5.0])
-    assert_allclose(STAIRS.height(x, 0.0), [0.0, 0.1, 0.1, 0.2, 0.3, 0.3])
-    assert STAIRS.names == ("before", "step1", "step2", "beyond")
-    assert_allclose(PiecewiseTerrain.stairs(-0.1, 0.3, 2).height(x[[0, 1, 3]], 0.0), [0.0, -0.1, -0.2])
-
-
-def test_ground_in_a_hole_is_nowhere_and_its_normal_is_up():
-    gap = PiecewiseTerrain.gap(0.4, height=0.1)
-    assert_allclose(gap.height([-0.1, 0.2, 0.5], 0.0), [0.0, -np.inf, 0.1])
-    assert_allclose(gap.normal(0.2, 0.0), [0, 0, 1])
-    assert gap.face_at(0.2, 0.0) is None
-    assert STAIRS.height(0.1, 0.6) == -np.inf  # beside the stairs
-
-
-def test_box_has_ground_all_around_it_and_the_highest_face_counts():
-    box = PiecewiseTerrain.box(0.3, 0.6, 0.4, at=(1.0, 0.5), yaw=0.3)
-    assert box.height(1.0, 0.5) == 0.3
-    angle = np.linspace(0, 2 * np.pi, 50)
-    assert_allclose(box.height(1.0 + np.cos(angle), 0.5 + np.sin(angle)), 0.0)
-
-
-def test_slope_is_a_plane_between_two_flats():
-    slope = PiecewiseTerrain.slope(0.5, 1.0)
-    assert_allclose(slope.height([-1.0, 0.0, 0.5, 1.0, 2.0], 3.0), [0.0, 0.0, 0.25, 0.5, 0.5])
-    assert_allclose(slope.normal(0.5, 0.0), np.array([-0.5, 0, 1]) / np.sqrt(1.25))
-
-
-def test_height_is_the_highest_polygon_that_holds_the_point():
-    centres = [(0.0, 0.0), (0.4, 0.1), (0.9, -0.3)]
-    stones = PiecewiseTerrain.stepping_stones(centres, (0.6, 0.5), [0.0, 0.2, 0.1], yaw=0.5)
-    triangulated = [Delaunay(face.vertices[:, :2]) for face in stones.faces]
-    for x, y in points(400, 1.5):
-        inside = [
-            f.centre[2]
-            for f, t in zip(stones.faces, triangulated, strict=True)
-            if t.find_simplex((x, y)) >= 0
-        ]
-        assert stones.height(x, y) == (max(inside) if inside else -np.inf)
-
-
-def test_yaw_turns_and_at_moves_an_obstacle():
-    turned = PiecewiseTerrain.stairs(0.1, 0.3, 3, width=1.0, at=(0.5, -0.2), yaw=0.7)
-    c, s = np.cos(0.7), np.sin(0.7)
-    for x, y in points(100):
-        assert turned.height(0.5 + c * x - s * y, -0.2 + s * x + c * y) == pytest.approx(STAIRS.height(x, y))
-
-
-@pytest.mark.parametrize("terrain", [STAIRS, PiecewiseTerrain.slope(-0.2, 1.0, yaw=0.4), HILLS, FlatGround()])
-def test_description_makes_the_terrain_again(terrain):
-    again = terrain_from_description(json.loads(json.dumps(terrain.describe())))
-    assert again.describe() == terrain.describe()
-    assert type(again) is type(terrain)
-
-
-# Smooth ground
-
-
-def test_normal_is_across_the_finite_differences_of_the_height():
-    step = 1e-5
-    for x, y in points(50):
-        slopes = [
-            (HILLS.height(x + dx, y + dy) - HILLS.height(x - dx, y - dy)) / (2 * step)
-            for dx, dy in ((step, 0), (0, step))
-        ]
-        expected = np.array([-slopes[0], -slopes[1], 1.0])
-        assert_allclose(HILLS.normal(x, y), expected / np.linalg.norm(expected), atol=DIFFERENCES)
-
-
-def test_symbols_of_smooth_ground_are_its_numbers():
-    p, values = ca.SX.sym("p", 3), []
-
-    def parameter(value: np.ndarray) -> ca.SX:
-        values.append(value)
-        return ca.SX(value)
-
-    function = ca.Function(
-        "ground", [p], [HILLS.surface.symbolic_gap(p, parameter), HILLS.surface.symbolic_frame(p, parameter)]
-    )
-    assert values
-    for x, y in points(50):
-        gap, frame = function([x, y, 0.7])
-        assert_allclose(float(gap), 0.7 - HILLS.height(x, y), atol=ROUNDING)
-        assert_allclose(np.array(frame), frame_of_normal(HILLS.normal(x, y)), atol=ROUNDING)
-
-
-def test_tangent_plane_touches_the_ground_and_distance_is_along_its_normal():
-    for x, y in points(20):
-        plane = HILLS.surface.plane_at(np.array([x, y, 3.0]))
-        assert plane.distance(np.array([x, y, HILLS.height(x, y)])) == pytest.approx(0.0, abs=ROUNDING)
-        above = np.array([x, y, float(HILLS.height(x, y)) + 0.1])
-        assert HILLS.surface.distance(above) == pytest.approx(0.1 * HILLS.normal(x, y)[2])
-
-
-def test_force_on_curved_ground_is_split_along_its_normal_there():
-    robot = hopper()
-    contact = robot.contact(FOOT)
-    context = Context(robot, Coordinates(robot.model), (contact,), surfaces={FOOT: HILLS.surface})
-    force = surface_force(context, contact)
-    inputs = [context.wrenches[FOOT], context.frame(FOOT).position, context.parameters]
-    function = ca.Function("force", inputs, [force])
-    given = np.array([1.0, -2.0, 30.0])
-    for x, y in points(20):
-        found = np.array(function(given, [x, y, 0.0], context.parameter_values)).ravel()
-        assert found[2] == pytest.approx(given @ HILLS.normal(x, y))
-        assert_allclose(found, frame_of_normal(HILLS.normal(x, y)).T @ given, atol=1e3 * ROUNDING)
-
-
-def test_swing_clearance_is_the_height_over_smooth_ground():
-    context = Context(hopper(), Coordinates(hopper().model), node=True)
-    place = NodePlace(
-        phase=Phase(name="flight", duration=0.2), index=1, fractions=equal_fractions(4), last=False
-    )
-    rows = SwingClearance(height=0.04, terrain=HILLS).rows(context, Units(hopper()), place)
-    assert_allclose(rows.lower, 0.04 * 16 * 0.25**2 * 0.75**2)
-    function = ca.Function("rows", [context.frame(FOOT).position, context.parameters], [rows.expression])
-    assert float(function([0.2, 0.1, 0.9], context.parameter_values)) == pytest.approx(
-        0.9 - HILLS.height(0.2, 0.1)
-    )
-
-
-# Under a swing
-
-
-def between(terrain: PiecewiseTerrain, start: tuple[float, float], end: tuple[float, float]):
-    places = [np.array([*xy, float(terrain.height(*xy))]) for xy in (start, end)]
-    return crossing(terrain, *places, *(terrain.surface_at(place) for place in places))
-
-
-def test_swing_up_a_step_rises_before_its_riser():
-    found = between(STAIRS, (-0.2, 0.0), (0.1, 0.1))
-    assert found.top == pytest.approx(0.1)
-    assert_allclose(found.rise.normal, [-1, 0, 0], atol=ROUNDING)
-    assert found.rise.distance(np.array([-0.05, 0.3, 0.0])) == pytest.approx(0.05)
-    assert found.fall is None
-
-
-def test_swing_down_a_step_sinks_behind_its_riser():
-    found = between(STAIRS, (0.4, 0.0), (0.2, 0.0))
-    assert found.rise is None
-    assert_allclose(found.fall.normal, [-1, 0, 0], atol=ROUNDING)
-    assert found.fall.offset == pytest.approx(-0.3)
-
-
-def test_swing_over_two_steps_rises_before_the_first():
-    found = between(STAIRS, (-0.1, 0.0), (0.4, 0.0))
-    assert found.top == pytest.approx(0.2)
-    assert found.rise.offset == pytest.approx(0.0, abs=ROUNDING)
-
-
-def test_swing_over_a_box_has_an_edge_on_both_sides():
-    found = between(PiecewiseTerrain.box(0.2, 0.4, 1.0), (-0.5, 0.0), (0.5, 0.2))
-    assert found.top == pytest.approx(0.2)
-    assert (found.rise.offset, found.fall.offset) == (pytest.approx(0.2), pytest.approx(0.2))
-    assert_allclose([found.rise.normal, found.fall.normal], [[-1, 0, 0], [1, 0, 0]], atol=ROUNDING)
-
-
-@pytest.mark.parametrize(
-    ("terrain", "end"),
-    [
-        (PiecewiseTerrain.gap(0.3), (0.4, 0.0)),  # over a hole
-        (PiecewiseTerrain.slope(0.2, 1.0), (0.6, 0.1)),  # into a valley
-        (PiecewiseTerrain.box(-0.3, 0.2, 1.0), (0.4, 0.0)),  # over a pit
-    ],
-)
-def test_nothing_stands_between_where_the_planes_of_the_ends_are_above_all(terrain, end):
-    assert between(terrain, (-0.3, 0.0), end).top is None
-
-
-def test_ridge_is_passed_at_its_height():
-    found = between(PiecewiseTerrain.slope(0.2, 1.0), (0.7, 0.0), (1.4, 0.0))
-    assert found.top == pytest.approx(0.2)
-    assert found.rise.offset == pytest.approx(-1.0)
-    assert found.fall is None
-
-
-ROUGH = [
-    STAIRS,
-    PiecewiseTerrain.box(0.15, 0.3, 0.8, at=(0.2, 0.0), yaw=0.4),
-    PiecewiseTerrain.steps([0.1, -0.05, 0.2, 0.0], 0.2, yaw=-0.3),
-    PiecewiseTerrain.slope(0.2, 0.6),
-    PiecewiseTerrain.slope(-0.2, 0.6),
-    PiecewiseTerrain.gap(0.3, height=0.1),
-    HILLS,
-]
-
-
-@pytest.mark.parametrize("terrain", ROUGH)
-def test_guess_of_a_swing_joins_its_ends_and_is_never_below_the_ground(terrain):
-    generator, path = np.random.default_rng(SEED), swing_path(terrain, 0.03)
-    tried = 0
-    while tried < 40:
-        start = generator.uniform([-0.6, -0.3], [0.9, 0.3])
-        end = start + generator.uniform([-0.5, -0.1], [0.5, 0.1])
-        ends = [np.array([*xy, float(terrain.height(*xy))]) for xy in (start, end)]
-        if not np.isfinite(ends).all():
-            continue
-        tried += 1
-        track = np.array([path(FOOT, *ends, s) for s in np.linspace(0, 1, 101)])
-        assert_allclose(track[[0, -1]], ends, atol=ROUNDING)
-        over = track[:, 2] - terrain.height(track[:, 0], track[:, 1])
-        assert over.min() > -ROUNDING
-
-
-def swings(terrain: PiecewiseTerrain, start: np.ndarray, end: np.ndarray, height: float = 0.02) -> SwingOver:
-    """The term of one swing of the hopper's foot from ``start`` to ``end`` (3,), guessed by `swing_path`."""
-    robot, path = hopper(), swing_path(terrain, height)
-    rest = contact_positions(robot, robot.reference)[FOOT]
-
-    def guess(t: float) -> np.ndarray:
-        q = robot.reference.copy()
-        q[:3] += path(FOOT, start, end, (t - 0.1) / 0.4) - rest
-        return q
-
-    phases = (
-        Phase(name="before", duration=0.1, contacts=(FOOT,)),
-        Phase(name="swing", duration=0.4),
-        Phase(name="after", duration=0.1, contacts=(FOOT,), footholds={FOOT: end}),
-    )
-    (term,) = swing_clearance(robot, Schedule(phases), terrain, height=height, guess=guess)
-    return term
-
-
-@pytest.mark.parametrize("count", [2, 3, 4, 7, 12])
-@pytest.mark.parametrize("terrain", ROUGH[:3])
-def test_straight_ways_between_nodes_within_the_rows_cut_no_edge(terrain, count):
-    """The lowest allowed heights at nodes, on random ways on the allowed side of edges."""
-    generator = np.random.default_rng(SEED)
-    for _ in range(10):
-        start = np.append(generator.uniform([-0.3, -0.1], [-0.05, 0.1]), 0.0)
-        end = np.append(start[:2] + generator.uniform([0.25, -0.05], [0.4, 0.05]), 0.0)
-        start[2], end[2] = (float(terrain.height(*point[:2])) for point in (start, end))
-        term = swings(terrain, start, end)
-        context = Context(hopper(), Coordinates(hopper().model), node=True)
-        nodes = [start]
-        for index in range(1, count):
-            place = NodePlace(
-                phase=Phase(name="swing", duration=0.4),
-                index=index,
-                fractions=equal_fractions(count),
-                last=False,
-            )
-            assert term.acts_at(place)
-            rows = term.swings[0].half_spaces(place, term.height)
-            assert term.rows(context, Units(hopper()), place).expression.numel() == len(rows)
-            part = np.sort(generator.uniform(nodes[-1][0], end[0], 3))[1]
-            point = np.array([part, start[1] + (end[1] - start[1]) * index / count, 0.0])
-            for normal, least in rows:
-                if abs(normal[2]) < 0.5:
-                    point = point + max(0.0, least - normal @ point) * normal
-            point[2] = max(
-                (least - normal[:2] @ point[:2]) / normal[2] for normal, least in rows if normal[2] > 0.5
-            )
-            nodes.append(point)
-        nodes.append(end)
-        way = np.concatenate([np.linspace(a, b, 60) for a, b in pairwise(nodes)])
-        if count > 2 or term.swings[0].ground.fall is None or term.swings[0].ground.rise is None:
-            assert (way[:, 2] - terrain.height(way[:, 0], way[:, 1])).min() > -ROUNDING
-
-
-def test_swing_through_two_phases_is_one_swing():
-    robot = hopper()
-    phases = [
-        Phase(name="before", duration=0.1, contacts=(FOOT,)),
-        Phase(name="up", duration=0.1),
-        Phase(name="down", duration=0.3),
-        Phase(name="after", duration=0.1, contacts=(FOOT,), footholds={FOOT: np.array([0.02, 0, 0.0])}),
-    ]
-    inside, joints = swing_clearance(
-        robot, Schedule(tuple(phases)), STAIRS, height=0.02, guess=lambda t: robot.reference
-    )
-    at = NodePlace(phase=phases[2], index=0, fractions=equal_fractions(3), last=False)
-    assert joints.acts_at(at)
-    assert not inside.acts_at(at)
-    assert inside.swings[0].fraction(at) == (pytest.approx(0.25), pytest.approx(0.25))
 
 
 # Schedules and problems on terrain
