@@ -145,14 +145,16 @@ def test_degenerate_places_have_finite_derivatives():
 TURN = pin.exp3(np.ones(3))
 
 
+OBSTACLES = (
+    BoxObstacle(name="box", sides=[0.2, 0.3, 0.4], position=[0.5, 0.4, 0.2], rotation=TURN),
+    CapsuleObstacle(name="post", start=[0.4, -0.4, 0], end=[0.4, -0.4, 0.8], radius=0.05),
+    SphereObstacle(name="ball", centre=[-0.5, 0.2, 0.6], radius=0.1),
+)
+
+
 def arm_scene(**changes: object) -> CollisionScene:
     robot = robots.load("ur5")
-    obstacles = (
-        BoxObstacle(name="box", sides=[0.2, 0.3, 0.4], position=[0.5, 0.4, 0.2], rotation=TURN),
-        CapsuleObstacle(name="post", start=[0.4, -0.4, 0], end=[0.4, -0.4, 0.8], radius=0.05),
-        SphereObstacle(name="ball", centre=[-0.5, 0.2, 0.6], radius=0.1),
-    )
-    given = {"model": robot.model, "capsules": robot_capsules(robot), "obstacles": obstacles}
+    given = {"model": robot.model, "capsules": robot_capsules(robot), "obstacles": OBSTACLES}
     return CollisionScene(**(given | changes))
 
 
@@ -182,7 +184,7 @@ def test_links_that_can_be_kept_apart_are_so_in_the_reference(name):
     assert pairs
 
 
-@pytest.mark.parametrize("obstacle", arm_scene().obstacles, ids=lambda o: o.name)
+@pytest.mark.parametrize("obstacle", OBSTACLES, ids=lambda o: o.name)
 def test_obstacles_survive_their_description(obstacle):
     assert obstacle_from_description(obstacle.describe()).describe() == obstacle.describe()
 
