@@ -16,7 +16,6 @@ from trajopt.robot.collision.link_capsules import robot_capsules
 from trajopt.robot.collision.near import CollisionScene
 from trajopt.robot.collision.shapes import BoxObstacle, CapsuleObstacle, Obstacle
 from trajopt.robot.kinematics import frame_pose, inverse_kinematics
-from trajopt.solving.avoidance import with_obstacles
 from trajopt.terms import AccelerationCost, TorqueCost
 from trajopt.terrain.swing_profile import smooth_step
 
@@ -167,6 +166,8 @@ def build(
         parameters={"duration": given},
         default_intervals=30,
     )
+    from trajopt.solving.avoidance import with_obstacles  # loads the solvers, which a list does without
+
     return with_obstacles(problem, obstacles, margin=margin * reach, capsules=capsules)
 
 

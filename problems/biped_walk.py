@@ -10,11 +10,11 @@ import math
 
 import pinocchio as pin
 
+from trajopt import reduced
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
 from trajopt.problem import Problem
 from trajopt.problem.family import Family, Parameter
-from trajopt.reduced.com_program import CenterOfMassProgram
 from trajopt.reduced.foot_motion import guess_from_lip
 from trajopt.reduced.footsteps import FootstepPlan, Walk
 from trajopt.reduced.lip import Pendulum
@@ -58,7 +58,7 @@ def _on_soles(name: str) -> Robot:
 
 def _guess(robot: Robot, plan: FootstepPlan, clearance: float) -> Motion:
     com = pin.centerOfMass(robot.model, robot.model.createData(), robot.reference)
-    program = CenterOfMassProgram(
+    program = reduced.CenterOfMassProgram(
         robot=robot,
         plan=plan,
         pendulum=Pendulum(height=com[2], gravity=gravity_of(robot.model)),

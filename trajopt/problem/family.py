@@ -7,10 +7,12 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from trajopt.errors import InputError
-from trajopt.problem.problem import Problem
+
+if TYPE_CHECKING:
+    from trajopt.problem.problem import Problem
 
 # Unit -> what may be written for it and for it per second, and its size in that unit.
 _SUFFIXES = {
