@@ -7,7 +7,6 @@ import json
 import pytest
 
 from tests.support.command_lines import assert_refused, invoke
-from trajopt.cli.commands import COMMANDS
 
 
 def _listed(*arguments: str) -> list[str]:
