@@ -33,6 +33,8 @@ from trajopt.solution.solution import Solution
 from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt_library import problems, robots
 
+pytestmark = pytest.mark.long
+
 # Motions are of order one and integrated to 1e-10 relative; differences lose some digits.
 EXACT = 1e-8
 # A motion that is exact in the file: rounding.

@@ -25,6 +25,8 @@ from trajopt.solution.local_states import local_state, state_from_local
 from trajopt.solution.solution import Solution
 from trajopt_library import robots
 
+pytestmark = pytest.mark.long
+
 ROUNDING = 1e-12
 # Accelerations of order 1e2, of which the symbolic coordinates are read and evaluated by other formulas.
 ACCELERATION = 1e-10

@@ -19,6 +19,8 @@ from trajopt.certify.simulation.simulate import simulate
 from trajopt.errors import InputError
 from trajopt_library import problems, robots
 
+pytestmark = pytest.mark.long
+
 # The figure that jumps and gaits have to meet, m: of the base at the end.
 AT_THE_END = 0.05
 # Torques are held for a period of the controller: positions are off by what that leaves, rad and m.

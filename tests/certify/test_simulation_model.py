@@ -56,12 +56,14 @@ def agrees(model: pin.Model, seed: int) -> None:
         np.testing.assert_allclose(body.xmat.reshape(3, 3), placement.rotation, atol=SAME)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", robots.names())
 def test_every_robot_has_the_same_dynamics(name):
     for seed in SEEDS:
         agrees(robots.load(name).model, seed)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", JOINT_KINDS)
 def test_every_kind_of_joint_has_the_same_dynamics(kind):
     for seed in SEEDS:

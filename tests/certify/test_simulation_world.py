@@ -23,6 +23,8 @@ from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import UP, Surface
 from trajopt_library import robots
 
+pytestmark = pytest.mark.long
+
 # A standing robot moves by what its contacts give way, m.
 STANDS = 1e-3
 # Friction that holds gives way while it is loaded, m/s.

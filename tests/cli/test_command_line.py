@@ -17,6 +17,8 @@ from trajopt import Solution
 from trajopt.cli.report import to_json
 from trajopt.problem import catalogue
 
+pytestmark = pytest.mark.long
+
 # A small hop on a coarse grid: solved within a second, its foot drift is beyond a check's tolerance.
 HOP = ("solve", "solo12-jump", "--set", "distance=10cm", "--intervals", "12")
 # No leg can push so far in so short a time.

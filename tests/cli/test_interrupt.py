@@ -15,6 +15,8 @@ from tests.support.problems import hop
 from tests.support.processes import COLUMNS, TRAJOPT, AtTerminal, needs_proc, processes, python, until
 from trajopt import Solution, solve
 
+pytestmark = pytest.mark.long
+
 # So many intervals that building and solving last seconds.
 LONG = ("solve", "solo12-jump", "--set", "distance=0.3", "--intervals", "200")
 

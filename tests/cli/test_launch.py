@@ -2,6 +2,8 @@
 
 import sys
 
+import pytest
+
 from tests.support.processes import python, run
 
 MISMATCH = """
@@ -15,6 +17,7 @@ sys.exit(main())
 """
 
 
+@pytest.mark.long
 def test_wheels_that_do_not_match_end_in_one_line():
     done = python(MISMATCH, "solve", "ur5-reach")
     assert done.returncode == 2
@@ -24,6 +27,7 @@ def test_wheels_that_do_not_match_end_in_one_line():
     assert "pip install casadi==" in line
 
 
+@pytest.mark.long
 def test_package_runs_the_command_line():
     done = run(sys.executable, "-m", "trajopt", "solve", "no-such-problem")
     assert done.returncode == 2

@@ -27,6 +27,8 @@ from trajopt.view.watching.panel import panel_lines
 from trajopt.view.watching.record import COLUMNS, IterationLines, IterationTable
 from trajopt.view.watching.sparkline import ASCII, BLOCKS, MISSING, sparkline
 
+pytestmark = pytest.mark.long
+
 STUCK = """
 import time
 from trajopt.cli import progress

@@ -24,6 +24,7 @@ def explained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, Path]:
     return invoke(*JUMP, "--explain", "--output", file), file
 
 
+@pytest.mark.long
 def test_explain_says_what_is_modelled_what_is_not_and_why_before_it_solves(
     explained: tuple[Result, Path],
 ) -> None:
@@ -44,6 +45,7 @@ def test_the_file_of_a_scene_is_the_whole_robots(explained: tuple[Result, Path])
     assert solution.meta["variables"] == HALF
 
 
+@pytest.mark.long
 def test_smallest_solves_the_same_silently_and_json_has_the_scene(tmp_path: Path) -> None:
     result = invoke(*JUMP, "--smallest", "--json", "--output", tmp_path / "jump.npz")
     found = json.loads(result.stdout)
@@ -54,6 +56,7 @@ def test_smallest_solves_the_same_silently_and_json_has_the_scene(tmp_path: Path
     assert kinds <= {"exact", "choice", "kept", "offer"}
 
 
+@pytest.mark.long
 def test_without_these_options_the_problem_is_solved_as_it_is_built(tmp_path: Path) -> None:
     found = json.loads(invoke(*JUMP, "--json", "--output", tmp_path / "jump.npz").stdout)
     assert found["variables"] == WHOLE

@@ -15,6 +15,8 @@ from tests.support.synthetic_motions import sampled, standing
 from trajopt import Solution
 from trajopt_library import robots
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def stand(tmp_path_factory) -> Path:

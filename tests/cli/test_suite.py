@@ -76,6 +76,7 @@ def test_bad_input_is_one_line(arguments: tuple[str, ...], words: str):
     assert result.stderr.count("\n") == 1
 
 
+@pytest.mark.long
 def test_results_are_printed_written_resumed_and_compared(tmp_path: Path):
     run = ("--problems", "t-reach", "t-refused", "--perturbed", 2, *FAST, "--output-dir", tmp_path / "out")
     bands = tmp_path / "bands.csv"
@@ -117,6 +118,7 @@ def running(package: Path) -> Running:
     return process
 
 
+@pytest.mark.long
 @needs_proc
 def test_ctrl_c_prints_what_is_done_and_leaves_no_process(package: Path):
     with running(package) as process:
@@ -130,6 +132,7 @@ def test_ctrl_c_prints_what_is_done_and_leaves_no_process(package: Path):
     assert no_task_process_left(package)
 
 
+@pytest.mark.long
 @needs_proc
 def test_no_process_outlives_a_suite_that_is_killed(package: Path):
     with running(package) as process:

@@ -96,6 +96,7 @@ def test_a_picture_is_packed_into_its_size() -> None:
     assert Image.open(io.BytesIO(data)).size == smooth.size
 
 
+@pytest.mark.long
 def test_gallery_of_two_solutions(folder: Path, tmp_path: Path) -> None:
     require_chromium()
     target = tmp_path / "gallery"

@@ -75,6 +75,7 @@ def test_a_replay_is_a_frame_that_holds_its_whole_page(solution: Solution) -> No
     assert "default-src 'none'" in shown.page
 
 
+@pytest.mark.long
 def test_a_replay_in_a_frame_plays_in_a_browser(solution: Solution, tmp_path: Path) -> None:
     """Look into the frame from outside, as a notebook has it: the page is ready and seeks."""
     executable = require_chromium()

@@ -188,6 +188,7 @@ def test_a_converged_plan_through_the_lock_is_no_success():
     assert other.meta["gimbal_margin"] > 0.9
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
 def test_half_a_flip_solves_with_the_quaternion(solver):
     flip = problems.load("solo12-flip")
@@ -202,6 +203,7 @@ def test_half_a_flip_solves_with_the_quaternion(solver):
     assert heights[-1] >= flip.robot.reference[2] + 0.1 - 1e-5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("pitch", [0.5, 3.0])
 @pytest.mark.parametrize("yaw", [-1.2, 0.0])
 def test_flips_of_other_angles_solve_from_their_own_guess(pitch, yaw):

@@ -28,6 +28,7 @@ def value(function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
     return function(*arguments).full().squeeze()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", MODELS)
 def test_lagranges_equations_equal_newton_euler(name, seed):
@@ -38,6 +39,7 @@ def test_lagranges_equations_equal_newton_euler(name, seed):
     assert_allclose(tau, joint_forces(model, q, v, a).tau, **SAME)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", MODELS)
 def test_energies_of_the_links_are_those_of_the_mass_matrix_and_of_pinocchio(name):
     model = named(name)
@@ -52,6 +54,7 @@ def test_energies_of_the_links_are_those_of_the_mass_matrix_and_of_pinocchio(nam
     assert_allclose(potential, pin.computePotentialEnergy(model, data, q), **SAME)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", MODELS)
 def test_inertia_matrix_and_gravity_are_pinocchios(name):
     model = named(name)
@@ -63,6 +66,7 @@ def test_inertia_matrix_and_gravity_are_pinocchios(name):
     assert_allclose(gravity, pin.computeGeneralizedGravity(model, data, q), **SAME)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", MODELS)
 def test_christoffel_form_gives_the_coriolis_forces_and_a_skew_matrix(name):
     model = named(name)

@@ -54,6 +54,7 @@ def world_force_on_joints(model: pin.Model, q: np.ndarray, frame: str, wrench: n
     return jacobian[: len(wrench)].T @ wrench
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", SEEDS)
 def test_dynamics_equal_numeric_pinocchio(case, seed):
     model, _ = case
@@ -108,6 +109,7 @@ def test_fused_function_respects_the_models_gravity():
     assert_allclose(acceleration.ravel(), expected.vector, **SAME)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("reference", REFERENCES)
 def test_frame_functions_equal_numeric_pinocchio(case, reference):
     model, frame = case
@@ -125,6 +127,7 @@ def test_frame_functions_equal_numeric_pinocchio(case, reference):
     assert_same(rigid_body.frame_jacobian(model, frame, reference), (q,), jacobian)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", SEEDS)
 def test_centroidal_functions_and_energies_equal_numeric_pinocchio(case, seed):
     model, _ = case

@@ -38,6 +38,8 @@ from trajopt.view.replay.commands import Recorder
 from trajopt.view.replay.robot import draw_skeleton
 from trajopt_library import problems, robots
 
+pytestmark = pytest.mark.long
+
 # Rounding of algorithms over a dozen bodies, and of a solve with J_w, whose condition stays below ten here.
 ROUNDING = 1e-10
 # Central differences of step 1e-5 of quantities of order one.

@@ -34,6 +34,8 @@ from trajopt.terms import (
 from trajopt.terrain.flat import FlatGround
 from trajopt_library import robots
 
+pytestmark = pytest.mark.long
+
 # Open-loop error of phases of 0.05 to 0.2 s on three intervals each, over the robot's length or rad; measured
 # up to 2.3e-3.
 STEP = 1e-2

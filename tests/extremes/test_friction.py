@@ -29,6 +29,7 @@ def tangential(solution) -> float:
     return float(np.abs(solution.f[solution.collocation][..., :2]).max() / weight)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("friction", FRICTIONS)
 @pytest.mark.parametrize("exact", [False, True], ids=["pyramid", "cone"])
 def test_quadruped_stands_on_any_friction(friction, exact):

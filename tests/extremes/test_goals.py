@@ -32,6 +32,8 @@ from trajopt.terms import (
 from trajopt.terrain.flat import FlatGround
 from trajopt_library import robots
 
+pytestmark = pytest.mark.long
+
 # Open-loop error (rad) of an arm's second of motion on ten intervals of degree two; measured up to 2e-2.
 ARM = 5e-2
 # Of a stance of 0.4 s, over the robot's length or rad; measured up to 2e-4.

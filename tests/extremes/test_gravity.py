@@ -29,6 +29,7 @@ def test_arm_reaches_in_any_gravity(gravity, tmp_path):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("gravity", [0.0, 1e-3, 1.62, 20.0])
 def test_quadruped_stands_in_any_gravity(gravity):
     solution = assert_outcome(
@@ -39,6 +40,7 @@ def test_quadruped_stands_in_any_gravity(gravity):
     assert_allclose(carried.mean(), weight, atol=CARRIED * max(weight, 1.0))  # from rest to rest
 
 
+@pytest.mark.long
 def test_floating_quadruped_turns_by_its_legs_alone():
     """No gravity, no contact, no momentum: it ends turned all the same, at rest where it was."""
     robot = with_gravity(robots.load("solo12"), 0.0)
@@ -54,6 +56,7 @@ def test_floating_quadruped_turns_by_its_legs_alone():
     assert_allclose(turned, [0.0, 0.0, YAW], atol=1e-6)
 
 
+@pytest.mark.long
 def test_without_gravity_nothing_that_stands_stops_its_rise(tmp_path):
     path = robot_file(tmp_path, "quadruped", "with_gravity(own('solo12'), 0.0)")
     expected = Failed(Status.INFEASIBLE, block="base_dynamics")

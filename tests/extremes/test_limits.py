@@ -95,6 +95,7 @@ def largest_torque() -> float:
     return float(np.abs(solution.tau).max())
 
 
+@pytest.mark.long
 def test_standing_at_the_torque_limit_is_solved_and_at_half_of_it_not():
     need = largest_torque()
     at = assert_outcome(Solved(STANCE), lambda: stance(limited(need), solo().reference, intervals=4))

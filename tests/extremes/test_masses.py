@@ -36,6 +36,7 @@ def on_its_own_robot(name: str) -> Solution:
     return assert_outcome(Solved(open_loop=open_loop, coarse=coarse), make, intervals=intervals)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mass", [1e-3, 1e3])
 @pytest.mark.parametrize("name", SHORT)
 def test_motion_of_a_similar_robot_is_the_same_and_forces_scale_with_its_mass(name, mass, tmp_path):
@@ -92,6 +93,7 @@ def test_quadruped_with_extreme_links_jumps(robot, open_loop, intervals, tmp_pat
     assert_outcome(Solved(open_loop=open_loop, coarse=0.1), partial(made, JUMP, path), intervals=intervals)
 
 
+@pytest.mark.long
 def test_tool_too_heavy_to_lift_is_infeasible_by_its_torques(tmp_path):
     heavy = "with_inertias(own('ur5'), lambda n, i: heavier(i, 1e4 if n == 'wrist_3_joint' else 1.0))"
     path = robot_file(tmp_path, "arm", heavy)

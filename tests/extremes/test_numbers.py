@@ -134,6 +134,7 @@ GUESSES: dict[str, tuple[str, Callable[[np.ndarray], object]]] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("how", GUESSES)
 @pytest.mark.parametrize("name", ["ur5", "solo12"])
 def test_a_guess_that_is_no_configuration_is_refused_with_its_time(name, how):

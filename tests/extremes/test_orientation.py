@@ -32,6 +32,8 @@ from trajopt.terms import (
 from trajopt.terrain.flat import FlatGround
 from trajopt_library import problems, robots
 
+pytestmark = pytest.mark.long
+
 # A turn about one axis is linear in exponential coordinates: exact up to what a solver leaves of rows.
 EXACT = 1e-7
 # A symmetric top that tumbles, thirty intervals of degree three: rad at the end, measured 2e-6.

@@ -50,6 +50,7 @@ def solved(name: str, factor: float = 1.0, cost: str | None = None) -> Solution:
     return assert_outcome(expected, partial(weighed, name, factor, cost), intervals=intervals)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("factor", [1e-9, 1e9])
 @pytest.mark.parametrize("name", SHORT)
 def test_weights_all_multiplied_change_the_objective_alone(name, factor):

@@ -57,6 +57,7 @@ def solves_both_ways(folder: Path, scripts: Path) -> None:
     assert (folder / "jump.npz").is_file()
 
 
+@pytest.mark.long
 def test_own_files_named_as_folders_of_the_repository_disturb_nothing(folder: Path) -> None:
     solves_both_ways(folder, Path(sys.executable).parent)
 

@@ -136,6 +136,7 @@ def test_half_a_cycle_and_its_mirror_image_are_the_whole_cycle() -> None:
     np.testing.assert_allclose(half.q[-1], mirrored, atol=1e-8)
 
 
+@pytest.mark.long
 def test_free_durations_keep_the_period_and_the_speed() -> None:
     solution = _solved(False, True)
     assert solution.success

@@ -34,6 +34,7 @@ def clearance_term(built: Problem) -> Clearance:
     return term
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("robot", [*arm_avoid.FAMILY.robots, *OTHERS])
 def test_straight_joint_path_collides_and_the_guess_does_not(robot):
     built = problem(robot)

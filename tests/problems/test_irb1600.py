@@ -96,6 +96,7 @@ def test_arms_that_cannot_be_are_refused(change, message):
         irb1600.build(**change)
 
 
+@pytest.mark.long
 def test_start_and_goal_hold_the_tool_where_it_was_asked():
     robot = robots.load("irb1600")
     q = nearest_posture(robot, np.array([0.7, 0.8, 1.1]), math.pi / 3, robot.reference)

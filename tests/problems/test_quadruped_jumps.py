@@ -49,6 +49,7 @@ def takeoff(name: str) -> pushing.Takeoff:
     return pushing.takeoff(robots.load(name))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", FAMILIES)
 @pytest.mark.parametrize("robot", ["solo12", "laikago"])
 def test_every_leap_is_made_for_any_quadruped(name, robot):
@@ -107,6 +108,7 @@ def test_defaults_are_smaller_where_joints_are_slow():
     assert_allclose(fast.parameters["flight"], 2 * math.sqrt(2 * rise / 9.81), rtol=1e-3)
 
 
+@pytest.mark.long
 def test_guess_of_a_flip_turns_all_around_and_lands_where_it_lifted():
     problem = problems.load("quadruped-backflip", robot="solo12")
     times = np.linspace(0.0, problem.schedule.duration, 400)
@@ -157,6 +159,7 @@ def solved(name, **parameters):
     return problem, solution
 
 
+@pytest.mark.long
 def test_jump_turns_and_lands_at_rest():
     problem, solution = solved("quadruped-jump-turn", robot="solo12")
     end = common.displaced(problem.robot, (0, 0, 0), problem.parameters["yaw"])
@@ -191,6 +194,7 @@ def test_feet_clear_the_edge(name):
             assert place[2] > problem.terrain.height(place[0], place[1]) - 1e-3
 
 
+@pytest.mark.long
 def test_robot_stands_up_in_least_time_faster_than_with_least_effort():
     _, slow = solved("quadruped-stand-up", robot="solo12")
     _, fast = solved("quadruped-stand-up", robot="solo12", goal="time")

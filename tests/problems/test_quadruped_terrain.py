@@ -28,6 +28,8 @@ from trajopt.terrain.swing_profile import swing_profile
 from trajopt_library import problems, robots
 from trajopt_library.problems.gait_common import STYLES
 
+pytestmark = pytest.mark.long
+
 FAMILIES = [f"quadruped-{name}" for name in ("slope", "stairs", "steps", "stepping-stones", "waves")]
 # Closed forms, m and rad.
 ROUNDING = 1e-9

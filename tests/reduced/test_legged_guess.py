@@ -174,6 +174,7 @@ def test_feet_without_foothold_land_under_the_base(solo, names):
         _assert_feet(solo, guess(t), moved)
 
 
+@pytest.mark.long
 def test_legs_do_not_wind_around(solo, names):
     """Bent so far that the solver's first step from the reference would take a hip around by a turn."""
     schedule, points = hop(names), somersault(solo.reference[:3], ahead=0.3)

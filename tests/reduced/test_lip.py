@@ -198,6 +198,7 @@ def test_program_obeys_the_pendulum_between_samples(control: str) -> None:
         assert_allclose(motion.acceleration(t), expected, atol=CLOSED)
 
 
+@pytest.mark.long
 def test_both_controls_tend_to_one_motion() -> None:
     robot, plan, pendulum, com = walk_of()
     apart = []

@@ -29,6 +29,8 @@ from trajopt.terms import (
 from trajopt.terrain.surface import Surface
 from trajopt_library import problems
 
+pytestmark = pytest.mark.long
+
 ARMS = ("left_arm", "right_arm")
 
 

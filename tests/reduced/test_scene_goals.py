@@ -96,6 +96,7 @@ def test_points_that_are_no_rectangle_stay_points() -> None:
 # From robot, schedule and goals
 
 
+@pytest.mark.long
 def test_an_arm_reaches_a_place_and_its_fingers_are_locked() -> None:
     robot = Robot.from_urdf(
         robot_file("panda_description/urdf/panda.urdf"),
@@ -115,6 +116,7 @@ def test_an_arm_reaches_a_place_and_its_fingers_are_locked() -> None:
     assert trajopt.check(lifted).ok
 
 
+@pytest.mark.long
 def test_a_configuration_is_a_goal_too_and_a_planar_robot_jumps_to_it() -> None:
     robot = robots.load("hopper")
     end = robot.reference.copy()

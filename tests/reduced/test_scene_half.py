@@ -38,6 +38,8 @@ from trajopt.terms import (
 from trajopt.terrain.surface import Surface
 from trajopt_library import problems
 
+pytestmark = pytest.mark.long
+
 # Solo12's own asymmetry is 8e-6; of first order in it nothing is left at an optimum.
 SOLO12_ASYMMETRY = 1e-5
 ARMS = ("left_arm", "right_arm")

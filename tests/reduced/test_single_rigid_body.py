@@ -152,6 +152,7 @@ def test_the_problem_has_no_legs_and_no_torques_but_all_that_is_about_the_base()
         assert (after.name, after.duration, after.contacts) == (before.name, before.duration, before.contacts)
 
 
+@pytest.mark.long
 def test_solution_flies_on_a_parabola_with_constant_momentum() -> None:
     _, solution = jump()
     assert solution.success

@@ -127,6 +127,7 @@ def test_a_problem_without_other_costs_on_motion_gets_one() -> None:
     assert any(isinstance(term, AccelerationCost) and term.weight > 0 for term in one.terms)
 
 
+@pytest.mark.long
 def test_compiled_graph_of_stage_one_has_no_actuated_rows() -> None:
     problem = hop()
     full, one = (largest_point(p) for p in (problem, base_rows_problem(problem)))
@@ -271,6 +272,7 @@ def test_the_smooth_friction_cone_is_respected_too() -> None:
     assert shared.meta["redistributed"]["points"] > 0
 
 
+@pytest.mark.long
 def test_soles_and_a_hand_on_a_wall_keep_pressure_inside_and_friction() -> None:
     problem = problems.load("talos-wall")
     transcription = transcribe(problem, "legendre:2", 12)

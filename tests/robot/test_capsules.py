@@ -48,6 +48,7 @@ MESHES = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "source"), MESHES)
 def test_every_vertex_of_a_moving_link_is_in_a_capsule_of_it(name, source):
     robot = robots.load(name)

@@ -14,6 +14,8 @@ from trajopt.robot.robot import Robot
 from trajopt_library import robots
 from trajopt_library.robots import irb1600
 
+pytestmark = pytest.mark.long
+
 # Postures are refined until the pose error is below this, m and rad.
 REFINED = 1e-10
 # What that error makes of joint angles away from singularities, rad.

@@ -230,6 +230,7 @@ def standing_problem(robot: Robot, contacts: tuple[str, ...], q: np.ndarray, v: 
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["hopper", "bolt"])
 def test_one_stance_has_the_same_optimum_in_minimal_and_in_excess_coordinates(name):
     mode = mode_of(name)

@@ -33,6 +33,8 @@ from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
 from trajopt_library import problems
 
+pytestmark = pytest.mark.long
+
 INTERVALS = 40
 # The transcriptions have different errors: measured 2.6e-4 of the optimum at 40 intervals, 2.3e-5 at 80,
 # 2.0e-6 at 160. So one optimum, met to what the grid leaves.

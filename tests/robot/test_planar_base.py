@@ -106,6 +106,7 @@ def hop(robot: Robot) -> Problem:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("make", [go2, solo])
 @pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
 def test_a_planar_quadruped_hops_and_passes_its_check(make, solver):

@@ -22,6 +22,8 @@ from trajopt.robot.inspection.starter import guessed, starter
 from trajopt.solving.rest import rest
 from trajopt_library import robots
 
+pytestmark = pytest.mark.long
+
 URDF = ROOT / "docs" / "tutorial" / "puppy" / "urdf" / "puppy.urdf"
 LEGS = ("lf", "rf", "lh", "rh")
 BENT = {f"{leg}_{joint}": angle for leg in LEGS for joint, angle in (("pitch", 0.7), ("knee", -1.4))}

@@ -59,6 +59,7 @@ def test_the_anchor_is_where_the_model_stands():
     np.testing.assert_allclose(foot, [0.5, 0.0, 0.1], atol=ROUNDING)  # a planar robot stays in its plane
 
 
+@pytest.mark.long
 def test_pictures_hang_on_the_turned_links():
     mode = mode_of("solo12")
     q, _, _ = random_state(mode)

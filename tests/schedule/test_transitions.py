@@ -44,6 +44,8 @@ from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.timeline import StageKind
 from trajopt_library import problems
 
+pytestmark = pytest.mark.long
+
 # What a solver leaves in rows that are met to 1e-7 of their units.
 SOLVED = 1e-5
 # A bang-bang input has its switch within an interval: the optimum is met to the length of one, squared.

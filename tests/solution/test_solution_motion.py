@@ -32,6 +32,7 @@ def test_local_coordinates_are_the_inverse_of_pinocchios(kind):
     assert_allclose(back[2][0], a, atol=ROUNDING)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SCHEME_ORDERS)
 def test_motion_of_a_solution_passes_through_its_samples(name):
     case = solved(hop(), name, 6)

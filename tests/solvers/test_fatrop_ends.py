@@ -43,6 +43,7 @@ print(json.dumps(found))
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "intervals"), [("hopper-hop", 12), pytest.param("solo12-jump", 6, marks=pytest.mark.slow)]
 )

@@ -23,6 +23,8 @@ from trajopt.transcription.guess import perturbed
 from trajopt.transcription.nlp import Nlp
 from trajopt_library import problems
 
+pytestmark = pytest.mark.long
+
 Unknowns = Callable[[], np.ndarray]
 # Solves to 1e-6 from two solvers: the objective differs by the error's square, positions by the error
 # over the curvature.

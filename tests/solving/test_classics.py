@@ -19,6 +19,8 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.solving import solve
 from trajopt_library import problems
 
+pytestmark = pytest.mark.long
+
 # Ten times the solver's default tolerance, on rows of about a radian, a metre and their rates.
 SOLVED = 1e-5
 # The check's own limit on the drift of a foot that stands, m.

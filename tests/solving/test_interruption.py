@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import signal
 
+import pytest
+
 from tests.support.processes import ctrl_c_here, python
 from trajopt.solving.interruption import Interruption
 
@@ -66,6 +68,7 @@ print("ended")
     assert (done.returncode, done.stdout) == (0, "ended\n"), done.stderr
 
 
+@pytest.mark.long
 def test_what_is_cleaned_up_after_a_press_is_cleaned_up_whole() -> None:
     done = python(
         PRESSED

@@ -88,6 +88,7 @@ def test_reference_of_least_acceleration_is_the_cubic():
     assert abs(measure(coarse, plan).objective_gap) < 1e-9
 
 
+@pytest.mark.long
 def test_distance_to_the_reference_falls_with_the_step():
     found = converged_reference(
         lean(), compile="none", agreement=Agreement(objective=1e-7, distance=1e-4)
@@ -142,6 +143,7 @@ def test_solutions_in_different_optima_are_told_from_those_on_different_meshes()
     assert not in_other_optimum(either_way(1.0), right, finer, **settings)
 
 
+@pytest.mark.long
 def test_commands_make_a_reference_and_check_against_it(tmp_path):
     made, plan = tmp_path / "reference.npz", tmp_path / "plan.npz"
     result = invoke("reference", "ur5-reach", "--compile", "none", "--output", made, "--json")

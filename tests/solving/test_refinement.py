@@ -101,6 +101,7 @@ def test_no_mesh_is_without_end(local, phase, least):
     assert least <= made.count <= count * MOST_PARTS
 
 
+@pytest.mark.long
 def test_refined_motion_is_as_accurate_as_measured_anew_from_its_file(tmp_path):
     target = 1e-4
     found = refine(hop(), target, compile="none")
@@ -113,6 +114,7 @@ def test_refined_motion_is_as_accurate_as_measured_anew_from_its_file(tmp_path):
     assert len(found.rounds) > 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("raise_degree", [False, True])
 def test_refinement_needs_fewer_variables_than_a_uniform_mesh_for_the_same_error(raise_degree):
     problem = problems.load("hopper-hop")
@@ -131,6 +133,7 @@ def test_mesh_that_meets_the_target_is_left_alone():
     assert found.rounds[0].mesh == mesh
 
 
+@pytest.mark.long
 def test_solution_at_hand_is_measured_and_its_own_mesh_refined():
     coarse = solve(hop(), intervals=6, compile="none")
     found = refine(hop(), 1e-4, start=coarse, compile="none")

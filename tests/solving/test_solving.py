@@ -31,6 +31,7 @@ def minimum_acceleration(t: np.ndarray) -> np.ndarray:
     return REACH * s**2 * (3 - 2 * s)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "order"), SCHEME_ORDERS.items())
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_minimum_acceleration_motion_is_the_known_cubic(name, order, solver):
@@ -52,6 +53,7 @@ def swing(**options: object) -> float:
     return solution.meta["objective"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "order"), SCHEME_ORDERS.items())
 def test_every_transcription_ends_at_one_optimum(name, order):
     intervals = 16

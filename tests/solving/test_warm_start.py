@@ -25,6 +25,8 @@ from trajopt.terms import AccelerationCost, TorqueCost, VelocityCost
 from trajopt.transcription.violations import row_violations
 from trajopt_library import problems
 
+pytestmark = pytest.mark.long
+
 # What the solver's tolerance leaves in rows that repeat a state (changes of coordinates).
 DEFECT = 1e-6
 SOLVED = 1e-6

@@ -22,6 +22,8 @@ from trajopt.study.sweep.calibration import Load
 from trajopt.study.sweep.front import load_front, packaged_fronts
 from trajopt.study.sweep.likeness import motion_kind
 
+pytestmark = pytest.mark.long
+
 # Points of a made-up front: scheme, intervals by natural time, solver, Hessian, time in s, error over length,
 # part of the runs that were solved.
 POINTS = (

@@ -34,6 +34,8 @@ from trajopt.terms import (
 )
 from trajopt.transcription import term_functions
 
+pytestmark = pytest.mark.long
+
 # A torque this close to its limit is at it, part of the limit.
 AT_LIMIT = 1e-4
 

@@ -24,6 +24,7 @@ def test_a_solutions_own_unknowns_and_multipliers_are_stationary():
     assert snapshot.violations.max() < 1e-6
 
 
+@pytest.mark.long
 def test_an_unknown_changes_what_its_name_says():
     problem, solution = solved("hop")
     snapshot = snapshot_of(problem, solution)
@@ -81,6 +82,7 @@ def test_rows_are_named_by_contact_axis_and_state():
     assert "velocity_limits [shank rate]" in texts
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "values", "expected"),
     [

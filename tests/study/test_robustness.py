@@ -129,6 +129,7 @@ def pursue(folder: Path, most: int) -> tuple[list[Outcome], list[int]]:
     return found, starts
 
 
+@pytest.mark.long
 def test_a_pair_that_was_interrupted_goes_on_with_the_starts_that_are_left(tmp_path):
     assert pursue(tmp_path, 2) == ([], [0, 1])
     (found,), starts = pursue(tmp_path, 99)

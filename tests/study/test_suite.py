@@ -25,6 +25,8 @@ from trajopt.study.suite.run import measure_case
 from trajopt.study.suite.settings import SuiteSettings
 from trajopt.study.workers.display import TaskDisplay
 
+pytestmark = pytest.mark.long
+
 VIRTUAL_MACHINE = SuiteSettings(compile="none")
 STARTS = replace(VIRTUAL_MACHINE, perturbed=3)
 # Seconds until a hanging build is killed: nothing else runs there.

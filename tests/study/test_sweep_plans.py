@@ -76,6 +76,7 @@ def test_no_word_belongs_to_two_axes():
     assert len(words) == len(set(words))
 
 
+@pytest.mark.long
 def test_a_setting_is_its_words():
     for values in itertools.product(*WORDS.values()):
         setting = replace(BASE, tolerance=3e-4, **dict(zip(WORDS, values, strict=True)))
@@ -159,6 +160,7 @@ def test_a_fixed_axis_holds_in_the_default_plan():
     assert {setting.solver for setting in plan.settings} == set(WORDS["solver"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("named", "words"),
     [

@@ -39,6 +39,8 @@ from trajopt.study.sweep.run import objective_of, run_setting, with_torques
 from trajopt.study.sweep.setting import Setting
 from trajopt.study.workers.display import TaskDisplay
 
+pytestmark = pytest.mark.long
+
 # The same arithmetic, called in another way.
 SAME = 1e-12
 # From all starts the reach is the same to the solver's tolerance, of errors of 1e-4 m.

@@ -32,6 +32,8 @@ from trajopt.study.workers.task import (
     tell,
 )
 
+pytestmark = pytest.mark.long
+
 # Seconds that any task here may take; none takes one unless it hangs.
 WAIT = 120.0
 # Seconds until a task that hangs is killed.

@@ -168,6 +168,7 @@ def test_links_keep_clear_of_each_other():
     assert check(solution).obstacle_distance is None
 
 
+@pytest.mark.long
 def test_rows_of_a_free_robot_are_within_the_bound_of_coal():
     robot = robots.load("solo12")
     turn = pin.exp3(np.ones(3))

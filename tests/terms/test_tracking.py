@@ -34,6 +34,7 @@ AHEAD = np.array([1.0] + [0.0] * 8)
 SIGNS = np.array([1.0] * 3 + [-1.0] * 4 + [1.0] * 2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("part", ["all", "joints", "base"])
 def test_tracking_cost_is_the_mean_square_distance_at_every_point(part):
     robot = hopper()

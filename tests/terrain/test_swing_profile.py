@@ -22,6 +22,7 @@ def test_profile_is_one_in_the_middle_and_flat_at_the_ends():
     assert (values <= 4 * s * (1 - s) + 1e-12).all()  # what kept the steeper profile keeps this one
 
 
+@pytest.mark.long
 def test_objective_of_a_hop_has_a_limit_on_finer_meshes():
     hop = problems.load("hopper-hop")
     coarse = trajopt.solve(hop, compile="none", intervals=50)

@@ -92,6 +92,7 @@ ROUGH = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("terrain", ROUGH)
 def test_guess_of_a_swing_joins_its_ends_and_is_never_below_the_ground(terrain):
     generator, path = np.random.default_rng(SEED), swing_path(terrain, 0.03)
@@ -128,6 +129,7 @@ def swings(terrain: PiecewiseTerrain, start: np.ndarray, end: np.ndarray, height
     return term
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [2, 3, 4, 7, 12])
 @pytest.mark.parametrize("terrain", ROUGH[:3])
 def test_straight_ways_between_nodes_within_the_rows_cut_no_edge(terrain, count):

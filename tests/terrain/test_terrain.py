@@ -140,6 +140,7 @@ def on_terrain(solution: Solution, terrain: PiecewiseTerrain | SmoothTerrain) ->
     return replace(solution, meta={**solution.meta, "terrain": terrain.describe()})
 
 
+@pytest.mark.long
 def test_foot_in_a_step_penetrates_by_the_whole_height_of_it():
     solution = stands()
     feet = contact_positions(robots.load("solo12"), solution.q[0])
@@ -208,6 +209,7 @@ def test_replay_draws_the_ground_as_it_is_described(terrain, drawn, tmp_path):
 # A motion on smooth ground
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("friction", [FrictionCone(), FrictionPyramid()], ids=["cone", "pyramid"])
 def test_a_hop_lands_on_smooth_ground_with_forces_in_the_cone_of_its_normal(friction):
     robot = hopper()

@@ -101,6 +101,7 @@ def test_landing_after_stance_shares_its_code(cache):
     assert len(compiled) < len(points)
 
 
+@pytest.mark.long
 def test_parameters_scheme_and_intervals_add_no_entry(cache):
     compile_points(points_of(hop()), "none")
     made = entries(cache)
@@ -217,6 +218,7 @@ print(solution.meta["status"], solution.meta["compile"])
 """
 
 
+@pytest.mark.long
 def test_two_processes_may_fill_an_empty_cache_at_once(cache):
     known = environment(**{CACHE_VARIABLE: str(cache)})
     command = [sys.executable, "-c", COMPILE]

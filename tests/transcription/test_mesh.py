@@ -38,6 +38,7 @@ def uneven():
     return solve(hop(), mesh=UNEVEN, compile="none")
 
 
+@pytest.mark.long
 def test_intervals_have_the_widths_and_the_points_of_their_phase(uneven):
     assert uneven.success
     durations = [phase.duration for phase in hop().schedule.phases]
@@ -90,6 +91,7 @@ def test_mesh_of_equal_widths_is_the_uniform_transcription():
     assert_allclose(given.layout.node_times, plain.layout.node_times)
 
 
+@pytest.mark.long
 def test_solution_on_a_split_mesh_starts_where_the_coarse_one_ends(uneven):
     split = Mesh(phases=tuple(phase.split([2] * phase.count) for phase in UNEVEN.phases))
     cold = solve(hop(), mesh=split, compile="none")

@@ -42,6 +42,7 @@ def test_feet_on_legs_in_parallel_planes_keep_two_lateral_rows():
     assert all({0, 2} <= set(rows) for rows in kept.values())
 
 
+@pytest.mark.long
 def test_hop_on_redundant_feet_has_independent_rows_and_solves():
     problem = solo_hop()
     assert smallest_singular_value(problem) > INDEPENDENT
@@ -87,6 +88,7 @@ def test_rows_of_contacts_that_held_before_are_kept_first():
     assert sum(len(rows) for rows in kept.values()) == 6
 
 
+@pytest.mark.long
 def test_foot_of_corners_moves_its_robot_like_a_sole():
     """Standing, to another posture, cheapest in torque: how corners share the sole's wrench costs nothing."""
     optima = []

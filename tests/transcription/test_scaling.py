@@ -29,6 +29,7 @@ def prepared(name: str, intervals: int) -> PreparedProblem:
     return prepare(problems.load(name), intervals=intervals, compile="none")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["ur5-reach", "hopper-hop"])
 def test_sizes_and_nonzeros_grow_linearly(name: str) -> None:
     found = []
@@ -60,6 +61,7 @@ def solved(made: PreparedProblem, solver: str, seed: int) -> tuple[int, float, i
     return result.iterations, result.objective, made.nlp.engine.timings()["value"][1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
 def test_iterations_do_not_grow_with_the_mesh(solver: str) -> None:
     coarse, fine = (

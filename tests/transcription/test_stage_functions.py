@@ -107,6 +107,7 @@ def test_first_derivatives_equal_those_of_the_composed_graph(name):
             assert_allclose(np.array(value), exact, **SAME)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CASES)
 def test_second_derivatives_equal_those_of_the_composed_graph(name):
     point, p, made = built(name)

@@ -33,6 +33,7 @@ def nlp_of(name: str, transcription: str) -> Nlp:
     return prepare(problem, transcription=transcription, intervals=6, compile="none").nlp
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("transcription", SCHEME_ORDERS)
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_derivatives_of_the_whole_nlp_equal_differences(name, transcription):

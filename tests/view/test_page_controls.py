@@ -15,6 +15,8 @@ from trajopt.solution.solution import Solution
 from trajopt.view.replay.browser import OpenedPage
 from trajopt.view.replay.show import replay
 
+pytestmark = pytest.mark.long
+
 WIDE, SMALL = (1000, 650), (600, 400)
 LIMIT = 30.0  # s for one act of the mouse on a busy machine
 START, END, STEP = 0.0, 0.5, 0.5 / 30  # s of the hop, which has 30 steps

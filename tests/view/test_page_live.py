@@ -75,6 +75,7 @@ def test_closing_twice_is_no_error(hop):
     assert second.window.server_proc.poll() is not None
 
 
+@pytest.mark.long
 def test_server_ends_when_its_owner_is_killed(hop, tmp_path):
     file = hop.save(tmp_path / "hop.npz")
     with Running(sys.executable, "-c", KILLED, file) as owner:
@@ -112,6 +113,7 @@ def test_over_ssh_it_is_said_how_to_reach_the_server(monkeypatch):
     assert "ssh -L 7001:127.0.0.1:7001" in live.server_address_text("http://127.0.0.1:7001/")
 
 
+@pytest.mark.long
 def test_page_shows_the_scene_and_what_a_script_adds_and_says_when_the_server_ends(hop):
     with running_chromium():
         pass  # skips where Chromium is missing

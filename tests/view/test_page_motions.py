@@ -30,6 +30,8 @@ from trajopt.view.replay.robot import joint_path
 from trajopt.view.replay.show import replay
 from trajopt_library import robots
 
+pytestmark = pytest.mark.long
+
 SIZE = (480, 360)
 INTERVALS = 20
 # s, of frames at 60 a second: in stance, flight and landing of the jump; the last one after an arm's end.

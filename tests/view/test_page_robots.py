@@ -87,6 +87,7 @@ def joint_positions(robot: Robot, solution: Solution, t: float) -> np.ndarray:
     return np.array([data.oMi[joint].translation for joint in range(1, robot.model.njoints)])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow) if name in LARGE else name for name in robots.names()]
 )

@@ -55,6 +55,7 @@ def test_pages_are_those_that_the_robot_has_something_for(solution: object, name
     assert {page.name for page in pages_of(tracks, list(PAGES))} == names
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solution", [jump, arm, many_joints])
 @pytest.mark.parametrize("name", ["summary", "limits", "joints"])
 def test_no_text_lies_on_another(solution: object, name: str) -> None:
@@ -154,6 +155,7 @@ def test_limbs_follow_the_tree_and_not_names() -> None:
     ]
 
 
+@pytest.mark.long
 def test_an_iterate_that_is_not_finite_is_plotted_as_far_as_it_goes(tmp_path: Path) -> None:
     solution = jump()
     q, v = solution.q.copy(), solution.v.copy()
@@ -171,6 +173,7 @@ def test_an_iterate_that_is_not_finite_is_plotted_as_far_as_it_goes(tmp_path: Pa
     assert write_plots(broken, tmp_path / "broken.html").size > 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("actuation", ["torque", "velocity", "acceleration"])
 def test_one_interval_and_one_joint_are_enough(tmp_path: Path, actuation: str) -> None:
     robot = one_joint_arm()
@@ -200,6 +203,7 @@ def test_solutions_are_overlaid_with_a_line_of_their_own() -> None:
     assert styles["plan"].isdisjoint(styles["simulation"])
 
 
+@pytest.mark.long
 def test_every_ending_is_written_and_html_needs_no_network(tmp_path: Path) -> None:
     solution, heads = arm(), {".png": b"\x89PNG", ".svg": b"<svg", ".pdf": b"%PDF", ".html": b"<!doctype"}
     for ending, head in heads.items():

@@ -224,6 +224,7 @@ def test_bad_input_is_one_line_and_writes_nothing(hop_file, tmp_path, monkeypatc
     assert [path.name for path in tmp_path.iterdir()] == ["folder.png"]
 
 
+@pytest.mark.long
 def test_unknown_camera_is_refused_with_those_there_are(chromium_is_here, hop_file, tmp_path):
     result = command(hop_file, "-o", tmp_path / "a.png", "--camera", "behind")
     assert result.exit_code == 2
@@ -232,6 +233,7 @@ def test_unknown_camera_is_refused_with_those_there_are(chromium_is_here, hop_fi
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_pictures_of_a_video_are_those_of_the_page(chromium_is_here, hop, hop_file, tmp_path):
     out, page = tmp_path / "hop.mp4", tmp_path / "page.html"
     result = command(
@@ -262,6 +264,7 @@ def test_pictures_of_a_video_are_those_of_the_page(chromium_is_here, hop, hop_fi
     assert loss(frames[0], frames[4]) > 0.1  # it moves
 
 
+@pytest.mark.long
 def test_gif_and_picture_and_strip_of_a_solution(chromium_is_here, hop, tmp_path):
     told: list[tuple[int, int]] = []
     made = render(
@@ -285,6 +288,7 @@ def test_gif_and_picture_and_strip_of_a_solution(chromium_is_here, hop, tmp_path
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.gif", "a.png", "s.png"]
 
 
+@pytest.mark.long
 @needs_proc
 def test_ctrl_c_ends_everything_and_leaves_the_old_file(chromium_is_here, hop_file, tmp_path):
     marker, out = uuid.uuid4().hex, tmp_path / "a.mp4"

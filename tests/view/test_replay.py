@@ -31,6 +31,8 @@ from trajopt.view.replay.show import replay, serve
 from trajopt.view.replay.thinning import ANGLE_ERROR, POSITION_ERROR
 from trajopt_library import robots
 
+pytestmark = pytest.mark.long
+
 SOLO_URDF = "example-robot-data/robots/solo_description/robots/solo12.urdf"
 INTERVALS = 6
 LIFT, FLIGHT = 0.3, 0.2  # s

@@ -66,6 +66,7 @@ def test_cone_of_a_phase_has_that_surfaces_friction_and_normal(bones, tmp_path):
     assert_allclose(axes[last], np.tile([0.0, 0.0, 1.0], (last.sum(), 1)), atol=TURNED)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("used", "colour"), [(0.0, COLOURS[0]), (0.5, COLOURS[0]), (0.85, COLOURS[2]), (1.0, COLOURS[3])]
 )

@@ -77,6 +77,7 @@ def test_clock_is_shared_and_what_has_ended_stays(bones):
     assert_allclose(second.q[waiting], np.tile(moving(late, 1.0).q[0], (waiting.sum(), 1)))
 
 
+@pytest.mark.long
 def test_second_robot_is_tinted_and_shares_the_meshes(hop, tmp_path):
     alone, both = page_of([hop], tmp_path), page_of([hop, hop], tmp_path)
     meshes = [mesh for mesh in both["meshes"] if hasattr(mesh, "data")]
@@ -188,6 +189,7 @@ def test_ghosts_are_few_spread_and_different(bones):
     assert ghost_frames(replay_motion(bones), 0.4) == [0]  # it ends as it began
 
 
+@pytest.mark.long
 def test_one_more_ghost_costs_the_page_little(hop, tmp_path):
     sizes = []
     for way in (0.0, 3.0):

@@ -67,6 +67,7 @@ def test_base_without_mass_or_extent_has_no_trunk(tmp_path):
 # Meshes that are found, and those that are not
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["solo12", "anymal_c", "ur5", "talos"])
 def test_visuals_are_those_that_pinocchio_reads(name):
     robot = robots.load(name)
@@ -82,6 +83,7 @@ def test_visuals_are_those_that_pinocchio_reads(name):
             assert_allclose(own.meshScale, other.meshScale)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["solo12", "ur5"])
 def test_points_of_meshes_span_what_pinocchio_loads(name):
     robot = robots.load(name)

@@ -62,6 +62,7 @@ def grid_points(scene: dict) -> np.ndarray:
 # Ground
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("axis", "angle"), [("x", 0.4), ("y", -0.35), ("y", 1.2)])
 def test_ground_moves_with_a_world_that_is_tilted(hop, tmp_path, axis, angle):
     turn, shift = pin.utils.rotate(axis, angle), np.array([0.3, -0.2, 0.5])

@@ -30,6 +30,8 @@ from trajopt.view.watching.motion import LEAST_POSES, MOST_POSES, IterateMotion
 from trajopt.view.watching.viewer import Viewer
 from trajopt_library import problems
 
+pytestmark = pytest.mark.long
+
 # Two ways to one configuration: rounding.
 ROUNDING = 1e-12
 # Meshcat's numbers have single precision, and key frames are thinned within these parts of the reach.
