@@ -25,8 +25,6 @@ from trajopt.solution.local_states import local_state, state_from_local
 from trajopt.solution.solution import Solution
 from trajopt_library import robots
 
-pytestmark = pytest.mark.long
-
 ROUNDING = 1e-12
 # Accelerations of order 1e2, of which the symbolic coordinates are read and evaluated by other formulas.
 ACCELERATION = 1e-10
@@ -57,6 +55,7 @@ def test_local_states_are_inverted(kind):
     assert_allclose(back[2], a, atol=ACCELERATION)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", [*SCHEME_ORDERS, "velocity"])
 def test_interpolation_is_that_of_the_symbolic_coordinates(scheme):
     """The same polynomials, read and evaluated by the transcription's own symbolic coordinates."""
@@ -106,6 +105,7 @@ def test_torque_that_breaks_its_limit_between_points_alone_is_found():
     assert found.violation_between == found.violations["effort"]
 
 
+@pytest.mark.long
 def test_positions_velocities_and_depths_are_looked_at_between_samples():
     """Limits of positions hold at nodes: on a coarse mesh a joint passes its limit between them."""
     plan = trajopt.solve(landing(), compile="none", intervals=8)

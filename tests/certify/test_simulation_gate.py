@@ -55,6 +55,7 @@ def test_physics_tracks_jumps_and_trots_without_a_fall(problem: str, robot: str,
     assert error == pytest.approx(outcome.physics.base_error_end, abs=ROUNDING)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("simulate", "physics"), [(True, Physics()), (False, None)])
 def test_a_fixed_base_has_no_physics_and_without_the_option_there_is_none(
     simulate: bool, physics: Physics | None

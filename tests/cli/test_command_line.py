@@ -17,8 +17,6 @@ from trajopt import Solution
 from trajopt.cli.report import to_json
 from trajopt.problem import catalogue
 
-pytestmark = pytest.mark.long
-
 # A small hop on a coarse grid: solved within a second, its foot drift is beyond a check's tolerance.
 HOP = ("solve", "solo12-jump", "--set", "distance=10cm", "--intervals", "12")
 # No leg can push so far in so short a time.
@@ -84,6 +82,7 @@ def test_list_shows_every_parameter_with_its_unit() -> None:
             assert all(text.rstrip() in result.stdout for text in shown)
 
 
+@pytest.mark.long
 def test_json_of_a_solve_is_one_object_with_the_agreed_keys(hop: subprocess.CompletedProcess[str]) -> None:
     assert hop.returncode == 0, hop.stderr
     found = strict(hop.stdout)
@@ -140,6 +139,7 @@ def test_solve_leaves_the_handler_of_ctrl_c_as_it_was(tmp_path: Path) -> None:
     assert signal.set_wakeup_fd(-1) == -1
 
 
+@pytest.mark.long
 def test_chatter_of_the_solver_is_not_on_stdout(tmp_path: Path) -> None:
     done = trajopt_process(
         *HOP, "--solver", "fatrop", "--solver-option", "print_level=10", "--json", folder=tmp_path
@@ -148,6 +148,7 @@ def test_chatter_of_the_solver_is_not_on_stdout(tmp_path: Path) -> None:
     assert "objective" in done.stderr
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
 def test_iteration_limit_ends_with_one_and_names_the_worst_rows(solver: str, tmp_path: Path) -> None:
     target = tmp_path / "x.npz"
@@ -216,6 +217,7 @@ BAD = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("arguments", "words"), BAD.values(), ids=BAD.keys())
 def test_bad_input_is_one_line_and_two(
     arguments: tuple[str, ...], words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -38,8 +38,6 @@ from trajopt.view.replay.commands import Recorder
 from trajopt.view.replay.robot import draw_skeleton
 from trajopt_library import problems, robots
 
-pytestmark = pytest.mark.long
-
 # Rounding of algorithms over a dozen bodies, and of a solve with J_w, whose condition stays below ten here.
 ROUNDING = 1e-10
 # Central differences of step 1e-5 of quantities of order one.
@@ -269,6 +267,7 @@ def test_the_same_problem_has_the_same_optimum_on_both_bases(order):
     np.testing.assert_allclose(jointed.tau, turning.tau, atol=SAME_PATH * hopper().weight)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
 def test_plans_on_virtual_joints_pass_the_check_and_the_free_flyers_dynamics(solver, tmp_path):
     problem = with_virtual_base(problems.load("solo12-jump", distance=0.1, yaw=0.3))
@@ -312,6 +311,7 @@ def test_costs_of_the_joints_alone_need_no_conversion():
     assert converted.phases == ("flight",)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("yaw", [0.0, 0.6])
 def test_the_same_jump_on_both_bases_agrees(yaw):
     jump = problems.load("solo12-jump", distance=0.2, yaw=yaw)

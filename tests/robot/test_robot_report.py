@@ -22,8 +22,6 @@ from trajopt.robot.inspection.starter import guessed, starter
 from trajopt.solving.rest import rest
 from trajopt_library import robots
 
-pytestmark = pytest.mark.long
-
 URDF = ROOT / "docs" / "tutorial" / "puppy" / "urdf" / "puppy.urdf"
 LEGS = ("lf", "rf", "lh", "rh")
 BENT = {f"{leg}_{joint}": angle for leg in LEGS for joint, angle in (("pitch", 0.7), ("knee", -1.4))}
@@ -171,6 +169,7 @@ def test_straight_knees_and_wrong_frames_are_warned_of() -> None:
     assert any("cannot move lf_shank" in text for text in shanks)
 
 
+@pytest.mark.long
 def test_puppy_and_most_robots_of_the_library_are_without_warnings() -> None:
     known = {"solo12": "placeholder"}
     for name in ("bolt", "go2", "hopper", "panda", "solo12", "ur5"):

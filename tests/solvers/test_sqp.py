@@ -23,8 +23,6 @@ from trajopt.transcription.guess import perturbed
 from trajopt.transcription.nlp import Nlp
 from trajopt_library import problems
 
-pytestmark = pytest.mark.long
-
 Unknowns = Callable[[], np.ndarray]
 # Solves to 1e-6 from two solvers: the objective differs by the error's square, positions by the error
 # over the curvature.
@@ -93,6 +91,7 @@ def test_the_optimum_is_ipopts(problem):
     assert found.objective == pytest.approx(expected.objective, rel=SAME_OBJECTIVE)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SCHEME_ORDERS)
 def test_every_scheme_is_solved(name):
     prepared = ready(lean(), transcription=name)
@@ -122,6 +121,7 @@ def test_a_start_from_a_solution_with_its_multipliers_takes_no_step():
     assert (again.status, again.iterations) == (Status.SOLVED, 0)
 
 
+@pytest.mark.long
 def test_after_a_small_change_a_start_from_the_solution_takes_fewer_steps():
     first = solve(lean(), solver="sqp", compile="none")
     changed = replace(lean(), initial_v=1.02 * lean().initial_v)
@@ -140,6 +140,7 @@ def test_contradicting_limits_are_reported_as_infeasible_near_their_least_violat
     assert np.isfinite(solution.q).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("limit", [0, 2])
 @pytest.mark.parametrize("by", ["stop", "option"])
 def test_the_limit_of_steps_is_obeyed(limit, by):

@@ -25,8 +25,6 @@ from trajopt.terms import AccelerationCost, TorqueCost, VelocityCost
 from trajopt.transcription.violations import row_violations
 from trajopt_library import problems
 
-pytestmark = pytest.mark.long
-
 # What the solver's tolerance leaves in rows that repeat a state (changes of coordinates).
 DEFECT = 1e-6
 SOLVED = 1e-6
@@ -55,6 +53,7 @@ def swing() -> Problem:
 # The same grid
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [*SCHEME_ORDERS, "legendre:4", "radau:4"])
 def test_the_same_grid_gives_back_the_solvers_unknowns(name):
     # On six intervals a scheme of order one turns the hopper by most of half a turn in one of them.
@@ -62,6 +61,7 @@ def test_the_same_grid_gives_back_the_solvers_unknowns(name):
     assert_start_is_exact(solved(hop(), name, intervals))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "problem",
     [
@@ -199,6 +199,7 @@ def test_soft_and_hard_landings_start_from_each_other():
 # What it gives a solver
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_solve_started_at_its_solution_ends_there(solver):
     # The SQP does not find this hop from a guess that stands.

@@ -32,8 +32,6 @@ from trajopt.study.workers.task import (
     tell,
 )
 
-pytestmark = pytest.mark.long
-
 # Seconds that any task here may take; none takes one unless it hangs.
 WAIT = 120.0
 # Seconds until a task that hangs is killed.
@@ -134,6 +132,7 @@ def test_it_is_an_executor():
         executor.submit(abs, 1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("function", "arguments", "kind", "text"),
     [
@@ -177,6 +176,7 @@ def test_a_limit_here_ends_nothing():
     assert announced("here", 1e-3, time.sleep, 0.05) is None
 
 
+@pytest.mark.long
 def test_tasks_are_pinned_and_have_one_thread_and_a_process_of_their_own():
     cores = sorted(os.sched_getaffinity(0))
     with ProcessPerTaskExecutor(len(cores), cores=cores) as executor:

@@ -84,6 +84,12 @@ def test_compiled_levels_give_the_numbers_of_the_virtual_machine(level, cache):
         assert_allclose(one, two, **SAME)
 
 
+def test_compiled_code_leaves_the_arithmetic_of_its_process_alone(cache):
+    numbers(reach(gravity=True, terms=(TorqueCost(weight=1.0),)), "fast")
+    smallest = np.nextafter(np.zeros(8), 1.0)
+    assert np.all(smallest * np.ones(8) > 0)  # subnormal numbers are not flushed to zero
+
+
 def test_second_time_everything_comes_from_the_cache(cache):
     points = points_of(hop())
     _, first = compile_points(points, "none")
