@@ -54,8 +54,8 @@ def _other_side(name: str) -> str:
 def half_of(robot: Robot) -> Reduction:
     """The half with its waist's yaw locked, at the reference."""
     mirror = find_mirror(robot)
-    turned, names = turned_by_mirror(robot, mirror), [contact.name for contact in robot.contacts]
-    straight = lock_joints(robot, turned, names, robot.reference).small
+    turned = turned_by_mirror(robot, mirror)
+    straight = lock_joints(robot, turned, robot.reference).small
     mirror = find_mirror(straight)
     return half_robot(straight, mirror, paired_contacts(straight, mirror, TOLERANCE), straight.reference)
 

@@ -135,14 +135,14 @@ def test_velocity_source_has_neither_rates_nor_torques_nor_accelerations():
     ],
 )
 def test_terms_that_a_velocity_source_cannot_have_are_refused(term, lacks):
-    with pytest.raises(InputError, match=f"asks for {lacks}, which a source of velocity has not; allowed"):
+    with pytest.raises(InputError, match=f"asks for {lacks}, which a source of velocity does not have"):
         prepare(replace(still(), terms=(term,)), compile="none", intervals=2)
 
 
 def test_acceleration_source_has_accelerations_but_no_torques():
     problem = replace(reach(), actuation="acceleration")
     assert trajopt.solve(problem, compile="none").success
-    with pytest.raises(InputError, match="asks for torques, which a source of acceleration has not"):
+    with pytest.raises(InputError, match="asks for torques, which a source of acceleration does not have"):
         trajopt.solve(replace(problem, terms=(TorqueCost(weight=1.0),)), compile="none")
 
 

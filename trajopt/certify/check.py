@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from trajopt.certify.closing import periodicity_error
 from trajopt.certify.consistency import interval_gaps
 from trajopt.certify.contact_figures import force_figures, place_figures
 from trajopt.certify.dynamics_figures import dynamics_figures
-from trajopt.certify.flight import flight_errors
+from trajopt.certify.flight import FIGURES, flight_errors
 from trajopt.certify.impact_figures import impact_figures
 from trajopt.certify.limit_figures import drive_figures, limit_figures
-from trajopt.certify.reintegration import OpenLoopError, open_loop
+from trajopt.certify.reintegration import open_loop
 from trajopt.certify.report import CheckReport, PhaseReport
-from trajopt.certify.samples import largest, sample_quantities
+from trajopt.certify.samples import largest, largest_known, sample_quantities
 from trajopt.dynamics.virtual_base import gimbal_margin_along
 from trajopt.solution.clearance import clearance_figures
 from trajopt.solution.input import SolutionOrFile, consistent_solution
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import touched_surfaces
+
+# Worst of all phases in the report.
+PHASE_FIGURES = (*FIGURES, "open_loop_position", "open_loop_orientation")
 
 
 def check(solution: SolutionOrFile) -> CheckReport:
@@ -38,7 +43,7 @@ def check(solution: SolutionOrFile) -> CheckReport:
     samples = sample_quantities(plan)
     surfaces = touched_surfaces(plan, samples.position)
     gaps = interval_gaps(plan)
-    phases = _phases(plan)
+    phases = tuple(_phases(plan))
     return CheckReport(
         **dynamics_figures(plan, samples, surfaces),
         **force_figures(plan, samples, surfaces),
@@ -52,20 +57,10 @@ def check(solution: SolutionOrFile) -> CheckReport:
         gimbal_margin=gimbal_margin_along(plan.model, plan.t, plan.q, plan.v),
         position_gap=gaps.position,
         velocity_gap=gaps.velocity,
-        ballistic_error=_worst([phase.ballistic_error for phase in phases]),
-        momentum_error=_worst([phase.momentum_error for phase in phases]),
-        ballistic_error_between=_worst([phase.ballistic_error_between for phase in phases]),
-        momentum_error_between=_worst([phase.momentum_error_between for phase in phases]),
-        open_loop_position=_worst([phase.open_loop_position for phase in phases]),
-        open_loop_orientation=_worst([phase.open_loop_orientation for phase in phases]),
+        **{name: largest_known(getattr(phase, name) for phase in phases) for name in PHASE_FIGURES},
         open_loop_joints=max(phase.open_loop_joints for phase in phases),
         phases=phases,
     )
-
-
-def _worst(values: list[float | None]) -> float | None:
-    found = [value for value in values if value is not None]
-    return max(found) if found else None
 
 
 def _quaternion_error(plan: Solution) -> float | None:
@@ -80,25 +75,15 @@ def _quaternion_error(plan: Solution) -> float | None:
     return largest(np.array(errors))
 
 
-def _phases(plan: Solution) -> tuple[PhaseReport, ...]:
-    return tuple(
-        _phase(plan, phase, error) for phase, error in zip(plan.phases, open_loop(plan), strict=True)
-    )
-
-
-def _phase(plan: Solution, phase: range, error: OpenLoopError) -> PhaseReport:
-    flight = flight_errors(plan, phase)
-    names = [plan.contact_frames[index] for index in np.flatnonzero(plan.active[phase.start])]
-    return PhaseReport(
-        index=int(plan.phase[phase.start]),
-        start=float(plan.t[phase.start]),
-        end=float(plan.t[phase.stop - 1]),
-        contacts=tuple(names),
-        open_loop_position=error.position,
-        open_loop_orientation=error.orientation,
-        open_loop_joints=error.joints,
-        ballistic_error=None if flight is None else flight.ballistic,
-        momentum_error=None if flight is None else flight.momentum,
-        ballistic_error_between=None if flight is None else flight.ballistic_between,
-        momentum_error_between=None if flight is None else flight.momentum_between,
-    )
+def _phases(plan: Solution) -> Iterator[PhaseReport]:
+    for phase, error in zip(plan.phases, open_loop(plan), strict=True):
+        yield PhaseReport(
+            index=int(plan.phase[phase.start]),
+            start=float(plan.t[phase.start]),
+            end=float(plan.t[phase.stop - 1]),
+            contacts=tuple(plan.contact_frames[i] for i in np.flatnonzero(plan.active[phase.start])),
+            open_loop_position=error.position,
+            open_loop_orientation=error.orientation,
+            open_loop_joints=error.joints,
+            **flight_errors(plan, phase),
+        )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pinocchio as pin
 
@@ -18,31 +16,22 @@ QUIET_MOMENTUM = 1e-2
 LEAST_TRAVEL = 1e-6
 
 
-@dataclass(frozen=True, kw_only=True)
-class FlightError:
-    """Deviation of the centre of mass over its travel, of angular momentum over its scale.
-
-    At nodes, where a scheme has its full order, and at the collocation points between them.
-    """
-
-    ballistic: float
-    momentum: float
-    ballistic_between: float
-    momentum_between: float
+FIGURES = ("ballistic_error", "momentum_error", "ballistic_error_between", "momentum_error_between")
 
 
-def flight_errors(solution: Solution, phase: range) -> FlightError | None:
-    """Return the errors of free motion in ``phase``, or None with contacts or a fixed base.
+def flight_errors(solution: Solution, phase: range) -> dict[str, float | None]:
+    """Return the ``FIGURES`` of free motion in ``phase``, all None with contacts or a fixed base.
 
-    ballistic: max |c - c_0 - c'_0 t - g t^2 / 2| over the phase's max |c - c_0|.
-    momentum: max |h - h_0| over max(|h|, ``QUIET_MOMENTUM`` m l sqrt(g l)), with h the angular
+    Ballistic: max |c - c_0 - c'_0 t - g t^2 / 2| over the phase's max |c - c_0|.
+    Momentum: max |h - h_0| over max(|h|, ``QUIET_MOMENTUM`` m l sqrt(g l)), with h the angular
     momentum about the centre of mass, l the reach. For a planar base only what its plane leaves free.
+    At nodes, where a scheme has its full order, and at the collocation points between them.
     """
     model = solution.model
     base = base_of(model)
     samples = slice(phase.start, phase.stop)
     if base == "fixed" or solution.active[samples].any():
-        return None
+        return dict.fromkeys(FIGURES)
     t = solution.t[samples] - solution.t[phase.start]
     com, velocity, momentum, mass = _centroidal(solution, phase)
     gravity = np.asarray(model.gravity.linear)
@@ -57,12 +46,8 @@ def flight_errors(solution: Solution, phase: range) -> FlightError | None:
     ballistic = np.linalg.norm(deviation, axis=1) / travel
     change = np.linalg.norm(momentum - momentum[0], axis=1) / scale
     node = ~solution.collocation[samples]
-    return FlightError(
-        ballistic=float(ballistic[node].max()),
-        momentum=float(change[node].max()),
-        ballistic_between=float(ballistic[~node].max()),
-        momentum_between=float(change[~node].max()),
-    )
+    errors = (part[at].max() for at in (node, ~node) for part in (ballistic, change))
+    return dict(zip(FIGURES, map(float, errors), strict=True))
 
 
 def _centroidal(solution: Solution, phase: range) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:

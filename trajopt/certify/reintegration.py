@@ -119,7 +119,7 @@ def state_distance(model: pin.Model, planned: np.ndarray, reached: np.ndarray) -
     difference = pin.difference(model, planned, reached)
     position = BASE_POSITION[base]
     turn = difference[position:rows]
-    if base == "virtual":  # differences of its angles are no rotation
+    if base == "virtual":  # differences of its angles are not a rotation
         turn = pin.log3(_base_rotation(model, planned).T @ _base_rotation(model, reached))
     return np.array(
         [

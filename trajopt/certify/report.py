@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from trajopt.dynamics.virtual_base import LEAST_MARGIN
+from trajopt.values import jsonable
 
 # Residuals, contact accelerations and forces of inactive contacts, as parts of the weight (of
 # gravity): what a solver leaves that stops at 1e-6 in units of weight and length.
@@ -74,66 +74,12 @@ class Figure:
     least: bool = False  # the tolerance is the least that is allowed
 
 
-FIGURES: dict[str, Figure] = {
-    "base_residual": Figure(text="base rows of the dynamics", unit="weight", tolerance="residual"),
-    "actuated_residual": Figure(text="actuated rows of the dynamics", unit="weight", tolerance="residual"),
-    "contact_acceleration": Figure(text="acceleration of active contacts", unit="g", tolerance="residual"),
-    "contact_velocity": Figure(text="velocity of active contacts", unit="m/s"),
-    "friction_margin": Figure(text="friction margin", unit="weight", tolerance="friction", margin=True),
-    "friction_margin_between": Figure(text="friction margin between points", unit="weight", margin=True),
-    "unilateral_margin": Figure(text="least normal force", unit="weight", tolerance="friction", margin=True),
-    "sole_margin": Figure(text="sole margin", unit="weight m", tolerance="friction", margin=True),
-    "sliding_friction": Figure(text="law of sliding friction", unit="weight", tolerance="residual"),
-    "inactive_force": Figure(text="force of inactive contacts", unit="weight", tolerance="residual"),
-    "effort_excess": Figure(text="torque beyond its limit", unit="limit", tolerance="limit"),
-    "effort_excess_between": Figure(text="torque beyond its limit between points", unit="limit"),
-    "drive_torque_excess": Figure(text="motor torque beyond its limit", unit="limit", tolerance="limit"),
-    "drive_voltage_excess": Figure(text="motor voltage beyond its limit", unit="limit", tolerance="limit"),
-    "drive_voltage_excess_between": Figure(
-        text="motor voltage beyond its limit between points", unit="limit"
-    ),
-    "velocity_excess": Figure(text="velocity beyond its limit", unit="limit", tolerance="limit"),
-    "position_excess": Figure(text="position beyond its limit", unit="range", tolerance="limit"),
-    "penetration": Figure(text="depth below the terrain", unit="m", tolerance="penetration"),
-    "obstacle_distance": Figure(
-        text="least distance from obstacles", unit="m", tolerance="penetration", margin=True
-    ),
-    "self_distance": Figure(
-        text="least distance between links", unit="m", tolerance="penetration", margin=True
-    ),
-    "landing_height": Figure(text="height of contacts where they begin", unit="m", tolerance="foot_drift"),
-    "patch_margin": Figure(text="distance inside the patch", unit="m", tolerance="foot_drift", margin=True),
-    "foot_drift": Figure(text="drift of active contacts", unit="m", tolerance="foot_drift"),
-    "stance_drift": Figure(text="drift from touchdown to lift-off", unit="m"),
-    "foot_turn": Figure(text="turn of active soles", unit="rad"),
-    "sole_tilt": Figure(text="tilt of active soles on their surface", unit="rad", tolerance="sole_tilt"),
-    "impact_residual": Figure(text="law of the impacts", unit="momentum", tolerance="residual"),
-    "impact_velocity": Figure(text="velocity of contacts after impacts", unit="speed", tolerance="residual"),
-    "impact_friction_margin": Figure(
-        text="friction margin of impulses", unit="momentum", tolerance="friction", margin=True
-    ),
-    "impact_momentum_error": Figure(
-        text="momentum across impacts", unit="momentum, 1 m", tolerance="residual"
-    ),
-    "impact_energy_gain": Figure(text="energy gained in impacts", unit="weight m", tolerance="residual"),
-    "state_jump": Figure(text="jump of state without impact", unit="m, rad, speed", tolerance="residual"),
-    "periodicity_error": Figure(
-        text="last state against the first", unit="m, rad, speed", tolerance="residual"
-    ),
-    "quaternion_error": Figure(text="norm error of rotations", unit="1", tolerance="quaternion"),
-    "gimbal_margin": Figure(text="margin to gimbal lock", unit="1", tolerance="gimbal", least=True),
-    "position_gap": Figure(text="q against the integral of v", unit="m, rad"),
-    "velocity_gap": Figure(text="v against the integral of a", unit="m/s, rad/s"),
-    "ballistic_error": Figure(text="flight against the parabola", unit="travel", tolerance="flight"),
-    "momentum_error": Figure(text="angular momentum in flight", unit="scale", tolerance="flight"),
-    "ballistic_error_between": Figure(text="flight against the parabola, between nodes", unit="travel"),
-    "momentum_error_between": Figure(text="angular momentum in flight, between nodes", unit="scale"),
-    "open_loop_position": Figure(text="open loop, base position", unit="m", tolerance="open_loop_position"),
-    "open_loop_orientation": Figure(
-        text="open loop, base orientation", unit="rad", tolerance="open_loop_orientation"
-    ),
-    "open_loop_joints": Figure(text="open loop, joints", unit="rad", tolerance="open_loop_joints"),
-}
+def _figure(
+    text: str, unit: str, tolerance: str | None = None, *, margin: bool = False, least: bool = False
+) -> Any:
+    """A field of the report with how it reads."""
+    figure = Figure(text=text, unit=unit, tolerance=tolerance, margin=margin, least=least)
+    return field(metadata={"figure": figure})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,50 +117,58 @@ class CheckReport:
         `flight.flight_errors`. open_loop_...: see `reintegration.open_loop`; inf where it diverged.
     """
 
-    base_residual: float | None
-    actuated_residual: float | None
-    contact_acceleration: float | None
-    contact_velocity: float | None
-    friction_margin: float | None
-    friction_margin_between: float | None
-    unilateral_margin: float | None
-    sole_margin: float | None
-    sliding_friction: float | None
-    inactive_force: float | None
-    effort_excess: float | None
-    effort_excess_between: float | None
-    drive_torque_excess: float | None
-    drive_voltage_excess: float | None
-    drive_voltage_excess_between: float | None
-    velocity_excess: float | None
-    position_excess: float | None
-    penetration: float | None
-    obstacle_distance: float | None
-    self_distance: float | None
-    landing_height: float | None
-    patch_margin: float | None
-    foot_drift: float | None
-    stance_drift: float | None
-    foot_turn: float | None
-    sole_tilt: float | None
-    impact_residual: float | None
-    impact_velocity: float | None
-    impact_friction_margin: float | None
-    impact_momentum_error: float | None
-    impact_energy_gain: float | None
-    state_jump: float | None
-    periodicity_error: float | None
-    quaternion_error: float | None
-    gimbal_margin: float | None
-    position_gap: float
-    velocity_gap: float
-    ballistic_error: float | None
-    momentum_error: float | None
-    ballistic_error_between: float | None
-    momentum_error_between: float | None
-    open_loop_position: float | None
-    open_loop_orientation: float | None
-    open_loop_joints: float
+    base_residual: float | None = _figure("base rows of the dynamics", "weight", "residual")
+    actuated_residual: float | None = _figure("actuated rows of the dynamics", "weight", "residual")
+    contact_acceleration: float | None = _figure("acceleration of active contacts", "g", "residual")
+    contact_velocity: float | None = _figure("velocity of active contacts", "m/s")
+    friction_margin: float | None = _figure("friction margin", "weight", "friction", margin=True)
+    friction_margin_between: float | None = _figure("friction margin between points", "weight", margin=True)
+    unilateral_margin: float | None = _figure("least normal force", "weight", "friction", margin=True)
+    sole_margin: float | None = _figure("sole margin", "weight m", "friction", margin=True)
+    sliding_friction: float | None = _figure("law of sliding friction", "weight", "residual")
+    inactive_force: float | None = _figure("force of inactive contacts", "weight", "residual")
+    effort_excess: float | None = _figure("torque beyond its limit", "limit", "limit")
+    effort_excess_between: float | None = _figure("torque beyond its limit between points", "limit")
+    drive_torque_excess: float | None = _figure("motor torque beyond its limit", "limit", "limit")
+    drive_voltage_excess: float | None = _figure("motor voltage beyond its limit", "limit", "limit")
+    drive_voltage_excess_between: float | None = _figure(
+        "motor voltage beyond its limit between points", "limit"
+    )
+    velocity_excess: float | None = _figure("velocity beyond its limit", "limit", "limit")
+    position_excess: float | None = _figure("position beyond its limit", "range", "limit")
+    penetration: float | None = _figure("depth below the terrain", "m", "penetration")
+    obstacle_distance: float | None = _figure(
+        "least distance from obstacles", "m", "penetration", margin=True
+    )
+    self_distance: float | None = _figure("least distance between links", "m", "penetration", margin=True)
+    landing_height: float | None = _figure("height of contacts where they begin", "m", "foot_drift")
+    patch_margin: float | None = _figure("distance inside the patch", "m", "foot_drift", margin=True)
+    foot_drift: float | None = _figure("drift of active contacts", "m", "foot_drift")
+    stance_drift: float | None = _figure("drift from touchdown to lift-off", "m")
+    foot_turn: float | None = _figure("turn of active soles", "rad")
+    sole_tilt: float | None = _figure("tilt of active soles on their surface", "rad", "sole_tilt")
+    impact_residual: float | None = _figure("law of the impacts", "momentum", "residual")
+    impact_velocity: float | None = _figure("velocity of contacts after impacts", "speed", "residual")
+    impact_friction_margin: float | None = _figure(
+        "friction margin of impulses", "momentum", "friction", margin=True
+    )
+    impact_momentum_error: float | None = _figure("momentum across impacts", "momentum, 1 m", "residual")
+    impact_energy_gain: float | None = _figure("energy gained in impacts", "weight m", "residual")
+    state_jump: float | None = _figure("jump of state without impact", "m, rad, speed", "residual")
+    periodicity_error: float | None = _figure("last state against the first", "m, rad, speed", "residual")
+    quaternion_error: float | None = _figure("norm error of rotations", "1", "quaternion")
+    gimbal_margin: float | None = _figure("margin to gimbal lock", "1", "gimbal", least=True)
+    position_gap: float = _figure("q against the integral of v", "m, rad")
+    velocity_gap: float = _figure("v against the integral of a", "m/s, rad/s")
+    ballistic_error: float | None = _figure("flight against the parabola", "travel", "flight")
+    momentum_error: float | None = _figure("angular momentum in flight", "scale", "flight")
+    ballistic_error_between: float | None = _figure("flight against the parabola, between nodes", "travel")
+    momentum_error_between: float | None = _figure("angular momentum in flight, between nodes", "scale")
+    open_loop_position: float | None = _figure("open loop, base position", "m", "open_loop_position")
+    open_loop_orientation: float | None = _figure(
+        "open loop, base orientation", "rad", "open_loop_orientation"
+    )
+    open_loop_joints: float = _figure("open loop, joints", "rad", "open_loop_joints")
     phases: tuple[PhaseReport, ...]
 
     @property
@@ -242,10 +196,10 @@ class CheckReport:
 
     def to_dict(self, tolerances: Tolerances | None = None) -> dict[str, Any]:
         """JSON-able figures by name, ``ok``, ``failures`` and ``phases``; inf and NaN become null."""
-        figures = {name: _finite(getattr(self, name)) for name in FIGURES}
-        phases = [{key: _finite(entry) for key, entry in asdict(phase).items()} for phase in self.phases]
-        failures = list(self.failures(tolerances))
-        return {"ok": not failures, "failures": failures, **figures, "phases": phases}
+        failures = self.failures(tolerances)
+        figures = {name: getattr(self, name) for name in FIGURES}
+        phases = [asdict(phase) for phase in self.phases]
+        return jsonable({"ok": not failures, "failures": failures, **figures, "phases": phases})
 
     def table(self, tolerances: Tolerances | None = None) -> str:
         """Figures one a line with unit, tolerance and verdict, then the phases."""
@@ -266,6 +220,11 @@ class CheckReport:
         return self.table()
 
 
+FIGURES: dict[str, Figure] = {
+    entry.name: entry.metadata["figure"] for entry in fields(CheckReport) if "figure" in entry.metadata
+}
+
+
 def _phase_line(phase: PhaseReport) -> str:
     names = ", ".join(phase.contacts) or "no contact"
     errors = [
@@ -275,9 +234,3 @@ def _phase_line(phase: PhaseReport) -> str:
     ]
     found = ", ".join(f"{value:.1e} {unit}" for value, unit in errors if value is not None)
     return f"phase {phase.index} ({phase.start:.3f} to {phase.end:.3f} s, {names}): open loop {found}"
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return list(value) if isinstance(value, tuple) else value

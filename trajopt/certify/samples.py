@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,3 +64,8 @@ def largest(values: np.ndarray) -> float | None:
 def least(values: np.ndarray) -> float | None:
     """Return the least value, None where there is none."""
     return float(np.min(values)) if values.size else None
+
+
+def largest_known(values: Iterable[float | None]) -> float | None:
+    """Return the largest of the values that are known, None where none is."""
+    return max((value for value in values if value is not None), default=None)

@@ -135,6 +135,12 @@ def joint_slices(model: pin.Model, name: str) -> tuple[slice, slice]:
     return slice(joint.idx_q, joint.idx_q + joint.nq), slice(joint.idx_v, joint.idx_v + joint.nv)
 
 
+def joints_with(model: pin.Model, marked: np.ndarray) -> list[str]:
+    """Return the names of joints with a marked entry among those (nq,) of q or (nv,) of v."""
+    rows = 0 if len(marked) == model.nq else 1
+    return [name for name in list(model.names)[1:] if marked[joint_slices(model, name)[rows]].any()]
+
+
 def copy_rows(model: pin.Model, new: pin.Model) -> None:
     """Copy what belongs to a joint to the joint of that name; other joints have no limits and no effort."""
     for name in list(new.names)[1:]:

@@ -12,6 +12,7 @@ import pinocchio as pin
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.errors import InputError
 from trajopt.schedule.schedule import Schedule
+from trajopt.values import finite_array, require_finite
 
 # Times of waypoints and of phases that differ by less than this part of the schedule are one.
 SAME_TIME = 1e-9
@@ -43,13 +44,22 @@ def hermite(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BaseWaypoint:
-    """A pose through which the base passes at ``time`` s: ``position`` (3,) m, world, and its orientation.
+    """A pose through which the base passes.
 
-    ``turn`` (3,) in rad is the rotation vector, world axes, by which it has turned since the waypoint
-    before (for the first: from the world's axes), R_i = exp(turn) R_(i-1): several turns are several times
-    2 pi. ``velocity`` (3,) m/s and ``rate`` (3,) rad/s, world, are those there; None derives them: from
-    the ballistics beside a flight, rest at both ends of the path, and in between slopes that do not
-    overshoot. Beside a flight the ballistics hold, whatever is given. Raises `InputError`.
+    Velocity and rate of None are derived: from the ballistics beside a flight, rest at both ends of the path,
+    and in between slopes that do not overshoot. Beside a flight the ballistics hold, whatever is given.
+
+    Args:
+        time: s.
+        position: (3,), m, world.
+        turn: rotation vector (3,), rad, world axes, by which the base has turned since the waypoint before
+            (for the first: from the world's axes), R_i = exp(turn) R_(i-1): several turns are several times
+            2 pi.
+        velocity: (3,), m/s, world.
+        rate: angular velocity (3,), rad/s, world.
+
+    Raises:
+        InputError: for a wrong shape, and numbers that are not finite.
     """
 
     time: float
@@ -59,20 +69,11 @@ class BaseWaypoint:
     rate: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.time):
-            raise InputError(f"a waypoint of the base is at {self.time} s", "allowed: a finite time")
+        require_finite("time of a waypoint of the base", self.time, "s")
         for name in ("position", "turn", "velocity", "rate"):
-            value = getattr(self, name)
-            if value is None:
-                continue
-            array = np.array(value, dtype=float)
-            if array.shape != (3,) or not np.isfinite(array).all():
-                raise InputError(
-                    f"{name} of the base's waypoint at {self.time:g} s is {array}",
-                    "allowed: 3 finite numbers",
-                )
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+            value, what = getattr(self, name), f"{name} of the base's waypoint at {self.time:g} s"
+            if value is not None:
+                object.__setattr__(self, name, finite_array(what, value))
 
 
 class WaypointPath:

@@ -32,6 +32,7 @@ from trajopt.reduced.com_planning import ComMotion, CubicMotion
 from trajopt.reduced.footsteps import FootstepPlan, support_vertices
 from trajopt.reduced.lip import Pendulum, PendulumMotion
 from trajopt.robot.robot import Robot
+from trajopt.values import require_positive
 
 PendulumInput = Literal["zmp_rate", "jerk"]
 EndCondition = Literal["rest", "captured"]
@@ -49,13 +50,22 @@ COUNT_SLACK = 1e-9
 class CenterOfMassProgram:
     """The quadratic program of a walk; ``solve()`` gives the motion.
 
-    com_start, velocity_start: (2,) m, m/s.
-    step: longest interval, s.
-    smoothing: time tau in s that weighs the input in the cost, the mean over time of
-        |p - middle of the support|^2 + tau^2 |p'|^2 (with control "jerk", the jerk over omega^2 for p').
-    terminal: "rest" ends at rest over the ZMP, "captured" with the capture point on the ZMP: the pendulum
-        comes to rest if that stays.
-    shrink: part of a sole's size kept as a margin.
+    Args:
+        robot: whose feet stand on the plan's footholds.
+        plan: the supports.
+        pendulum: the centre of mass at its height.
+        com_start: horizontal position of the centre of mass (2,), m, world.
+        velocity_start: its velocity (2,), m/s, world.
+        control: "zmp_rate" or "jerk", the input of this module.
+        terminal: "rest" ends at rest over the ZMP, "captured" with the capture point on the ZMP: the
+            pendulum comes to rest if that stays.
+        step: longest interval, s.
+        smoothing: time tau in s that weighs the input in the cost, the mean over time of
+            |p - middle of the support|^2 + tau^2 |p'|^2 (with control "jerk", the jerk over omega^2 for p').
+        shrink: part of a sole's size kept as a margin, in [0, 1).
+
+    Raises:
+        InputError: for an unknown word, and numbers out of range.
     """
 
     robot: Robot
@@ -74,8 +84,7 @@ class CenterOfMassProgram:
             if getattr(self, name) not in allowed:
                 raise InputError(f"{name}={getattr(self, name)!r}", f"allowed: {', '.join(allowed)}")
         for name in ("step", "smoothing"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise InputError(f"{name} is {getattr(self, name):g} s", "allowed: finite and > 0")
+            require_positive(name, getattr(self, name), "s")
         if not 0 <= self.shrink < 1:
             raise InputError(f"shrink is {self.shrink:g}", "allowed: 0 <= shrink < 1")
 

@@ -14,10 +14,10 @@ import pinocchio as pin
 from trajopt.errors import InputError
 from trajopt.reduced.com_planning import ComMotion
 from trajopt.reduced.footsteps import Foothold, FootstepPlan, feet_of
-from trajopt.robot.kinematics import inverse_kinematics
+from trajopt.robot.kinematics import contact_targets, inverse_kinematics
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion
-from trajopt.terrain.swing_profile import smooth_step, swing_profile
+from trajopt.terrain.swing_profile import require_clearance, smooth_step, swing_profile
 
 # Height in m of a swing over the straight line between its footholds, unless the caller says otherwise.
 DEFAULT_CLEARANCE = 0.05
@@ -55,8 +55,7 @@ class FootMotion:
     clearance: float = DEFAULT_CLEARANCE
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.clearance) and self.clearance >= 0):
-            raise InputError(f"clearance is {self.clearance:g} m", "allowed: finite and >= 0")
+        require_clearance(self.clearance)
 
     @cached_property
     def times(self) -> list[float]:
@@ -101,14 +100,11 @@ class FootMotion:
 
 def foot_targets(robot: Robot, feet: Callable[[str], Foothold]) -> dict[str, pin.SE3 | np.ndarray]:
     """Targets of inverse kinematics by frame: positions of point feet, level poses of soles."""
-    targets: dict[str, pin.SE3 | np.ndarray] = {}
+    poses = {}
     for contact in robot.contacts:
         foot = feet(contact.name)
-        if contact.kind == "surface":
-            targets[contact.frame] = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, foot.yaw), foot.position.copy())
-        else:
-            targets[contact.frame] = foot.position.copy()
-    return targets
+        poses[contact.name] = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, foot.yaw), foot.position)
+    return contact_targets(robot, poses)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from types import MappingProxyType
 
 import numpy as np
@@ -14,6 +15,7 @@ from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terrain.terrain import Terrain
+from trajopt.values import finite_array, require_finite, require_positive
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,11 +26,8 @@ class Foothold:
     yaw: float = 0.0
 
     def __post_init__(self) -> None:
-        position = np.array(self.position, dtype=float)
-        if position.shape != (3,) or not (np.isfinite(position).all() and math.isfinite(self.yaw)):
-            raise InputError(f"foothold is {position}, yaw {self.yaw}", "allowed: 3 finite numbers in m, rad")
-        position.setflags(write=False)
-        object.__setattr__(self, "position", position)
+        require_finite("yaw of a foothold", self.yaw, "rad")
+        object.__setattr__(self, "position", finite_array("foothold", self.position, unit="m"))
 
 
 @dataclass(frozen=True)
@@ -40,8 +39,7 @@ class StepPhase:
     feet: Mapping[str, Foothold] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.duration) and self.duration > 0):
-            raise InputError(f"duration of support '{self.name}' is {self.duration:g} s", "allowed: > 0")
+        require_positive(f"duration of support '{self.name}'", self.duration, "s")
         object.__setattr__(self, "feet", MappingProxyType(dict(self.feet)))
 
 
@@ -55,7 +53,7 @@ class FootstepPlan:
         object.__setattr__(self, "supports", tuple(self.supports))
         if not self.supports:
             raise InputError("the footstep plan has no support", "allowed: at least one")
-        for before, after in zip(self.supports[:-1], self.supports[1:], strict=True):
+        for before, after in pairwise(self.supports):
             for name in before.feet.keys() & after.feet.keys():
                 moved = np.abs(before.feet[name].position - after.feet[name].position).max()
                 if moved > 0 or before.feet[name].yaw != after.feet[name].yaw:
@@ -131,14 +129,20 @@ def feet_of(robot: Robot, q: np.ndarray) -> dict[str, Foothold]:
 class Walk:
     """A walk of a biped from a stance with its feet side by side, which ends so too, at rest.
 
-    steps: number of steps, two at least; the last brings the feet side by side, so that the walk
-        advances by ``(steps - 1) * length``.
-    length: distance from one step to the next along the path, m; negative walks backwards.
-    width: distance between the feet across the path, m; None keeps that of the stance.
-    turn: turn to the left from one step to the next, rad.
-    step_time, double_support: durations of single and double support, s.
-    shift_time, settle_time: durations of the double supports before the first and after the last step, s.
-    first: contact that steps first; None takes the robot's first.
+    Args:
+        steps: number of steps, two at least; the last brings the feet side by side, so that the walk
+            advances by ``(steps - 1) * length``.
+        length: distance from one step to the next along the path, m; negative walks backwards.
+        width: distance between the feet across the path, m; None keeps that of the stance.
+        turn: turn to the left from one step to the next, rad.
+        step_time: duration of single support, s.
+        double_support: duration of double support between steps, s.
+        shift_time: duration of the double support before the first step, s.
+        settle_time: duration of the double support after the last step, s.
+        first: contact that steps first; None takes the robot's first.
+
+    Raises:
+        InputError: for numbers out of range.
     """
 
     steps: int = 2
@@ -155,12 +159,11 @@ class Walk:
         if not self.steps >= 2:
             raise InputError(f"steps is {self.steps}", "allowed: 2 or more")
         for name in ("step_time", "double_support", "shift_time", "settle_time"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise InputError(f"{name} is {getattr(self, name):g} s", "allowed: finite and > 0")
-        if self.width is not None and not (math.isfinite(self.width) and self.width > 0):
-            raise InputError(f"width is {self.width:g} m", "allowed: finite and > 0")
-        if not (math.isfinite(self.length) and math.isfinite(self.turn)):
-            raise InputError(f"length {self.length:g} m, turn {self.turn:g} rad", "allowed: finite")
+            require_positive(name, getattr(self, name), "s")
+        if self.width is not None:
+            require_positive("width", self.width, "m")
+        require_finite("length", self.length, "m")
+        require_finite("turn", self.turn, "rad")
 
     def plan(self, robot: Robot, q: np.ndarray | None = None) -> FootstepPlan:
         """The supports of this walk from the feet at ``q`` (nq,), default the robot's reference.

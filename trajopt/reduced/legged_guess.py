@@ -11,16 +11,16 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.model_quantities import gravity_of
-from trajopt.errors import InputError
 from trajopt.reduced.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights, turn_to_heading
 from trajopt.reduced.foot_motion import CACHED_POSTURES, require_free_flyer
-from trajopt.robot.kinematics import contact_poses, inverse_kinematics
+from trajopt.robot.kinematics import contact_poses, contact_targets, inverse_kinematics
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion, Phase, Schedule
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import Surface, frame_of_normal
-from trajopt.terrain.swing_profile import smooth_step, swing_profile
+from trajopt.terrain.swing_profile import require_clearance, smooth_step, swing_profile
 from trajopt.terrain.terrain import Terrain
+from trajopt.values import require_finite
 
 # Height of a swing over the straight line between its footholds, as a part of the robot's length.
 CLEARANCE_PART = 0.1
@@ -70,7 +70,7 @@ class LeggedPosture:
         base's axes from their reference places.
         """
         joints = slice(self.robot.nq - self.robot.nu, None)
-        found = inverse_kinematics(self.robot, q, self._targets(feet)).q
+        found = inverse_kinematics(self.robot, q, contact_targets(self.robot, feet)).q
         if np.abs(found[joints] - q[joints]).max() < FAR:
             return found
         placement = pin.XYZQUATToSE3(q[:7])
@@ -79,19 +79,9 @@ class LeggedPosture:
             stepped = {}
             for name, foot in feet.items():
                 first, last = reference.actInv(self._reference_feet[name]), placement.actInv(foot)
-                stepped[name] = placement * pin.SE3(
-                    _between(first.rotation, last.rotation, part),
-                    (1 - part) * first.translation + part * last.translation,
-                )
-            q = inverse_kinematics(self.robot, q, self._targets(stepped)).q
+                stepped[name] = placement * _blend(first, last, part)
+            q = inverse_kinematics(self.robot, q, contact_targets(self.robot, stepped)).q
         return q
-
-    def _targets(self, feet: Mapping[str, pin.SE3]) -> dict[str, pin.SE3 | np.ndarray]:
-        """Targets of inverse kinematics by frame: positions of points, poses of soles."""
-        return {
-            contact.frame: foot if contact.kind == "surface" else foot.translation
-            for contact, foot in ((self.robot.contact(name), foot) for name, foot in feet.items())
-        }
 
     def foot(self, name: str, t: float, placement: pin.SE3) -> pin.SE3:
         """Pose in the world of a contact at ``t`` with the base at ``placement``."""
@@ -132,13 +122,12 @@ class LeggedPosture:
         """
         before, after = (self.base(t).actInv(place) for t, place in zip(times, places, strict=True))
         part = smooth_step(s)
-        local = (1 - part) * before.translation + part * after.translation
-        local = local + np.array([0.0, 0.0, self.tuck * swing_profile(s)])
-        position = placement.act(local)
+        local = _blend(before, after, part)
+        drawn_up = np.array([0.0, 0.0, self.tuck * swing_profile(s)])
+        position = placement.act(local.translation + drawn_up)
         line = (1 - part) * places[0].translation[2] + part * places[1].translation[2]
         position[2] = line + math.hypot(position[2] - line, self.clearance * swing_profile(s))
-        turn = placement.rotation @ _between(before.rotation, after.rotation, part)
-        return pin.SE3(turn, position)
+        return pin.SE3(placement.rotation @ local.rotation, position)
 
     @cached_property
     def _rounding(self) -> float:
@@ -227,10 +216,8 @@ def legged_guess(
     """
     require_free_flyer(robot)
     lift = CLEARANCE_PART * robot.length if clearance is None else clearance
-    if not (math.isfinite(lift) and lift >= 0):
-        raise InputError(f"clearance is {lift:g} m", "allowed: finite and >= 0")
-    if not math.isfinite(tuck):
-        raise InputError(f"tuck is {tuck:g} m", "allowed: finite")
+    require_clearance(lift)
+    require_finite("tuck", tuck, "m")
     if not isinstance(path, WaypointPath):
         path = WaypointPath(schedule, path, gravity_of(robot.model))
     posture = LeggedPosture(
@@ -250,6 +237,12 @@ def _between(start: np.ndarray, end: np.ndarray, part: float) -> np.ndarray:
     """Rotation (3, 3) on the shortest way from one to another."""
     between: np.ndarray = start @ pin.exp3(part * pin.log3(start.T @ end))
     return between
+
+
+def _blend(start: pin.SE3, end: pin.SE3, part: float) -> pin.SE3:
+    """Pose on the straight line and the shortest turn from one to another."""
+    position = (1 - part) * start.translation + part * end.translation
+    return pin.SE3(_between(start.rotation, end.rotation, part), position)
 
 
 def dropped_onto(position: np.ndarray, surface: Surface) -> np.ndarray:

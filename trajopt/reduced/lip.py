@@ -27,6 +27,7 @@ import numpy as np
 
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.errors import InputError
+from trajopt.values import finite_array, require_positive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,8 +39,7 @@ class Pendulum:
 
     def __post_init__(self) -> None:
         for name in ("height", "gravity"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise InputError(f"{name} of the pendulum is {getattr(self, name):g}", "allowed: > 0")
+            require_positive(f"{name} of the pendulum", getattr(self, name))
 
     @property
     def omega(self) -> float:
@@ -120,12 +120,7 @@ class PendulumMotion:
     def __post_init__(self) -> None:
         n = max(len(self.times) - 1, 1)
         for name, shape in (("times", (n + 1,)), ("zmp", (n, 2, 2)), ("com_start", (2,)), ("dcm_end", (2,))):
-            array = np.array(getattr(self, name), dtype=float)
-            if array.shape != shape or not np.isfinite(array).all():
-                raise InputError(
-                    f"{name} of a pendulum's motion has shape {array.shape}", f"allowed: {shape}"
-                )
-            array.setflags(write=False)
+            array = finite_array(f"{name} of a pendulum's motion", getattr(self, name), shape)
             object.__setattr__(self, name, array)
         if not (np.diff(self.times) > 0).all():
             raise InputError(f"times of a pendulum's motion are {self.times}", "allowed: increasing")

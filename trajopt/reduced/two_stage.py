@@ -51,7 +51,7 @@ def torque_terms(problem: Problem) -> list[Term]:
 def base_rows_problem(problem: Problem, *, replacement: tuple[Cost, ...] | None = None) -> Problem:
     """Stage one of a problem: its terms without those that ask for torques, and costs in their place.
 
-    replacement: costs to put in the place of those left out; None chooses. Then for a `TorqueCost` comes a
+    replacement: costs in place of those left out; None chooses. Then for a `TorqueCost` comes a
     `WrenchCost` that costs the same for standing still at the reference (`standing_share`); and an
     `AccelerationCost`, if there is none left, for the motion to be unique.
 
@@ -161,7 +161,7 @@ class TorqueReport:
     """Torques of a motion against their limits, at its collocation points.
 
     ``joints`` in the order of the actuated rows. ``base_residual``: largest base row over the weight; the
-    motion is none of the robot where it is not small. ``excess_between``: the largest at other samples,
+    robot cannot make the motion where it is not small. ``excess_between``: the largest at other samples,
     where torques follow interpolated wrenches.
     """
 
@@ -192,7 +192,15 @@ class TorqueReport:
 def recover_torques(problem: Problem, solution: Solution) -> tuple[np.ndarray, TorqueReport]:
     """Stage two: torques (K, nu) of every sample from the actuated rows, and the report on their limits.
 
-    ``problem`` is the full one: it holds the limits. Raises InputError for a solution of another robot.
+    Args:
+        problem: the full problem, which holds the limits.
+        solution: of its `base_rows_problem`.
+
+    Returns:
+        Torques on the joint side, N m or N, in the order of the actuated rows; and the report.
+
+    Raises:
+        InputError: for a solution of another robot.
     """
     robot = problem.robot
     if solution.v.shape[1] != robot.nv or solution.tau.shape[1] != robot.nu or robot.nu == 0:

@@ -206,9 +206,9 @@ def reach(model: pin.Model) -> float:
     return float(max([*tips, *centres], default=0.0))
 
 
-def kept_coordinates(model: pin.Model, locked: pin.Model) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices in q and in v of ``model`` of the joints that ``locked`` still has."""
-    kept = [model.joints[model.getJointId(name)] for name in list(locked.names)[1:]]
+def joint_entries(model: pin.Model, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the indices in q and in v of joints by name."""
+    kept = [model.joints[model.getJointId(name)] for name in names]
     rows_q = [np.arange(joint.idx_q, joint.idx_q + joint.nq) for joint in kept]
     rows_v = [np.arange(joint.idx_v, joint.idx_v + joint.nv) for joint in kept]
     nothing = [np.zeros(0, dtype=int)]

@@ -76,15 +76,15 @@ class VisualSource:
                 "key 'visual' is malformed", "an object with 'urdf' and 'package_dirs'"
             ) from None
 
-    def geometry(self, model: pin.Model) -> pin.GeometryModel:
-        """Return the visual geometries placed on ``model``; raises `InputError` if a file is missing."""
+    def geometry(
+        self, model: pin.Model, kind: pin.GeometryType = pin.GeometryType.VISUAL
+    ) -> pin.GeometryModel:
+        """Return the visual or collision geometries placed on ``model``; raises `InputError`."""
         if not self.urdf.is_file():
             raise InputError(f"URDF file {self.urdf} of the robot's meshes does not exist")
         directories = [str(path) for path in self.package_dirs]
         try:
-            return pin.buildGeomFromUrdf(
-                model, str(self.urdf), pin.GeometryType.VISUAL, package_dirs=directories
-            )
+            return pin.buildGeomFromUrdf(model, str(self.urdf), kind, package_dirs=directories)
         except (ValueError, RuntimeError) as error:
             raise InputError(f"meshes of {self.urdf} cannot be read: {first_line(error)}") from None
 

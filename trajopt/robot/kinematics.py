@@ -28,7 +28,16 @@ TOLERANCE = 1e-10
 
 
 def frame_pose(robot: Robot, q: np.ndarray, frame: str) -> pin.SE3:
-    """Pose in the world of a frame at ``q`` (nq,), m. Raises `InputError` that lists close names."""
+    """Pose of a frame in the world, m.
+
+    Args:
+        robot: the robot.
+        q: configuration (nq,).
+        frame: name of the frame.
+
+    Raises:
+        InputError: for an unknown frame; it lists close names.
+    """
     frame_content(robot.model, frame)  # checks the name: Pinocchio answers an unknown one past the end
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, q)
@@ -47,6 +56,15 @@ def contact_positions(robot: Robot, q: np.ndarray) -> dict[str, np.ndarray]:
     return {name: pose.translation for name, pose in contact_poses(robot, q).items()}
 
 
+def contact_targets(robot: Robot, poses: Mapping[str, pin.SE3]) -> dict[str, pin.SE3 | np.ndarray]:
+    """Targets that bring contacts to ``poses`` (world, m, by name): poses of soles, positions of points."""
+    return {
+        contact.frame: poses[contact.name] if contact.kind == "surface" else poses[contact.name].translation
+        for contact in robot.contacts
+        if contact.name in poses
+    }
+
+
 @dataclass(frozen=True)
 class Posture:
     """Result of inverse kinematics: ``q`` (nq,) and the remaining ``error`` (norm, m and rad)."""
@@ -58,8 +76,13 @@ class Posture:
 def inverse_kinematics(robot: Robot, q: np.ndarray, targets: Targets, *, move_base: bool = False) -> Posture:
     """Posture near ``q`` (nq,) that brings frames to their targets, within position limits.
 
-    A target is a pose (SE3, 6 rows) or a position (3,) in the world, m. The base moves only with
-    ``move_base``. What cannot be reached is approached in the least-squares sense.
+    What cannot be reached is approached in the least-squares sense.
+
+    Args:
+        robot: the robot.
+        q: configuration (nq,) from which the search starts.
+        targets: by the frame's name a pose (SE3, 6 rows) or a position (3,) in the world, m.
+        move_base: whether the base may move, too.
     """
     model, data = robot.model, robot.model.createData()
     movable = np.arange(0 if move_base else robot.n_unactuated, robot.nv)
@@ -142,16 +165,25 @@ def inverse_kinematics_branches(
 ) -> tuple[Posture, ...]:
     """All postures that bring frames to their targets within position limits, nearest to ``near`` first.
 
-    A search from ``starts`` postures of a Halton sequence over the joints, so deterministic; each is
-    refined to 1e-10 by `inverse_kinematics`, and then verified. The base stays where it is in ``near``
-    (nq,), default the reference. Branches of an arm (shoulder, elbow, wrist) come once each, in the turn
-    nearest to ``near``; with ``turns`` also in every whole turn of a joint within its limits. An arm with
-    more joints than rows has a continuum of postures: then these are representatives, ``separation``
-    apart (norm over the joints, rad and m; default 1.0). Empty where nothing within the limits reaches the
-    targets. Raises `InputError` for ``starts`` below one.
+    Each start of the search is refined to 1e-10 by `inverse_kinematics`, and then verified. Branches of an
+    arm (shoulder, elbow, wrist) come once each, in the turn nearest to ``near``. An arm with more joints than
+    rows has a continuum of postures, of which these are representatives. Empty where nothing within the
+    limits reaches the targets.
 
     Nothing proves that all are found; more ``starts`` find what fewer may miss. At a singularity, where
     branches meet, convergence is slow and what counts as different is a matter of ``separation``.
+
+    Args:
+        robot: the robot; its base stays where it is in ``near``.
+        targets: as of `inverse_kinematics`.
+        near: configuration (nq,), default the reference.
+        starts: how many postures of a Halton sequence over the joints, so deterministic, to search from.
+        separation: how far representatives of a continuum are apart, norm over the joints, rad and m; default
+            1.0. Of other arms, how far two branches are apart that count as different.
+        turns: whether a branch comes in every whole turn of a joint within its limits, too.
+
+    Raises:
+        InputError: for ``starts`` below one.
     """
     if starts < 1:
         raise InputError(f"inverse kinematics from {starts} starts", "allowed: at least 1")

@@ -20,16 +20,21 @@ import pinocchio as pin
 
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
-from trajopt.terrain.surface import is_number
+from trajopt.values import finite_array, require_not_negative
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Payload:
     """A rigid body held at a contact of the robot.
 
-    contact: name of the contact that holds it; its frame gives the axes. mass: kg. centre: (3,) m, its centre
-    of mass in the frame. inertia: (3, 3) kg m^2 about its centre in the frame's axes; None for a point mass.
-    Raises `InputError`.
+    Args:
+        contact: name of the contact that holds it; its frame gives the axes.
+        mass: kg.
+        centre: of mass (3,), m, in the contact's frame; default its origin.
+        inertia: about the centre of mass (3, 3), kg m^2, in the frame's axes; None for a point mass.
+
+    Raises:
+        InputError: for numbers that no rigid body has.
     """
 
     contact: str
@@ -38,17 +43,16 @@ class Payload:
     inertia: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        if not (is_number(self.mass) and self.mass >= 0):
-            raise InputError(f"mass of a payload is {self.mass!r} kg", "allowed: finite and >= 0")
+        require_not_negative("mass of a payload", self.mass, "kg")
         for name, shape in (("centre", (3,)), ("inertia", (3, 3))):
-            given = getattr(self, name)
-            array = np.zeros(shape) if given is None else _array(given, shape, name)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+            given = np.zeros(shape) if getattr(self, name) is None else getattr(self, name)
+            object.__setattr__(self, name, finite_array(f"{name} of a payload", given, shape))
         turning = np.array(self.inertia)
         moments = np.linalg.eigvalsh(turning)
         if not np.allclose(turning, turning.T) or moments[0] < 0:
-            raise InputError("inertia of a payload is no inertia", "allowed: symmetric, eigenvalues >= 0")
+            raise InputError(
+                "inertia of a payload is not that of a rigid body", "allowed: symmetric, eigenvalues >= 0"
+            )
         if moments[2] > moments[0] + moments[1] + 1e-12 * moments[2]:
             raise InputError(
                 f"principal moments of a payload are {moments}", "allowed: none above the sum of the others"
@@ -69,16 +73,6 @@ class Payload:
             "centre": self.centre.tolist(),
             "inertia": self.inertia.tolist(),
         }
-
-
-def _array(value: Any, shape: tuple[int, ...], name: str) -> np.ndarray:
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        array = np.zeros(0)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise InputError(f"{name} of a payload is {value!r}", f"allowed: finite numbers of shape {shape}")
-    return array
 
 
 def loaded_model(model: pin.Model, frame: str, body: pin.Inertia) -> pin.Model:

@@ -29,22 +29,25 @@ from trajopt.robot.validation import require_contacts, require_inertias, require
 class Robot:
     """A robot as the problems see it. Arrays are copied and read-only.
 
-    name: word for tables and files.
-    model: numeric Pinocchio model; joint damping and friction in it are not part of the dynamics.
-    base: kind of the root joint. The base rows come first in v and are unactuated.
-    contacts: where it may touch its surroundings.
-    reference: posture (nq,), metres and radians in Pinocchio's convention, within the limits.
-    effort_limit: (nu,) torque or force on the joint side, N m or N; None without any limit.
-    velocity_limit: (nv,) rad/s or m/s, inf where there is none.
-    position_lower, position_upper: (nq,), -inf and inf where there is none.
-    visual: where the meshes are, for a replay.
-    passive: joints without actuator (an ankle that is a contact, the shoulder of an acrobot), behind
-        the base rows and before every other joint.
-    given_length: characteristic length in m; None takes the one that `length` measures.
-    drives: a `Drive` or None for each actuated row (nu), or None; put on with `with_drives`.
+    Args:
+        name: word for tables and files.
+        model: numeric Pinocchio model; joint damping and friction in it are not part of the dynamics.
+        base: kind of the root joint. The base rows come first in v and are unactuated.
+        reference: posture (nq,), m and rad in Pinocchio's convention, within the limits.
+        velocity_limit: (nv,), rad/s or m/s, inf where there is none.
+        position_lower: least positions (nq,), rad or m, -inf where there is no limit.
+        position_upper: largest positions (nq,), rad or m, inf where there is no limit.
+        effort_limit: torque or force on the joint side (nu,), N m or N; None without any limit.
+        contacts: where it may touch its surroundings.
+        visual: where the meshes are, for a replay.
+        passive: joints without actuator (an ankle that is a contact, the shoulder of an acrobot), behind
+            the base rows and before every other joint.
+        given_length: characteristic length in m; None takes the one that `length` measures.
+        drives: a `Drive` or None for each actuated row (nu), or None; put on with `with_drives`.
 
-    Raises `InputError` at construction for an unknown frame, a wrong shape, a number that is
-    not finite, a reference outside the limits, or two contacts of one name.
+    Raises:
+        InputError: for an unknown frame, a wrong shape, a number that is not finite, a reference outside the
+            limits, or two contacts of one name.
     """
 
     name: str
@@ -168,8 +171,7 @@ class Robot:
         at = self.reference if reference is None else np.asarray(reference, dtype=float)
         replace(self, reference=at)  # refuses a reference of wrong shape or outside the limits
         model = building.locked_model(self.model, joints, at)
-        q, v = building.kept_coordinates(self.model, model)
-        actuated = v[v >= self.n_unactuated] - self.n_unactuated
+        q, v = building.joint_entries(self.model, list(model.names)[1:])
         return replace(
             self,
             model=model,
@@ -177,10 +179,17 @@ class Robot:
             velocity_limit=self.velocity_limit[v],
             position_lower=self.position_lower[q],
             position_upper=self.position_upper[q],
-            effort_limit=None if self.effort_limit is None else self.effort_limit[actuated],
             passive=tuple(name for name in self.passive if name not in joints),
-            drives=None if self.drives is None else tuple(self.drives[int(row)] for row in actuated),
+            **self.actuators_of(v),
         )
+
+    def actuators_of(self, rows: np.ndarray) -> dict[str, Any]:
+        """Return effort limits and drives of the actuated ones of ``rows`` of v, as fields of a robot."""
+        own = rows[rows >= self.n_unactuated] - self.n_unactuated
+        return {
+            "effort_limit": None if self.effort_limit is None else self.effort_limit[own],
+            "drives": None if self.drives is None else tuple(self.drives[int(row)] for row in own),
+        }
 
     def with_drives(self, drives: Mapping[str, Drive | None] | Sequence[Drive | None]) -> Robot:
         """Return this robot with drives: by joint name, or one (or None) for each actuated row (nu).
@@ -199,8 +208,13 @@ class Robot:
     def with_virtual_base(self, order: str = DEFAULT_ORDER) -> Robot:
         """Return this free-flyer robot with six virtual joints as its base: x, y, z, then three angles.
 
-        order: of the angles' axes, "ZYX" for yaw, pitch, roll; one of `virtual_base.ORDERS`. All else is
-        kept: inertias, frames, contacts, limits, drives and the reference. Raises `InputError`.
+        All else is kept: inertias, frames, contacts, limits, drives and the reference.
+
+        Args:
+            order: of the angles' axes, "ZYX" for yaw, pitch, roll; one of `virtual_base.ORDERS`.
+
+        Raises:
+            InputError: for another base or an unknown order.
         """
         if self.base != "freeflyer":
             raise InputError(f"robot '{self.name}' has base={self.base!r}", "'freeflyer'")
@@ -229,15 +243,19 @@ class Robot:
     ) -> Robot:
         """Build a robot from a URDF file.
 
-        base: "freeflyer", "virtual" (six joints: x, y, z, yaw, pitch, roll; for another order of the
-            angles see `with_virtual_base`), "planar" (in the world's x-z plane) or "fixed".
-        contacts: frame names (point contacts) or `Contact` objects.
-        reference: see `building.reference_posture`; in terms of the joints before locking.
-        locked: names of joints to weld at the reference.
-        passive: names of joints without actuator, which must come first.
-        package_dirs: where ``package://`` paths of meshes start; default the folders above the file.
+        Args:
+            path: of the file.
+            base: "freeflyer", "virtual" (six joints: x, y, z, yaw, pitch, roll; for another order of the
+                angles see `with_virtual_base`), "planar" (in the world's x-z plane) or "fixed".
+            contacts: frame names (point contacts) or `Contact` objects.
+            reference: see `building.reference_posture`; in terms of the joints before locking.
+            locked: names of joints to weld at the reference.
+            name: of the robot; default the one in the file.
+            package_dirs: where ``package://`` paths of meshes start; default the folders above the file.
+            passive: names of joints without actuator, which must come first.
 
-        Raises `InputError` for a missing or malformed file and whatever `Robot` refuses.
+        Raises:
+            InputError: for a missing or malformed file and whatever `Robot` refuses.
         """
         model = read_urdf(path, base)
         source = Path(path).expanduser().absolute()
@@ -258,8 +276,15 @@ class Robot:
     def from_mjcf(cls, path: str | Path, *, base: Base | None = None, **options: Any) -> Robot:
         """Build a robot from an MJCF file, as far as Pinocchio reads it; options as in `from_model`.
 
-        base: None takes the root joint of the file; a kind that contradicts it raises `InputError`.
         MJCF actuator limits are not read by Pinocchio: the effort limit comes from the joints alone.
+
+        Args:
+            path: of the file.
+            base: kind of the root joint; default that of the file.
+            options: further arguments of `from_model`.
+
+        Raises:
+            InputError: for a missing or malformed file, and a base that contradicts it.
         """
         model = read_mjcf(path, base)
         return cls.from_model(model, base=base, **options)

@@ -11,6 +11,7 @@ from trajopt.dynamics.model_quantities import mass_of
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin
 from trajopt.errors import InputError
 from trajopt.robot.contact import Contact, require_frame
+from trajopt.values import require_positive
 
 # A reference posture may touch its limit: rounding of degrees in description files, rad or m.
 LIMIT_SLACK = 1e-6
@@ -66,8 +67,8 @@ def require_limits(
 ) -> None:
     """Raise `InputError` for limits that are empty, negative or NaN, or a length that is not positive."""
     lower, upper = position
-    if length is not None and not (np.isfinite(length) and length > 0):
-        raise InputError(f"given_length of robot '{robot}' is {length}", "> 0 m, or None")
+    if length is not None:
+        require_positive(f"given_length of robot '{robot}'", length, "m")
     if np.isnan(lower).any() or np.isnan(upper).any():
         raise InputError(f"position limits of robot '{robot}' hold NaN", "numbers, or -inf and inf")
     for index in np.flatnonzero(lower > upper):

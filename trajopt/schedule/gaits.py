@@ -19,6 +19,7 @@ import numpy as np
 
 from trajopt.errors import InputError
 from trajopt.schedule.schedule import Phase
+from trajopt.values import require_finite, require_positive
 
 # Events nearer than this part of the period are one event: rounding of sums of decimal fractions.
 SIMULTANEOUS = 1e-9
@@ -65,8 +66,11 @@ class Gait:
                 f"gait '{self.name}' has duty factors for {', '.join(given)}",
                 f"allowed: one number, or one for each of {', '.join(self.offsets)}",
             )
-        duty = {name: _number(given[name], f"duty factor of '{name}'") for name in self.offsets}
-        offsets = {name: _number(value, f"offset of '{name}'") % 1.0 for name, value in self.offsets.items()}
+        for name, value in self.offsets.items():
+            require_finite(f"duty factor of '{name}'", given[name])
+            require_finite(f"offset of '{name}'", value)
+        duty = {name: float(given[name]) for name in self.offsets}
+        offsets = {name: float(value) % 1.0 for name, value in self.offsets.items()}
         for name, value in duty.items():
             if not (SHORTEST <= value <= 1 - SHORTEST or value == 1):
                 raise InputError(
@@ -226,12 +230,6 @@ class Gait:
         return "\n".join(rows)
 
 
-def _number(value: float, what: str) -> float:
-    if not (isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)):
-        raise InputError(f"{what} is {value!r}", "allowed: a finite number")
-    return float(value)
-
-
 def phases_of(
     supports: Iterable[SupportPhase], period: float, bounds: tuple[float, float] | None
 ) -> tuple[Phase, ...]:
@@ -245,8 +243,7 @@ def phases_of(
     Raises:
         InputError: for a period that is not positive, or bounds without 1 between them.
     """
-    if not (math.isfinite(period) and period > 0):
-        raise InputError(f"period of a gait is {period:g} s", "allowed: finite and > 0")
+    require_positive("period of a gait", period, "s")
     lower, upper = (1.0, 1.0) if bounds is None else bounds
     if not 0 < lower <= 1 <= upper < math.inf:
         raise InputError(

@@ -14,6 +14,7 @@ from trajopt.errors import InputError
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import SAME_PLANE, Surface
 from trajopt.terrain.terrain import Ground, Terrain
+from trajopt.values import finite_array, require_positive
 
 # A configuration (nq,) at a time in s: a guess, a reference.
 Motion = Callable[[float], np.ndarray]
@@ -52,10 +53,7 @@ class Phase:
     patches: Mapping[str, Patch] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.duration) and self.duration > 0):
-            raise InputError(
-                f"duration of phase '{self.name}' is {self.duration:g} s", "allowed: finite and > 0"
-            )
+        require_positive(f"duration of phase '{self.name}'", self.duration, "s")
         if not isinstance(self.impact, bool):
             raise InputError(f"impact of phase '{self.name}' is {self.impact!r}", "allowed: True or False")
         if self.duration_bounds is not None:
@@ -69,13 +67,11 @@ class Phase:
         self._require_active("surface", self.surfaces)
         self._require_active("patch", self.patches)
         self._require_kinds()
-        points = {name: np.array(point, dtype=float) for name, point in self.footholds.items()}
+        points = {
+            name: finite_array(f"foothold of '{name}' in phase '{self.name}'", point, unit="m")
+            for name, point in self.footholds.items()
+        }
         for name, point in points.items():
-            if point.shape != (3,) or not np.all(np.isfinite(point)):
-                raise InputError(
-                    f"foothold of '{name}' in phase '{self.name}' is {point}", "allowed: 3 finite numbers, m"
-                )
-            point.setflags(write=False)
             self._require_on_surface(name, point)
             self._require_on_patch(name, point)
         object.__setattr__(self, "contacts", tuple(self.contacts))

@@ -7,14 +7,12 @@ of {frame, position, rotation, q, phase}, each null where there is none.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from trajopt.errors import InputError, SolutionFileError
-
-if TYPE_CHECKING:
-    pass
+from trajopt.values import finite_array
 
 KEYS = ("frame", "position", "rotation", "q", "phase")
 
@@ -45,13 +43,8 @@ class Target:
             value = getattr(self, name)
             if value is None:
                 continue
-            array = _numbers(value)
-            if not np.isfinite(array).all() or array.ndim == 0 or (shape and array.shape != shape):
-                raise InputError(
-                    f"{name} of a target is {value!r}", f"allowed: finite, of shape {shape or '(nq,)'}"
-                )
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+            size = shape or (np.size(value),)
+            object.__setattr__(self, name, finite_array(f"{name} of a target", value, size))
         if (self.frame is None) != (self.position is None and self.rotation is None):
             raise InputError("a target has a frame without a place, or a place without a frame", "both")
         if self.frame is None and self.q is None:
@@ -68,13 +61,6 @@ class Target:
         if not isinstance(described, dict) or set(described) != set(KEYS):
             raise InputError(f"a target is described by {described!r}", f"allowed: {', '.join(KEYS)}")
         return cls(**described)
-
-
-def _numbers(value: Any) -> np.ndarray:
-    try:
-        return np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        return np.array(np.nan)
 
 
 def targets_of(described: Any) -> list[Target]:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
 
+_Record = TypeVar("_Record")
 # Field -> dtype of every array that has one row a sample.
 SAMPLED: dict[str, type] = {
     "t": float,
@@ -58,6 +59,11 @@ def read_only(given: Mapping[str, Any]) -> dict[str, np.ndarray]:
                 f"'{name}' of the solution has shape {shape}", f"first dimension as t: {samples}"
             )
     return found
+
+
+def rows_of(record: _Record, rows: slice | int | list[int]) -> _Record:
+    """Return a record of arrays with these rows of each."""
+    return type(record)(**{name: array[rows] for name, array in vars(record).items()})
 
 
 def runs(index: np.ndarray) -> tuple[range, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -15,16 +15,17 @@ FINER = 4
 
 
 def clearance_figures(plan: Solution) -> dict[str, float | None]:
+    """Least distances of a motion from obstacles and of its links, at the samples and between."""
+    return distance_figures(plan, refined_configurations(plan))
+
+
+def distance_figures(plan: Solution, configurations: Iterable[np.ndarray]) -> dict[str, float | None]:
     """Least signed distances, m, of the capsules in ``meta["collision"]`` from obstacles and between them."""
     scene = scene_of_meta(plan.model, plan.meta.get("collision"))
-    if scene is None:
-        return {"obstacle_distance": None, "self_distance": None}
-    least = scene.least_distances(refined_configurations(plan))
-    outer, own = least[: scene.n_outer], least[scene.n_outer :]
-    return {
-        "obstacle_distance": float(outer.min()) if outer.size else None,
-        "self_distance": float(own.min()) if own.size else None,
-    }
+    least = np.zeros(0) if scene is None else scene.least_distances(configurations)
+    outer = 0 if scene is None else scene.n_outer
+    parts = {"obstacle_distance": least[:outer], "self_distance": least[outer:]}
+    return {name: float(part.min()) if part.size else None for name, part in parts.items()}
 
 
 def refined_configurations(

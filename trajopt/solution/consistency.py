@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,6 +12,7 @@ from trajopt.errors import InputError, SolutionFileError
 from trajopt.robot.actuators.drive import Drive
 from trajopt.solution.arrays import OTHERS, SAMPLED, model_from_text, runs
 from trajopt.solution.descriptions import patches_of, scene_of_meta, surfaces_of
+from trajopt.values import is_number
 
 META_KEYS = (
     "format",
@@ -57,8 +57,7 @@ def inconsistency(arrays: _Arrays, model_text: str, meta: dict[str, Any]) -> str
         _wrong_shape(arrays, model, meta)
         or _wrong_number(arrays)
         or _wrong_time(arrays)
-        or _wrong_surfaces(arrays, meta)
-        or _wrong_collision(model, meta)
+        or _wrong_descriptions(arrays, model, meta)
         or _wrong_phases(arrays, meta)
     )
 
@@ -74,22 +73,22 @@ def _wrong_meta(meta: dict[str, Any]) -> str:
         return f"meta has {len(frames)} contact_frames, {len(kinds)} contact_kinds, {len(friction)} friction"
     if not all(kind in ("point", "surface") for kind in kinds):
         return f"contact_kinds {kinds} are not all 'point' or 'surface'"
-    if not all(_is_number(mu) and mu >= 0 for mu in friction):
+    if not all(is_number(mu) and mu >= 0 for mu in friction):
         return f"friction {friction} is not a list of numbers >= 0"
     for key in ("effort_limit", "velocity_limit"):
         limit = meta[key]
         if limit is not None and not (
             isinstance(limit, list)
-            and all(entry is None or (_is_number(entry) and entry >= 0) for entry in limit)
+            and all(entry is None or (is_number(entry) and entry >= 0) for entry in limit)
         ):
             return f"{key} of meta is not null or a list of numbers >= 0"
     if not isinstance(meta["success"], bool):
         return "success of meta is not true or false"
     for key in ("parameters", "versions"):
         if not isinstance(meta[key], dict):
-            return f"{key} of meta is no object"
-    if not _is_number(meta["tolerance"]):
-        return f"tolerance {meta['tolerance']!r} of meta is no number"
+            return f"{key} of meta is not an object"
+    if not is_number(meta["tolerance"]):
+        return f"tolerance {meta['tolerance']!r} of meta is not a number"
     return _wrong_sizes(meta.get("contact_sizes"), kinds) or _wrong_drives(meta.get("drives"))
 
 
@@ -98,7 +97,7 @@ def _wrong_sizes(sizes: Any, kinds: list[str]) -> str:
     if sizes is None:
         return ""
     pairs = isinstance(sizes, list) and all(
-        size is None or (isinstance(size, list) and len(size) == 2 and all(_is_number(x) for x in size))
+        size is None or (isinstance(size, list) and len(size) == 2 and all(is_number(x) for x in size))
         for size in sizes
     )
     if not pairs or len(sizes) != len(kinds):
@@ -121,18 +120,10 @@ def _wrong_drives(drives: Any) -> str:
     return ""
 
 
-def _wrong_collision(model: pin.Model, meta: dict[str, Any]) -> str:
-    """Optional key of meta: capsules on the robot, obstacles, and pairs of capsules that may not touch."""
+def _wrong_descriptions(arrays: _Arrays, model: pin.Model, meta: dict[str, Any]) -> str:
+    """Optional keys of meta: the scene of collisions; surfaces and patches by phase and contact frame."""
     try:
         scene_of_meta(model, meta.get("collision"))
-    except SolutionFileError as error:
-        return str(error)
-    return ""
-
-
-def _wrong_surfaces(arrays: _Arrays, meta: dict[str, Any]) -> str:
-    """Optional keys of meta: for each phase, by frame, what active contacts touch, and their patches."""
-    try:
         read: dict[str, Sequence[Mapping[str, object]]] = {
             "surfaces": surfaces_of(meta.get("surfaces")),
             "patches": patches_of(meta.get("patches")),
@@ -178,11 +169,7 @@ def _is_payload(entry: Any, frames: list[str]) -> bool:
     except (KeyError, TypeError, ValueError):
         return False
     indices = isinstance(phases, list) and all(type(phase) is int for phase in phases)
-    return indices and _is_number(mass) and shapes == [(3,), (3, 3)]
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return indices and is_number(mass) and shapes == [(3,), (3, 3)]
 
 
 def _wrong_shape(arrays: _Arrays, model: pin.Model, meta: dict[str, Any]) -> str:

@@ -90,10 +90,10 @@ def scene_of_meta(model: pin.Model, described: Any) -> CollisionScene | None:
 def _scene(model: pin.Model, described: Any) -> CollisionScene:
     keys = ("capsules", "obstacles", "self_pairs")
     if not isinstance(described, dict) or not all(isinstance(described.get(key), list) for key in keys):
-        raise InputError("it is no object of lists", f"keys: {', '.join(keys)}")
+        raise InputError("it is not an object of lists", f"keys: {', '.join(keys)}")
     pairs = described["self_pairs"]
     if not all(isinstance(pair, list) and len(pair) == 2 for pair in pairs):
-        raise InputError("self_pairs are no pairs", "allowed: [capsule, capsule] by name")
+        raise InputError("self_pairs are not pairs", "allowed: [capsule, capsule] by name")
     return CollisionScene(
         model=model,
         capsules=tuple(LinkCapsule.from_description(entry) for entry in described["capsules"]),

@@ -13,9 +13,8 @@ over it takes up the difference, so that the motion passes through its nodes.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -132,6 +131,11 @@ def sample_interval(plan: Solution, number: int, fractions: np.ndarray) -> Motio
     return interval_interpolant(plan, number).at(fractions)
 
 
+def joined(parts: Sequence[MotionSample]) -> dict[str, np.ndarray]:
+    """Return the arrays of motions one after the other, by name."""
+    return {name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])}
+
+
 def resampled(plan: Solution, fractions: np.ndarray, sample: Sampler = sample_interval) -> Solution:
     """Return the same motion with samples at fractions of every interval, each marked as a point.
 
@@ -146,10 +150,6 @@ def resampled(plan: Solution, fractions: np.ndarray, sample: Sampler = sample_in
     parts = [sample(plan, number, fractions) for number in range(plan.n_intervals)]
     first = np.repeat([rows.start for rows in plan.intervals], len(fractions))
     steps = np.diff(plan.interval_t, axis=1)
-    arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in MotionSample.__dataclass_fields__
-    }
     return plan.with_arrays(
         t=(plan.interval_t[:, :1] + steps * fractions).ravel(),
         phase=plan.phase[first],
@@ -161,5 +161,5 @@ def resampled(plan: Solution, fractions: np.ndarray, sample: Sampler = sample_in
         row_multiplier=None,
         row_place=None,
         bound_multiplier=None,
-        **arrays,
+        **joined(parts),
     )

@@ -9,6 +9,7 @@ import numpy as np
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion
+from trajopt.solution.arrays import rows_of
 from trajopt.solution.interpolation import IntervalInterpolant, MotionSample, interval_interpolant
 from trajopt.solution.solution import Solution
 
@@ -48,7 +49,7 @@ class SolutionMotion:
             self._known[number] = interval_interpolant(self.solution, number)
         start, end = self.solution.interval_t[number]
         found = self._known[number].at(np.clip([(t - start) / (end - start)], 0.0, 1.0))
-        return MotionSample(**{name: rows[0] for name, rows in vars(found).items()})
+        return rows_of(found, 0)
 
 
 def motion_of(solution: Solution) -> Motion:

@@ -116,7 +116,7 @@ def _ipopt(
     )
     if raw["status"] == "Invalid_Option":
         raise ValueError(
-            "an option's value cannot be had here, such as a linear_solver that is not installed"
+            "an option has a value that is not available here, such as a linear_solver that is not installed"
         )
     return _result(raw, _IPOPT_STATUS.get(raw["status"], Status.FAILED))
 
@@ -179,26 +179,18 @@ def _fatrop(
     return _result(raw, _FATROP_STATUS.get(raw["status"], Status.FAILED))
 
 
-# The Hessian that a solver makes up from gradients, and the solver that can.
+# The Hessian that is approximated from gradients, and the solver that can do so.
 LIMITED_MEMORY, MAKES_HESSIANS = "limited-memory", "ipopt"
+# Figures that have one name in the engine and in the result.
+SAME_NAMES = (
+    "x", "lam_g", "lam_x", "iterations", "wall_time", "function_time", "primal", "dual", "complementarity",
+)  # fmt: skip
 SOLVERS = {"ipopt": _ipopt, "fatrop": _fatrop, "sqp": solve_sqp}
 
 
 def _result(raw: dict[str, Any], status: Status) -> Result:
-    return Result(
-        x=raw["x"],
-        lam_g=raw["lam_g"],
-        lam_x=raw["lam_x"],
-        status=status,
-        solver_status=raw["status"],
-        iterations=raw["iterations"],
-        objective=raw["f"],
-        wall_time=raw["wall_time"],
-        function_time=raw["function_time"],
-        primal=raw["primal"],
-        dual=raw["dual"],
-        complementarity=raw["complementarity"],
-    )
+    same = {name: raw[name] for name in SAME_NAMES}
+    return Result(status=status, solver_status=raw["status"], objective=raw["f"], **same)
 
 
 def run_solver(
@@ -229,4 +221,4 @@ def check_hessian(solver: str, hessian: str) -> None:
         raise InputError(f"unknown Hessian '{hessian}'", f"allowed: {', '.join(HESSIANS)}")
     if hessian == LIMITED_MEMORY and solver != MAKES_HESSIANS:
         allowed = ", ".join(name for name in HESSIANS if name != LIMITED_MEMORY)
-        raise InputError(f"{solver} does not make up a Hessian from gradients", f"allowed: {allowed}")
+        raise InputError(f"{solver} cannot approximate the Hessian from gradients", f"allowed: {allowed}")

@@ -7,14 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from trajopt.solvers.result import (
-    FEASIBILITY_SHARE,
-    Callback,
-    Option,
-    Result,
-    StoppingCriteria,
-    WarmMultipliers,
-)
+from trajopt.solvers.result import Callback, Option, Result, StoppingCriteria, WarmMultipliers
 from trajopt.solvers.sqp_settings import SqpSettings
 from trajopt.solvers.status import Status
 from trajopt.transcription.nlp import Nlp
@@ -45,13 +38,7 @@ def solve_sqp(
     """
     from trajopt.solvers.sqp import Sqp
 
-    settings = SqpSettings.create(
-        options,
-        tolerance=stop.tolerance,
-        feasibility=FEASIBILITY_SHARE * stop.tolerance,
-        max_iterations=stop.max_iterations,
-        max_time=stop.max_time,
-    )
+    settings = SqpSettings.create(options, stop)
     lam_g, lam_x = np.zeros(nlp.transcription.n_rows), np.zeros_like(x0)
     if warm is not None and warm.lam_g is not None and warm.lam_x is not None:
         lam_g, lam_x = warm.lam_g, warm.lam_x

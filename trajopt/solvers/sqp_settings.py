@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+
+from trajopt.solvers.result import FEASIBILITY_SHARE, StoppingCriteria
+from trajopt.values import is_number
 
 # Options with what they allow; a whole number is a number, too.
 ALLOWED = {
@@ -33,11 +35,7 @@ class SqpSettings:
     def create(
         cls,
         options: Mapping[str, object],
-        *,
-        tolerance: float,
-        feasibility: float,
-        max_iterations: int,
-        max_time: float,
+        stop: StoppingCriteria,
     ) -> SqpSettings:
         """Settings with the solver's own options; raises ValueError for one unknown or not allowed."""
         for name, value in options.items():
@@ -45,21 +43,19 @@ class SqpSettings:
                 raise ValueError(f"option '{name}' is unknown; allowed: {', '.join(ALLOWED)}")
             if not _is_allowed(name, value):
                 raise ValueError(f"option '{name}' is {value!r}; allowed: {ALLOWED[name]}")
-        given: dict[str, float] = {
-            name: value for name, value in options.items() if isinstance(value, (int, float))
-        }
+        given = {name: value for name, value in options.items() if isinstance(value, int | float)}
         return cls(
-            tolerance=tolerance,
-            feasibility=feasibility,
-            max_iterations=min(max_iterations, int(given.get("max_sqp", max_iterations))),
-            max_time=max_time,
+            tolerance=stop.tolerance,
+            feasibility=FEASIBILITY_SHARE * stop.tolerance,
+            max_iterations=min(stop.max_iterations, int(given.get("max_sqp", stop.max_iterations))),
+            max_time=stop.max_time,
             early=given.get("early"),
             regularization=float(given.get("regularization", 0.0)),
         )
 
 
 def _is_allowed(name: str, value: object) -> bool:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+    if not is_number(value):
         return False
     if name == "max_sqp":
         return isinstance(value, int) and value >= 0

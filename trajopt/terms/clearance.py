@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +17,7 @@ from trajopt.robot.collision.shapes import BoxObstacle, LinkCapsule, Obstacle
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import PointConstraint, Rows, Term
+from trajopt.values import require_not_negative
 
 # What smoothing may take off a distance, over the robot's length: a millimetre on an arm of one metre.
 SMOOTHING = 1e-3
@@ -45,8 +45,7 @@ class Clearance(PointConstraint):
     margin: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.margin) and self.margin >= 0):
-            raise InputError(f"margin to obstacles is {self.margin:g} m", "allowed: finite and >= 0")
+        require_not_negative("margin to obstacles", self.margin, "m")
         object.__setattr__(self, "pairs", tuple((str(a), str(b)) for a, b in self.pairs))
         known = set(self.scene.pairs)
         unknown = [pair for pair in self.pairs if pair not in known]

@@ -7,7 +7,7 @@ accelerations) are *symbols* here; their graph is joined, and differentiated, on
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cached_property
 from types import MappingProxyType
 
@@ -22,11 +22,12 @@ from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
 from trajopt.terms.context_symbols import Actuation, FrameSymbols, Place
+from trajopt.terms.parameters import Parameters
 from trajopt.terrain.surface import Surface
 from trajopt.terrain.terrain import Ground
 
 
-class Context:
+class Context(Parameters):
     """Symbols of one collocation point, node or impact.
 
     At a collocation point the inputs ``z`` are (rotations, xi, xi', xi'', wrenches, clock); at a node they
@@ -66,6 +67,7 @@ class Context:
         kept_rows: Mapping[str, tuple[int, ...]] = MappingProxyType({}),
         near: np.ndarray | None = None,
     ) -> None:
+        super().__init__()
         self.robot, self.coordinates, self.contacts, self.near = robot, coordinates, contacts, near
         self.place = place or (Place.NODE if node else Place.POINT)
         self.actuation, self._surfaces, self._kept_rows = actuation, surfaces, kept_rows
@@ -94,8 +96,6 @@ class Context:
         self._generalized_forces: ca.SX | None = None
         self._accelerations: dict[Contact, ca.SX] = {}
         self._frames: dict[str, FrameSymbols] = {}
-        self._parameters: list[ca.SX] = []
-        self._values: list[np.ndarray | Callable[[float], np.ndarray]] = []
         self._squares: list[tuple[ca.SX, ca.SX]] = []
 
     @property
@@ -118,7 +118,7 @@ class Context:
         """Second derivatives of the local coordinates (nv,); zero at a node."""
         if self.actuation == "velocity":
             raise InputError(
-                "a term asks for accelerations, which a source of velocity has not",
+                "a term asks for accelerations, which a source of velocity does not have",
                 "allowed: terms about configurations and rates, or another actuation",
             )
         return self._highest
@@ -248,7 +248,7 @@ class Context:
         """Torque (nu,) that the drives deliver, N m, joint side: the actuated rows plus joint friction."""
         if self.actuation != "torque":
             raise InputError(
-                f"a term asks for torques, which a source of {self.actuation} has not",
+                f"a term asks for torques, which a source of {self.actuation} does not have",
                 "allowed: actuation 'torque', or terms about motion and contact forces",
             )
         unactuated = self.robot.n_unactuated
@@ -259,18 +259,6 @@ class Context:
         if name not in self._frames:
             self._frames[name] = FrameSymbols.create(name)
         return self._frames[name]
-
-    def parameter(self, value: np.ndarray | float) -> ca.SX:
-        """A symbol whose numeric ``value`` may change without anything being compiled again."""
-        array = np.atleast_1d(np.asarray(value, dtype=float))
-        if not np.all(np.isfinite(array)):
-            raise InputError(f"a term's parameter is {array}", "allowed: finite numbers")
-        symbol = ca.SX.sym(
-            f"p{len(self._parameters)}", *(array.shape if array.ndim == 2 else (array.size, 1))
-        )
-        self._parameters.append(ca.vec(symbol))
-        self._values.append(array.flatten(order="F"))
-        return symbol
 
     def square(self, residual: ca.SX, weight: ca.SX) -> None:
         """Record a least-squares part of a cost for Gauss-Newton: its weights are held fixed.
@@ -287,31 +275,6 @@ class Context:
         rate = self.clock if self.place is Place.POINT else ca.SX(1)
         residuals = ca.vertcat(ca.SX(0, 1), *[residual for residual, _ in self._squares])
         return residuals, rate * ca.vertcat(ca.SX(0, 1), *[weight for _, weight in self._squares])
-
-    def varying(self, value: Callable[[float], np.ndarray], size: int) -> ca.SX:
-        """A parameter (size,) whose value is a function of nominal time, s, from the schedule's start."""
-        symbol = ca.SX.sym(f"p{len(self._parameters)}", size)
-        self._parameters.append(symbol)
-        self._values.append(value)
-        return symbol
-
-    @property
-    def parameters(self) -> ca.SX:
-        """All parameters in one column."""
-        return ca.vertcat(*self._parameters) if self._parameters else ca.SX(0, 1)
-
-    @property
-    def parameter_values(self) -> np.ndarray:
-        """Their numeric values; of those that vary the values at the schedule's start."""
-        return self.parameter_values_at(0.0)
-
-    def parameter_values_at(self, t: float) -> np.ndarray:
-        """Their numeric values at nominal time ``t`` s. Raises InputError for values that are not finite."""
-        parts = [value(t) if callable(value) else value for value in self._values]
-        values = np.concatenate([np.zeros(0), *parts])
-        if not np.all(np.isfinite(values)):
-            raise InputError(f"a term's reference is not finite at t = {t:g} s", "allowed: finite numbers")
-        return values
 
     def contact_acceleration(self, contact: Contact) -> ca.SX:
         """Classical acceleration of an active contact (held rows), in axes that may be turned.

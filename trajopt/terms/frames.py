@@ -17,6 +17,7 @@ from trajopt.schedule.targets import Target
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Rows
 from trajopt.terms.node_interfaces import NodeConstraint, NodePlace, nearest_node
+from trajopt.values import finite_array, unit_vector
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +60,7 @@ class FramePose(NodeConstraint):
         phase: the phase at whose beginning the pose is reached, a waypoint; default: the schedule's end.
 
     Raises:
-        InputError: for a position or rotation of another shape, or that is none.
+        InputError: for a position or rotation of another shape, and a matrix that is not a rotation.
     """
 
     frame: str
@@ -68,9 +69,8 @@ class FramePose(NodeConstraint):
     phase: str | None = None
 
     def __post_init__(self) -> None:
-        position = np.zeros(3) if self.position is None else np.asarray(self.position, dtype=float)
-        if position.shape != (3,) or not np.all(np.isfinite(position)):
-            raise InputError(f"position of {self.name} is {position}", "allowed: 3 finite numbers, m, world")
+        if self.position is not None:
+            finite_array(f"position of {self.name}", self.position, unit="m, world")
         turn = np.eye(3) if self.rotation is None else np.asarray(self.rotation, dtype=float)
         known = turn.shape == (3, 3) and bool(np.all(np.isfinite(turn)))
         if not known or not np.allclose(turn.T @ turn, np.eye(3), rtol=0, atol=UNIT_SLACK):
@@ -191,10 +191,8 @@ class FrameDirection(NodeConstraint):
 
     def __post_init__(self) -> None:
         for name in ("axis", "direction"):
-            vector = np.array(getattr(self, name), dtype=float)
-            if vector.shape != (3,) or not np.isfinite(vector).all() or not np.linalg.norm(vector) > 0:
-                raise InputError(f"{name} of {self.name} is {vector}", "allowed: 3 finite numbers, not all 0")
-            object.__setattr__(self, name, tuple((vector / np.linalg.norm(vector)).tolist()))
+            vector = unit_vector(f"{name} of {self.name}", getattr(self, name))
+            object.__setattr__(self, name, tuple(vector.tolist()))
         if not 0 < self.angle < math.pi:
             raise InputError(f"angle of {self.name} is {self.angle:g} rad", "allowed: between 0 and pi")
         if not 0 <= self.fraction <= 1:

@@ -18,6 +18,7 @@ from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import PointConstraint, Rows
 from trajopt.terrain.smooth import CurvedSurface
+from trajopt.values import require_not_negative
 
 # Part of the weight below which a smooth cone of friction is rounded off: a violation of 1e-9, what solvers
 # leave, is then a force of 3e-6 at most (3e-5 of a squared cone). With a sharper apex IPOPT takes several
@@ -46,8 +47,8 @@ class ContactConstraint(PointConstraint):
     contacts: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
-        if self.friction is not None and not (math.isfinite(self.friction) and self.friction >= 0):
-            raise InputError(f"friction of {self.name} is {self.friction:g}", "allowed: finite and >= 0")
+        if self.friction is not None:
+            require_not_negative(f"friction of {self.name}", self.friction)
 
     def _unilateral_contacts(self, context: Context) -> Iterator[Contact]:
         """Active contacts that the term is about."""

@@ -10,7 +10,6 @@ unit before the solver sees them.
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
@@ -23,6 +22,7 @@ from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.targets import Target
 from trajopt.terms.context import Context
+from trajopt.values import require_not_negative
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,8 +69,7 @@ class Cost(Term, ABC):
     weight: float
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.weight) and self.weight >= 0):
-            raise InputError(f"weight of {self.name} is {self.weight:g}", "allowed: finite and >= 0")
+        require_not_negative(f"weight of {self.name}", self.weight)
 
     @abstractmethod
     def residual(self, context: Context, units: Units) -> ca.SX:

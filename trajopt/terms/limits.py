@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -15,6 +16,16 @@ from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import PointConstraint, Rows
+
+
+def _rows_within(
+    values: Callable[[], ca.SX], lower: np.ndarray, upper: np.ndarray, unit: np.ndarray
+) -> Rows | None:
+    """Rows of the ``values`` that have a finite limit; values that have none are not built."""
+    bound = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
+    if len(bound) == 0:
+        return None
+    return Rows.create(values()[bound.tolist()], lower[bound], upper[bound], unit[bound])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,11 +52,8 @@ class EffortLimits(PointConstraint):
         limit = context.robot.effort_limit if self.limit is None else context.actuated(self.limit)
         if limit is None:
             return None
-        bound = np.flatnonzero(limit < units.unreachable_torque)
-        if len(bound) == 0:
-            return None
-        torque = ca.vertcat(*[context.torque[int(i)] for i in bound])
-        return Rows.create(torque, -limit[bound], limit[bound], units.torque)
+        upper = np.where(limit < units.unreachable_torque, limit, np.inf)
+        return _rows_within(lambda: context.torque, -upper, upper, np.full(len(upper), units.torque))
 
     @override
     def limits(self, robot: Robot) -> dict[str, np.ndarray]:
@@ -66,11 +74,7 @@ class VelocityLimits(PointConstraint):
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         limit = self._limits(context.robot)
-        bound = np.flatnonzero(np.isfinite(limit))
-        if len(bound) == 0:
-            return None
-        rates = ca.vertcat(*[context.dxi[int(i)] for i in bound])
-        return Rows.create(rates, -limit[bound], limit[bound], units.velocity[bound])
+        return _rows_within(lambda: context.dxi, -limit, limit, units.velocity)
 
     @override
     def node_bounds(self, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -100,11 +104,7 @@ class PositionLimits(PointConstraint):
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         lower, upper = self._limits(context.robot, context)
-        bound = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
-        if len(bound) == 0:
-            return None
-        positions = ca.vertcat(*[context.xi[int(i)] for i in bound])
-        return Rows.create(positions, lower[bound], upper[bound], units.position[bound])
+        return _rows_within(lambda: context.xi, lower, upper, units.position)
 
     @override
     def node_bounds(self, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -6,7 +6,6 @@ of one, a rise by the robot's length is worth as much as torques of weight times
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
@@ -20,6 +19,7 @@ from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Term
 from trajopt.terms.node_interfaces import NodePlace, nearest_node
+from trajopt.values import require_not_negative, unit_vector
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,8 +31,7 @@ class NodeCost(Term, ABC):
     weight: float
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.weight) and self.weight >= 0):
-            raise InputError(f"weight of {self.name} is {self.weight:g}", "allowed: finite and >= 0")
+        require_not_negative(f"weight of {self.name}", self.weight)
 
     def acts_at(self, place: NodePlace) -> bool:
         """Whether the cost acts at this node; default: at the end of the schedule."""
@@ -98,13 +97,8 @@ class DistanceCost(NodeCost):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        direction = np.array(self.direction, dtype=float)
-        size = float(np.linalg.norm(direction))
-        if direction.shape != (3,) or not (math.isfinite(size) and size > 0):
-            raise InputError(
-                f"direction of {self.name} is {self.direction}", "allowed: 3 finite numbers, not all zero"
-            )
-        object.__setattr__(self, "direction", tuple((direction / size).tolist()))
+        direction = unit_vector(f"direction of {self.name}", self.direction)
+        object.__setattr__(self, "direction", tuple(direction.tolist()))
 
     @override
     def quantity(self, context: Context, units: Units, place: NodePlace) -> ca.SX:

@@ -25,6 +25,7 @@ from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Cost
+from trajopt.values import require_positive
 
 # Width over which |p| is rounded at zero, in natural units of power: a tenth as wide takes Newton's method
 # three times the iterations for a cost of transport 3 % lower (docs/modelling/objectives.md). The rounded |p|
@@ -72,8 +73,7 @@ class PowerCost(Cost):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_recovered(self.recovered)
-        if not (math.isfinite(self.smoothing) and self.smoothing > 0):
-            raise InputError(f"smoothing of {self.name} is {self.smoothing:g}", "allowed: finite and > 0")
+        require_positive(f"smoothing of {self.name}", self.smoothing)
 
     @override
     def residual(self, context: Context, units: Units) -> ca.SX:

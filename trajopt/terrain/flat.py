@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from trajopt.errors import InputError
 from trajopt.terrain.surface import UP, Surface
+from trajopt.values import require_finite, require_not_negative
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,10 +24,8 @@ class FlatGround:
     normal: tuple[float, float, float] = UP
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.friction) and self.friction >= 0):
-            raise InputError(f"friction coefficient is {self.friction:g}", "allowed: finite and >= 0")
-        if not math.isfinite(self.height):
-            raise InputError(f"ground height is {self.height:g} m", "allowed: finite")
+        require_not_negative("friction coefficient", self.friction)
+        require_finite("ground height", self.height, "m")
         normal = self.surface.normal
         if not normal[2] > 0:
             raise InputError(f"normal of the ground is {self.normal}", "allowed: upwards, z > 0")

@@ -11,6 +11,7 @@ import numpy as np
 from trajopt.errors import InputError
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import UP, Surface
+from trajopt.values import require_positive
 
 PlanePoint = Sequence[float] | np.ndarray
 
@@ -52,5 +53,4 @@ class ObstacleAxes:
 def require_lengths(**lengths: float) -> None:
     """Raise `InputError` for a length of an obstacle that is not finite and positive."""
     for name, length in lengths.items():
-        if not (math.isfinite(length) and length > 0):
-            raise InputError(f"{name} of an obstacle is {length!r} m", "allowed: finite and > 0")
+        require_positive(f"{name} of an obstacle", length, "m")

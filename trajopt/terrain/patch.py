@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.terrain.surface import SAME_PLANE, UP, Surface, is_number
+from trajopt.terrain.surface import SAME_PLANE, UP, Surface
+from trajopt.values import finite_array, is_number, numbers_of, require_not_negative
 
 # Sine of the turn at a corner below which three corners are on one line (or turn the wrong way): rounding of
 # corners that were computed, far below any polygon that is meant to turn there.
@@ -20,11 +21,17 @@ DESCRIBED = ("name", "surface", "vertices", "margin")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Patch:
-    """A ``surface`` inside a convex polygon.
+    """A plane inside a convex polygon.
 
-    ``vertices`` (n, 3) in m, n >= 3, are its corners in the surface's plane, in order around it, either way;
-    they are kept counter-clockwise about the normal. A contact that lands on it keeps ``margin`` m from every
-    edge. ``name`` is for reports and `PiecewiseTerrain.face`. Raises `InputError`.
+    Args:
+        surface: the plane.
+        vertices: corners (n, 3), n >= 3, m, world, in the plane and in order around it, either way; they are
+            kept counter-clockwise about the normal.
+        margin: distance in m that a contact which lands on it keeps from every edge.
+        name: for reports and `PiecewiseTerrain.face`.
+
+    Raises:
+        InputError: for corners off the plane or in no convex order, and a margin that leaves no area.
     """
 
     surface: Surface
@@ -37,10 +44,7 @@ class Patch:
     def __post_init__(self) -> None:
         if not isinstance(self.surface, Surface):
             raise InputError(f"surface of patch '{self.name}' is {self.surface!r}", "allowed: a Surface")
-        if not (is_number(self.margin) and self.margin >= 0):
-            raise InputError(
-                f"margin of patch '{self.name}' is {self.margin!r} m", "allowed: finite and >= 0"
-            )
+        require_not_negative(f"margin of patch '{self.name}'", self.margin, "m")
         vertices = _corners(self.vertices, self.name)
         off = float(np.abs(self.surface.distance(vertices)).max())
         if not off <= SAME_PLANE:
@@ -80,9 +84,7 @@ class Patch:
         name: str = "patch",
     ) -> Patch:
         """A level rectangle: ``centre`` (3,) m, ``size`` along its own axes in m, turned by ``yaw`` rad."""
-        middle = np.array(centre, dtype=float)
-        if middle.shape != (3,) or not np.isfinite(middle).all():
-            raise InputError(f"centre of patch '{name}' is {centre!r}", "allowed: 3 finite numbers, m")
+        middle = finite_array(f"centre of patch '{name}'", centre, unit="m")
         if len(size) != 2 or not all(is_number(length) and length > 0 for length in size):
             raise InputError(f"size of patch '{name}' is {size!r} m", "allowed: two lengths > 0")
         turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
@@ -148,10 +150,7 @@ class Patch:
 
 
 def _corners(value: Any, name: str) -> np.ndarray:
-    try:
-        vertices = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        vertices = np.zeros(0)
+    vertices = numbers_of(value)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) < 3 or not np.isfinite(vertices).all():
         raise InputError(
             f"vertices of patch '{name}' have shape {vertices.shape}", "allowed: (n, 3), n >= 3, finite"

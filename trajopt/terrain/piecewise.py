@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +12,7 @@ from trajopt.errors import InputError
 from trajopt.terrain.obstacle import ObstacleAxes, PlanePoint, require_lengths
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import UP, Surface
+from trajopt.values import require_finite
 
 # How far flats before and beyond an obstacle reach, m: farther than any motion of one plan.
 REACH = 20.0
@@ -25,8 +25,8 @@ class PiecewiseTerrain:
     """Ground of one or more faces with different names; the first is the one to stand on by default.
 
     The ground at (x, y) is the highest face there. Where there is no face is a hole without a bottom: its
-    height is -inf, nothing penetrates there, and no contact can stand. Risers between faces are no faces: who
-    is lower than the face above or below him penetrates by the whole difference. Raises `InputError`.
+    height is -inf, nothing penetrates there, and no contact can stand. Risers between faces are not faces: a
+    point lower than the highest face at its (x, y) penetrates by the whole difference. Raises `InputError`.
     """
 
     faces: tuple[Patch, ...]
@@ -35,7 +35,7 @@ class PiecewiseTerrain:
         object.__setattr__(self, "faces", tuple(self.faces))
         if not self.faces or not all(isinstance(face, Patch) for face in self.faces):
             raise InputError(
-                "a piecewise terrain has no faces, or some are none", "allowed: patches, at least one"
+                "a piecewise terrain has no faces, or others than patches", "allowed: patches, at least one"
             )
         names = self.names
         if len(set(names)) != len(names):
@@ -163,8 +163,7 @@ class PiecewiseTerrain:
         """``steps`` risers of ``rise`` m (negative: down), treads of ``run`` m: faces as of `steps`."""
         if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
             raise InputError(f"stairs have {steps!r} steps", "allowed: a whole number, at least 1")
-        if not math.isfinite(rise):
-            raise InputError(f"rise of stairs is {rise!r} m", "allowed: finite")
+        require_finite("rise of stairs", rise, "m")
         heights = [rise * (i + 1) for i in range(steps)]
         return cls.steps(heights, run, width=width, at=at, yaw=yaw, friction=friction, margin=margin)
 
@@ -186,8 +185,7 @@ class PiecewiseTerrain:
         overlap at the corners. A negative ``height`` is a pit.
         """
         require_lengths(length=length, width=width)
-        if not math.isfinite(height):
-            raise InputError(f"height of a box is {height!r} m", "allowed: finite")
+        require_finite("height of a box", height, "m")
         place, a, b = ObstacleAxes(at, yaw, friction, margin), length / 2, width / 2
         far, ground = (-REACH, REACH), (0.0, 0.0)
         faces = (

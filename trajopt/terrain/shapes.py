@@ -13,6 +13,7 @@ import numpy as np
 from typing_extensions import override
 
 from trajopt.errors import InputError
+from trajopt.values import numbers_of
 
 ParameterOf = Callable[[np.ndarray], ca.SX]
 
@@ -25,10 +26,7 @@ class Shape(ABC):
         for entry in fields(self):
             value = getattr(self, entry.name)
             size = 2 if entry.name in ("centre", "at") else 1
-            try:
-                array = np.array(value, dtype=float).ravel()
-            except (TypeError, ValueError):
-                array = np.zeros(0)
+            array = numbers_of(value).ravel()
             if array.size != size or not np.isfinite(array).all():
                 raise InputError(
                     f"{entry.name} of a {self.kind} is {value!r}",

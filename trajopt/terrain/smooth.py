@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -12,6 +11,7 @@ import numpy as np
 from trajopt.errors import InputError
 from trajopt.terrain.shapes import ParameterOf, Shape, shape_from_description
 from trajopt.terrain.surface import Surface
+from trajopt.values import require_not_negative
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,8 +27,7 @@ class SmoothTerrain:
             raise InputError(
                 "a smooth terrain has no shapes, or some are none", "allowed: shapes, at least one"
             )
-        if not (math.isfinite(self.friction) and self.friction >= 0):
-            raise InputError(f"friction coefficient is {self.friction:g}", "allowed: finite and >= 0")
+        require_not_negative("friction coefficient", self.friction)
 
     @property
     def surface(self) -> CurvedSurface:

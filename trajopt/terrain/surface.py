@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.errors import InputError
+from trajopt.values import finite_array, is_number, require_not_negative
 
 UP = (0.0, 0.0, 1.0)
 # Two surfaces are one plane within this distance, m, and this error of the normal: rounding of what
@@ -38,11 +39,18 @@ def frame_of_normal(normal: Sequence[float] | np.ndarray) -> np.ndarray:
 class Surface:
     """A plane in the world that a contact touches.
 
-    ``point`` (3,) in m lies on it; ``normal`` (3,) points from it to the robot and is made a unit
-    vector; ``friction`` is Coulomb's coefficient. A ``bilateral`` surface holds the contact (a grasp, a
-    handrail, a bolt): it transmits any wrench that the contact's kind has, so that neither friction nor
-    unilateral rows apply; its normal only says how a contact lands on it. With a ``slip_speed`` (m/s) a point
-    contact slides along it, against its friction: see `trajopt.terms.sliding`. Raises `InputError`.
+    Args:
+        point: any point on it (3,), m, world.
+        normal: from it to the robot (3,), world; made a unit vector.
+        friction: Coulomb's coefficient.
+        bilateral: whether it holds the contact (a grasp, a handrail, a bolt). Then it transmits any wrench
+            that the contact's kind has, and neither friction nor unilateral rows apply; the normal only says
+            how a contact lands on it.
+        slip_speed: m/s; with it a point contact slides along the surface, against its friction (see
+            `trajopt.terms.sliding`).
+
+    Raises:
+        InputError: for a wrong shape, a normal without length, a number out of range.
     """
 
     point: np.ndarray
@@ -52,12 +60,13 @@ class Surface:
     slip_speed: float | None = None
 
     def __post_init__(self) -> None:
-        point, normal = (_vector(getattr(self, name), name) for name in ("point", "normal"))
+        point, normal = (
+            finite_array(f"{name} of a surface", getattr(self, name)) for name in ("point", "normal")
+        )
         length = float(np.linalg.norm(normal))
         if not length > 0:
             raise InputError("normal of a surface has no length", "allowed: any direction")
-        if not (is_number(self.friction) and self.friction >= 0):
-            raise InputError(f"friction of a surface is {self.friction!r}", "allowed: finite and >= 0")
+        require_not_negative("friction of a surface", self.friction)
         if not isinstance(self.bilateral, bool):
             raise InputError(f"bilateral of a surface is {self.bilateral!r}", "allowed: True or False")
         slip = self.slip_speed
@@ -122,18 +131,3 @@ class Surface:
         if not isinstance(described, dict) or set(described) - {"slip_speed"} != set(keys):
             raise InputError(f"a surface is described by {described!r}", f"allowed: {', '.join(keys)}")
         return cls(**described)
-
-
-def _vector(value: Any, name: str) -> np.ndarray:
-    try:
-        vector = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        vector = np.zeros(0)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise InputError(f"{name} of a surface is {value!r}", "allowed: 3 finite numbers")
-    return vector
-
-
-def is_number(value: Any) -> bool:
-    """Whether a value is a finite number, Python's or NumPy's; True and False are none."""
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and math.isfinite(value)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
-from trajopt.errors import InputError
+from trajopt.values import require_not_negative
 
 
 def require_clearance(clearance: float) -> None:
     """Raise `InputError` for a swing clearance, m, that is negative or not finite."""
-    if not (math.isfinite(clearance) and clearance >= 0):
-        raise InputError(f"swing clearance is {clearance:g} m", "allowed: finite and >= 0")
+    require_not_negative("swing clearance", clearance, "m")
 
 
 def swing_profile(s: float) -> float:

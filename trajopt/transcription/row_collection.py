@@ -6,8 +6,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy import sparse
 
 from trajopt.terms.interfaces import Rows
+from trajopt.transcription.layout import Layout
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,6 +20,29 @@ class RowInfo:
     block: np.ndarray
     stage: np.ndarray
     point: np.ndarray
+
+
+@dataclass(frozen=True)
+class LinearRows:
+    """Linear rows at a node: ``coefficients`` (n, n_unknowns) over scaled unknowns, scaled bounds (n,)."""
+
+    name: str
+    node: int
+    coefficients: sparse.coo_matrix
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+def over_unknowns(layout: Layout, blocks: Iterable[tuple[int, np.ndarray]]) -> sparse.coo_matrix:
+    """Rows over all unknowns from blocks over nodes, (node, (n, size))."""
+    rows, columns, values, n = [], [], [], 0
+    for node, block in blocks:
+        local, n = sparse.coo_matrix(block), len(block)
+        rows.append(local.row)
+        columns.append(layout.node(node).start + local.col)
+        values.append(local.data)
+    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+    return sparse.coo_matrix(entries, shape=(n, layout.n_unknowns))
 
 
 @dataclass

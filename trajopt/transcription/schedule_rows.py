@@ -3,29 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
 
 from trajopt.problem.periodicity import closing_map
 from trajopt.problem.problem import Problem
 from trajopt.transcription.collocation import Collocation
 from trajopt.transcription.layout import Layout
+from trajopt.transcription.row_collection import LinearRows, over_unknowns
 
 
-@dataclass(frozen=True)
-class ScheduleRow:
-    """Linear rows at a node: ``coefficients`` (n, n_unknowns) over scaled unknowns, scaled bounds (n,)."""
-
-    name: str
-    node: int
-    coefficients: sparse.coo_matrix
-    lower: np.ndarray
-    upper: np.ndarray
-
-
-def schedule_rows(problem: Problem, layout: Layout, collocation: Collocation) -> Iterator[ScheduleRow]:
+def schedule_rows(problem: Problem, layout: Layout, collocation: Collocation) -> Iterator[LinearRows]:
     """Rows of a problem's periodicity and of the bounds of its total duration, where it has them."""
     if problem.periodicity is not None:
         yield _closing(problem, layout, collocation)
@@ -33,7 +21,7 @@ def schedule_rows(problem: Problem, layout: Layout, collocation: Collocation) ->
         yield _duration(problem, layout, collocation)
 
 
-def _closing(problem: Problem, layout: Layout, collocation: Collocation) -> ScheduleRow:
+def _closing(problem: Problem, layout: Layout, collocation: Collocation) -> LinearRows:
     """Rows left z_N - right z_0 - velocity * duration = constant, each in the unit of what it compares."""
     assert problem.periodicity is not None
     made = closing_map(problem.robot, problem.periodicity, problem.initial_q)
@@ -51,19 +39,19 @@ def _closing(problem: Problem, layout: Layout, collocation: Collocation) -> Sche
     final = np.zeros((len(unit), last.size))
     final[:, state] = made.left
     blocks = [(0, first * scale), (layout.n_stages, final * collocation.node_scale(last))]
-    bound = fixed / unit
-    return ScheduleRow("periodicity", layout.n_stages, _over_unknowns(layout, blocks, unit), bound, bound)
+    rows = over_unknowns(layout, [(node, block / unit[:, None]) for node, block in blocks])
+    return LinearRows("periodicity", layout.n_stages, rows, fixed / unit, fixed / unit)
 
 
-def _duration(problem: Problem, layout: Layout, collocation: Collocation) -> ScheduleRow:
+def _duration(problem: Problem, layout: Layout, collocation: Collocation) -> LinearRows:
     """Sum of the phases' durations over the time unit."""
     assert problem.duration_bounds is not None
     form = layout.forms[0]
-    unit = np.array([collocation.units_of(form).time])
+    unit = collocation.units_of(form).time
     row = np.zeros((1, form.size))
     row[:, form.time_scales] = _free_durations(layout)
     lower, upper = (np.array([bound - _fixed_duration(layout)]) / unit for bound in problem.duration_bounds)
-    return ScheduleRow("duration", 0, _over_unknowns(layout, [(0, row)], unit), lower, upper)
+    return LinearRows("duration", 0, over_unknowns(layout, [(0, row / unit)]), lower, upper)
 
 
 def _free_durations(layout: Layout) -> np.ndarray:
@@ -74,17 +62,3 @@ def _free_durations(layout: Layout) -> np.ndarray:
 def _fixed_duration(layout: Layout) -> float:
     """Sum of the durations that are not free, s."""
     return float(sum(p.duration for p in layout.schedule.phases if p.duration_bounds is None))
-
-
-def _over_unknowns(
-    layout: Layout, blocks: list[tuple[int, np.ndarray]], unit: np.ndarray
-) -> sparse.coo_matrix:
-    """Rows over all unknowns from blocks over nodes (node, (n, size)), divided by their units (n,)."""
-    rows, columns, values = [], [], []
-    for node, block in blocks:
-        local = sparse.coo_matrix(block / unit[:, None])
-        rows.append(local.row)
-        columns.append(layout.node(node).start + local.col)
-        values.append(local.data)
-    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-    return sparse.coo_matrix(entries, shape=(len(unit), layout.n_unknowns))

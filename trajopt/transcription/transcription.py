@@ -109,7 +109,6 @@ class Transcriber:
         self.collocation = Collocation(self.layout, units)
         self.functions = TermFunctions(problem, self.layout, units)
         self.time = units[id(self.layout.forms[0].robot)].time
-        self.rate_limits = scaled_rate_limits(problem, self.layout, self.collocation)
         self.linear_rows: list[tuple[np.ndarray, sparse.coo_matrix]] = []
         self.rows = RowCollection()
         self.groups: list[FunctionGroup] = []
@@ -157,7 +156,8 @@ class Transcriber:
     ) -> _Numbers:
         found = _Numbers([], {}, {}, {})
         layout = self.layout
-        whole = tuple(schedule_rows(self.problem, layout, self.collocation))
+        given = (self.problem, layout, self.collocation)
+        linear = (*scaled_rate_limits(*given), *schedule_rows(*given))
         for k in range(layout.n_stages + 1):
             if k < layout.n_stages:
                 zero = np.zeros(layout.forms[k + 1].size)
@@ -172,13 +172,10 @@ class Transcriber:
                 found.impact[k] = self.rows.add_blocks(impacts[k].blocks, k, -1)
             if k in nodes:
                 found.node[k] = self.rows.add_blocks(nodes[k].blocks, k, -1)
-            for limit in self.rate_limits.get(k, ()):
-                rows = self.rows.add(limit.name, k, -1, limit.lower, limit.upper)
-                self.linear_rows.append((rows, limit.map(int(layout.node_offset[k]))))
-            for joined in whole:
-                if joined.node == k:
-                    rows = self.rows.add(joined.name, k, -1, joined.lower, joined.upper)
-                    self.linear_rows.append((rows, joined.coefficients))
+            for own in linear:
+                if own.node == k:
+                    rows = self.rows.add(own.name, k, -1, own.lower, own.upper)
+                    self.linear_rows.append((rows, own.coefficients))
         return found
 
     # Groups

@@ -11,30 +11,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
 
 from trajopt.problem.problem import Problem
 from trajopt.terms.interfaces import PointConstraint
 from trajopt.transcription.collocation import Collocation
 from trajopt.transcription.layout import Layout
+from trajopt.transcription.row_collection import LinearRows, over_unknowns
 from trajopt.transcription.timeline import NodeLayout, StageKind
-
-
-@dataclass(frozen=True)
-class ScaledRateLimit:
-    """Linear rows at one node: ``coefficients`` (n, size) over its scaled unknowns, scaled bounds (n,)."""
-
-    name: str
-    coefficients: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    n_unknowns: int
-
-    def map(self, offset: int) -> sparse.coo_matrix:
-        """Coefficients over all unknowns of the NLP."""
-        local = sparse.coo_matrix(self.coefficients)
-        shape = (len(self.lower), self.n_unknowns)
-        return sparse.coo_matrix((local.data, (local.row, local.col + offset)), shape=shape)
 
 
 def variable_bounds(
@@ -105,17 +88,15 @@ def start_of(problem: Problem, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
     return layout.in_coordinates_of(layout.form_of(0), problem.initial_q, problem.initial_v, still)[:2]
 
 
-def scaled_rate_limits(
-    problem: Problem, layout: Layout, collocation: Collocation
-) -> dict[int, list[ScaledRateLimit]]:
+def scaled_rate_limits(problem: Problem, layout: Layout, collocation: Collocation) -> Iterator[LinearRows]:
     """Rows of rates that are measured in a free time scale: their limits at nodes, and a start that moves."""
-    found: dict[int, list[ScaledRateLimit]] = {}
     for term, at, bounds in _stated_limits(problem, layout):
         form = layout.forms[at.node]
         if at.rates and form.time_scale is not None and form.order == 2:
-            limit = _scaled_rate_limit(term.name, form, bounds[2:], collocation, layout.n_unknowns)
-            if len(limit.lower):
-                found.setdefault(at.node, []).append(limit)
+            block, lower, upper = _scaled_rate_limit(form, bounds[2:], collocation)
+            if len(lower):
+                rows = over_unknowns(layout, [(at.node, block)])
+                yield LinearRows(term.name, at.node, rows, lower, upper)
     form = layout.forms[0]
     if form.time_scale is not None and form.order == 2:
         state = form.coordinates.node_from_pinocchio(*start_of(problem, layout))
@@ -127,18 +108,13 @@ def scaled_rate_limits(
             row[np.arange(len(moving)), form.rates[moving]] = 1.0
             row[:, form.time_scales[form.time_scale]] = -rates[moving] / scale[form.rates[moving]]
             zero = np.zeros(len(moving))
-            found.setdefault(0, []).append(ScaledRateLimit("start", row, zero, zero, layout.n_unknowns))
-    return found
+            yield LinearRows("start", 0, over_unknowns(layout, [(0, row)]), zero, zero)
 
 
 def _scaled_rate_limit(
-    name: str,
-    form: NodeLayout,
-    limits: Sequence[np.ndarray],
-    collocation: Collocation,
-    n_unknowns: int,
-) -> ScaledRateLimit:
-    """Rows x' >= s lower, x' <= s upper, over the rates' units, where both limits (nv,) are finite."""
+    form: NodeLayout, limits: Sequence[np.ndarray], collocation: Collocation
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows (n, size) x' >= s lower, x' <= s upper of finite limits (nv,), scaled, and their bounds."""
     rows, lower, upper = [], [], []
     scale = collocation.node_scale(form)[form.rates]
     for limit, (low, high) in zip(limits, ((0.0, np.inf), (-np.inf, 0.0)), strict=True):
@@ -149,8 +125,7 @@ def _scaled_rate_limit(
             rows.append(row)
             lower.append(low)
             upper.append(high)
-    coefficients = np.array(rows).reshape(len(rows), form.size)
-    return ScaledRateLimit(name, coefficients, np.array(lower), np.array(upper), n_unknowns)
+    return np.array(rows).reshape(len(rows), form.size), np.array(lower), np.array(upper)
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from trajopt.certify.contact_figures import force_figures, place_figures
 from trajopt.certify.dynamics_figures import DynamicsRows, dynamics_rows
 from trajopt.certify.limit_figures import drive_figures, limit_figures
 from trajopt.certify.samples import SampleQuantities, sample_quantities
-from trajopt.solution.arrays import SAMPLED
-from trajopt.solution.descriptions import scene_of_meta
+from trajopt.solution.arrays import SAMPLED, rows_of
+from trajopt.solution.clearance import distance_figures
 from trajopt.solution.interpolation import resampled
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
@@ -127,15 +127,7 @@ def _part(
 ) -> tuple[Solution, SampleQuantities, TouchedSurfaces]:
     """The samples of one phase."""
     plan = dense.with_arrays(**{name: getattr(dense, name)[rows] for name in SAMPLED})
-    return (
-        plan,
-        SampleQuantities(
-            **{name: getattr(samples, name)[rows] for name in SampleQuantities.__dataclass_fields__}
-        ),
-        TouchedSurfaces(
-            **{name: getattr(surfaces, name)[rows] for name in TouchedSurfaces.__dataclass_fields__}
-        ),
-    )
+    return plan, rows_of(samples, rows), rows_of(surfaces, rows)
 
 
 def _violations(
@@ -148,19 +140,10 @@ def _violations(
         **limit_figures(plan),
         **drive_figures(plan),
         **places,
-        **_distances(plan),
+        **distance_figures(plan, plan.q),
     }
     found: _Figures = {}
     for name, bound in VIOLATIONS.items():
         value = figures[bound.figure]
         found[name] = None if value is None else max(bound.sign * value / bound.unit(units), 0.0)
     return found, places["foot_drift"]
-
-
-def _distances(plan: Solution) -> _Figures:
-    """Least distances, m, of the capsules of the collision scene from obstacles and from each other."""
-    scene = scene_of_meta(plan.model, plan.meta.get("collision"))
-    least = np.zeros(0) if scene is None else scene.least_distances(plan.q)
-    outer = 0 if scene is None else scene.n_outer
-    parts = {"obstacle_distance": least[:outer], "self_distance": least[outer:]}
-    return {name: float(part.min()) if part.size else None for name, part in parts.items()}

@@ -15,7 +15,7 @@ from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.certify.reintegration import state_distance
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
-from trajopt.solution.interpolation import MotionSample, sample_interval
+from trajopt.solution.interpolation import MotionSample, joined, sample_interval
 from trajopt.solution.solution import Solution
 
 # Times of each phase at which motions are compared, from its start to its end.
@@ -131,12 +131,7 @@ def _sampled(solution: Solution, phase: int, fractions: np.ndarray) -> MotionSam
         start, end = edges[index]
         inner = np.clip((times[which == index] - start) / (end - start), 0.0, 1.0)
         parts.append(sample_interval(solution, numbers[index], inner))
-    return MotionSample(
-        **{
-            name: np.concatenate([getattr(part, name) for part in parts])
-            for name in MotionSample.__dataclass_fields__
-        }
-    )
+    return MotionSample(**joined(parts))
 
 
 def _mean_over_time(torques: list[np.ndarray], durations: list[float]) -> float:

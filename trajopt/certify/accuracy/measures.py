@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -12,8 +11,10 @@ from trajopt.certify.accuracy.between import BetweenPoints, figures_between_poin
 from trajopt.certify.accuracy.comparison import Comparison, compare
 from trajopt.certify.accuracy.open_loop import OpenLoopDrift, interval_drifts, motion_drift, phase_drifts
 from trajopt.certify.consistency import interval_gaps
+from trajopt.certify.samples import largest_known
 from trajopt.solution.input import SolutionOrFile, consistent_solution
 from trajopt.solution.solution import Solution
+from trajopt.values import jsonable
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,15 +117,7 @@ class Accuracy:
         figures["interval_errors"] = self.interval_errors.tolist()
         figures["collocation_errors"] = self.collocation_errors.tolist()
         figures["phases"] = [asdict(phase) for phase in self.phases]
-        return {name: _finite(value) for name, value in figures.items()}
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        return jsonable(figures)
 
 
 def measure(solution: SolutionOrFile, reference: SolutionOrFile | None = None) -> Accuracy:
@@ -152,9 +145,9 @@ def measure(solution: SolutionOrFile, reference: SolutionOrFile | None = None) -
         contact_error=float(dense.residuals.contact.max()),
         position_gap=gaps.position,
         velocity_gap=gaps.velocity,
-        foot_drift=_largest([phase.foot_drift for phase in phases]),
+        foot_drift=largest_known(phase.foot_drift for phase in phases),
         violations={
-            name: _largest([found[name] for found in dense.violations]) for name in dense.violations[0]
+            name: largest_known(found[name] for found in dense.violations) for name in dense.violations[0]
         },
         phases=phases,
         comparison=comparison,
@@ -199,12 +192,7 @@ def _phases(
 def _worst(name: str, drifts: list[OpenLoopDrift]) -> dict[str, Any]:
     return {
         name: max(drift.position for drift in drifts),
-        f"{name}_orientation": _largest([drift.orientation for drift in drifts]),
+        f"{name}_orientation": largest_known(drift.orientation for drift in drifts),
         f"{name}_joints": max(drift.joints for drift in drifts),
         f"{name}_farthest": max(drift.farthest for drift in drifts),
     }
-
-
-def _largest(values: list[float | None]) -> float | None:
-    found = [value for value in values if value is not None]
-    return max(found) if found else None

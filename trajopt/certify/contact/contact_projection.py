@@ -20,6 +20,7 @@ import pinocchio as pin
 from trajopt.certify.contact.contact_dynamics import count_unactuated, require_arrays
 from trajopt.certify.contact.contact_response import contact_response, mass_factor, numeric_rank
 from trajopt.certify.contact.contact_set import ContactKinematics, ContactSet, contact_kinematics
+from trajopt.dynamics.structure import mass_matrix_at
 from trajopt.errors import InputError
 
 _Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -72,8 +73,7 @@ def projected_forward_dynamics(
     """
     require_arrays({"q": (q, model.nq), "v": (v, model.nv), "tau": (tau, model.nv)})
     data = model.createData()
-    upper = np.triu(pin.crba(model, data, q))
-    mass = upper + np.triu(upper, 1).T
+    mass = mass_matrix_at(model, q)
     rows = contact_kinematics(model, data, q, v, contacts)
     scaled = contacts.scale[:, None] * rows.jacobian
     projector = null_space_projector(scaled, contacts.moment_arm)

@@ -13,6 +13,7 @@ from trajopt.certify.simulation.reference import ReferenceTrajectory
 from trajopt.certify.simulation.run import SimulationRecord
 from trajopt.certify.simulation.world import World, touching_places
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.solution.arrays import rows_of
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
 
@@ -80,10 +81,7 @@ def loaded_contacts(record: SimulationRecord, world: World) -> np.ndarray:
 def phase_surfaces(plan: Solution) -> TouchedSurfaces:
     """What contacts touch, at the first sample of each phase of the file."""
     found = touched_surfaces(plan, sample_quantities(plan).position)
-    rows = [phase.start for phase in plan.phases]
-    return TouchedSurfaces(
-        **{name: getattr(found, name)[rows] for name in TouchedSurfaces.__dataclass_fields__}
-    )
+    return rows_of(found, [phase.start for phase in plan.phases])
 
 
 def simulated_stances(

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.certify.simulation.bodies import mujoco_package, mujoco_quaternion
+from trajopt.certify.simulation.bodies import add_geom, mujoco_package, mujoco_quaternion
 from trajopt.certify.simulation.reference import image_of_contacts
-from trajopt.robot.collision.shapes import BoxObstacle, CapsuleObstacle, SphereObstacle
+from trajopt.robot.collision.shapes import BoxObstacle, Obstacle
 from trajopt.solution.descriptions import surfaces_of, terrain_of
 from trajopt.solution.solution import Solution
 from trajopt.terrain.patch import Patch, cut_polygon
@@ -172,16 +172,14 @@ def _under(plan: Solution, surface: Surface, place: Surroundings, phase: int, co
 
 
 def _plane(spec: Any, surface: Surface, place: Surroundings) -> str:
-    spec.worldbody.add_geom(
-        name="terrain",
-        type=mujoco_package().mjtGeom.mjGEOM_PLANE,
+    return add_geom(
+        spec.worldbody,
+        "terrain",
+        "plane",
         pos=surface.point - place.ball * surface.normal,
         quat=mujoco_quaternion(surface.frame),
         size=[0.0, 0.0, 1.0],
-        contype=0,
-        conaffinity=0,
     )
-    return "terrain"
 
 
 def _prism(spec: Any, name: str, face: Patch, place: Surroundings) -> str:
@@ -199,15 +197,7 @@ def _prism(spec: Any, name: str, face: Patch, place: Surroundings) -> str:
     middle = np.concatenate([top, under]).mean(axis=0)
     mesh = spec.add_mesh(name=name, uservert=(np.concatenate([top, under]) - middle).ravel())
     mesh.inertia = mujoco_package().mjtMeshInertia.mjMESH_INERTIA_CONVEX
-    spec.worldbody.add_geom(
-        name=name,
-        type=mujoco_package().mjtGeom.mjGEOM_MESH,
-        meshname=name,
-        pos=middle,
-        contype=0,
-        conaffinity=0,
-    )
-    return name
+    return add_geom(spec.worldbody, name, "mesh", meshname=name, pos=middle)
 
 
 def _field(spec: Any, terrain: SmoothTerrain, place: Surroundings) -> str:
@@ -226,15 +216,8 @@ def _field(spec: Any, terrain: SmoothTerrain, place: Surroundings) -> str:
         size=[span[0] / 2, span[1] / 2, tall, DEPTH * place.reach],
         userdata=((height - low) / tall).ravel(),
     )
-    spec.worldbody.add_geom(
-        name="terrain",
-        type=mujoco_package().mjtGeom.mjGEOM_HFIELD,
-        hfieldname="terrain",
-        pos=[*(place.low[:2] + span / 2), low],
-        contype=0,
-        conaffinity=0,
-    )
-    return "terrain"
+    middle = [*(place.low[:2] + span / 2), low]
+    return add_geom(spec.worldbody, "terrain", "hfield", hfieldname="terrain", pos=middle)
 
 
 def _board(spec: Any, name: str, surface: Surface, points: np.ndarray, place: Surroundings) -> str:
@@ -244,38 +227,20 @@ def _board(spec: Any, name: str, surface: Surface, points: np.ndarray, place: Su
     low, high = local.min(axis=0) - BOARD * place.reach, local.max(axis=0) + BOARD * place.reach
     deep = BOARD * place.reach
     centre = surface.point + turn @ np.array([*(low + high) / 2, -deep - place.ball])
-    spec.worldbody.add_geom(
-        name=name,
-        type=mujoco_package().mjtGeom.mjGEOM_BOX,
-        pos=centre,
-        quat=mujoco_quaternion(turn),
-        size=[*(high - low) / 2, deep],
-        contype=0,
-        conaffinity=0,
-    )
-    return name
+    size = [*(high - low) / 2, deep]
+    return add_geom(spec.worldbody, name, "box", pos=centre, quat=mujoco_quaternion(turn), size=size)
 
 
-def add_obstacles(spec: Any, obstacles: Sequence[Any]) -> tuple[str, ...]:
+def add_obstacles(spec: Any, obstacles: Sequence[Obstacle]) -> tuple[str, ...]:
     """Add obstacles of collision avoidance; returns the names of their geoms."""
-    shapes, names = mujoco_package().mjtGeom, []
+    world, names = spec.worldbody, []
     for number, obstacle in enumerate(obstacles):
         name = f"obstacle{number}"
-        made: dict[str, Any] = {"name": name, "contype": 0, "conaffinity": 0}
-        if isinstance(obstacle, SphereObstacle):
-            made |= {"type": shapes.mjGEOM_SPHERE, "pos": obstacle.centre, "size": [obstacle.radius, 0, 0]}
-        elif isinstance(obstacle, CapsuleObstacle):
-            made |= capsule_geom(obstacle.start, obstacle.end, obstacle.radius)
-        elif isinstance(obstacle, BoxObstacle):
-            rotation = np.eye(3) if obstacle.rotation is None else obstacle.rotation
-            made |= {
-                "type": shapes.mjGEOM_BOX,
-                "pos": obstacle.position,
-                "quat": mujoco_quaternion(rotation),
-                "size": obstacle.sides / 2,
-            }
-        spec.worldbody.add_geom(**made)
-        names.append(name)
+        if isinstance(obstacle, BoxObstacle):
+            turn, size = mujoco_quaternion(obstacle.turn), obstacle.sides / 2
+            names.append(add_geom(world, name, "box", pos=obstacle.position, quat=turn, size=size))
+        else:
+            names.append(add_capsule(world, name, *obstacle.axis, obstacle.radius))
     return tuple(names)
 
 
@@ -288,13 +253,9 @@ def height_over(terrain: Any, points: np.ndarray) -> np.ndarray:
     return np.asarray(points[..., 2] - terrain.height(points[..., 0], points[..., 1]))
 
 
-def capsule_geom(start: np.ndarray, end: np.ndarray, radius: float) -> dict[str, Any]:
-    """Fields of a geom that is a capsule, or a ball where its segment has no length."""
-    shapes = mujoco_package().mjtGeom
+def add_capsule(body: Any, name: str, start: np.ndarray, end: np.ndarray, radius: float) -> str:
+    """Add a capsule, or a ball where its segment has no length; returns its name."""
+    size = [radius, 0, 0]
     if np.allclose(start, end):
-        return {"type": shapes.mjGEOM_SPHERE, "pos": start, "size": [radius, 0, 0]}
-    return {
-        "type": shapes.mjGEOM_CAPSULE,
-        "fromto": np.concatenate([start, end]),
-        "size": [radius, 0, 0],
-    }
+        return add_geom(body, name, "sphere", pos=start, size=size)
+    return add_geom(body, name, "capsule", fromto=np.concatenate([start, end]), size=size)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass
 from typing import Any
+
+from trajopt.values import jsonable
 
 # A plan is tracked that ends with its base within this part of the robot's reach and within this angle, rad;
 # on a fixed base, that never has a joint off by more than this, rad or m.
@@ -88,11 +89,7 @@ class SimulationReport:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able figures."""
-        figures = {
-            key: None if isinstance(value, float) and not math.isfinite(value) else value
-            for key, value in asdict(self).items()
-        }
-        return {"passed": self.passed, "failures": list(self.failures), **figures}
+        return jsonable({"passed": self.passed, "failures": self.failures, **asdict(self)})
 
     def table(self) -> str:
         """Figures for people, one a line."""

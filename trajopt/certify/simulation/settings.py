@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 from trajopt.errors import InputError
+from trajopt.values import require_finite
 
 # Shares of the robot's natural time sqrt(l / g), l its reach: the step of the simulation, the time in which
 # a contact pushes a penetration out again, and the time in which the feedback takes out an error of a joint.
@@ -54,8 +55,7 @@ class SimulationSettings:
             value = getattr(self, field.name)
             if value is None and field.name == "timestep":
                 continue
-            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-                raise InputError(f"{field.name} of a simulation is {value!r}", "allowed: a finite number")
+            require_finite(f"{field.name} of a simulation", value)
             least, most = ALLOWED.get(field.name, (-math.inf, math.inf))
             if not least <= value <= most:
                 raise InputError(

@@ -14,6 +14,7 @@ from trajopt.certify.payloads import carrying_model
 from trajopt.certify.samples import SampleQuantities, sample_quantities
 from trajopt.certify.simulation.bodies import (
     Bodies,
+    add_geom,
     body_name,
     build_bodies,
     compile_bodies,
@@ -25,9 +26,9 @@ from trajopt.certify.simulation.ground import (
     BALL,
     GroundGeometry,
     Surroundings,
+    add_capsule,
     add_ground,
     add_obstacles,
-    capsule_geom,
     height_over,
     surroundings_of,
 )
@@ -182,14 +183,7 @@ def _add_feet(bodies: Bodies, plan: Solution, place: Surroundings) -> list[list[
         corners = touching_places(plan, number)
         names.append([f"ball{number}.{i}" for i in range(len(corners))])
         for name, corner in zip(names[-1], corners, strict=True):
-            body.add_geom(
-                name=name,
-                type=mujoco_package().mjtGeom.mjGEOM_SPHERE,
-                pos=own.placement.act(corner),
-                size=[place.ball, 0, 0],
-                contype=0,
-                conaffinity=0,
-            )
+            add_geom(body, name, "sphere", pos=own.placement.act(corner), size=[place.ball, 0, 0])
     return names
 
 
@@ -202,14 +196,8 @@ def _add_links(
         for index in range(1, plan.model.njoints):
             if plan.model.names[index] in buried:
                 continue
-            links.append(f"link{index}")
-            bodies.spec.body(body_name(index)).add_geom(
-                name=links[-1],
-                type=mujoco_package().mjtGeom.mjGEOM_SPHERE,
-                size=[place.ball, 0, 0],
-                contype=0,
-                conaffinity=0,
-            )
+            body = bodies.spec.body(body_name(index))
+            links.append(add_geom(body, f"link{index}", "sphere", size=[place.ball, 0, 0]))
     scene = scene_of_meta(plan.model, plan.meta.get("collision"))
     capsules: list[str] = []
     obstacles: tuple[str, ...] = ()
@@ -217,10 +205,8 @@ def _add_links(
         for number, capsule in enumerate(scene.capsules):
             frame = plan.model.frames[plan.model.getFrameId(capsule.frame)]
             start, end = (frame.placement.act(np.array(end)) for end in (capsule.start, capsule.end))
-            capsules.append(f"capsule{number}")
-            bodies.spec.body(body_name(frame.parentJoint)).add_geom(
-                name=capsules[-1], contype=0, conaffinity=0, **capsule_geom(start, end, capsule.radius)
-            )
+            body = bodies.spec.body(body_name(frame.parentJoint))
+            capsules.append(add_capsule(body, f"capsule{number}", start, end, capsule.radius))
         obstacles = add_obstacles(bodies.spec, scene.obstacles)
     return links, capsules, list(obstacles)
 

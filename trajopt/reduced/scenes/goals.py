@@ -27,6 +27,7 @@ from trajopt.terms.swing import SwingClearance
 from trajopt.terms.terminal import TerminalRest, TerminalState
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import SAME_PLANE
+from trajopt.values import finite_array
 
 Goals = Mapping[str, pin.SE3 | ArrayLike] | ArrayLike
 
@@ -115,13 +116,8 @@ def _targets(robot: Robot, goals: Goals | None) -> dict[str, pin.SE3 | np.ndarra
     found: dict[str, pin.SE3 | np.ndarray] = {}
     for frame, goal in goals.items():
         require_frame(robot.model, frame, "a goal")
-        if isinstance(goal, pin.SE3):
-            found[frame] = goal
-            continue
-        place = np.array(goal, dtype=float)
-        if place.shape != (3,) or not np.isfinite(place).all():
-            raise InputError(f"goal of frame '{frame}' is {goal!r}", "a pin.SE3, or 3 finite numbers, m")
-        found[frame] = place
+        what, unit = f"goal of frame '{frame}'", "m, or a pin.SE3"
+        found[frame] = goal if isinstance(goal, pin.SE3) else finite_array(what, goal, unit=unit)
     return found
 
 

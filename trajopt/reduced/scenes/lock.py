@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,18 +12,21 @@ from trajopt.reduced.scenes.reduction import Follower, Reduction
 from trajopt.robot.robot import Robot
 
 
-def lock_joints(robot: Robot, names: Sequence[str], contacts: Sequence[str], q: np.ndarray) -> Reduction:
-    """Return the reduction to ``robot`` with joints ``names`` welded at q (nq,), on these ``contacts`` alone.
+def lock_joints(
+    robot: Robot, names: Sequence[str], q: np.ndarray, contacts: Collection[str] | None = None
+) -> Reduction:
+    """Return the reduction to ``robot`` with joints ``names`` welded at q (nq,), on these or all contacts.
 
     The small robot keeps the reference posture and the length of the whole: what units and costs refer to.
     """
-    fewer = replace(robot, contacts=tuple(c for c in robot.contacts if c.name in contacts))
+    kept = tuple(c for c in robot.contacts if contacts is None or c.name in contacts)
+    fewer = replace(robot, contacts=kept)
     made = Reduction(
         whole=robot,
         small=fewer.with_locked(names, reference=q) if names else fewer,
         start=q,
         joints={name: Follower(name) for name in behind_base(robot) if name not in names},
-        contacts={name: Follower(name) for name in contacts},
+        contacts={contact.name: Follower(contact.name) for contact in kept},
     )
     small = replace(made.small, reference=made.drop_q(robot.reference), given_length=robot.length)
     return replace(made, small=small)

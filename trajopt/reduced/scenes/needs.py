@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from trajopt.dynamics.base_joint import BASE_COORDINATES
+from trajopt.dynamics.rerooting import joints_with
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.reduced.term_reader import TermInstance, TermReader
@@ -47,10 +48,7 @@ def needed_joints(problem: Problem, keep: Sequence[str]) -> Needs:
     coordinates a term of an unknown kind uses. Raises `InputError` for an unknown name in ``keep``.
     """
     robot, found = problem.robot, _always(problem)
-    known = list(robot.model.names)[1:]
-    for name in keep:
-        if name not in known:
-            raise InputError(f"joint '{name}' to keep is unknown", "one of " + ", ".join(known))
+    _require_known(robot, keep, "keep")
     for phase in problem.schedule.phases:
         for contact in phase.contacts:
             _chain(robot, robot.contact(contact).frame, f"carries contact '{contact}'", found)
@@ -80,13 +78,18 @@ def cleared_contacts(problem: Problem) -> set[str]:
 
 def require_lockable(problem: Problem, lock: Sequence[str], keep: Sequence[str]) -> None:
     """Raise `InputError` for joints to lock that are unknown, kept, the base's, passive, or moving."""
-    known = list(problem.robot.model.names)[1:]
+    _require_known(problem.robot, lock, "lock")
     for name in lock:
-        if name not in known:
-            raise InputError(f"joint '{name}' to lock is unknown", "one of " + ", ".join(known))
         reason = "is kept as well" if name in keep else _always(problem).get(name)
         if reason:
             raise InputError(f"joint '{name}' to lock {reason}", "another joint")
+
+
+def _require_known(robot: Robot, names: Sequence[str], purpose: str) -> None:
+    known = list(robot.model.names)[1:]
+    for name in names:
+        if name not in known:
+            raise InputError(f"joint '{name}' to {purpose} is unknown", "one of " + ", ".join(known))
 
 
 def _always(problem: Problem) -> Needs:
@@ -115,12 +118,7 @@ def _own_joints(problem: Problem, instance: TermInstance) -> list[str]:
         or instance.context.place is Place.IMPACT
     ):
         return []
-    used, model = instance.rates(), problem.robot.model
-    return [
-        model.names[joint.id]
-        for joint in list(model.joints)[1:]
-        if used[joint.idx_v : joint.idx_v + joint.nv].any()
-    ]
+    return joints_with(problem.robot.model, instance.rates())
 
 
 def _elsewhere(problem: Problem, term: Term) -> list[str]:
@@ -131,8 +129,4 @@ def _elsewhere(problem: Problem, term: Term) -> list[str]:
     target = robot.reference if term.q is None else np.asarray(term.q, dtype=float)
     apart = np.abs(target - problem.initial_q)
     apart[: BASE_COORDINATES[robot.base]] = 0.0
-    return [
-        robot.model.names[joint.id]
-        for joint in list(robot.model.joints)[1:]
-        if (apart[joint.idx_q : joint.idx_q + joint.nq] > SAME_PLACE).any()
-    ]
+    return joints_with(robot.model, apart > SAME_PLACE)

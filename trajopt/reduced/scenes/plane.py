@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
+from trajopt.dynamics.rerooting import joints_with
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.reduced.scenes.half import half_robot, turned_by_mirror
@@ -47,8 +48,7 @@ def halve_robot(problem: Problem, keep: Sequence[str]) -> tuple[Reduction, Decis
     wanted = [name for name in turned if name in keep]
     if wanted:
         raise InputError(f"joints {', '.join(wanted)} leave the plane, and are kept", "do not keep them")
-    names = [contact.name for contact in problem.robot.contacts]
-    straight = lock_joints(problem.robot, turned, names, problem.initial_q)
+    straight = lock_joints(problem.robot, turned, problem.initial_q)
     small = reduced_problem(problem, straight) if turned else problem
     mirror = _mirror(small) if turned else mirror
     images = paired_contacts(small.robot, mirror, TASK)
@@ -131,9 +131,5 @@ def _goals(problem: Problem) -> set[str]:
         if isinstance(term, HalfEnd) and isinstance(term.term, TerminalState):
             goal = term.reduction.drop_q(np.asarray(term.term.q, dtype=float))
             apart = np.abs(goal - problem.initial_q) > TASK
-            found |= {
-                problem.robot.model.names[j.id]
-                for j in list(problem.robot.model.joints)[2:]
-                if apart[j.idx_q : j.idx_q + j.nq].any()
-            }
+            found.update(joints_with(problem.robot.model, apart))
     return found

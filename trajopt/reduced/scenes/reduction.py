@@ -12,7 +12,7 @@ A whole robot on a free-flyer that is halved keeps (x, z, pitch) of its base, no
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -29,6 +29,9 @@ from trajopt.terrain.surface import Surface
 
 # Rows of a free-flyer's twist that a planar base has, and their signs: forward, up, pitch about -y.
 PLANAR_ROWS = ((0, 1.0), (2, 1.0), (4, -1.0))
+
+
+_Slices = tuple[slice, slice]
 
 
 @dataclass(frozen=True)
@@ -97,14 +100,16 @@ class Reduction:
         else:
             n = BASE_ROWS[self.whole.base]
             matrix[:n, :n] = np.eye(n)
-        for name, follower in self.joints.items():
-            rows, columns = self._rows(name, follower)
-            matrix[rows, columns] = follower.sign * np.eye(rows.stop - rows.start)
+        for _, (rows, columns), sign in self.entries():
+            matrix[rows, columns] = sign * np.eye(rows.stop - rows.start)
         return matrix
 
-    def _rows(self, name: str, follower: Follower) -> tuple[slice, slice]:
-        whole = joint_slices(self.whole.model, name)[1]
-        return whole, joint_slices(self.small.model, follower.name)[1]
+    def entries(self) -> Iterator[tuple[_Slices, _Slices, float]]:
+        """For every following joint: entries (of the whole robot, of the small one) in q and in v, sign."""
+        for name, follower in self.joints.items():
+            own = joint_slices(self.whole.model, name)
+            followed = joint_slices(self.small.model, follower.name)
+            yield (own[0], followed[0]), (own[1], followed[1]), follower.sign
 
     @cached_property
     def shares(self) -> np.ndarray:
@@ -125,10 +130,8 @@ class Reduction:
             lifted[:7] = [q[0], self.y0, q[1], 0.0, -np.sin(pitch / 2), 0.0, np.cos(pitch / 2)]
         else:
             lifted[:n] = q[:n]
-        for name, follower in self.joints.items():
-            own = joint_slices(self.whole.model, name)[0]
-            value = q[joint_slices(self.small.model, follower.name)[0]]
-            lifted[own] = value if follower.sign > 0 else signed(value, follower.sign)
+        for (own, followed), _, sign in self.entries():
+            lifted[own] = q[followed] if sign > 0 else signed(q[followed], sign)
         return lifted
 
     def drop_q(self, q: np.ndarray) -> np.ndarray:
@@ -140,10 +143,8 @@ class Reduction:
             small[:n] = [q[0], q[2], *(forward / np.linalg.norm(forward))]
         else:
             small[:n] = q[:n]
-        for name, follower in self.joints.items():
-            value = q[joint_slices(self.whole.model, name)[0]]
-            own = joint_slices(self.small.model, follower.name)[0]
-            small[own] += value if follower.sign > 0 else signed(value, follower.sign)
+        for (own, followed), _, sign in self.entries():
+            small[followed] += q[own] if sign > 0 else signed(q[own], sign)
         for name in {follower.name for follower in self.joints.values()}:
             own = joint_slices(self.small.model, name)[0]
             small[own] /= self.members(name)

@@ -106,8 +106,7 @@ class _Smallest:
         self.problem = problem
         self.decisions: list[Decision] = []
         self.size = self.before = size_of(problem, *grid)
-        names = [contact.name for contact in problem.robot.contacts]
-        self.reduction = lock_joints(problem.robot, (), names, problem.initial_q)
+        self.reduction = lock_joints(problem.robot, (), problem.initial_q)
 
     def build(self, lock: tuple[str, ...], soles: bool, torques: bool) -> Scene:
         self.drop_idle_costs()
@@ -161,8 +160,7 @@ class _Smallest:
         merged = with_soles(self.whole)
         if merged is not None:
             self.whole = self.problem = merged.problem
-            names = [contact.name for contact in self.whole.robot.contacts]
-            self.reduction = lock_joints(self.whole.robot, (), names, self.whole.initial_q)
+            self.reduction = lock_joints(self.whole.robot, (), self.whole.initial_q)
             corners = [f"{', '.join(sole.corners)} as sole '{sole.contact.name}'" for sole in merged.soles]
             what = f"12 rows of four corners as 6 of a sole: {'; '.join(corners)}"
             why = "coplanar points of one rigid link: 12 rows of rank 6; exact but for the friction model"
@@ -179,22 +177,21 @@ class _Smallest:
         needed = {name for phase in phases for name in phase.contacts} | cleared_contacts(self.whole)
         idle = [c.name for c in robot.contacts if c.name not in needed]
         if idle:
-            names = [c.name for c in robot.contacts if c.name in needed]
-            self.reduce(lock_joints(robot, (), names, self.whole.initial_q))
+            self.reduce(lock_joints(robot, (), self.whole.initial_q, needed))
             self.note(EXACT, f"contacts {', '.join(idle)}", "active in no phase, and nothing must clear them")
 
     def lock(self, wanted: tuple[str, ...]) -> None:
         robot, contacts = self.whole.robot, list(self.reduction.contacts)
         idle = [name for name in behind_base(robot) if name not in self.needs]
         if wanted:
-            self.reduce(lock_joints(robot, wanted, contacts, self.whole.initial_q))
+            self.reduce(lock_joints(robot, wanted, self.whole.initial_q, contacts))
             self.note(CHOICE, f"{len(wanted)} joints locked: {', '.join(wanted)}", "at their start, as asked")
         idle = [name for name in idle if name not in wanted]
         if len(idle) + len(wanted) == robot.model.njoints - 1:
-            why = "no joint is asked for anything, and a robot without joints is none"
+            why = "no joint is asked for anything, and a robot must have a joint"
             self.decisions.append(Decision(kind=KEPT, what="all other joints", why=why))
         elif idle:
-            self.reduce(lock_joints(robot, [*wanted, *idle], contacts, self.whole.initial_q))
+            self.reduce(lock_joints(robot, [*wanted, *idle], self.whole.initial_q, contacts))
             why = (
                 "at their start: no contact, goal, clearance or other target needs them; they shift no weight"
             )
@@ -219,9 +216,8 @@ class _Smallest:
         self.note(decision.kind, decision.what, decision.why)
         to_lock, stay = in_plane(self.problem, self._kept())
         if to_lock:
-            robot = self.problem.robot
-            names = [contact.name for contact in robot.contacts]
-            self.reduce(self.reduction.then(lock_joints(robot, to_lock, names, self.problem.initial_q)))
+            locked = lock_joints(self.problem.robot, to_lock, self.problem.initial_q)
+            self.reduce(self.reduction.then(locked))
             what = f"{len(to_lock)} joints that leave the plane locked: {', '.join(to_lock)}"
             why = "the limbs' other joints move in planes without them, feet do not slide"
             self.note(CHOICE, what, f"at their start, in pairs: {why}")

@@ -40,7 +40,7 @@ class Sole:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Soles:
-    """The problem with soles in the place of corners, and the way back for its solutions."""
+    """The problem with soles in place of corners, and the way back for its solutions."""
 
     problem: Problem
     soles: tuple[Sole, ...]
@@ -171,7 +171,7 @@ def _together(problem: Problem, names: list[str]) -> bool:
 
 
 def _sole(problem: Problem, body: pin.SE3, joint: int, corners: list[Contact]) -> Sole | None:
-    """The rectangle of four corners, its z axis up at the start, or None if they are none."""
+    """The rectangle of four corners, its z axis up at the start, or None if they form none."""
     model = problem.robot.model
     points = np.array([model.frames[model.getFrameId(c.frame)].placement.translation for c in corners])
     for order in itertools.permutations(range(1, 4)):

@@ -7,7 +7,6 @@ out.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cached_property
 
 import casadi as ca
@@ -16,15 +15,10 @@ from typing_extensions import override
 
 from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.dynamics.manifold import Coordinates
-from trajopt.dynamics.rerooting import joint_slices
 from trajopt.reduced.scenes.reduction import Reduction
 from trajopt.robot.mirror import REFLECTION, TWIST
 from trajopt.terms.context import Context
 from trajopt.terms.context_symbols import FrameSymbols, Place
-
-# Random points at which rows are compared, and what rounding leaves of rows that are equal, natural units.
-SAMPLES = 3
-SAME = 1e-9
 
 
 class WholeView(Context):
@@ -51,6 +45,8 @@ class WholeView(Context):
         self.rotations, self.xi = self._configuration_of_start()
         matrix = ca.DM(reduction.rates)
         self._rates, self._highest = ca.mtimes(matrix, context._rates), ca.mtimes(matrix, context._highest)
+        self._parameters, self._values = context._parameters, context._values
+        self._squares = context._squares
 
     def _configuration_of_start(self) -> tuple[ca.SX, ca.SX]:
         small, reduction = self.small, self.reduction
@@ -59,9 +55,8 @@ class WholeView(Context):
         xi = ca.SX.zeros(self.robot.nv)
         for row, index in enumerate(self.coordinates.additive_index):
             xi[int(index)] = node[n4 + row]
-        for name, follower in reduction.joints.items():
-            own = joint_slices(self.robot.model, name)[1]
-            xi[own] = follower.sign * small.xi[joint_slices(reduction.small.model, follower.name)[1]]
+        for _, (own, followed), sign in reduction.entries():
+            xi[own] = sign * small.xi[followed]
         if reduction.is_half:
             half = small.xi[2] / 2
             xi[0], xi[2] = small.xi[0], small.xi[1]
@@ -119,15 +114,3 @@ class WholeView(Context):
             twist * frame.velocity,
             twist * frame.acceleration,
         )
-
-    @override
-    def parameter(self, value: np.ndarray | float) -> ca.SX:
-        return self.small.parameter(value)
-
-    @override
-    def square(self, residual: ca.SX, weight: ca.SX) -> None:
-        self.small.square(residual, weight)
-
-    @override
-    def varying(self, value: Callable[[float], np.ndarray], size: int) -> ca.SX:
-        return self.small.varying(value, size)

@@ -19,6 +19,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from trajopt.errors import InputError
+from trajopt.values import require_positive
 
 # kg/m^3, at room temperature: carbon steel, wrought aluminium alloys, grey cast iron.
 DENSITY = {"steel": 7850.0, "aluminium": 2700.0, "iron": 7200.0}
@@ -28,11 +29,17 @@ DENSITY = {"steel": 7850.0, "aluminium": 2700.0, "iron": 7200.0}
 class Beam:
     """A uniform straight beam along its own x axis, closed at neither end.
 
-    length: along x, m. width, height: outer sizes along y and z, m. wall: thickness of the four walls,
-    m; half of the smaller outer size, or None, makes it solid. density: kg/m^3, or the name of a material
-    of ``DENSITY``. The frame's origin is at the centre.
+    The origin of its frame is at the centre.
 
-    Raises `InputError` for sizes or densities not above zero, a wall too thick, an unknown material.
+    Args:
+        length: along x, m.
+        width: outer size along y, m.
+        height: outer size along z, m.
+        wall: thickness of the four walls, m; half of the smaller outer size, or None, makes it solid.
+        density: kg/m^3, or the name of a material of ``DENSITY``.
+
+    Raises:
+        InputError: for sizes or densities not above zero, a wall too thick, an unknown material.
     """
 
     length: float
@@ -43,12 +50,12 @@ class Beam:
 
     def __post_init__(self) -> None:
         for name in ("length", "width", "height"):
-            _require_positive(f"{name} of a beam", getattr(self, name), "m")
+            require_positive(f"{name} of a beam", getattr(self, name), "m")
         if isinstance(self.density, str) and self.density not in DENSITY:
             raise InputError(f"material '{self.density}' is unknown", "one of " + ", ".join(DENSITY))
-        _require_positive("density of a beam", self.kilograms_per_cubic_metre, "kg/m^3")
+        require_positive("density of a beam", self.kilograms_per_cubic_metre, "kg/m^3")
         if self.wall is not None:
-            _require_positive("wall of a beam", self.wall, "m")
+            require_positive("wall of a beam", self.wall, "m")
             if self.wall > min(self.width, self.height) / 2:
                 raise InputError(
                     f"wall of a beam is {self.wall:g} m", f"at most {min(self.width, self.height) / 2:g} m"
@@ -117,8 +124,3 @@ def _axes_along(direction: np.ndarray) -> np.ndarray:
     y = np.cross([1.0, 0.0, 0.0] if upright else [0.0, 0.0, 1.0], x)
     y /= np.linalg.norm(y)
     return np.column_stack([x, y, np.cross(x, y)])
-
-
-def _require_positive(what: str, value: float, unit: str) -> None:
-    if not (isinstance(value, int | float) and math.isfinite(value) and value > 0):
-        raise InputError(f"{what} is {value}", f"allowed: finite and > 0, {unit}")

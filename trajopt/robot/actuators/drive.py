@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 
 from trajopt.errors import InputError
+from trajopt.values import require_not_negative, require_positive
 
 Quantity = TypeVar("Quantity", float, np.ndarray, ca.SX)
 
@@ -33,16 +34,21 @@ COULOMB_SPEED = 0.1
 class Drive:
     """A motor and its gear on one joint of one degree of freedom.
 
-    gear_ratio: n, motor turns per joint turn; negative where they turn against each other, never zero.
-    rotor_inertia: of the rotor about its axis, motor side, kg m^2; 0 leaves the model's armature.
-    viscous_friction: joint side, N m s/rad. coulomb_friction: joint side, N m, smoothed as
-        tanh(rate / coulomb_speed) with ``coulomb_speed`` in rad/s, joint side.
-    torque_limit: motor side, N m: what the largest current gives.
-    stall_torque, no_load_speed: motor side, N m and rad/s: where the voltage line meets the axes.
-        From V = R i + k_e omega with |V| <= V_max follows |tau_m / stall_torque + omega_m /
-        no_load_speed| <= 1 (Hughes and Drury, Electric Motors and Drives, 2013, sec. 3.4).
+    From V = R i + k_e omega with |V| <= V_max follows the voltage line |tau_m / stall_torque + omega_m /
+    no_load_speed| <= 1 (Hughes and Drury, Electric Motors and Drives, 2013, sec. 3.4).
 
-    Raises `InputError` for a ratio of zero, NaN, negative friction or inertia, limits not above zero.
+    Args:
+        gear_ratio: n, motor turns per joint turn; negative where they turn against each other, never zero.
+        rotor_inertia: of the rotor about its axis, motor side, kg m^2; 0 leaves the model's armature.
+        viscous_friction: joint side, N m s/rad.
+        coulomb_friction: joint side, N m, smoothed as tanh(rate / coulomb_speed).
+        coulomb_speed: joint side, rad/s.
+        torque_limit: motor side, N m: what the largest current gives.
+        stall_torque: motor side, N m: where the voltage line meets the axis of torque.
+        no_load_speed: motor side, rad/s: where the voltage line meets the axis of speed.
+
+    Raises:
+        InputError: for a ratio of zero, NaN, negative friction or inertia, limits not above zero.
     """
 
     gear_ratio: float
@@ -60,13 +66,11 @@ class Drive:
         if self.gear_ratio == 0 or not math.isfinite(self.gear_ratio):
             raise InputError(f"gear_ratio of a drive is {self.gear_ratio:g}", "allowed: finite, not zero")
         for name in ("rotor_inertia", "viscous_friction", "coulomb_friction"):
-            if not (getattr(self, name) >= 0 and math.isfinite(getattr(self, name))):
-                raise InputError(f"{name} of a drive is {getattr(self, name):g}", "allowed: finite and >= 0")
-        for name in ("coulomb_speed", "torque_limit", "stall_torque", "no_load_speed"):
+            require_not_negative(f"{name} of a drive", getattr(self, name))
+        require_positive("coulomb_speed of a drive", self.coulomb_speed)
+        for name in ("torque_limit", "stall_torque", "no_load_speed"):
             if not getattr(self, name) > 0:
                 raise InputError(f"{name} of a drive is {getattr(self, name):g}", "allowed: > 0")
-        if not math.isfinite(self.coulomb_speed):
-            raise InputError("coulomb_speed of a drive is infinite", "allowed: finite and > 0")
         if math.isfinite(self.stall_torque) != math.isfinite(self.no_load_speed):
             raise InputError(
                 f"a drive has stall_torque={self.stall_torque:g} and no_load_speed={self.no_load_speed:g}",
@@ -87,9 +91,19 @@ class Drive:
     ) -> Drive:
         """Drive of a motor with ``V = R i + k_e omega`` and ``tau_m = k_t i``, all on the motor side.
 
-        voltage: the largest, V. resistance: ohm. torque_constant: k_t, N m/A. back_emf_constant: k_e,
-        V s/rad, default k_t (a direct-current motor; for three phases in amplitudes k_t = 3/2 k_e,
-        voltage the largest amplitude of a phase). current_limit: A. ``others``: fields of `Drive`.
+        Of three phases in amplitudes k_t = 3/2 k_e, and the voltage is the largest amplitude of a phase.
+
+        Args:
+            gear_ratio: n, motor turns per joint turn.
+            voltage: the largest, V.
+            resistance: R, ohm.
+            torque_constant: k_t, N m/A.
+            back_emf_constant: k_e, V s/rad; default k_t, as of a direct-current motor.
+            current_limit: the largest, A.
+            others: further fields of `Drive`.
+
+        Raises:
+            InputError: for numbers not above zero.
         """
         given = {
             "voltage": voltage,
@@ -99,8 +113,7 @@ class Drive:
         }
         numbers = {name: _number(name, value) for name, value in given.items()}
         for name, value in numbers.items():
-            if not (value > 0 and math.isfinite(value)):
-                raise InputError(f"{name} of a motor is {value:g}", "allowed: finite and > 0")
+            require_positive(f"{name} of a motor", value)
         return cls(
             gear_ratio=gear_ratio,
             torque_limit=numbers["torque_constant"] * _number("current_limit", current_limit),

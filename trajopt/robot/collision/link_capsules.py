@@ -11,10 +11,9 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from trajopt.errors import InputError, first_line
+from trajopt.errors import InputError
 from trajopt.robot.collision.fitting import Segment, enclosing_capsule, round_corners
 from trajopt.robot.collision.shapes import LinkCapsule, require_different_names
-from trajopt.robot.data import VisualSource
 from trajopt.robot.robot import Robot
 
 Source = Literal["collision", "visual", "inertia"]
@@ -109,7 +108,7 @@ def _pieces(robot: Robot, source: Source) -> list[Piece]:
         return []
     kind = pin.GeometryType.COLLISION if source == "collision" else pin.GeometryType.VISUAL
     pieces = []
-    for entry in _geometry(robot.model, robot.visual, kind).geometryObjects:
+    for entry in robot.visual.geometry(robot.model, kind).geometryObjects:
         frame = robot.model.frames[entry.parentFrame]
         if entry.parentJoint == 0 or not _solid(entry.geometry):
             continue
@@ -117,16 +116,6 @@ def _pieces(robot: Robot, source: Source) -> list[Piece]:
         moved = points @ entry.placement.rotation.T + entry.placement.translation
         pieces.append((str(frame.name), int(entry.parentJoint), (moved, radius)))
     return pieces
-
-
-def _geometry(model: pin.Model, visual: VisualSource, kind: pin.GeometryType) -> pin.GeometryModel:
-    if kind == pin.GeometryType.VISUAL:
-        return visual.geometry(model)
-    directories = [str(path) for path in visual.package_dirs]
-    try:
-        return pin.buildGeomFromUrdf(model, str(visual.urdf), kind, package_dirs=directories)
-    except (ValueError, RuntimeError) as error:
-        raise InputError(f"collision geometry of {visual.urdf} cannot be read: {first_line(error)}") from None
 
 
 def _solid(geometry: Any) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +12,7 @@ import pinocchio as pin
 
 from trajopt.errors import InputError
 from trajopt.terrain.surface import frame_of_normal
+from trajopt.values import finite_array, jsonable, numbers_of, require_positive
 
 # A rotation matrix is one up to rounding of what was written as decimal numbers.
 ROTATION_ERROR = 1e-6
@@ -35,7 +35,7 @@ class LinkCapsule:
     def __post_init__(self) -> None:
         label = f"capsule '{self.name}'"
         _set_vectors(self, label, ("start", "end"))
-        _set_size(self, label, "radius")
+        _set_radius(self, label)
 
     @property
     def length(self) -> float:
@@ -44,13 +44,7 @@ class LinkCapsule:
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
-        return {
-            "name": self.name,
-            "frame": self.frame,
-            "start": self.start.tolist(),
-            "end": self.end.tolist(),
-            "radius": self.radius,
-        }
+        return _described(self)
 
     @classmethod
     def from_description(cls, described: Any) -> LinkCapsule:
@@ -69,7 +63,7 @@ class SphereObstacle:
 
     def __post_init__(self) -> None:
         _set_vectors(self, f"obstacle '{self.name}'", ("centre",))
-        _set_size(self, f"obstacle '{self.name}'", "radius")
+        _set_radius(self, f"obstacle '{self.name}'")
 
     @property
     def axis(self) -> tuple[np.ndarray, np.ndarray]:
@@ -78,12 +72,7 @@ class SphereObstacle:
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
-        return {
-            "kind": "sphere",
-            "name": self.name,
-            "centre": self.centre.tolist(),
-            "radius": self.radius,
-        }
+        return {"kind": "sphere", **_described(self)}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,7 +86,7 @@ class CapsuleObstacle:
 
     def __post_init__(self) -> None:
         _set_vectors(self, f"obstacle '{self.name}'", ("start", "end"))
-        _set_size(self, f"obstacle '{self.name}'", "radius")
+        _set_radius(self, f"obstacle '{self.name}'")
 
     @property
     def axis(self) -> tuple[np.ndarray, np.ndarray]:
@@ -106,8 +95,7 @@ class CapsuleObstacle:
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
-        ends = {"start": self.start.tolist(), "end": self.end.tolist()}
-        return {"kind": "capsule", "name": self.name, **ends, "radius": self.radius}
+        return {"kind": "capsule", **_described(self)}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -127,13 +115,12 @@ class BoxObstacle:
         _set_vectors(self, label, ("sides", "position"))
         if not (self.sides > 0).all():
             raise InputError(f"sides of {label} are {self.sides} m", "allowed: > 0")
-        given = np.eye(3) if self.rotation is None else self.rotation
-        rotation = _numbers(given)
+        rotation = numbers_of(np.eye(3) if self.rotation is None else self.rotation)
         orthogonal = rotation.shape == (3, 3) and np.isfinite(rotation).all()
         if orthogonal:
             orthogonal = bool(np.abs(rotation.T @ rotation - np.eye(3)).max() < ROTATION_ERROR)
         if not orthogonal or np.linalg.det(rotation) < 0:
-            raise InputError(f"rotation of {label} is no rotation", "allowed: (3, 3), orthogonal, det 1")
+            raise InputError(f"rotation of {label} is not a rotation", "allowed: (3, 3), orthogonal, det 1")
         rotation.setflags(write=False)
         object.__setattr__(self, "rotation", rotation)
 
@@ -144,13 +131,7 @@ class BoxObstacle:
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
-        return {
-            "kind": "box",
-            "name": self.name,
-            "sides": self.sides.tolist(),
-            "position": self.position.tolist(),
-            "rotation": self.turn.tolist(),
-        }
+        return {"kind": "box", **_described(self)}
 
 
 Obstacle = SphereObstacle | CapsuleObstacle | BoxObstacle
@@ -201,28 +182,20 @@ def require_different_names(what: str, names: Sequence[str]) -> None:
         raise InputError(f"two {what} are named {', '.join(double)}", "allowed: different names")
 
 
-def _numbers(value: Any) -> np.ndarray:
-    try:
-        return np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        return np.zeros(0)
-
-
 def _set_vectors(shape: Any, label: str, names: Sequence[str]) -> None:
     for name in names:
-        vector = _numbers(getattr(shape, name))
-        if vector.shape != (3,) or not np.isfinite(vector).all():
-            raise InputError(f"{name} of {label} is {getattr(shape, name)!r}", "allowed: 3 finite numbers, m")
-        vector.setflags(write=False)
+        vector = finite_array(f"{name} of {label}", getattr(shape, name), unit="m")
         object.__setattr__(shape, name, vector)
 
 
-def _set_size(shape: Any, label: str, name: str) -> None:
-    value = getattr(shape, name)
-    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if not (number and math.isfinite(value) and value > 0):
-        raise InputError(f"{name} of {label} is {value!r} m", "allowed: finite and > 0")
-    object.__setattr__(shape, name, float(value))
+def _set_radius(shape: Any, label: str) -> None:
+    require_positive(f"radius of {label}", shape.radius, "m")
+    object.__setattr__(shape, "radius", float(shape.radius))
+
+
+def _described(shape: Any) -> dict[str, Any]:
+    """Fields of a shape as JSON has them."""
+    return {name: jsonable(value) for name, value in vars(shape).items()}
 
 
 def _require_keys(described: Any, keys: Sequence[str], what: str) -> None:

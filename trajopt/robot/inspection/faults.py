@@ -106,7 +106,7 @@ def _limits(robot: Robot) -> _Lines:
         ),
         (rates, lambda x: x == 0, "velocity limit 0, so that it cannot move:"),
         (rates, np.isinf, "no velocity limit:"),
-        (bounds, lambda x: x == 0, "position limits that leave no way:"),
+        (bounds, lambda x: x == 0, "position limits that leave no range:"),
     ):
         yield from _named(values, is_fault, what)
 

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.errors import InputError
 from trajopt.robot.inspection.faults import drawn_shapes, find_faults, listed, lowest_drawn
-from trajopt.robot.inspection.standing import standing_posture
+from trajopt.robot.inspection.standing import StandingPosture, standing_posture
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 
@@ -108,16 +109,16 @@ def robot_report(robot: Robot) -> RobotReport:
             )
             for contact in robot.contacts
         ),
-        notes=_notes(robot),
+        notes=_notes(robot, rest),
         warnings=find_faults(robot, rest),
     )
 
 
 def _joints(robot: Robot, torque: np.ndarray) -> tuple[JointFacts, ...]:
     found, first = [], robot.n_unactuated
-    base_rows = 0 if robot.base == "fixed" else 6 if robot.base in ("freeflyer", "virtual") else 3
+    effort = np.full(robot.nu, np.inf) if robot.effort_limit is None else robot.effort_limit
     for joint in list(robot.model.joints)[1:]:
-        if joint.idx_v < base_rows:
+        if joint.idx_v < BASE_ROWS[robot.base]:
             continue
         kind = joint.shortname().removeprefix("JointModel")
         single, actuated = joint.nv == 1, joint.idx_v >= first
@@ -125,7 +126,6 @@ def _joints(robot: Robot, torque: np.ndarray) -> tuple[JointFacts, ...]:
         angle = float(q[0]) if joint.nq == 1 else float(np.arctan2(q[1], q[0])) if joint.nq == 2 else np.nan
         bounded = joint.nq == joint.nv == 1
         row = joint.idx_v - first
-        limited = robot.effort_limit is not None and actuated
         found.append(
             JointFacts(
                 name=robot.model.names[joint.id],
@@ -135,19 +135,16 @@ def _joints(robot: Robot, torque: np.ndarray) -> tuple[JointFacts, ...]:
                 lower=float(robot.position_lower[joint.idx_q]) if bounded else -np.inf,
                 upper=float(robot.position_upper[joint.idx_q]) if bounded else np.inf,
                 velocity=float(robot.velocity_limit[joint.idx_v]),
-                effort=float(robot.effort_limit[row])
-                if limited and robot.effort_limit is not None
-                else np.inf,
+                effort=float(effort[row]) if actuated else np.inf,
                 torque=float(torque[row]) if actuated and single else np.nan,
             )
         )
     return tuple(found)
 
 
-def _notes(robot: Robot) -> tuple[str, ...]:
+def _notes(robot: Robot, rest: StandingPosture) -> tuple[str, ...]:
     notes = []
     if robot.base != "fixed" and robot.contacts:
-        rest = standing_posture(robot)
         lifted = [contact.name for contact in robot.contacts if contact.name not in rest.feet]
         if lifted:
             notes.append(f"off the ground in the reference posture: {listed(lifted)}")

@@ -24,12 +24,14 @@ from numpy.typing import ArrayLike
 
 from trajopt.dynamics import rigid_body
 from trajopt.dynamics.base_joint import position_limits
-from trajopt.dynamics.rerooting import joint_motion, joint_slices, path_to_base, reroot
+from trajopt.dynamics.rerooting import joint_motion, path_to_base, reroot
 from trajopt.errors import InputError
+from trajopt.robot.building import joint_entries
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.stance_maps import drop_map, lift_map, symbols
+from trajopt.values import finite_array
 
 # Sines of angles between the axes of joints that move in one plane: rounding of description files.
 PARALLEL = 1e-6
@@ -87,8 +89,8 @@ class StanceMode:
     @cached_property
     def torque_rows(self) -> np.ndarray:
         """Rows (nu,) of the floating robot's torques in the order of the stance robot's."""
-        rows = [joint_slices(self.floating.model, name)[1] for name in list(self.robot.model.names)[2:]]
-        return np.concatenate([np.arange(r.start, r.stop) for r in rows]) - self.floating.n_unactuated
+        _, rows = joint_entries(self.floating.model, list(self.robot.model.names)[2:])
+        return rows - self.floating.n_unactuated
 
     def lifted(
         self,
@@ -156,9 +158,8 @@ def stance_mode(robot: Robot, contact: str, *, anchor: ArrayLike | None = None) 
     if robot.base == "planar":
         _require_plane(robot, chosen)
     here = contact_positions(robot, robot.reference)[contact]
-    place = here if anchor is None else np.array(anchor, dtype=float)
-    if place.shape != (3,) or not np.isfinite(place).all():
-        raise InputError(f"anchor of the stance on '{contact}' is {place}", "3 finite numbers, m")
+    given = here if anchor is None else anchor
+    place = finite_array(f"anchor of the stance on '{contact}'", given, unit="m")
     if robot.base == "planar":  # the contact stays at its own distance from the plane
         normal = robot.model.jointPlacements[1].rotation[:, 2]
         place = place + normal * float(normal @ (here - place))
@@ -190,13 +191,10 @@ def _stance_robot(robot: Robot, contact: Contact, anchor: np.ndarray) -> Robot:
     passive = f"ankle_{contact.name}"
     model = reroot(robot.model, contact.frame, joint, passive, pin.SE3(axes, anchor))
     names = list(model.names)[2:]
-    rows = [joint_slices(robot.model, name) for name in names]
-    rows_q = np.concatenate([np.arange(q.start, q.stop) for q, _ in rows])
-    rows_v = np.concatenate([np.arange(v.start, v.stop) for _, v in rows])
+    rows_q, rows_v = joint_entries(robot.model, names)
     free_q, free_v = model.nq - len(rows_q), model.nv - len(rows_v)
     lower, upper = position_limits(model)
     lower[free_q:], upper[free_q:] = robot.position_lower[rows_q], robot.position_upper[rows_q]
-    actuated = rows_v[rows_v >= robot.n_unactuated] - robot.n_unactuated
     standing = replace(
         robot,
         name=f"{robot.name} on {contact.name}",
@@ -209,8 +207,7 @@ def _stance_robot(robot: Robot, contact: Contact, anchor: np.ndarray) -> Robot:
         position_lower=lower,
         position_upper=upper,
         given_length=robot.length,
-        effort_limit=None if robot.effort_limit is None else robot.effort_limit[actuated],
-        drives=None if robot.drives is None else tuple(robot.drives[int(row)] for row in actuated),
+        **robot.actuators_of(rows_v),
     )
     mode = StanceMode(floating=robot, contact=contact.name, robot=standing, anchor=anchor)
     return replace(standing, reference=mode.dropped(robot.reference)[0])
