@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.robot.robot import Robot
+from trajopt_library import problems, robots
 
 
 def similar(robot: Robot, *, mass: float = 1.0, length: float = 1.0, gravity: float = 1.0) -> Robot:
@@ -103,3 +105,33 @@ def with_inertias(robot: Robot, change: Callable[[str, pin.Inertia], pin.Inertia
 def heavier(inertia: pin.Inertia, factor: float) -> pin.Inertia:
     """The same body of ``factor`` times the density."""
     return pin.Inertia(factor * inertia.mass, inertia.lever, factor * inertia.inertia)
+
+
+def robot_file(folder: Path, kind: str, robot: str) -> str:
+    """A file that builds a robot, as a user gives one: ``robot`` is an expression over ``own(name)``."""
+    path = folder / "robot.py"
+    tool = "TOOL = 'tool0'\n" if kind == "arm" else ""
+    path.write_text(
+        "import numpy as np\nimport pinocchio as pin\nfrom trajopt_library.robots import load as own\n"
+        f"from tests.extremes.changed_robots import *\nKIND = {kind!r}\n{tool}"
+        f"def build():\n    return {robot}\n"
+    )
+    return str(path)
+
+
+def made(name: str, path: str):
+    """The problem on the robot of a file."""
+    return problems.load(name, robot=path)
+
+
+def ur5() -> Robot:
+    return robots.load("ur5")
+
+
+def solo() -> Robot:
+    return robots.load("solo12")
+
+
+def limited(torque: float) -> Robot:
+    """Solo12 with that largest torque in every joint, N m."""
+    return replace(solo(), effort_limit=np.full(12, torque))

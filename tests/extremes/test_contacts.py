@@ -9,9 +9,9 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from extremes.moves import legged, stance, steps, with_joints
-from extremes.outcomes import Failed, Refused, Solved, assert_outcome, in_process
-from tests.problems_for_tests import hopper
+from tests.extremes.moves import legged, stance, steps, with_joints
+from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome, in_process
+from tests.support.problems import hopper
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
@@ -33,6 +33,8 @@ from trajopt.terms import (
 )
 from trajopt.terrain.flat import FlatGround
 from trajopt_library import robots
+
+pytestmark = pytest.mark.long
 
 # Open-loop error of phases of 0.05 to 0.2 s on three intervals each, over the robot's length or rad; measured
 # up to 2.3e-3.

@@ -9,8 +9,8 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from extremes.motions import stand
-from extremes.outcomes import Failed, Refused, Solved, assert_outcome
+from tests.extremes.motions import stand
+from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.solvers.status import Status
 from trajopt_library import problems, robots
 
@@ -29,6 +29,7 @@ def tangential(solution) -> float:
     return float(np.abs(solution.f[solution.collocation][..., :2]).max() / weight)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("friction", FRICTIONS)
 @pytest.mark.parametrize("exact", [False, True], ids=["pyramid", "cone"])
 def test_quadruped_stands_on_any_friction(friction, exact):

@@ -9,10 +9,9 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from extremes.changed_robots import with_gravity
-from extremes.motions import stand, turn_over
-from extremes.outcomes import Failed, Refused, Solved, assert_outcome
-from extremes.test_masses import made, robot_file
+from tests.extremes.changed_robots import made, robot_file, with_gravity
+from tests.extremes.motions import stand, turn_over
+from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.solvers.status import Status
 from trajopt_library import robots
 
@@ -30,6 +29,7 @@ def test_arm_reaches_in_any_gravity(gravity, tmp_path):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("gravity", [0.0, 1e-3, 1.62, 20.0])
 def test_quadruped_stands_in_any_gravity(gravity):
     solution = assert_outcome(
@@ -40,6 +40,7 @@ def test_quadruped_stands_in_any_gravity(gravity):
     assert_allclose(carried.mean(), weight, atol=CARRIED * max(weight, 1.0))  # from rest to rest
 
 
+@pytest.mark.long
 def test_floating_quadruped_turns_by_its_legs_alone():
     """No gravity, no contact, no momentum: it ends turned all the same, at rest where it was."""
     robot = with_gravity(robots.load("solo12"), 0.0)
@@ -55,6 +56,7 @@ def test_floating_quadruped_turns_by_its_legs_alone():
     assert_allclose(turned, [0.0, 0.0, YAW], atol=1e-6)
 
 
+@pytest.mark.long
 def test_without_gravity_nothing_that_stands_stops_its_rise(tmp_path):
     path = robot_file(tmp_path, "quadruped", "with_gravity(own('solo12'), 0.0)")
     expected = Failed(Status.INFEASIBLE, block="base_dynamics")

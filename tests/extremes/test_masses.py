@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from functools import lru_cache, partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from extremes.changed_robots import longer
-from extremes.outcomes import Failed, Refused, Solved, assert_outcome
+from tests.extremes.changed_robots import longer, made, robot_file
+from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.certify.check import check
 from trajopt.certify.report import Tolerances
 from trajopt.solution.solution import Solution
@@ -29,23 +28,6 @@ MOTIONS = {
 SHORT = [ARM, HOP, pytest.param(JUMP, marks=pytest.mark.slow)]
 
 
-def robot_file(folder: Path, kind: str, robot: str) -> str:
-    """A file that builds a robot, as a user gives one: ``robot`` is an expression over ``own(name)``."""
-    path = folder / "robot.py"
-    tool = "TOOL = 'tool0'\n" if kind == "arm" else ""
-    path.write_text(
-        "import numpy as np\nimport pinocchio as pin\nfrom trajopt_library.robots import load as own\n"
-        f"from extremes.changed_robots import *\nKIND = {kind!r}\n{tool}"
-        f"def build():\n    return {robot}\n"
-    )
-    return str(path)
-
-
-def made(name: str, path: str):
-    """The problem on the robot of a file."""
-    return problems.load(name, robot=path)
-
-
 @lru_cache
 def on_its_own_robot(name: str) -> Solution:
     """The solution on the robot as it is."""
@@ -54,6 +36,7 @@ def on_its_own_robot(name: str) -> Solution:
     return assert_outcome(Solved(open_loop=open_loop, coarse=coarse), make, intervals=intervals)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mass", [1e-3, 1e3])
 @pytest.mark.parametrize("name", SHORT)
 def test_motion_of_a_similar_robot_is_the_same_and_forces_scale_with_its_mass(name, mass, tmp_path):
@@ -110,6 +93,7 @@ def test_quadruped_with_extreme_links_jumps(robot, open_loop, intervals, tmp_pat
     assert_outcome(Solved(open_loop=open_loop, coarse=0.1), partial(made, JUMP, path), intervals=intervals)
 
 
+@pytest.mark.long
 def test_tool_too_heavy_to_lift_is_infeasible_by_its_torques(tmp_path):
     heavy = "with_inertias(own('ur5'), lambda n, i: heavier(i, 1e4 if n == 'wrist_3_joint' else 1.0))"
     path = robot_file(tmp_path, "arm", heavy)

@@ -11,8 +11,8 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from extremes.moves import reach
-from extremes.outcomes import Failed, Refused, Solved, assert_outcome
+from tests.extremes.moves import reach
+from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.problem.problem import Problem
 from trajopt.reduced.base_conversion import with_virtual_base
@@ -31,6 +31,8 @@ from trajopt.terms import (
 )
 from trajopt.terrain.flat import FlatGround
 from trajopt_library import problems, robots
+
+pytestmark = pytest.mark.long
 
 # A turn about one axis is linear in exponential coordinates: exact up to what a solver leaves of rows.
 EXACT = 1e-7
@@ -135,22 +137,23 @@ def test_a_tumbling_top_follows_its_closed_form_through_all_orientations():
     assert np.max(np.abs(pitches)) > 1.4  # close to the right angle, where angles lock, and past it
 
 
+def assert_turns(axis, turns, *, goal):
+    """Torques hold the legs of a quadruped against what pushes them outwards."""
+    robot, omega = robots.load("solo12"), 2 * np.pi * turns * np.array(AXES[axis])
+    make = lambda: held_joints(robot, omega, 1.0, goal=goal)  # noqa: E731
+    solution = assert_outcome(Solved(FLIP), make, transcription="legendre:3", intervals=8 * turns)
+    assert_allclose(turned(solution), omega, atol=NUTATION)
+
+
 @pytest.mark.parametrize("axis", AXES)
 @pytest.mark.parametrize("turns", [1, pytest.param(2, marks=pytest.mark.slow), 3])
 def test_a_quadruped_flips_whole_turns(axis, turns):
-    """Torques hold the legs against what pushes them outwards."""
-    robot, omega = robots.load("solo12"), 2 * np.pi * turns * np.array(AXES[axis])
-    make = lambda: held_joints(robot, omega, 1.0, goal=False)  # noqa: E731
-    solution = assert_outcome(Solved(FLIP), make, transcription="legendre:3", intervals=8 * turns)
-    assert_allclose(turned(solution), omega, atol=NUTATION)
+    assert_turns(axis, turns, goal=False)
 
 
 @pytest.mark.parametrize("turns", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_a_quadruped_turns_to_a_goal_whole_turns_away(turns):
-    robot, omega = robots.load("solo12"), 2 * np.pi * turns * np.array(AXES["yaw"])
-    make = lambda: held_joints(robot, omega, 1.0)  # noqa: E731
-    solution = assert_outcome(Solved(FLIP), make, transcription="legendre:3", intervals=8 * turns)
-    assert_allclose(turned(solution), omega, atol=NUTATION)
+    assert_turns("yaw", turns, goal=True)
 
 
 @pytest.mark.slow

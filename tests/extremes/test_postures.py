@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from extremes.moves import lowered, pose_goal, reach, stance, with_joints
-from extremes.outcomes import Failed, Solved, assert_outcome, in_process
+from tests.extremes.moves import lowered, pose_goal, reach, stance, with_joints
+from tests.extremes.outcomes import Failed, Solved, assert_outcome, in_process
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
@@ -46,6 +46,7 @@ def ur5() -> dict[str, np.ndarray]:
     }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("singular", ["stretched", "wrist in line", "upright"])
 @pytest.mark.parametrize("end", ["start", "goal", "guess"])
 def test_arm_reaches_from_to_and_through_singular_postures(singular, end):
@@ -56,6 +57,7 @@ def test_arm_reaches_from_to_and_through_singular_postures(singular, end):
     assert_outcome(Solved(ARM), lambda: reach(arm, start, goal, guess=guess), transcription="legendre:3")
 
 
+@pytest.mark.long
 def test_pose_at_which_a_wrist_is_in_line_is_reached():
     postures, arm = ur5(), robots.load("ur5")
     end = pose_goal(arm, postures["wrist in line"], "tool0")
@@ -63,6 +65,7 @@ def test_pose_at_which_a_wrist_is_in_line_is_reached():
     assert_outcome(Solved(ARM), make, transcription="legendre:3")
 
 
+@pytest.mark.long
 def test_pose_at_full_stretch_stops_at_it_and_names_its_rows():
     """The pose is on the edge of what the arm reaches: there its rows lose rank and have no multipliers."""
     postures, arm = ur5(), robots.load("ur5")
@@ -148,6 +151,7 @@ def test_quadruped_rises_from_nearly_folded_legs():
     )
 
 
+@pytest.mark.long
 def test_feet_at_the_hips_fail_with_their_rows_named():
     """Five of the twelve rows that hold the feet say nothing new at the start, and all others nearby."""
     robot = robots.load("solo12")

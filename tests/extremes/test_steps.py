@@ -9,10 +9,10 @@ from itertools import product
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from problems_for_tests import REACH, reach
 
-from extremes.motions import stand
-from extremes.outcomes import Failed, Refused, Solved, assert_outcome
+from tests.extremes.motions import stand
+from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
+from tests.support.problems import REACH, reach
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solvers.status import Status
 from trajopt_library import problems, robots
@@ -44,6 +44,7 @@ COARSE = {
 CUBIC = 1e-6
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", ARM)
 def test_arm_reaches_by_every_scheme(scheme):
     make = partial(problems.load, "ur5-reach")
@@ -92,6 +93,7 @@ def test_least_acceleration_is_the_cubic_on_any_horizon_and_grid(duration, inter
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("step", [1e-4, 1e-2, 0.2])
 def test_quadruped_stands_still_at_any_step(step):
     """At rest nothing is discretised: forces that carry the weight, whatever the step."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from extremes.outcomes import Refused, Solved, assert_outcome
+from tests.extremes.outcomes import Refused, Solved, assert_outcome
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.terms import Cost, NodeCost
@@ -50,6 +50,7 @@ def solved(name: str, factor: float = 1.0, cost: str | None = None) -> Solution:
     return assert_outcome(expected, partial(weighed, name, factor, cost), intervals=intervals)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("factor", [1e-9, 1e9])
 @pytest.mark.parametrize("name", SHORT)
 def test_weights_all_multiplied_change_the_objective_alone(name, factor):

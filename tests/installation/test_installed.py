@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests.support.repository import ROOT
+
 # Seconds after which a build, an installation or a solve is ended.
 LIMIT = 600
 SCRIPT = """
@@ -56,6 +57,7 @@ def solves_both_ways(folder: Path, scripts: Path) -> None:
     assert (folder / "jump.npz").is_file()
 
 
+@pytest.mark.long
 def test_own_files_named_as_folders_of_the_repository_disturb_nothing(folder: Path) -> None:
     solves_both_ways(folder, Path(sys.executable).parent)
 

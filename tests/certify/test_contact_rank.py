@@ -1,0 +1,157 @@
+"""Contacts whose rows depend on each other: unique motion, least wrenches, and a report of the rows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from tests.support.contact_cases import FEET, body, close, independent, vanishes
+from tests.support.models import robot
+from trajopt.certify.contact.contact_dynamics import ContactDynamics, actuated_force, forward_dynamics
+from trajopt.certify.contact.contact_set import ContactSet
+from trajopt.dynamics.model_quantities import contact_jacobian
+from trajopt.robot.contact import Contact
+from trajopt.robot.data import robot_file
+
+# Two ways to the same numbers, in a well-conditioned problem.
+RELATIVE = 1e-9
+# Rounding of rows that vanish, with numbers up to a few hundred.
+ZERO = 1e-9
+GRAVITY = 9.81
+
+
+def test_two_points_of_a_body_are_a_hinge_with_one_row_too_many():
+    model = body({"left": (0.0, 0.2, 0.5), "right": (0.0, -0.2, 0.5)})
+    contacts = ContactSet.of(model, [("left", 3), ("right", 3)])
+    turn = np.array([0.0, 0.8, 0.0])
+    v = np.concatenate([-np.cross(turn, [0.0, 0.0, 0.5]), turn])
+    push = np.array([0.0, 6.0, 0.0, 0.0, 0.0, 0.0])
+    found = forward_dynamics(model, pin.neutral(model), v, push, contacts)
+    assert (found.rank.rows, found.rank.jacobian, found.rank.delassus) == (6, 5, 5)
+    (group,) = found.rank.dependencies
+    assert (group.rows, group.contacts, group.excess) == (("left y", "right y"), ("left", "right"), 1)
+    assert "1 too many among left y, right y" in str(found.rank)
+    vanishes(found.contact_acceleration, ZERO)
+    vanishes(found.dynamics_residual, ZERO)
+    close(found.wrenches[:, 1], np.array([-3.0, -3.0]), RELATIVE)  # the push, shared
+
+
+def test_four_corners_of_a_foot_share_the_weight_evenly():
+    corners = {f"corner{i}": (x, y, -0.1) for i, (x, y) in enumerate([(1, 1), (1, -1), (-1, 1), (-1, -1)])}
+    model = body(corners, mass=8.0)
+    contacts = ContactSet.of(model, [(name, 3) for name in corners])
+    found = forward_dynamics(model, pin.neutral(model), np.zeros(6), np.zeros(6), contacts)
+    assert (found.rank.rows, found.rank.delassus) == (12, 6)
+    assert sum(group.excess for group in found.rank.dependencies) == 6
+    vanishes(found.acceleration, ZERO)
+    close(found.wrenches[:, :3], np.tile([0.0, 0.0, 2.0 * GRAVITY], (4, 1)), RELATIVE)
+
+
+def test_legs_without_lateral_joints_leave_one_internal_force():
+    model = pin.buildModelFromUrdf(
+        str(robot_file("solo_description/robots/solo.urdf")), pin.JointModelFreeFlyer()
+    )
+    contacts = ContactSet.of(model, [(foot, 3) for foot in FEET])
+    q = pin.neutral(model)
+    q[7:] = [0.7, -1.4, 0.6, -1.3, -0.8, 1.5, -0.7, 1.2]
+    found = forward_dynamics(model, q, np.zeros(model.nv), np.zeros(model.nv), contacts)
+    assert (found.rank.rows, found.rank.jacobian, found.rank.delassus) == (12, 11, 11)
+    (group,) = found.rank.dependencies
+    assert group.rows == tuple(f"{foot} y" for foot in FEET)
+    vanishes(found.contact_acceleration, ZERO)
+
+
+def test_dependent_rows_are_named_axis_by_axis():
+    case = independent("talos on its soles")
+    soles = [
+        Contact(
+            frame=f"{side}_sole_link", name=f"{side} {copy}", kind="surface", half_length=0.1, half_width=0.05
+        )
+        for side in ("left", "right")
+        for copy in ("a", "b")
+    ]
+    twice = ContactSet.of(case.model, soles)
+    groups = forward_dynamics(case.model, case.q, case.v, case.tau, twice).rank.dependencies
+    axes = ("x", "y", "z", "rx", "ry", "rz")
+    expected = {(f"{side} a {axis}", f"{side} b {axis}") for side in ("left", "right") for axis in axes}
+    assert {group.rows for group in groups} == expected
+
+
+def test_contacts_given_twice_halve_the_wrenches_and_keep_the_motion():
+    case = independent("talos on its soles")
+    twice = ContactSet.of(case.model, [("left_sole_link", 6), ("right_sole_link", 6)] * 2)
+    once = forward_dynamics(case.model, case.q, case.v, case.tau, case.contacts)
+    found = forward_dynamics(case.model, case.q, case.v, case.tau, twice)
+    assert (found.rank.rows, found.rank.delassus) == (24, 12)
+    assert sum(group.excess for group in found.rank.dependencies) == 12
+    close(found.acceleration, once.acceleration, RELATIVE)
+    close(found.wrenches, np.tile(once.wrenches / 2, (2, 1)), RELATIVE)
+    quick = ContactDynamics(case.model, twice).acceleration(case.q, case.v, case.tau)
+    close(quick, once.acceleration, RELATIVE)
+
+
+def test_the_moment_arm_shares_out_wrenches_and_leaves_the_motion_alone():
+    model = body({"sole": (0.0, 0.0, -0.5), "heel": (-0.3, 0.0, -0.5)})
+    pitch = np.array([0.0, 0.0, 0.0, 0.0, 5.0, 0.0])
+    found = [
+        forward_dynamics(
+            model,
+            pin.neutral(model),
+            np.zeros(6),
+            pitch,
+            ContactSet.of(model, [("sole", 6), ("heel", 3)], moment_arm=arm),
+        )
+        for arm in (0.1, 10.0)
+    ]
+    close(found[0].acceleration, found[1].acceleration, RELATIVE)
+    totals = []
+    for motion in found:
+        lever = np.cross([-0.3, 0.0, 0.0], motion.wrenches[1, :3])
+        totals.append(motion.wrenches[0, 3:] + lever)
+        vanishes(motion.dynamics_residual, ZERO)
+    close(totals[0], totals[1], RELATIVE)
+    assert abs(found[0].wrenches[0, 4]) < abs(found[1].wrenches[0, 4])  # a short arm makes moments dear
+
+
+def test_a_contact_that_cannot_move_is_of_rank_zero():
+    model, _ = robot("ur5")
+    contacts = ContactSet.of(
+        model, [("base_link", 3), ("shoulder_link", 3)]
+    )  # on the ground; on the first axis
+    generator = np.random.default_rng(2)
+    q, v, tau = (generator.standard_normal(6) for _ in range(3))
+    found = forward_dynamics(model, q, v, tau, contacts)
+    assert (found.rank.jacobian, found.rank.delassus) == (0, 0)
+    assert {group.rows for group in found.rank.dependencies} == {(row,) for row in contacts.row_names}
+    expected = pin.aba(model, model.createData(), q, v, tau)
+    close(found.acceleration, expected, RELATIVE)
+    vanishes(found.wrenches, 0.0)
+    close(ContactDynamics(model, contacts).acceleration(q, v, tau), expected, RELATIVE)
+
+
+def test_a_singular_wrist_leaves_its_motion_free():
+    model, _ = robot("ur5")
+    contacts = ContactSet.of(model, [("tool0", 6)])
+    q = np.array([0.3, -1.1, 1.4, 0.2, 0.0, 0.7])  # axes of the fourth and the last joint are parallel
+    turn = np.array([0.0, 0.0, 0.0, 1.0, 0.0, -1.0])
+    tau = actuated_force(model, turn) + pin.nle(model, model.createData(), q, np.zeros(6))
+    found = forward_dynamics(model, q, np.zeros(6), tau, contacts)
+    assert (found.rank.jacobian, found.rank.delassus) == (5, 5)
+    free = np.linalg.svd(contact_jacobian(model, q, [("tool0", 6)]))[2][-1]
+    mass = pin.crba(model, model.createData(), q)
+    close(found.acceleration, free * (free @ turn) / (free @ mass @ free), RELATIVE)
+    near = forward_dynamics(model, q + 1e-4 * np.eye(6)[4], np.zeros(6), tau, contacts)
+    assert near.rank.delassus == 6
+    vanishes(near.acceleration, 1e-6)  # all six rows hold all six joints
+
+
+def test_rows_that_contradict_each_other_are_met_in_least_squares_and_say_so():
+    half, rate = 0.2, 3.0
+    model = body({"left": (0.0, half, 0.0), "right": (0.0, -half, 0.0)})
+    contacts = ContactSet.of(model, [("left", 3), ("right", 3)])
+    v = np.array([0.0, 0.0, 0.0, 0.0, 0.0, rate])  # both points circle about their middle
+    found = forward_dynamics(model, pin.neutral(model), v, np.zeros(6), contacts)
+    close(found.contact_acceleration[:, 1], half * rate**2 * np.array([-1.0, 1.0]), RELATIVE)
+    vanishes(found.contact_acceleration[:, [0, 2]], ZERO)
+    vanishes(found.dynamics_residual, ZERO)
+    assert np.linalg.norm(found.wrenches) < 2 * 2.0 * GRAVITY

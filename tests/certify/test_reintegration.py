@@ -1,0 +1,45 @@
+"""Open-loop re-integration: forward dynamics under contacts, and errors that mean something."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.synthetic_motions import arm_motion, sampled, standing, tumbling_flight
+from trajopt.certify.check import check
+from trajopt.certify.reintegration import open_loop
+from trajopt.certify.report import Tolerances
+from trajopt_library import robots
+
+INTERVALS = 20
+EXACT = 1e-9  # motions are integrated to 1e-13; the numbers here are of order one
+
+
+def test_open_loop_error_of_interpolated_torques_falls_with_the_fourth_power():
+    robot = robots.load("ur5")
+    coarse, fine = (check(sampled(robot, [arm_motion(robot)], n)).open_loop_joints for n in (20, 40))
+    assert np.log2(coarse / fine) == pytest.approx(4, abs=0.3)
+
+
+def test_wrong_torque_shows_in_the_open_loop(push):
+    wrong = replace(push, tau=push.tau + 1e-2)
+    assert check(wrong).open_loop_joints > 1e-3
+
+
+def test_open_loop_runs_phase_by_phase(solo):
+    both = sampled(solo, [standing(solo), tumbling_flight(solo)], INTERVALS)
+    stance_error, flight_error = open_loop(replace(both, tau=both.tau + 0.1 * (both.phase == 1)[:, None]))
+    assert stance_error.position < EXACT
+    assert flight_error.joints > 0.1
+    report = check(both)
+    assert [phase.contacts for phase in report.phases] == [both.contact_frames, ()]
+    assert report.phases[1].ballistic_error < EXACT
+
+
+def test_torque_that_runs_away_is_reported_as_infinite(flight):
+    report = check(replace(flight, tau=flight.tau * 1e12))
+    assert report.open_loop_joints == np.inf
+    assert report.to_dict()["open_loop_joints"] is None
+    assert not report.within(Tolerances(open_loop_joints=1.0))

@@ -1,0 +1,296 @@
+"""The command line: exit status, one JSON object, one line for bad input, files."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.command_lines import assert_refused, invoke
+from tests.support.processes import TRAJOPT, run
+from trajopt import Solution
+from trajopt.cli.report import to_json
+from trajopt.problem import catalogue
+
+# A small hop on a coarse grid: solved within a second, its foot drift is beyond a check's tolerance.
+HOP = ("solve", "solo12-jump", "--set", "distance=10cm", "--intervals", "12")
+# No leg can push so far in so short a time.
+IMPOSSIBLE = ("--set", "distance=1", "--set", "flight=0.05", "--set", "stance=0.05")
+KEYS = {
+    "problem", "robot", "success", "status", "advice", "iterations", "objective", "variables", "constraints",
+    "max_violation", "worst_blocks", "wall_time_s", "function_time_s", "build_time_s", "compile_time_s",
+    "accuracy", "file", "solver", "transcription", "intervals", "tolerance", "seed", "perturb", "compile",
+    "parameters", "warm_start",
+}  # fmt: skip
+
+
+def trajopt_process(*arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
+    return run(*TRAJOPT, *arguments, cwd=folder)
+
+
+def strict(text: str) -> dict:  # type: ignore[type-arg]
+    """The one JSON object that ``text`` is; NaN and Infinity are no JSON."""
+
+    def refuse(word: str) -> None:
+        raise AssertionError(f"{word} in JSON")
+
+    found = json.loads(text, parse_constant=refuse)
+    assert isinstance(found, dict)
+    return found
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cli")
+
+
+@pytest.fixture(scope="module")
+def hop(folder: Path) -> subprocess.CompletedProcess[str]:
+    """The hop, solved in a process of its own with the default output."""
+    return trajopt_process(*HOP, "--json", folder=folder)
+
+
+@pytest.fixture(scope="module")
+def hop_file(hop: subprocess.CompletedProcess[str], folder: Path) -> Path:
+    return folder / strict(hop.stdout)["file"]
+
+
+def test_list_json_names_robot_phases_and_parameters() -> None:
+    result = invoke("list", "--json")
+    assert result.exit_code == 0
+    problems = {problem["name"]: problem for problem in strict(result.stdout)["problems"]}
+    jump = problems["solo12-jump"]
+    assert jump["robot"] == "solo12"
+    assert jump["phases"] == ["stance", "flight", "landing"]
+    distance = next(entry for entry in jump["parameters"] if entry["name"] == "distance")
+    assert set(distance) == {"name", "default", "unit", "lower", "upper", "meaning"}
+
+
+def test_list_shows_every_parameter_with_its_unit() -> None:
+    result = invoke("list")
+    assert result.exit_code == 0
+    for family in catalogue.families().values():
+        assert family.name in result.stdout
+        for parameter in family.parameters:
+            range_ = [] if parameter.upper is None else [f"{parameter.upper:g} {parameter.unit}"]
+            shown = getattr(parameter, "choices", range_)
+            assert all(text.rstrip() in result.stdout for text in shown)
+
+
+@pytest.mark.long
+def test_json_of_a_solve_is_one_object_with_the_agreed_keys(hop: subprocess.CompletedProcess[str]) -> None:
+    assert hop.returncode == 0, hop.stderr
+    found = strict(hop.stdout)
+    assert set(found) >= KEYS
+    assert found["success"] is True
+    assert found["status"] == "solved"
+    assert found["max_violation"] <= found["tolerance"]
+    assert found["intervals"] == 12
+
+
+def test_progress_is_silent_where_stderr_is_no_terminal(hop: subprocess.CompletedProcess[str]) -> None:
+    assert hop.stderr == ""
+
+
+def test_a_value_may_carry_a_unit(hop: subprocess.CompletedProcess[str]) -> None:
+    assert strict(hop.stdout)["parameters"]["distance"] == pytest.approx(0.1)
+
+
+def test_default_output_is_named_by_the_problem(
+    hop: subprocess.CompletedProcess[str], hop_file: Path
+) -> None:
+    assert hop_file.name == "solo12-jump.npz"
+    assert Solution.load(hop_file).success
+
+
+def test_accuracy_is_what_check_prints(hop: subprocess.CompletedProcess[str], hop_file: Path) -> None:
+    result = invoke("check", hop_file, "--json")
+    checked, accuracy = strict(result.stdout), strict(hop.stdout)["accuracy"]
+    assert checked["failures"] == accuracy["failures"]
+    assert checked["foot_drift"] == pytest.approx(accuracy["foot_drift"])
+
+
+def test_check_beyond_tolerance_ends_with_one(hop_file: Path) -> None:
+    result = invoke("check", hop_file)
+    assert result.exit_code == 1
+    assert "beyond" in result.stdout
+    assert strict(invoke("check", hop_file, "--json").stdout)["ok"] is False
+
+
+def test_summary_says_where_the_file_is_and_what_is_beyond(tmp_path: Path) -> None:
+    target = tmp_path / "no suffix"
+    result = invoke(*HOP, "--output", target)
+    assert result.exit_code == 0, result.stderr
+    assert target.is_file()
+    assert f"trajopt check '{target}'" in result.stdout
+    assert "beyond the tolerances of a check: " in result.stdout
+    assert Solution.load(target).success
+
+
+def test_solve_leaves_the_handler_of_ctrl_c_as_it_was(tmp_path: Path) -> None:
+    before = signal.getsignal(signal.SIGINT)
+    assert invoke(*HOP, "--max-iterations", 1, "--output", tmp_path / "x.npz").exit_code == 1
+    assert signal.getsignal(signal.SIGINT) is before
+    assert signal.set_wakeup_fd(-1) == -1
+
+
+@pytest.mark.long
+def test_chatter_of_the_solver_is_not_on_stdout(tmp_path: Path) -> None:
+    done = trajopt_process(
+        *HOP, "--solver", "fatrop", "--solver-option", "print_level=10", "--json", folder=tmp_path
+    )
+    assert strict(done.stdout)["solver"] == "fatrop"
+    assert "objective" in done.stderr
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
+def test_iteration_limit_ends_with_one_and_names_the_worst_rows(solver: str, tmp_path: Path) -> None:
+    target = tmp_path / "x.npz"
+    result = invoke(*HOP, "--solver", solver, "--max-iterations", 2, "--output", target, "--json")
+    found = strict(result.stdout)
+    assert result.exit_code == 1
+    assert (found["success"], found["status"]) == (False, "iteration_limit")
+    assert "--max-iterations" in found["advice"]
+    assert all(block["phase"] in ("stance", "flight", "landing") for block in found["worst_blocks"])
+    assert Solution.load(target).success is False
+
+
+@pytest.mark.slow
+def test_impossible_goal_ends_with_one_and_names_rows_phase_and_time(tmp_path: Path) -> None:
+    result = invoke(
+        *HOP[:2], *IMPOSSIBLE, "--intervals", 12, "--max-iterations", 80, "--output", tmp_path / "x.npz"
+    )
+    assert result.exit_code == 1
+    assert "NOT solved" in result.stdout
+    assert "advice" in result.stdout
+    worst = [line for line in result.stdout.splitlines() if line.strip().startswith("worst")]
+    assert len(worst) == 3
+    assert all(" in phase '" in line and "t = " in line for line in worst)
+
+
+BAD = {
+    "no command": ((), ["Missing command"]),
+    "unknown command": (
+        ("sole",),
+        ["sole", "allowed: check, continue, diagnose, list"],
+    ),
+    "no problem": (("solve",), ["PROBLEM"]),
+    "unknown problem": (("solve", "solo12-jmp"), ["did you mean solo12-jump?"]),
+    "unknown option": ((*HOP, "--sovler", "ipopt"), ["--sovler"]),
+    "two files": (("check", "a", "b"), ["b"]),
+    "unknown parameter": ((*HOP, "--set", "distanc=1"), ["did you mean distance?", "yaw"]),
+    "parameter is nan": ((*HOP[:2], "--set", "distance=nan"), ["distance is nan", "-1 to 1 m"]),
+    "parameter is no number": ((*HOP[:2], "--set", "distance=far"), ["distance='far'", "-1 to 1 m"]),
+    "parameter out of range": ((*HOP[:2], "--set", "yaw=90"), ["yaw is 90", "yaw=90deg"]),
+    "negative duration": ((*HOP, "--set", "stance=-1"), ["stance is -1", "0.001 to 10 s"]),
+    "no duration": ((*HOP, "--set", "stance=0"), ["stance is 0"]),
+    "set without value": ((*HOP, "--set", "yaw"), ["--set 'yaw'", "NAME=VALUE"]),
+    "set twice": ((*HOP, "--set", "yaw=0", "--set", "yaw=1"), ["'yaw' twice", "0 and 1"]),
+    "unknown scheme": ((*HOP, "--transcription", "legendre:9"), ["legendre:9", "legendre:1..4"]),
+    "empty scheme": ((*HOP, "--transcription", ""), ["unknown transcription ''"]),
+    "too few intervals": ((*HOP, "--intervals", "2"), ["2 intervals for 3 phases", "at least 3"]),
+    "no intervals": ((*HOP, "--intervals", "0"), ["0 intervals"]),
+    "negative intervals": ((*HOP, "--intervals", "-5"), ["-5 intervals"]),
+    "intervals no number": ((*HOP, "--intervals", "many"), ["'--intervals'", "whole number"]),
+    "intervals beyond memory": ((*HOP, "--intervals", "10000000"), ["'--intervals'", "100000"]),
+    "unknown solver": ((*HOP, "--solver", "snopt"), ["snopt", "allowed: ipopt, fatrop"]),
+    "tolerance": ((*HOP, "--tol", "nan"), ["tolerance is nan", "between 0 and 1"]),
+    "perturbation": ((*HOP, "--perturb", "-1"), ["perturb is -1"]),
+    "seed": ((*HOP, "--seed", "-1"), ["'--seed'", "-1"]),
+    "iterations": ((*HOP, "--max-iterations", "1e3"), ["'--max-iterations'", "whole number"]),
+    "time": ((*HOP, "--max-time", "0"), ["max_time is 0 s"]),
+    "compile level": ((*HOP, "--compile", "ultra"), ["ultra", "none, quick, fast"]),
+    "threads": ((*HOP, "--threads", "0"), ["'--threads'"]),
+    "solver option form": ((*HOP, "--solver-option", "tol"), ["--solver-option 'tol'"]),
+    "solver option nan": ((*HOP, "--solver-option", "tol=nan"), ["tol is nan"]),
+    "ipopt option": ((*HOP, "--solver-option", "mu_strateg=x"), ["ipopt", "mu_strateg"]),
+    "ipopt value": ((*HOP, "--solver-option", "mu_strategy=x"), ["ipopt", "mu_strategy"]),
+    "ipopt option not here": ((*HOP, "--solver-option", "linear_solver=ma27"), ["ipopt", "linear_solver"]),
+    "fatrop option": ((*HOP, "--solver", "fatrop", "--solver-option", "foo=1"), ["fatrop", "'foo'"]),
+    "fatrop value": ((*HOP, "--solver", "fatrop", "--solver-option", "mu_init=x"), ["fatrop", "'mu_init'"]),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("arguments", "words"), BAD.values(), ids=BAD.keys())
+def test_bad_input_is_one_line_and_two(
+    arguments: tuple[str, ...], words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert_refused(invoke(*arguments), *words)
+    assert not list(tmp_path.iterdir())
+
+
+def test_output_is_refused_before_anything_else_of_the_solve(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("mine")
+    places = {
+        tmp_path / "none" / "x.npz": "does not exist",
+        file / "x.npz": "is not a folder",
+        Path("/proc/x.npz"): "cannot write /proc/x.npz",
+        tmp_path: "it is a folder",
+        Path("/dev/null"): "no regular file",
+        tmp_path / ("n" * 250): "too long",
+    }
+    for place, words in places.items():
+        assert_refused(invoke(*HOP, "--solver", "unknown", "--output", place), words)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+    assert file.read_text() == "mine"
+
+
+def test_cache_that_cannot_be_written_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TRAJOPT_CACHE_DIR", "/proc/none")
+    assert_refused(invoke(*HOP, "--output", tmp_path / "x.npz"), "/proc/none", "TRAJOPT_CACHE_DIR")
+
+
+@pytest.mark.parametrize("verb", ["check", "replay"])
+def test_files_that_are_no_solution_are_refused(verb: str, hop_file: Path, tmp_path: Path) -> None:
+    truncated, foreign, text = tmp_path / "truncated.npz", tmp_path / "foreign.npz", tmp_path / "text.npz"
+    truncated.write_bytes(hop_file.read_bytes()[:5000])
+    np.savez(foreign, x=np.arange(3))
+    text.write_text("no archive")
+    assert_refused(invoke(verb, truncated), "truncated.npz is truncated or damaged")
+    assert_refused(invoke(verb, foreign), "foreign.npz is not a trajopt-solution file")
+    assert_refused(invoke(verb, text), "text.npz is not a trajopt-solution file")
+    assert_refused(invoke(verb, tmp_path / "missing.npz"), "missing.npz does not exist")
+    assert_refused(invoke(verb, tmp_path), "is not a file")
+
+
+def test_replay_writes_a_page(hop_file: Path, tmp_path: Path) -> None:
+    page = tmp_path / "hop.html"
+    result = invoke("replay", hop_file, "--html", page)
+    assert result.exit_code == 0, result.stderr
+    assert str(page) in result.stdout
+    assert "<html" in page.read_text()[:1000]
+    assert_refused(invoke("replay", hop_file, "--html", tmp_path / "none" / "x.html"), "none/x.html")
+    before = hop_file.read_bytes()
+    assert_refused(invoke("replay", hop_file, "--html", hop_file), "is what is read")
+    assert hop_file.read_bytes() == before
+    assert_refused(invoke("replay", hop_file, "--html", "/dev/null"), "no regular file")
+    assert_refused(invoke("replay", hop_file, "--html", page, "--speed", "1e-9"), "a higher speed")
+
+
+def test_module_and_version_run(tmp_path: Path) -> None:
+    done = trajopt_process("--version", folder=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "version" in done.stdout
+
+
+def test_numbers_that_are_not_finite_are_null_in_json() -> None:
+    text = to_json({"a": math.nan, "b": [math.inf, 1.0], "c": {"d": -math.inf}})
+    assert strict(text) == {"a": None, "b": [None, 1.0], "c": {"d": None}}
+
+
+def test_a_log_replaces_neither_the_solution_nor_the_start(hop_file: Path, tmp_path: Path) -> None:
+    before = hop_file.read_bytes()
+    solve = ("solve", "hopper-hop", "--compile", "none", "--log", hop_file)
+    assert_refused(invoke(*solve, "-o", hop_file), "written twice")
+    assert_refused(invoke(*solve, "-o", tmp_path / "new.npz", "--start", hop_file), "is what is read")
+    assert hop_file.read_bytes() == before
+    assert not (tmp_path / "new.npz").exists()

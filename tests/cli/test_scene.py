@@ -1,0 +1,70 @@
+"""What the command line says about a scene, and what it writes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import Result
+
+from tests.support.command_lines import invoke
+from trajopt import Solution
+
+# Of 12 intervals 4, 3 and 5 in stance, flight and landing; a whole node has 37 entries, a half 18, a point 18
+# or 9 accelerations and on four or two feet 12 or 6 forces.
+WHOLE = 13 * 37 + 9 * 2 * (18 + 12) + 3 * 2 * 18
+HALF = 13 * 18 + 9 * 2 * (9 + 6) + 3 * 2 * 9
+JUMP = ("solve", "solo12-jump", "--set", "distance=10cm", "--intervals", "12", "--compile", "none")
+
+
+@pytest.fixture(scope="module")
+def explained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, Path]:
+    file = tmp_path_factory.mktemp("scene") / "jump.npz"
+    return invoke(*JUMP, "--explain", "--output", file), file
+
+
+@pytest.mark.long
+def test_explain_says_what_is_modelled_what_is_not_and_why_before_it_solves(
+    explained: tuple[Result, Path],
+) -> None:
+    result, _ = explained
+    assert result.exit_code == 0, result.output
+    text = result.stdout
+    order = ["modelled", "left out, exactly", "left out, a choice", "kept:", "size ", "solved;", "objective"]
+    places = [text.index(words) for words in order]
+    assert places == sorted(places)
+    assert f"{WHOLE} -> {HALF} variables" in text
+    assert "beyond 30 m g l" in text
+
+
+def test_the_file_of_a_scene_is_the_whole_robots(explained: tuple[Result, Path]) -> None:
+    solution = Solution.load(explained[1])
+    assert solution.model.nv == 18
+    assert solution.f.shape[1] == 4
+    assert solution.meta["variables"] == HALF
+
+
+@pytest.mark.long
+def test_smallest_solves_the_same_silently_and_json_has_the_scene(tmp_path: Path) -> None:
+    result = invoke(*JUMP, "--smallest", "--json", "--output", tmp_path / "jump.npz")
+    found = json.loads(result.stdout)
+    assert found["variables"] == found["scene"]["after"]["variables"] == HALF
+    assert found["scene"]["before"]["variables"] == WHOLE
+    assert found["scene"]["exact"] is False
+    kinds = {decision["kind"] for decision in found["scene"]["decisions"]}
+    assert kinds <= {"exact", "choice", "kept", "offer"}
+
+
+@pytest.mark.long
+def test_without_these_options_the_problem_is_solved_as_it_is_built(tmp_path: Path) -> None:
+    found = json.loads(invoke(*JUMP, "--json", "--output", tmp_path / "jump.npz").stdout)
+    assert found["variables"] == WHOLE
+    assert "scene" not in found
+
+
+def test_a_joint_to_keep_must_exist(tmp_path: Path) -> None:
+    result = invoke(*JUMP, "--keep", "FL_HIP", "--output", tmp_path / "jump.npz")
+    assert result.exit_code == 2
+    assert result.stderr.startswith("trajopt: joint 'FL_HIP' to keep is unknown; one of root_joint, FL_HAA")
+    assert result.stderr.count("\n") == 1

@@ -1,0 +1,14 @@
+"""What every test shares: assertions of helpers say what they found, and which tests are quick."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.register_assert_rewrite("tests.support", "tests.extremes")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark as ``quick`` what is neither ``long`` nor ``slow``."""
+    for item in items:
+        if item.get_closest_marker("long") is None and item.get_closest_marker("slow") is None:
+            item.add_marker(pytest.mark.quick)

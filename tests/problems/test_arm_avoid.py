@@ -1,0 +1,125 @@
+"""arm-avoid: the straight joint path collides, the guess does not, and the solution passes the check."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from trajopt import solve
+from trajopt.certify.check import check
+from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
+from trajopt.robot.kinematics import frame_pose
+from trajopt.solving.avoidance import missed_pairs
+from trajopt.terms import Clearance
+from trajopt.terms.clearance import collision_scene
+from trajopt_library.problems import arm_avoid
+from trajopt_library.problems.common import smooth_step
+
+POSE = 1e-6  # m and 1; what the solver's tolerance leaves
+OTHERS = ("xarm7", "z1")  # arms that the family does not name
+
+
+@lru_cache
+def problem(robot: str) -> Problem:
+    return arm_avoid.FAMILY.load({"robot": robot})
+
+
+def clearance_term(built: Problem) -> Clearance:
+    (term,) = (term for term in built.terms if isinstance(term, Clearance))
+    return term
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("robot", [*arm_avoid.FAMILY.robots, *OTHERS])
+def test_straight_joint_path_collides_and_the_guess_does_not(robot):
+    built = problem(robot)
+    scene, model, duration = (
+        collision_scene(built.terms),
+        built.robot.model,
+        built.schedule.phases[0].duration,
+    )
+    start, goal = built.guess(0.0), built.guess(duration)
+    way = pin.difference(model, start, goal)
+    times = np.linspace(0.0, 1.0, 60)
+    straight = scene.least_distances(pin.integrate(model, start, float(smooth_step(s)) * way) for s in times)
+    by_obstacle = {
+        name: min(d for (_, other), d in zip(scene.pairs, straight, strict=True) if other == name)
+        for name in ("box", "post")
+    }
+    assert max(by_obstacle.values()) < -0.01  # both are in the way
+    along = scene.least_distances(built.guess(s * duration) for s in times)
+    assert along.min() > 0
+
+
+@pytest.mark.parametrize("robot", arm_avoid.FAMILY.robots)
+def test_guess_starts_and_ends_at_rest_at_the_ends(robot):
+    built, step = problem(robot), 1e-4
+    duration = built.schedule.phases[0].duration
+    assert built.guess(0.0) == pytest.approx(built.initial_q)
+    for end, inside in ((0.0, step), (duration, duration - step)):
+        moved = pin.difference(built.robot.model, built.guess(end), built.guess(inside))
+        assert np.abs(moved).max() < step**2 / duration
+
+
+@pytest.mark.parametrize("robot", ["ur5", "irb1600"])
+def test_solution_is_clear_and_brings_the_tool_to_its_goal(robot):
+    built = problem(robot)
+    solution = solve(built, compile="none")
+    assert solution.success, solution.meta["advice"]
+    report = check(solution)
+    assert report.ok, report.failures()
+    assert report.obstacle_distance > 0
+    assert missed_pairs(built, solution) == {}
+    (tool,) = {term.frame for term in built.terms if hasattr(term, "frame")}
+    end = built.guess(built.schedule.phases[0].duration)
+    goal, reached = (frame_pose(built.robot, q, tool) for q in (end, solution.q[-1]))
+    assert np.abs(goal.homogeneous - reached.homogeneous).max() < POSE
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["panda", "kinova", *OTHERS])
+def test_other_arms_get_past_too(robot):
+    solution = solve(problem(robot), compile="none")
+    assert solution.success, solution.meta["advice"]
+    assert check(solution).ok
+
+
+def test_obstacles_scale_with_the_arm():
+    sizes = [
+        next(o for o in collision_scene(problem(r).terms).obstacles if o.name == "post").radius
+        / problem(r).robot.length
+        for r in ("ur5", "irb1600")
+    ]
+    assert sizes[0] == pytest.approx(sizes[1])
+
+
+def test_margin_is_a_share_of_the_reach():
+    built = problem("ur5")
+    assert clearance_term(built).margin == pytest.approx(0.01 * built.robot.length)
+
+
+BAD = {
+    "legs": ({"robot": "solo12"}, "no tool"),
+    "reach": ({"radius": 1.0}, "ur5.* cannot bring"),
+    "margin": ({"margin": 0.5}, "margin"),
+    "turn": ({"turn": "200deg"}, "turn"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_parameters_are_refused_in_one_line(case):
+    values, message = BAD[case]
+    with pytest.raises(InputError, match=message) as caught:
+        arm_avoid.FAMILY.load(values)
+    assert "\n" not in str(caught.value)
+
+
+def test_duration_may_be_given():
+    built = arm_avoid.FAMILY.load({"duration": 3.0, "turn": math.radians(40)})
+    assert built.schedule.phases[0].duration == 3.0
+    assert built.parameters["duration"] == 3.0

@@ -1,0 +1,79 @@
+"""Every problem of the library on one robot, and every robot on one problem, against their regression data.
+
+The subset is chosen by a rule (`representatives`); ``trajopt suite --compare tests/data/suite.csv`` runs all.
+Functions run on CasADi's virtual machine: compiling those of a pair takes longer than solving it once.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from tests.support.repository import ROOT
+from trajopt.problem.catalogue import families
+from trajopt.study.suite import data
+from trajopt.study.suite.cases import Case, all_cases
+from trajopt.study.suite.run import measure_case
+from trajopt.study.suite.settings import SuiteSettings
+
+DATA = ROOT / "tests" / "data" / "suite.csv"
+SETTINGS = SuiteSettings(compile="none")
+CASES = all_cases(families())
+UPDATE = f"trajopt suite --perturbed 20 --update {DATA.relative_to(ROOT)}"
+
+
+def representatives(cases: Sequence[Case]) -> tuple[Case, ...]:
+    """A subset with every problem once and every robot at least once, the same on every machine.
+
+    Problems in order of their number of robots, then by name: each takes the robot that has been taken
+    least often, of equals the first by name. Robots that are left then take their first problem.
+    """
+    by_problem: dict[str, list[Case]] = {}
+    for case in sorted(cases):
+        by_problem.setdefault(case.problem, []).append(case)
+    taken: Counter[str] = Counter()
+    chosen = []
+    for group in sorted(by_problem.values(), key=len):
+        case = min(group, key=lambda one: taken[one.robot])
+        taken[case.robot] += 1
+        chosen.append(case)
+    for case in sorted(cases):
+        if not taken[case.robot]:
+            taken[case.robot] += 1
+            chosen.append(case)
+    return tuple(sorted(chosen))
+
+
+def test_representatives_hold_every_problem_and_every_robot():
+    chosen = representatives(CASES)
+    assert {one.problem for one in chosen} == {one.problem for one in CASES}
+    assert {one.robot for one in chosen} == {one.robot for one in CASES}
+    assert (
+        len(chosen)
+        == len(set(chosen))
+        <= len({one.problem for one in CASES}) + len({one.robot for one in CASES})
+    )
+    assert representatives(CASES[::-1]) == chosen
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", representatives(CASES), ids=lambda case: case.name)
+def test_pair_is_solved_and_checked_within_its_bands(case: Case) -> None:
+    outcome = measure_case(case, SETTINGS)
+    entries, _ = data.read(DATA)
+    assert data.deviation(outcome, SETTINGS, entries.get(case.name)) == ""
+
+
+def test_every_pair_has_its_bands() -> None:
+    entries, _ = data.read(DATA)
+    assert set(entries) == {case.name for case in CASES}, f"run: {UPDATE}"
+
+
+def test_data_are_as_they_are_written(tmp_path: Path) -> None:
+    """Sorted and padded, so that a change of one band is a change of one line."""
+    entries, versions = data.read(DATA)
+    data.write_bands(tmp_path / "suite.csv", entries, versions)
+    assert (tmp_path / "suite.csv").read_text() == DATA.read_text()

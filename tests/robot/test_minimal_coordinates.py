@@ -1,0 +1,257 @@
+"""The stance mode in minimal coordinates is the floating robot with its foot held still."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from tests.support.stances import CASES, mode_of, random_state
+from trajopt.certify.check import check
+from trajopt.problem.problem import Problem
+from trajopt.robot.robot import Robot
+from trajopt.robot.stance.minimal_coordinates import StanceMode
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solving.solving import solve
+from trajopt.terms import AccelerationCost, PostureCost, TorqueCost, VelocityCost
+from trajopt.terrain.flat import FlatGround
+
+# Rounding of algorithms over a dozen bodies with forces of tens of newtons.
+ROUNDING = 1e-10
+# Central differences of step 1e-5 of quantities of order one: truncation and cancellation below this.
+DIFFERENCES = 1e-7
+STEP = 1e-5
+# Two schemes of order six on the same motion, each solved to 1e-6 in natural units.
+SAME_OPTIMUM, SAME_PATH = 1e-5, 1e-4
+every_case = pytest.mark.parametrize("name", CASES)
+
+
+def foot_motion(mode: StanceMode, q, v, a) -> tuple[pin.SE3, np.ndarray, np.ndarray]:
+    model, axes = mode.floating.model, pin.LOCAL_WORLD_ALIGNED
+    data, frame = model.createData(), model.getFrameId(mode.floating.contact(mode.contact).frame)
+    pin.forwardKinematics(model, data, q, v, a)
+    return (
+        pin.updateFramePlacement(model, data, frame),
+        pin.getFrameVelocity(model, data, frame, axes).vector,
+        pin.getFrameClassicalAcceleration(model, data, frame, axes).vector,
+    )
+
+
+@every_case
+def test_the_stance_has_the_floating_robots_freedom_less_what_the_contact_takes(name):
+    mode = mode_of(name)
+    taken = 2 if mode.floating.base == "planar" else 3
+    assert mode.robot.nv == mode.floating.nv - taken
+    assert mode.robot.nu == mode.floating.nu
+    assert mode.robot.n_unactuated == mode.floating.n_unactuated - taken
+    assert mode.robot.base == "fixed"
+
+
+@every_case
+def test_a_lifted_foot_stands_still_at_its_foothold(name):
+    mode, foothold = mode_of(name), np.array([0.3, -0.1, 0.2])
+    if mode.floating.base == "planar":
+        foothold[1] = mode.anchor[1]
+    place, velocity, acceleration = foot_motion(mode, *mode.lifted(*random_state(mode), foothold))
+    np.testing.assert_allclose(place.translation, foothold, atol=ROUNDING)
+    np.testing.assert_allclose(velocity[:3], 0, atol=ROUNDING)
+    np.testing.assert_allclose(acceleration[:3], 0, atol=ROUNDING)
+
+
+@every_case
+def test_every_frame_lies_where_it_lies_in_the_floating_robot(name):
+    mode = mode_of(name)
+    q, v, a = random_state(mode)
+    lifted = mode.lifted(q, v, a)
+    ours, theirs = mode.robot.model, mode.floating.model
+    data, other = ours.createData(), theirs.createData()
+    pin.forwardKinematics(ours, data, q, v, a)
+    pin.forwardKinematics(theirs, other, *lifted)
+    pin.updateFramePlacements(ours, data)
+    pin.updateFramePlacements(theirs, other)
+    compared = 0
+    for number, frame in enumerate(theirs.frames):
+        if frame.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME):
+            found = ours.getFrameId(frame.name, frame.type)
+            compared += 1
+            np.testing.assert_allclose(
+                data.oMf[found].homogeneous, other.oMf[number].homogeneous, atol=ROUNDING
+            )
+            for motion in (pin.getFrameVelocity, pin.getFrameAcceleration):
+                np.testing.assert_allclose(
+                    motion(ours, data, found).vector, motion(theirs, other, number).vector, atol=ROUNDING
+                )
+    assert compared
+
+
+@every_case
+def test_drop_inverts_lift(name):
+    mode = mode_of(name)
+    q, v, a = random_state(mode)
+    back = mode.dropped(*mode.lifted(q, v, a))
+    assert np.abs(pin.difference(mode.robot.model, q, back[0])).max() < ROUNDING
+    for found, expected in zip(back[1:], (v, a, mode.anchor), strict=True):
+        np.testing.assert_allclose(found, expected, atol=ROUNDING)
+
+
+@every_case
+def test_lift_inverts_drop_of_a_floating_robot_whose_foot_stands_still(name):
+    mode = mode_of(name)
+    model, generator = mode.floating.model, np.random.default_rng(3)
+    q = pin.integrate(model, mode.floating.reference, generator.uniform(-0.5, 0.5, model.nv))
+    frame = model.getFrameId(mode.floating.contact(mode.contact).frame)
+    jacobian = pin.computeFrameJacobian(model, model.createData(), q, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
+    v = generator.uniform(-1, 1, model.nv)
+    v -= np.linalg.pinv(jacobian) @ jacobian @ v
+    drift = foot_motion(mode, q, v, np.zeros(model.nv))[2][:3]
+    a = generator.uniform(-1, 1, model.nv)
+    a -= np.linalg.pinv(jacobian) @ (jacobian @ a + drift)
+    again = mode.lifted(*mode.dropped(q, v, a))
+    assert np.abs(pin.difference(model, q, again[0])).max() < ROUNDING
+    np.testing.assert_allclose(again[1], v, atol=ROUNDING)
+    np.testing.assert_allclose(again[2], a, atol=ROUNDING)
+
+
+@every_case
+def test_lifted_rates_are_the_derivatives_of_the_lifted_motion(name):
+    mode = mode_of(name)
+    q, v, a = random_state(mode)
+    model = mode.robot.model
+
+    def lifted(t: float) -> tuple[np.ndarray, np.ndarray]:
+        moved = pin.integrate(model, q, v * t + a * t * t / 2)
+        # Along this path the stance rate is the right Jacobian's image of v + a t.
+        rate = pin.dIntegrate(model, q, v * t + a * t * t / 2, pin.ArgumentPosition.ARG1) @ (v + a * t)
+        return mode.lifted(moved, rate)[:2]
+
+    before, after = lifted(-STEP), lifted(STEP)
+    _, rate, change = mode.lifted(q, v, a)
+    moved = pin.difference(mode.floating.model, before[0], after[0]) / (2 * STEP)
+    np.testing.assert_allclose(moved, rate, atol=DIFFERENCES)
+    np.testing.assert_allclose((after[1] - before[1]) / (2 * STEP), change, atol=DIFFERENCES)
+
+
+@every_case
+def test_energies_agree(name):
+    mode = mode_of(name)
+    q, v, _ = random_state(mode)
+    floating_q, floating_v, _ = mode.lifted(q, v)
+    energies = []
+    for model, state in ((mode.robot.model, (q, v)), (mode.floating.model, (floating_q, floating_v))):
+        data = model.createData()
+        kinetic = pin.computeKineticEnergy(model, data, *state)
+        energies.append((kinetic, pin.computePotentialEnergy(model, data, state[0])))
+    np.testing.assert_allclose(energies[0], energies[1], rtol=1e-12, atol=ROUNDING)
+
+
+@every_case
+def test_inverse_dynamics_and_ground_reaction_agree(name):
+    """The stance's torques and Newton's force at the foot carry the same motion of the floating robot.
+
+    The passive rows of a motion that nobody drives vanish; here they are the ankle's moment, so the random
+    motion is that of both robots under the same wrench.
+    """
+    mode = mode_of(name)
+    q, v, a = random_state(mode)
+    stance, floating = mode.robot.model, mode.floating.model
+    torque, force = pin.rnea(stance, stance.createData(), q, v, a), mode.ground_reaction(q, v, a)
+    state = mode.lifted(q, v, a)
+    data = floating.createData()
+    frame = floating.getFrameId(mode.floating.contact(mode.contact).frame)
+    jacobian = pin.computeFrameJacobian(floating, data, state[0], frame, pin.LOCAL_WORLD_ALIGNED)
+    needed = pin.rnea(floating, data, *state)
+    root, n = stance.jointPlacements[1].rotation, mode.robot.n_unactuated
+    ankle = stance.createData()
+    pin.forwardKinematics(stance, ankle, q)
+    moment = root[:, 2] * torque[0] if n == 1 else ankle.oMi[1].rotation @ torque[:3]
+    left = needed - jacobian.T @ np.concatenate([force, moment])
+    base = mode.floating.n_unactuated
+    np.testing.assert_allclose(left[:base], 0, atol=ROUNDING)
+    np.testing.assert_allclose(left[base:][mode.torque_rows], torque[n:], atol=ROUNDING)
+
+
+@every_case
+def test_newtons_force_is_what_pinocchio_transmits_through_the_ankle(name):
+    mode = mode_of(name)
+    state, model = random_state(mode), mode.robot.model
+    data = model.createData()
+    pin.rnea(model, data, *state)
+    np.testing.assert_allclose(
+        data.liMi[1].rotation @ data.f[1].linear, mode.ground_reaction(*state), atol=ROUNDING
+    )
+
+
+def test_ground_reaction_is_the_sum_over_links_of_mass_times_felt_acceleration():
+    mode = mode_of("hopper")
+    model, state = pin.Model(mode.robot.model), random_state(mode)
+    total = np.zeros(3)
+    for joint in range(1, model.njoints):
+        centre = pin.Frame(
+            f"centre {joint}", joint, 0, pin.SE3(np.eye(3), model.inertias[joint].lever), pin.OP_FRAME
+        )
+        number = model.addFrame(centre, False)
+        extended = model.createData()
+        pin.forwardKinematics(model, extended, *state)
+        acceleration = pin.getFrameClassicalAcceleration(model, extended, number, pin.LOCAL_WORLD_ALIGNED)
+        total += model.inertias[joint].mass * (acceleration.linear - model.gravity.linear)
+    np.testing.assert_allclose(mode.ground_reaction(*state), total, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("name", ["hopper", "solo12", "wheel"])
+def test_maps_are_smooth_functions_of_symbols(name):
+    mode = mode_of(name)
+    for function, rows in ((mode.lift, mode.robot), (mode.drop, mode.floating), (mode.reaction, mode.robot)):
+        point = [np.zeros(function.size1_in(i)) for i in range(function.n_in())]
+        point[0] = pin.neutral(rows.model)
+        derivative = ca.Function.jacobian(function)
+        outputs = [np.zeros(function.size1_out(i)) for i in range(function.n_out())]
+        assert all(np.isfinite(np.array(block)).all() for block in derivative.call([*point, *outputs]))
+
+
+def standing_problem(robot: Robot, contacts: tuple[str, ...], q: np.ndarray, v: np.ndarray) -> Problem:
+    """Effort against posture for a moment, from a given push; costs that mean the same in all coordinates."""
+    return Problem(
+        name="push",
+        robot=robot,
+        schedule=Schedule((Phase(name="stance", duration=0.2, contacts=contacts),)),
+        terrain=FlatGround(),
+        initial_q=q,
+        initial_v=v,
+        terms=(
+            TorqueCost(weight=1.0),
+            AccelerationCost(weight=1e-2, joints_only=True),
+            VelocityCost(weight=1e-2, joints_only=True),
+            PostureCost(weight=1.0),
+        ),
+        guess=lambda t: q,
+        default_intervals=8,
+        default_transcription="legendre:3",
+    )
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["hopper", "bolt"])
+def test_one_stance_has_the_same_optimum_in_minimal_and_in_excess_coordinates(name):
+    mode = mode_of(name)
+    q, push = mode.robot.reference, np.random.default_rng(5).uniform(-0.5, 0.5, mode.robot.nv)
+    small = solve(standing_problem(mode.robot, (), q, push), compile="none")
+    contact = mode.floating.contact(mode.contact)
+    lifted_q, lifted_v, _ = mode.lifted(q, push)
+    large = solve(standing_problem(mode.floating, (contact.name,), lifted_q, lifted_v), compile="none")
+    assert small.success, small.meta["advice"]
+    assert large.success, large.meta["advice"]
+    for found in (small, large):  # nothing keeps Bolt's other foot above the ground here
+        assert set(check(found).failures()) <= {"penetration"}, str(check(found))
+    assert small.meta["variables"] < large.meta["variables"]
+    assert small.meta["objective"] == pytest.approx(large.meta["objective"], rel=SAME_OPTIMUM)
+    scale = mode.floating.weight * mode.floating.length
+    np.testing.assert_allclose(large.tau[:, mode.torque_rows], small.tau, atol=SAME_PATH * scale)
+    place = [other.name for other in mode.floating.contacts].index(contact.name)
+    for k in np.flatnonzero(small.collocation):
+        state = (small.q[k], small.v[k], small.a[k])
+        moved = pin.difference(mode.floating.model, mode.lifted(*state)[0], large.q[k])
+        assert np.abs(moved).max() < SAME_PATH
+        np.testing.assert_allclose(
+            mode.ground_reaction(*state), large.f[k, place, :3], atol=SAME_PATH * mode.floating.weight
+        )

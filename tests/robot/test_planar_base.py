@@ -1,0 +1,140 @@
+"""Real quadrupeds in the sagittal plane: a hop solves, passes its check, and is a motion in space."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import trajopt
+from trajopt import Contact, FlatGround, Phase, Problem, Robot, Schedule
+from trajopt.dynamics.base_joint import Base
+from trajopt.dynamics.model_quantities import generalized_force
+from trajopt.robot.data import robot_file
+from trajopt.terms import (
+    AccelerationCost,
+    EffortLimits,
+    FrameHeight,
+    FrictionCone,
+    PositionLimits,
+    PostureCost,
+    SwingClearance,
+    TerminalRest,
+    TerminalState,
+    TorqueCost,
+    VelocityCost,
+    VelocityLimits,
+)
+
+DISTANCE, STANCE, FLIGHT, LANDING = 0.1, 0.3, 0.25, 0.4  # m, s, s, s
+GRAVITY = 9.81
+# Ten times the solver's tolerance, in parts of the weight.
+SOLVED = 1e-5
+
+
+def go2(base: Base) -> Robot:
+    legs = ("FL", "FR", "RL", "RR")
+    angles = {"thigh": 0.8, "calf": -1.6}
+    return Robot.from_urdf(
+        robot_file("go2_description/urdf/go2.urdf"),
+        base=base,
+        contacts=[Contact(frame=f"{leg}_foot", name=leg) for leg in legs],
+        reference={f"{leg}_{joint}_joint": angle for leg in legs for joint, angle in angles.items()},
+        locked=[f"{leg}_hip_joint" for leg in legs],
+    )
+
+
+def solo(base: Base) -> Robot:
+    bends = {"FL": 1, "FR": 1, "HL": -1, "HR": -1}
+    return Robot.from_urdf(
+        robot_file("solo_description/robots/solo.urdf"),
+        base=base,
+        contacts=[Contact(frame=f"{leg}_FOOT", name=leg) for leg in bends],
+        reference={
+            f"{leg}_{joint}": bend * angle
+            for leg, bend in bends.items()
+            for joint, angle in (("HFE", 0.8), ("KFE", -1.6))
+        },
+    )
+
+
+def hop(robot: Robot) -> Problem:
+    """Forward by ``DISTANCE`` and up by a tenth of the robot's length, from rest to rest."""
+    end = robot.reference.copy()
+    end[0] += DISTANCE
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, end)
+    feet = {c.name: data.oMf[robot.model.getFrameId(c.frame)].translation.copy() for c in robot.contacts}
+    legs, ground = tuple(feet), FlatGround(friction=0.7)
+    height = 1 if robot.base == "planar" else 2
+
+    def guess(t: float) -> np.ndarray:
+        q, s = robot.reference.copy(), np.clip(t - STANCE, 0.0, FLIGHT)
+        q[0] += DISTANCE * s / FLIGHT
+        q[height] += GRAVITY * s * (FLIGHT - s) / 2
+        return q
+
+    return Problem(
+        name="planar-hop",
+        robot=robot,
+        schedule=Schedule(
+            (
+                Phase(name="stance", duration=STANCE, contacts=legs),
+                Phase(name="flight", duration=FLIGHT),
+                Phase(name="landing", duration=LANDING, contacts=legs, footholds=feet),
+            )
+        ),
+        terrain=ground,
+        initial_q=robot.reference,
+        initial_v=np.zeros(robot.nv),
+        terms=(
+            TorqueCost(weight=1.0),
+            AccelerationCost(weight=2e-2, joints_only=True),
+            VelocityCost(weight=1e-2, joints_only=True),
+            PostureCost(weight=1e-1),
+            EffortLimits(),
+            PositionLimits(),
+            VelocityLimits(),
+            FrictionCone(friction=ground.friction),
+            SwingClearance(height=0.03, terrain=ground),
+            FrameHeight(frame="root_joint", height=1.1 * robot.length, phase="flight"),
+            TerminalState(q=end),
+            TerminalRest(q=end),
+        ),
+        guess=guess,
+        default_intervals=24,
+    )
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("make", [go2, solo])
+@pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
+def test_a_planar_quadruped_hops_and_passes_its_check(make, solver):
+    solution = trajopt.solve(hop(make("planar")), solver=solver, compile="none")
+    assert solution.success, solution.meta["advice"]
+    assert solution.meta["iterations"] <= 60
+    report = trajopt.check(solution)
+    assert report.ok, str(report)
+    assert report.gimbal_margin is None
+
+
+def in_space(q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A motion of the planar base as one of a free-flyer: pitch, nose up, is about the world's -y."""
+    half = np.arctan2(q[3], q[2]) / 2
+    pose = [q[0], 0.0, q[1], 0.0, -np.sin(half), 0.0, np.cos(half)]
+    twist, change = ([x[0], 0.0, x[1], 0.0, -x[2], 0.0] for x in (v, a))
+    return tuple(
+        np.concatenate([base, x[n:]]) for base, x, n in ((pose, q, 4), (twist, v, 3), (change, a, 3))
+    )
+
+
+def test_a_plan_in_the_plane_obeys_the_free_flyers_dynamics():
+    solution, floating = trajopt.solve(hop(solo("planar")), compile="none"), solo("freeflyer")
+    model, data = floating.model, floating.model.createData()
+    frames = [model.getFrameId(contact.frame) for contact in floating.contacts]
+    in_plane = [0, 2, 4, *range(6, model.nv)]
+    for k in np.flatnonzero(solution.collocation):
+        motion = in_space(solution.q[k], solution.v[k], solution.a[k])
+        force = generalized_force(model, data, motion, frames, solution.f[k])
+        expected = np.concatenate([np.zeros(3), solution.tau[k]])
+        np.testing.assert_allclose(force[in_plane], expected, atol=SOLVED * floating.weight)

@@ -1,0 +1,330 @@
+"""Free durations, impacts and sources of velocity: stages and nodes beyond plain intervals."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose
+
+import trajopt
+from tests.support.derivatives import Matrices, assert_derivatives, random_unknowns
+from tests.support.problems import (
+    FOOT,
+    REACH,
+    hop,
+    hopper,
+    landing,
+    lean,
+    one_joint_arm,
+    phases,
+    reach,
+    still,
+)
+from trajopt.dynamics.model_quantities import contact_jacobian
+from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solving.solving import prepare
+from trajopt.terms import (
+    AccelerationCost,
+    BaseDynamics,
+    EffortLimits,
+    FrameHeight,
+    PositionLimits,
+    TimeCost,
+    TorqueCost,
+    VelocityCost,
+    VelocityLimits,
+)
+from trajopt.transcription.nlp import Nlp
+from trajopt.transcription.timeline import StageKind
+from trajopt_library import problems
+
+# What a solver leaves in rows that are met to 1e-7 of their units.
+SOLVED = 1e-5
+# A bang-bang input has its switch within an interval: the optimum is met to the length of one, squared.
+SWITCH = 2e-3
+
+
+def moving_start() -> Problem:
+    """The pushed hopper with a free duration: its start moves, whatever the clock."""
+    phase = Phase(name="stance", duration=0.1, contacts=(FOOT,), duration_bounds=(0.05, 0.3))
+    return replace(lean(), schedule=Schedule((phase,)))
+
+
+VARIANTS = {
+    "free": lambda: landing(free=True),
+    "impact": lambda: landing(impact=True),
+    "free impact": lambda: landing(free=True, impact=True),
+    "velocity": still,
+    "moving start": moving_start,
+}
+
+
+def nlp_of(name: str, scheme: str = "legendre:2") -> Nlp:
+    return prepare(VARIANTS[name](), transcription=scheme, intervals=6, compile="none").nlp
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("scheme", ["legendre:2", "hermite-simpson"])
+@pytest.mark.parametrize("name", VARIANTS)
+def test_derivatives_of_the_whole_nlp_equal_differences(name, scheme):
+    if name == "velocity" and scheme == "hermite-simpson":
+        scheme = "radau:2"  # statics at both ends of an interval say everything twice
+    nlp = nlp_of(name, scheme)
+    layout = nlp.transcription.layout
+    clocks = np.concatenate(
+        [
+            np.arange(layout.node(k).start, layout.node(k).stop)[form.time_scales]
+            for k, form in enumerate(layout.forms)
+        ]
+    )
+    assert_derivatives(nlp, seed=0, ones=clocks.astype(int))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", VARIANTS)
+def test_next_state_enters_its_gap_rows_with_an_identity_block(name):
+    nlp = nlp_of(name)
+    t = nlp.transcription
+    x = random_unknowns(t, 3)
+    for k, form in enumerate(t.layout.forms):
+        x[t.layout.node(k)][form.time_scales] = 1.1
+    jacobian = Matrices(nlp).jacobian(x)
+    for k in range(t.layout.n_stages):
+        block = jacobian[t.gap_rows[k]][:, t.layout.node(k + 1)].toarray()
+        assert_allclose(block, np.eye(t.layout.forms[k + 1].size), atol=1e-12)
+
+
+def test_stages_between_phases_are_only_those_that_are_needed():
+    kinds = {
+        name: [stage.kind for stage in nlp_of(name).transcription.layout.stages if stage.step == 0.0]
+        for name in VARIANTS
+    }
+    assert kinds == {
+        "free": [StageKind.CHANGE, StageKind.CHANGE],
+        "impact": [StageKind.IMPACT],
+        "free impact": [StageKind.CHANGE, StageKind.IMPACT, StageKind.CHANGE],
+        "velocity": [],
+        "moving start": [],
+    }
+
+
+def test_velocity_source_has_neither_rates_nor_torques_nor_accelerations():
+    layout = nlp_of("velocity").transcription.layout
+    nv, foot = hopper().nv, 3
+    assert layout.forms[0].size == 4 + 5
+    assert layout.n_control(0) == 2 * (nv + foot)
+    arm = replace(
+        reach(terms=(VelocityCost(weight=1.0),)), terms=(VelocityCost(weight=1.0),), actuation="velocity"
+    )
+    names = prepare(arm, compile="none", intervals=4).transcription.rows.names
+    assert names == ("defect",)
+
+
+@pytest.mark.parametrize(
+    ("term", "lacks"),
+    [
+        (TorqueCost(weight=1.0), "torques"),
+        (EffortLimits(), "torques"),
+        (AccelerationCost(weight=1.0), "accelerations"),
+    ],
+)
+def test_terms_that_a_velocity_source_cannot_have_are_refused(term, lacks):
+    with pytest.raises(InputError, match=f"asks for {lacks}, which a source of velocity does not have"):
+        prepare(replace(still(), terms=(term,)), compile="none", intervals=2)
+
+
+def test_acceleration_source_has_accelerations_but_no_torques():
+    problem = replace(reach(), actuation="acceleration")
+    assert trajopt.solve(problem, compile="none").success
+    with pytest.raises(InputError, match="asks for torques, which a source of acceleration does not have"):
+        trajopt.solve(replace(problem, terms=(TorqueCost(weight=1.0),)), compile="none")
+
+
+@pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
+def test_minimum_time_of_a_double_integrator_is_that_of_full_torque_both_ways(solver):
+    """Without gravity a joint of inertia I turns by an angle in T = 2 sqrt(I angle / torque)."""
+    torque = 30.0
+    model = one_joint_arm().model
+    inertia = pin.crba(model, model.createData(), np.zeros(1))[0, 0]
+    terms = (TimeCost(weight=1.0), EffortLimits(limit=np.array([torque])))
+    problem = reach(terms=terms)
+    phase = replace(problem.schedule.phases[0], duration_bounds=(0.05, 3.0))
+    solution = trajopt.solve(
+        replace(problem, schedule=Schedule((phase,))), compile="none", intervals=20, solver=solver
+    )
+    assert solution.success
+    exact = 2 * math.sqrt(inertia * REACH / torque)
+    assert solution.meta["durations"] == pytest.approx([exact], rel=SWITCH)
+    assert solution.t[-1] == pytest.approx(solution.meta["durations"][0])
+    assert trajopt.check(solution).ok
+
+
+def test_velocity_limits_hold_at_nodes_of_a_free_duration():
+    robot = replace(one_joint_arm(), velocity_limit=np.array([2.0]))
+    problem = reach(terms=(TimeCost(weight=1.0), AccelerationCost(weight=1e-3), VelocityLimits()))
+    phase = replace(problem.schedule.phases[0], duration_bounds=(0.05, 3.0))
+    solution = trajopt.solve(
+        replace(problem, robot=robot, schedule=Schedule((phase,))), compile="none", intervals=12
+    )
+    assert solution.success
+    assert np.abs(solution.v).max() == pytest.approx(2.0, rel=SOLVED)
+
+
+def test_duration_keeps_within_its_bounds_and_a_fixed_one_is_a_free_one_without_room():
+    fixed = trajopt.solve(landing(), compile="none", intervals=10)
+    narrow = tuple(
+        replace(phase, duration_bounds=(phase.duration, phase.duration))
+        for phase in landing().schedule.phases
+    )
+    free = trajopt.solve(replace(landing(), schedule=Schedule(narrow)), compile="none", intervals=10)
+    assert [fixed.success, free.success] == [True, True]
+    assert free.meta["objective"] == pytest.approx(fixed.meta["objective"], rel=SOLVED)
+    assert_allclose(free.q, fixed.q, atol=1e-3)
+
+
+def test_start_that_moves_keeps_its_velocity_whatever_the_duration():
+    solution = trajopt.solve(moving_start(), compile="none", intervals=6)
+    assert solution.success
+    assert_allclose(solution.v[0], moving_start().initial_v, atol=SOLVED)
+    assert solution.meta["durations"][0] != pytest.approx(0.1)
+
+
+@pytest.mark.long
+def test_impact_obeys_its_law_and_loses_energy():
+    problem = landing(impact=True)
+    solution = trajopt.solve(problem, compile="none", intervals=16)
+    assert solution.success
+    model, after = solution.model, int(solution.impact_index[0])
+    q, before, behind = solution.q[after], solution.v[after - 1], solution.v[after]
+    assert_allclose(solution.q[after - 1], q, atol=1e-12)
+    mass = pin.crba(model, model.createData(), q)
+    jacobian = contact_jacobian(model, q, [(FOOT, 3)])
+    impulse = solution.impulse[0, 0, :3]
+    assert_allclose(mass @ (behind - before), jacobian.T @ impulse, atol=SOLVED)
+    assert_allclose(jacobian @ behind, 0.0, atol=SOLVED)
+    assert np.linalg.norm(jacobian @ before) > 0.01
+    assert np.hypot(*impulse[:2]) <= 0.7 * impulse[2] + SOLVED
+    assert behind @ mass @ behind < before @ mass @ before
+
+
+@pytest.mark.long
+def test_landing_with_an_impact_is_never_worse_than_at_zero_velocity():
+    """Zero foot velocity is an impact without impulse: a larger set of motions."""
+    soft = trajopt.solve(landing(), compile="none", intervals=16)
+    hard = trajopt.solve(replace(landing(impact=True), terms=hop().terms), compile="none", intervals=16)
+    assert hard.meta["objective"] < soft.meta["objective"]
+
+
+def test_impact_at_the_start_of_a_phase_that_nothing_begins_is_refused():
+    with pytest.raises(InputError, match="'up' begins with an impact, but no contact begins with it"):
+        Schedule(
+            (Phase(name="down", duration=1.0, contacts=(FOOT,)), Phase(name="up", duration=1.0, impact=True))
+        )
+
+
+@pytest.mark.parametrize(
+    "bounds", [(0.0, 1.0), (0.5, 0.2), (0.6, 1.0), (0.1, math.inf), (math.nan, 1.0), 0.5, ("a", "b")]
+)
+def test_duration_bounds_that_make_no_sense_are_refused(bounds):
+    with pytest.raises(InputError, match="duration_bounds of phase 'p'"):
+        Phase(name="p", duration=0.5, duration_bounds=bounds)
+
+
+def test_velocity_source_refuses_flight_impact_and_a_moving_start():
+    with pytest.raises(InputError, match="'flight' has no contact, which a velocity source cannot model"):
+        replace(hop(), actuation="velocity")
+    with pytest.raises(InputError, match="initial_v of a velocity source is not zero"):
+        replace(lean(), actuation="velocity")
+    with pytest.raises(InputError, match="actuation 'springs' is unknown; allowed: torque, acceleration"):
+        replace(lean(), actuation="springs")
+
+
+def test_kinematic_reach_of_an_arm_solves_with_less_than_a_dynamic_one():
+    dynamic = problems.load("ur5-reach")
+    keep = [term for term in dynamic.terms if type(term).__name__ in ("FramePose", "PositionLimits")]
+    kinematic = replace(
+        dynamic, actuation="velocity", terms=(VelocityCost(weight=1.0), VelocityLimits(), *keep)
+    )
+    sizes = [prepare(p, compile="none").transcription.layout.n_unknowns for p in (dynamic, kinematic)]
+    assert sizes[1] < sizes[0]
+    solution = trajopt.solve(kinematic, compile="none")
+    assert solution.success
+    # Least squares of rates between two postures is a straight line in the joints.
+    line = np.linspace(solution.q[0], solution.q[-1], 31)
+    nodes = solution.q[np.searchsorted(solution.t, np.linspace(0, solution.t[-1], 31) - 1e-9)]
+    assert_allclose(nodes, line, atol=1e-3)
+
+
+def test_scheme_that_states_the_balance_of_a_velocity_source_twice_is_refused():
+    with pytest.raises(InputError, match="'hermite-simpson' states the balance of a velocity source twice"):
+        nlp_of("velocity", "hermite-simpson")
+
+
+def bounded(problem: Problem, scheme: str = "legendre:1") -> dict[int, tuple[bool, bool]]:
+    """Nodes with bounds or rows of limits: of positions, of rates; the start left out."""
+    t = prepare(problem, transcription=scheme, intervals=6, compile="none").transcription
+    found = {}
+    for k, form in enumerate(t.layout.forms[1:], start=1):
+        finite = np.isfinite(t.upper_x[t.layout.node(k)])
+        rates = finite[form.rates].any() or any(
+            t.rows.names[b] == "velocity_limits" and s == k and p < 0
+            for b, s, p in zip(t.rows.block, t.rows.stage, t.rows.point, strict=True)
+        )
+        if finite[form.additive].any() or rates:
+            found[k] = (bool(finite[form.additive].any()), bool(rates))
+    return found
+
+
+def limited(schedule: Schedule, *phases: str) -> Problem:
+    return hop(schedule=schedule, terms=(PositionLimits(phases=phases), VelocityLimits(phases=phases)))
+
+
+def test_limits_of_a_phase_hold_at_its_nodes_whatever_lies_between_phases():
+    """Two intervals a phase: nodes 2 and 4 end stance and flight; changes of clock add one each."""
+    both = (True, True)
+    fixed, free = phases(free=False, impact=False), phases(free=True, impact=False)
+    assert bounded(limited(fixed, "flight")) == {2: both, 3: both, 4: both}
+    assert bounded(limited(free, "flight")) == {3: both, 4: both, 6: both}
+
+
+def test_limits_across_an_impact_are_those_of_each_side():
+    schedule = phases(free=False, impact=True)
+    assert bounded(limited(schedule, "flight")) == {2: (True, True), 3: (True, True), 4: (True, True)}
+    assert bounded(limited(schedule, "landing")) == {5: (True, True), 6: (True, True), 7: (True, True)}
+    assert bounded(limited(schedule, "flight", "landing"))[5] == (False, True)
+
+
+def test_limits_of_a_scheme_with_a_point_at_the_end_are_not_repeated_after_a_change():
+    assert bounded(limited(phases(free=True, impact=False), "flight"), "radau:2") == {3: (True, True)}
+
+
+def test_impact_in_the_first_phase_is_refused():
+    with pytest.raises(InputError, match="the first phase 'p' begins with an impact"):
+        Schedule((Phase(name="p", duration=1.0, contacts=(FOOT,), impact=True),))
+
+
+def test_impact_of_a_model_without_contact_rows_is_refused():
+    with pytest.raises(InputError, match="begins with an impact, but the dynamics hold no contacts"):
+        replace(landing(impact=True), dynamics=(BaseDynamics(),))
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.5, 1.0])
+def test_frame_height_acts_at_one_node_of_its_phase(fraction):
+    for impact in (False, True):
+        raised = FrameHeight(frame=FOOT, height=0.02, phase="flight", fraction=fraction)
+        problem = hop(schedule=phases(free=False, impact=impact), terms=(raised,))
+        rows = prepare(problem, intervals=6, compile="none").transcription.rows
+        assert np.sum(rows.block == rows.names.index("frame_height")) == 1
+
+
+def test_impact_that_is_no_truth_value_and_a_term_that_is_none_are_refused():
+    with pytest.raises(InputError, match="impact of phase 'p' is 'no'; allowed: True or False"):
+        Phase(name="p", duration=1.0, contacts=(FOOT,), impact="no")
+    with pytest.raises(InputError, match="a term of problem 'hop' is <class"):
+        hop(terms=(TorqueCost,))

@@ -1,0 +1,225 @@
+"""The solution file: exact round trips, and one clear line for everything that is wrong with a file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from tests.support.synthetic_motions import arm_motion, sampled, standing, tumbling_flight
+from trajopt.errors import InputError, SolutionFileError
+from trajopt.solution.arrays import OTHERS, SAMPLED
+from trajopt.solution.solution import Solution
+from trajopt_library import robots
+
+INTERVALS = 4
+
+
+@pytest.fixture(scope="module")
+def arm() -> Solution:
+    robot = robots.load("ur5")
+    return sampled(robot, [arm_motion(robot)], INTERVALS, visual=robot.visual.to_meta())
+
+
+@pytest.fixture(scope="module")
+def jump() -> Solution:
+    robot = robots.load("solo12")
+    return sampled(robot, [standing(robot), tumbling_flight(robot)], INTERVALS)
+
+
+@pytest.fixture
+def saved(arm: Solution, tmp_path: Path) -> Path:
+    return arm.save(tmp_path / "arm.npz")
+
+
+def rewritten(path: Path, **changes: object) -> Path:
+    """The file with some arrays changed, or removed where the change is None."""
+    with np.load(path) as archive:
+        arrays = {**{name: archive[name] for name in archive.files}, **changes}
+    np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
+    return path
+
+
+def with_meta(path: Path, **changes: object) -> Path:
+    with np.load(path) as archive:
+        meta = {**json.loads(str(archive["meta"])), **changes}
+    return rewritten(
+        path, meta=np.array(json.dumps({key: value for key, value in meta.items() if value != "drop"}))
+    )
+
+
+@pytest.mark.parametrize("which", ["arm", "jump"])
+def test_saved_solution_is_read_back_exactly(which, request, tmp_path):
+    solution = request.getfixturevalue(which)
+    loaded = Solution.load(solution.save(tmp_path / "motion.npz"))
+    for name in (*SAMPLED, "interval_t"):
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(solution, name))
+    assert loaded.meta == solution.meta
+    assert loaded.model == robots.load(solution.meta["robot"]).limited_model()
+    assert loaded.success
+    assert loaded.n_intervals == solution.n_intervals
+
+
+def test_impacts_are_read_back(jump, tmp_path):
+    first_of_flight = jump.phases[1].start
+    struck = replace(jump, impulse=np.ones((1, 4, 6)), impact_index=[first_of_flight])
+    loaded = Solution.load(struck.save(tmp_path / "impact.npz"))
+    np.testing.assert_array_equal(loaded.impulse, struck.impulse)
+    np.testing.assert_array_equal(loaded.impact_index, struck.impact_index)
+
+
+def test_infinite_limits_become_null(arm, tmp_path):
+    unlimited = replace(arm, meta={**arm.meta, "effort_limit": np.full(6, np.inf)})
+    assert Solution.load(unlimited.save(tmp_path / "arm.npz")).meta["effort_limit"] == [None] * 6
+
+
+def test_phases_and_intervals_are_ranges_of_samples(jump):
+    assert [len(phase) for phase in jump.phases] == [4 * INTERVALS] * 2
+    assert jump.intervals[INTERVALS] == range(4 * INTERVALS, 4 * INTERVALS + 4)
+    assert jump.contact_frames == ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
+    assert jump.n_unactuated == 6
+
+
+def test_interpolation_meets_the_samples_and_stays_on_the_manifold(jump):
+    np.testing.assert_allclose(jump.interpolate(jump.t[5]), jump.q[5], atol=1e-12)
+    times = np.linspace(-0.1, jump.t[-1] + 0.1, 101)
+    q = jump.interpolate(times)
+    assert q.shape == (101, 19)
+    np.testing.assert_allclose(np.linalg.norm(q[:, 3:7], axis=1), 1, atol=1e-12)
+    np.testing.assert_allclose(q[-1], jump.q[-1], atol=1e-12)
+    np.testing.assert_allclose(q[0], jump.q[0], atol=1e-12)
+
+
+def test_at_a_phase_change_interpolation_takes_the_later_limit(jump):
+    before, after = jump.phases[0][-1], jump.phases[1][0]
+    assert jump.t[before] == pytest.approx(jump.t[after])
+    np.testing.assert_allclose(jump.interpolate(jump.t[after]), jump.q[after], atol=1e-12)
+
+
+def test_failed_write_leaves_nothing_behind(arm, tmp_path):
+    with pytest.raises(InputError, match=r"cannot write .*No such file or directory"):
+        arm.save(tmp_path / "none" / "arm.npz")
+    with pytest.raises(InputError, match="it is a folder"):
+        arm.save(tmp_path)
+    old = tmp_path / "old.npz"
+    old.write_text("kept")
+    broken = replace(arm, q=np.full_like(arm.q, np.nan))
+    with pytest.raises(InputError, match="'q' holds NaN or infinity"):
+        broken.save(old)
+    assert old.read_text() == "kept"
+    assert [path.name for path in tmp_path.iterdir()] == ["old.npz"]
+
+
+def test_place_that_takes_no_files_is_refused(arm):
+    with pytest.raises(InputError, match="cannot write"):
+        arm.save("/proc/arm.npz")
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.01, 0.5, 0.99])
+def test_truncated_file_is_refused_in_one_line(saved, fraction):
+    content = saved.read_bytes()
+    saved.write_bytes(content[: int(fraction * len(content))])
+    with pytest.raises(SolutionFileError) as caught:
+        Solution.load(saved)
+    assert "\n" not in str(caught.value)
+
+
+def test_damaged_bytes_are_refused(saved):
+    content = bytearray(saved.read_bytes())
+    content[len(content) // 2 : len(content) // 2 + 64] = bytes(64)
+    saved.write_bytes(bytes(content))
+    with pytest.raises(SolutionFileError):
+        Solution.load(saved)
+
+
+@pytest.mark.parametrize(
+    ("write", "message"),
+    [
+        (lambda path: path.write_text("hello"), "not a trajopt-solution file"),
+        (lambda path: np.save(path.open("wb"), np.zeros(3)), "not a trajopt-solution file"),
+        (lambda path: np.savez(path, x=np.zeros(3)), "no text 'meta'"),
+        (lambda path: np.savez(path, meta=np.array({"format": 1}, dtype=object)), "cannot be read"),
+        (lambda path: np.savez(path, meta=np.array("no json")), "not JSON"),
+        (lambda path: np.savez(path, meta=np.array('{"format": "other"}')), "not a trajopt-solution file"),
+        (lambda path: path.unlink(), "does not exist"),
+    ],
+)
+def test_foreign_file_is_refused(saved, write, message):
+    write(saved)
+    with pytest.raises(SolutionFileError, match=message):
+        Solution.load(saved)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"version": 2}, "of version 2; version 1"),
+        ({"friction": [0.5]}, "0 contact_frames, 0 contact_kinds, 1 friction"),
+        ({"contact_frames": ["paw"], "contact_kinds": ["point"], "friction": [1.0]}, r"'f' has shape"),
+        ({"effort_limit": [1.0]}, "effort_limit of meta has 1 entries, expected 6"),
+        ({"velocity_limit": "fast"}, "velocity_limit of meta is not null"),
+        ({"success": "yes"}, "success of meta"),
+        ({"contact_sizes": [[0.1, 0.1]]}, "contact_sizes of meta"),
+        ({"terrain": "drop"}, "meta lacks 'terrain'"),
+        ({"parameters": 7}, "parameters of meta is no object"),
+        ({"versions": None}, "versions of meta is no object"),
+        ({"tolerance": None}, "tolerance None of meta is no number"),
+        ({"phase_names": [1]}, "phase_names of meta is not a list of 1 texts"),
+        ({"phase_names": ["one", "two"]}, "phase_names of meta is not a list of 1 texts"),
+        ({"payloads": "box"}, "payloads of meta is not a list"),
+        ({"payloads": [3]}, "payloads of meta holds 3"),
+        ({"payloads": [{"frame": "paw", "mass": 1.0}]}, "payloads of meta holds"),
+    ],
+)
+def test_inconsistent_meta_is_refused(saved, changes, message):
+    with pytest.raises(SolutionFileError, match=message):
+        Solution.load(with_meta(saved, **changes))
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("tau", lambda x: None, "missing key 'tau'"),
+        ("q", lambda x: x[:-1], r"'q' of the solution has shape \(15, 6\)"),
+        ("q", lambda x: x[:, :-1], r"'q' has shape \(16, 5\), expected \(16, 6\)"),
+        (
+            "v",
+            lambda x: np.where(np.arange(16)[:, None] == 3, np.nan, x),
+            r"'v' holds NaN or infinity, first at \(3, 0\)",
+        ),
+        ("t", lambda x: x[::-1], "its samples do not start and end with its nodes"),
+        ("interval_t", lambda x: x[::-1], "not increasing and without gaps"),
+        ("interval_t", lambda x: x[:-1], "3 rows for 4 intervals"),
+        ("interval", lambda x: x + 1, "'interval' does not count up from 0"),
+        ("phase", lambda x: np.arange(16) // 5, "'phase' changes within it"),
+        ("collocation", lambda x: np.zeros(16, bool), "no collocation points"),
+        ("collocation", lambda x: x.astype(float), "'collocation' is of type float64; bool"),
+        ("q", lambda x: x.astype(str), "'q' is of type <U32; float"),
+        ("model", lambda x: np.array("22 serialization::archive"), "model in the solution is damaged"),
+        ("model", lambda x: np.zeros(3), "'model' is not a text"),
+    ],
+)
+def test_inconsistent_arrays_are_refused(saved, name, change, message):
+    with np.load(saved) as archive:
+        array = archive[name]
+    with pytest.raises(SolutionFileError, match=message):
+        Solution.load(rewritten(saved, **{name: change(array)}))
+
+
+def test_lonely_impulse_is_refused(saved):
+    with pytest.raises(SolutionFileError, match="must come together"):
+        Solution.load(rewritten(saved, impulse=np.zeros((0, 0, 6))))
+
+
+def test_meta_that_is_no_json_is_not_written(arm, tmp_path):
+    strange = replace(arm, meta={**arm.meta, "parameters": {"model": pin.Model()}})
+    with pytest.raises(InputError, match="cannot be written as JSON"):
+        strange.save(tmp_path / "arm.npz")
+
+
+def test_every_array_of_the_format_is_a_field():
+    assert {*SAMPLED, *OTHERS, "meta", "model_text"} == set(Solution.__dataclass_fields__)

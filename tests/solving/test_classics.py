@@ -1,0 +1,224 @@
+"""Swing-ups, hops and periodic hopping: solved from their own guesses, and what they claim is so."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose
+
+from trajopt.certify.check import check
+from trajopt.certify.energy import cost_of_transport
+from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
+from trajopt.robot.kinematics import contact_positions
+from trajopt.solution.solution import Solution
+from trajopt.solving.solving import solve
+from trajopt_library import problems
+
+pytestmark = pytest.mark.long
+
+# Ten times the solver's default tolerance, on rows of about a radian, a metre and their rates.
+SOLVED = 1e-5
+# The check's own limit on the drift of a foot that stands, m.
+DRIFT = 1e-3
+# The suite's noise on guesses, natural units, and a few of its seeds.
+NOISE, SEEDS = 0.1, (0, 1)
+SWING_UPS = ("double-pendulum", "acrobot")
+HOPPERS = ("hopper", pytest.param("hopper_space", marks=pytest.mark.slow))
+
+POINT_PENDULUM = """
+import math
+from dataclasses import replace
+import numpy as np
+import pinocchio as pin
+from trajopt.robot import Robot
+
+KIND = "pendulum"
+
+def build():
+    model = pin.Model()
+    model.name = "point"
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "pivot")
+    mass = pin.Inertia.FromSphere(2.0, 0.05)
+    model.appendBodyToJoint(joint, mass, pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.7])))
+    robot = Robot.from_model(model, name="point", reference=np.array([math.pi]))
+    return replace(robot, effort_limit=np.array([2.0 * 9.81 * 0.7]))
+"""
+
+
+@lru_cache
+def solved(name: str, **parameters: object) -> tuple[Problem, Solution]:
+    """A problem and its solution from its own guess."""
+    problem = problems.load(name, **parameters)
+    return problem, solve(problem, compile="none")
+
+
+# Swing-ups
+
+
+@pytest.mark.parametrize("goal", ["effort", "time"])
+@pytest.mark.parametrize("name", SWING_UPS)
+def test_swing_up_goes_from_hanging_to_upright_at_rest(name, goal):
+    _, solution = solved(name, goal=goal)
+    assert solution.success
+    assert check(solution).ok
+    model, data = solution.model, solution.model.createData()
+    heights = [pin.centerOfMass(model, data, q)[2] for q in solution.q]
+    turned = [_stretched(model, angle) for angle in np.linspace(0, 2 * math.pi, 721)]
+    assert_allclose(heights[0], min(turned), atol=1e-4)
+    assert_allclose(heights[-1], max(turned), atol=1e-4)
+    assert_allclose(solution.v[[0, -1]], 0.0, atol=SOLVED)
+
+
+def _stretched(model: pin.Model, angle: float) -> float:
+    """Height of the centre of mass with the links in line, m."""
+    q = np.array([math.cos(angle), math.sin(angle), 1.0, 0.0])
+    return float(pin.centerOfMass(model, model.createData(), q)[2])
+
+
+@pytest.mark.parametrize("name", SWING_UPS)
+def test_motors_cannot_lift_the_links_at_once(name):
+    problem, solution = solved(name)
+    rates = solution.v[:, 0]
+    assert np.all(np.abs(solution.tau[solution.collocation]) < 0.5 * problem.robot.effort_limit + SOLVED)
+    assert np.sum(np.diff(np.sign(rates[np.abs(rates) > 0.1])) != 0) >= 2  # it swings to and fro
+
+
+def test_nothing_drives_the_first_joint_of_the_acrobot():
+    problem, solution = solved("acrobot")
+    model, data = solution.model, solution.model.createData()
+    points = solution.collocation
+    motion = zip(solution.q[points], solution.v[points], solution.a[points], strict=True)
+    moments = np.array([pin.rnea(model, data, *state) for state in motion])
+    assert problem.robot.passive == ("joint1",)
+    assert_allclose(moments[:, 0], 0.0, atol=SOLVED)
+    assert_allclose(moments[:, 1:], solution.tau[points], atol=SOLVED)
+
+
+def test_the_least_time_of_the_double_pendulum_takes_all_the_torque():
+    problem, solution = solved("double-pendulum", goal="time")
+    assert sum(solution.meta["durations"]) < 0.7 * problem.schedule.duration
+    limit = 0.5 * problem.robot.effort_limit
+    used = np.abs(solution.tau[solution.collocation]) / limit
+    assert np.mean(used.max(axis=1) > 0.99) > 0.8
+    assert used.max() < 1 + SOLVED
+
+
+@pytest.mark.parametrize("name", SWING_UPS)
+def test_swing_ups_are_solved_from_perturbed_guesses(name):
+    problem = problems.load(name)
+    for seed in SEEDS:
+        assert solve(problem, compile="none", perturb=NOISE, seed=seed).success
+
+
+def test_another_pendulum_swings_up_by_name_of_its_file(tmp_path):
+    file = tmp_path / "point.py"
+    file.write_text(POINT_PENDULUM)
+    problem, solution = solved("double-pendulum", robot=str(file))
+    assert solution.success
+    assert check(solution).ok
+    period = 2 * math.pi * math.sqrt(0.7 / 9.81)
+    assert_allclose(problem.parameters["duration"] / period, 2.5, rtol=2e-3)  # its radius of 0.05 m counts
+    assert_allclose(math.remainder(solution.q[-1, 0], 2 * math.pi), 0.0, atol=SOLVED)
+
+
+@pytest.mark.parametrize("name", ["ur5", "hopper", "solo12"])
+def test_other_robots_do_not_swing_up(name):
+    with pytest.raises(InputError, match="pendulum"):
+        problems.load("acrobot", robot=name)
+
+
+# Hops
+
+
+@pytest.mark.parametrize("robot", HOPPERS)
+def test_hop_lands_on_its_foothold(robot):
+    problem, solution = solved("hopper-hop", robot=robot)
+    assert solution.success
+    assert check(solution).ok
+    feet = [contact_positions(problem.robot, q)["foot"] for q in solution.q[[0, -1]]]
+    assert_allclose(feet[1] - feet[0], [0.2, 0.0, 0.0], atol=DRIFT)
+
+
+def test_goals_of_a_hop_are_met_better_than_by_least_effort():
+    reached = {}
+    for goal in ("effort", "height", "distance", "time"):
+        problem = problems.load("hopper-hop", goal=goal)
+        solution = solve(problem, compile="none", intervals=24)
+        assert solution.success
+        reached[goal] = (solution.q[:, 1].max(), solution.q[-1, 0] - solution.q[0, 0], solution.t[-1])
+    assert reached["height"][0] > reached["effort"][0] + 0.2
+    assert reached["distance"][1] > reached["effort"][1] + 0.5
+    assert reached["time"][2] < reached["effort"][2] - 0.1
+
+
+def test_the_farthest_hop_ends_in_the_reference_posture_wherever_it_lands():
+    problem = problems.load("hopper-hop", goal="distance")
+    solution = solve(problem, compile="none", intervals=60)
+    assert check(solution).ok
+    foot = contact_positions(problem.robot, solution.q[-1])["foot"]
+    standing = contact_positions(problem.robot, problem.robot.reference)["foot"]
+    base, reference = solution.q[-1], problem.robot.reference
+    assert_allclose(base[0] - foot[0], reference[0] - standing[0], atol=DRIFT)
+    assert_allclose(base[1:], reference[1:], atol=DRIFT)
+    assert_allclose(solution.v[-1], 0.0, atol=DRIFT)
+
+
+def test_hops_of_other_robots_and_coordinates_are_refused():
+    with pytest.raises(InputError, match="hopper"):
+        problems.load("hopper-hop", robot="solo12")
+    with pytest.raises(InputError, match="minimal"):
+        problems.load("hopper-hop", robot="hopper_space", coordinates="minimal")
+    with pytest.raises(InputError, match="minimal"):
+        problems.load("hopper-hop", goal="distance", coordinates="minimal")
+
+
+# Periodic hopping
+
+
+@pytest.mark.parametrize("robot", HOPPERS)
+def test_hopping_is_periodic_at_the_commanded_speed(robot):
+    problem, solution = solved("hopper-gait", robot=robot)
+    assert solution.success
+    assert check(solution).ok
+    speed, period = (float(problem.parameters[name]) for name in ("speed", "period"))
+    way = np.zeros(problem.robot.nq)
+    way[0] = speed * period
+    assert_allclose(solution.q[-1] - solution.q[0], way, atol=SOLVED)
+    assert_allclose(solution.v[-1], solution.v[0], atol=SOLVED)
+    assert_allclose(solution.t[-1], period)
+
+
+def test_two_hops_follow_each_other_without_a_jump_of_the_foot():
+    problem, solution = solved("hopper-gait")
+    stance = [row for row in range(solution.n_samples) if solution.active[row, 0]]
+    feet = np.array([contact_positions(problem.robot, solution.q[row])["foot"] for row in stance])
+    assert_allclose(feet[:, 0], feet[0, 0], atol=1e-3)
+    landed = contact_positions(problem.robot, solution.q[-1])["foot"]
+    step = float(problem.parameters["speed"]) * float(problem.parameters["period"])
+    assert_allclose(landed - feet[0], [step, 0.0, 0.0], atol=SOLVED)
+
+
+def test_hopping_for_transport_draws_less_than_for_effort():
+    costs = {goal: cost_of_transport(solved("hopper-gait", goal=goal)[1]) for goal in ("effort", "transport")}
+    assert costs["transport"] < 0.9 * costs["effort"]
+
+
+@pytest.mark.parametrize("given", [{"speed": -0.8}, {"duty": 0.4}, {"durations": "free"}])
+def test_hopping_is_solved_for_other_commands(given):
+    problem, solution = solved("hopper-gait", **given)
+    assert solution.success
+    assert check(solution).ok
+    lengths = np.array(solution.meta["durations"])
+    nominal = np.array([phase.duration for phase in problem.schedule.phases])
+    free = given.get("durations") == "free"
+    assert np.all(lengths <= 2.0 * nominal + SOLVED) if free else np.allclose(lengths, nominal)
+
+
+def test_commands_without_a_way_have_no_cost_of_transport():
+    with pytest.raises(InputError, match="travel"):
+        problems.load("hopper-gait", speed=0.0, goal="transport")

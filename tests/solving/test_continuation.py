@@ -1,0 +1,310 @@
+"""Sequences over a parameter and ladders of grids: what starts from what, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import trajopt
+from tests.support.command_lines import assert_refused, invoke
+from tests.support.problems import REACH_TIME, reach
+from trajopt import Solution, continuation, solve_ladder
+from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
+from trajopt.solving.continuation import Continuation
+from trajopt.terms import TerminalRest, TerminalState, TorqueCost, VelocityCost
+from trajopt_library import problems
+
+VALUES = (0.2, 0.5, 0.8)
+# One optimum, to what the solver's tolerance leaves.
+SAME_OPTIMUM = 1e-6
+# The swing from 0.2 to 2 rad takes more iterations than these, from 1.1 rad on fewer.
+FEW_ITERATIONS = 3
+ARM = ("--set", "y=0.4", "--intervals", "12")
+
+
+def swing(goal: float) -> Problem:
+    """The arm against gravity from rest at 0 to rest at ``goal`` rad."""
+    end = np.array([goal])
+    return replace(
+        reach(),
+        terms=(
+            TorqueCost(weight=1.0),
+            VelocityCost(weight=0.1),
+            TerminalState(q=end),
+            TerminalRest(q=end),
+        ),
+        robot=reach(gravity=True).robot,
+        guess=lambda t: end * np.clip(t / REACH_TIME, 0, 1),
+        parameters={"goal": goal},
+    )
+
+
+def swings(values: tuple[float, ...] = VALUES, **settings: object) -> Continuation:
+    return continuation(swing, values, compile="none", **settings)
+
+
+# Sequences
+
+
+def test_each_value_starts_from_the_last_and_ends_at_its_own_optimum():
+    found = swings(compare=True)
+    assert found.success
+    assert [step.value for step in found.steps] == list(VALUES)
+    assert [step.origin for step in found.steps] == [None, *VALUES[:-1]]
+    assert [step.solution.meta["warm_start"] for step in found.steps] == [False, True, True]
+    for step in found.steps:
+        assert step.cold is not None
+        assert step.cold.meta["warm_start"] is False
+        own = step.solution.meta["objective"]
+        assert own == pytest.approx(step.cold.meta["objective"], rel=SAME_OPTIMUM)
+        assert_allclose(step.solution.q[-1], step.value, atol=SAME_OPTIMUM)
+
+
+def test_totals_count_every_solve():
+    found = swings(compare=True)
+    figures = found.to_dict()
+    iterations = [step.solution.meta["iterations"] for step in found.steps]
+    cold = [step.cold.meta["iterations"] for step in found.steps if step.cold]
+    assert figures["total"]["iterations"] == sum(iterations)
+    assert figures["cold"]["iterations"] == sum(cold)
+    assert figures["saved"]["iterations"] == sum(cold) - sum(iterations)
+    assert figures["saved"]["wall_time_s"] == figures["cold"]["wall_time_s"] - figures["total"]["wall_time_s"]
+    json.dumps(figures)
+
+
+def test_without_comparison_nothing_is_said_of_savings():
+    figures = swings().to_dict()
+    assert figures["cold"] is None
+    assert "saved" not in figures
+
+
+def test_the_first_value_starts_from_a_solution_given(tmp_path):
+    file = trajopt.solve(swing(0.1), compile="none").save(tmp_path / "start.npz")
+    found = swings(start=file)
+    assert found.steps[0].solution.meta["warm_start"] is True
+    assert found.steps[0].origin is None
+
+
+def test_a_step_that_fails_is_halved():
+    found = swings((0.2, 2.0), max_iterations=FEW_ITERATIONS)
+    assert found.success
+    assert found.steps[1].value == 2.0
+    assert not found.steps[1].solution.success
+    between = [step for step in found.steps if not step.asked]
+    assert between[0].value == pytest.approx(1.1)
+    assert found.steps[-1].value == 2.0
+    assert found.steps[-1].solution.success
+    assert found.solutions.keys() == {0.2, 2.0}
+
+
+@pytest.mark.parametrize("halvings", [0, 2])
+def test_halvings_are_bounded_and_the_own_guess_comes_last(halvings):
+    found = swings((0.2, 3.0), max_iterations=FEW_ITERATIONS, max_halvings=halvings)
+    assert not found.success
+    failed = [step for step in found.steps if not step.solution.success]
+    assert len(failed) <= halvings + 2
+    assert found.steps[-1].origin is None
+    assert not found.steps[-1].solution.meta["warm_start"]
+
+
+def test_a_sequence_goes_on_after_a_value_that_cannot_be_solved():
+    found = swings((0.2, 3.0, 0.3), max_iterations=FEW_ITERATIONS, max_halvings=0)
+    assert found.solutions.keys() == {0.2, 0.3}
+    assert found.steps[-1].origin == 0.2
+
+
+def test_a_user_who_stops_a_solve_stops_the_sequence():
+    found = swings(progress=lambda figures: figures["iteration"] < 1)
+    assert len(found.steps) == 1
+    assert found.steps[0].solution.meta["status"] == "interrupted"
+
+
+def test_every_step_is_reported():
+    seen: list[float] = []
+    swings(on_step=lambda step: seen.append(step.value))
+    assert seen == list(VALUES)
+
+
+def test_functions_are_compiled_once_for_all_values(tmp_path, monkeypatch):
+    monkeypatch.setenv("TRAJOPT_CACHE_DIR", str(tmp_path))
+    found = continuation(swing, VALUES, compile="none")
+    compiled = [step.solution.meta["functions_compiled"] for step in found.steps]
+    assert compiled[0] > 0
+    assert compiled[1:] == [0, 0]
+
+
+def test_a_sequence_of_reaches_compiles_once_and_takes_fewer_iterations(tmp_path, monkeypatch):
+    monkeypatch.setenv("TRAJOPT_CACHE_DIR", str(tmp_path))
+    found = continuation(
+        lambda value: problems.load("ur5-reach", x=value),
+        (0.3, 0.33, 0.36),
+        compile="none",
+        intervals=12,
+        compare=True,
+    )
+    assert found.success
+    compiled = [step.solution.meta["functions_compiled"] for step in found.steps]
+    assert compiled[0] > 0
+    assert compiled[1:] == [0, 0]
+    for step in found.steps[1:]:
+        assert step.cold is not None
+        assert step.solution.meta["iterations"] < step.cold.meta["iterations"]
+
+
+@pytest.mark.parametrize("values", [(), (np.nan,), (np.inf, 1.0), ("a",), None])
+def test_values_that_are_no_numbers_are_refused(values):
+    with pytest.raises(InputError, match="values of a continuation"):
+        continuation(swing, values)
+
+
+@pytest.mark.parametrize("halvings", [-1, 1.5, True, None])
+def test_halvings_that_are_no_count_are_refused(halvings):
+    with pytest.raises(InputError, match="max_halvings"):
+        continuation(swing, VALUES, max_halvings=halvings)
+
+
+# Ladders
+
+
+def test_a_ladder_ends_at_the_optimum_of_its_finest_grid():
+    ladder = solve_ladder(
+        swing(1.0), [("legendre:1", 5), ("radau:3", 9), (None, None)], compare=True, compile="none"
+    )
+    grids = [(one.meta["transcription"], one.n_intervals) for one in ladder.rungs]
+    assert grids == [("legendre:1", 5), ("radau:3", 9), ("legendre:2", 10)]
+    assert [one.meta["warm_start"] for one in ladder.rungs] == [False, True, True]
+    assert ladder.cold is not None
+    assert ladder.solution is ladder.rungs[-1]
+    direct = ladder.cold.meta["objective"]
+    assert ladder.solution.meta["objective"] == pytest.approx(direct, rel=SAME_OPTIMUM)
+    figures = ladder.to_dict()
+    assert figures["total"]["iterations"] == sum(one.meta["iterations"] for one in ladder.rungs)
+    assert figures["cold"]["iterations"] == ladder.cold.meta["iterations"]
+
+
+def test_a_rung_that_fails_starts_nothing():
+    ladder = solve_ladder(
+        swing(3.0), [("legendre:2", 8), ("legendre:2", 9)], compile="none", max_iterations=1
+    )
+    assert [one.meta["warm_start"] for one in ladder.rungs] == [False, False]
+
+
+def test_a_user_who_stops_a_rung_stops_the_ladder():
+    ladder = solve_ladder(
+        swing(1.0), [("legendre:1", 5)] * 3, compile="none", compare=True, progress=lambda _: False
+    )
+    assert len(ladder.rungs) == 1
+    assert ladder.cold is None
+
+
+@pytest.mark.parametrize(
+    ("rungs", "words"),
+    [
+        ([], "no rung"),
+        ([("euler", 5)], "euler"),
+        ([("legendre:1", 0)], "0 intervals"),
+        (["legendre:1"], "rung"),
+    ],
+)
+def test_ladders_that_are_none_are_refused(rungs, words):
+    with pytest.raises(InputError, match=words):
+        solve_ladder(swing(1.0), rungs)
+
+
+# The command line
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("warm") / "arm.npz"
+    assert invoke("solve", "ur5-reach", *ARM, "--output", file).exit_code == 0
+    return file
+
+
+def test_solve_starts_from_a_file(arm, tmp_path):
+    target = tmp_path / "next.npz"
+    result = invoke("solve", "ur5-reach", *ARM, "--set", "x=0.35", "--start", arm, "--compare",
+                     "--output", target, "--json")  # fmt: skip
+    found = json.loads(result.stdout)
+    assert result.exit_code == 0
+    assert found["warm_start"] is True
+    assert found["ladder"]["cold"]["iterations"] > found["iterations"]
+    assert Solution.load(target).meta["parameters"]["x"] == 0.35
+
+
+def test_solve_climbs_a_ladder(tmp_path):
+    result = invoke("solve", "ur5-reach", "--set", "y=0.4", "--ladder", "legendre:1@6,legendre:2@12",
+                     "--output", tmp_path / "arm.npz")  # fmt: skip
+    assert result.exit_code == 0
+    assert "legendre:1, 6 intervals: solved" in result.stdout
+    assert "all rungs" in result.stdout
+
+
+def test_continue_writes_a_table_and_files(tmp_path):
+    result = invoke("continue", "ur5-reach", *ARM, "--vary", "x=0.3:35cm:3", "--compare",
+                     "--output-dir", tmp_path / "new")  # fmt: skip
+    assert result.exit_code == 0, result.output
+    assert "3 of 3 values solved" in result.stdout
+    assert "saved" in result.stdout
+    files = sorted((tmp_path / "new").glob("*.npz"))
+    assert_allclose([Solution.load(file).meta["parameters"]["x"] for file in files], [0.3, 0.325, 0.35])
+
+
+def test_continue_prints_one_json_object():
+    result = invoke("continue", "ur5-reach", *ARM, "--vary", "x=0.3:0.35:2", "--json")
+    found = json.loads(result.stdout)
+    assert found["parameter"] == "x"
+    assert found["values"] == [0.3, 0.35]
+    assert [step["warm_start"] for step in found["steps"]] == [False, True]
+    assert found["files"] == {}
+
+
+def test_continue_ends_with_1_where_a_value_is_not_solved():
+    result = invoke("continue", "ur5-reach", *ARM, "--vary", "duration=1:0.1:2", "--max-halvings", 0,
+                     "--max-iterations", 8)  # fmt: skip
+    assert result.exit_code == 1
+    assert "1 of 2 values solved" in result.stdout
+
+
+BAD = {
+    "no form": (("--vary", "x"), "START:STOP:COUNT"),
+    "one value": (("--vary", "x=0:1:1"), "COUNT"),
+    "no number": (("--vary", "actuation=0:1:3"), "actuation"),
+    "unknown": (("--vary", "q=0:1:3"), "no number 'q'"),
+    "out of range": (("--vary", "x=0:99:3"), "parameter x is 99"),
+    "set too": (("--vary", "x=0:1:3", "--set", "x=1"), "both varied and set"),
+    "nowhere to go": (("--vary", "x=1:1:3"), "starts where it ends"),
+    "no file": (("--vary", "x=0:1:3", "--start", "none.npz"), "does not exist"),
+    "no folder": (("--vary", "x=0:1:3", "--output-dir", __file__), "no folder"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "words"), BAD.values(), ids=BAD.keys())
+def test_bad_input_of_continue_is_refused(arguments, words):
+    assert_refused(invoke("continue", "ur5-reach", *arguments), words)
+
+
+BAD_SOLVE = {
+    "no ladder": (("--ladder", "fine"), "SCHEME@INTERVALS"),
+    "unknown scheme": (("--ladder", "euler@5"), "euler"),
+    "too coarse": (("--ladder", "legendre:1@0"), "0 intervals"),
+    "two grids": (("--ladder", "legendre:1@5", "--intervals", "9"), "grid"),
+    "nothing to compare": (("--compare",), "nothing to compare"),
+    "no file": (("--start", "none.npz"), "does not exist"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "words"), BAD_SOLVE.values(), ids=BAD_SOLVE.keys())
+def test_bad_starts_of_solve_are_refused(arguments, words, tmp_path):
+    assert_refused(invoke("solve", "ur5-reach", *arguments, "--output", tmp_path / "arm.npz"), words)
+
+
+def test_a_solution_of_another_robot_is_refused(arm, tmp_path):
+    result = invoke("solve", "hopper-hop", "--start", arm, "--output", tmp_path / "hop.npz")
+    assert_refused(result, "'ur5' has other joints")

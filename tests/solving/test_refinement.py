@@ -1,0 +1,179 @@
+"""Refinement: the model of the error, the mesh it asks for, and what is reached, measured independently."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.support.problems import hop, reach
+from trajopt.certify.accuracy.measures import measure
+from trajopt.errors import InputError
+from trajopt.solution.grid import mesh_of
+from trajopt.solving.refine import phase_errors, refine, tolerance_for
+from trajopt.solving.remeshing import MOST_PARTS, PhaseErrors, error_constant, remeshed
+from trajopt.solving.solving import solve
+from trajopt.transcription.mesh import Mesh, PhaseMesh
+from trajopt.transcription.schemes import scheme
+from trajopt_library import problems
+
+# Unknowns per node and per point of the made-up phases.
+SIZES = (10, 8)
+# Of sums of widths.
+ROUNDING = 1e-9
+# Part of a uniform mesh's variables that refinement needs at most.
+FEWER = 0.6
+
+
+def quadrature_error(name, h, rate):
+    """Error of a scheme's quadrature of exp(rate t) over [0, h]."""
+    method = scheme(name)
+    return abs(h * method.b1 @ np.exp(rate * h * method.c) - np.expm1(rate * h) / rate)
+
+
+@pytest.mark.parametrize("name", ["legendre:1", "legendre:2", "legendre:3", "radau:1", "radau:2", "radau:3"])
+def test_error_constant_is_that_of_the_quadrature(name):
+    h, rate = 0.5, 1.0
+    expected = error_constant(name) * h ** (scheme(name).order + 1)
+    # The derivative of exp is between 1 and exp(h) in the interval.
+    assert expected <= quadrature_error(name, h, rate) * (1 + 1e-3)
+    assert quadrature_error(name, h, rate) <= expected * np.exp(rate * h) * (1 + 1e-3)
+
+
+def modelled(name, widths, rate):
+    """Local errors of the quadrature on intervals of these widths."""
+    return np.array([quadrature_error(name, width, rate) for width in widths])
+
+
+@pytest.mark.parametrize("name", ["legendre:2", "radau:2", "legendre:1"])
+def test_mesh_that_is_asked_for_meets_the_target_where_the_model_holds(name):
+    mesh, rate, length = PhaseMesh.uniform(name, 3), 6.0, 1.0
+    local = modelled(name, mesh.widths, rate)
+    target = local.sum() / 6
+    errors = PhaseErrors(local=local, phase=float(local.sum()), unknowns=SIZES)
+    (made,) = remeshed(Mesh(phases=(mesh,)), [errors], target, length, raise_degree=False).phases
+    assert made.scheme == name
+    assert modelled(name, made.widths, rate).sum() <= target
+
+
+def test_phases_within_the_target_stay_as_they_are():
+    mesh = Mesh.uniform("legendre:2", [4, 4])
+    good = PhaseErrors(local=np.full(4, 1e-9), phase=1e-7, unknowns=SIZES)
+    bad = PhaseErrors(local=np.full(4, 1e-4), phase=1e-2, unknowns=SIZES)
+    made = remeshed(mesh, [good, bad], 1e-5, 1.0)
+    assert made.phases[0] == mesh.phases[0]
+    assert made.phases[1] != mesh.phases[1]
+
+
+def test_intervals_with_more_error_are_cut_into_more_parts():
+    mesh, local = Mesh.uniform("legendre:2", [4]), np.array([1e-4, 1e-9, 1e-9, 1e-6])
+    errors = PhaseErrors(local=local, phase=1e-4, unknowns=SIZES)
+    (made,) = remeshed(mesh, [errors], 2e-6, 1.0, raise_degree=False).phases
+    edges = np.array(made.fractions)
+    inside = [
+        int(np.sum((edges > low + 1e-12) & (edges <= low + 0.25 + 1e-12))) for low in (0, 0.25, 0.5, 0.75)
+    ]
+    assert inside[0] > inside[3] >= inside[1] == inside[2] == 1
+
+
+def test_error_all_over_a_phase_raises_its_degree():
+    mesh = Mesh.uniform("legendre:2", [6])
+    errors = PhaseErrors(local=np.full(6, 1e-4), phase=1e-3, unknowns=SIZES)
+    (made,) = remeshed(mesh, [errors], 1e-6, 1.0).phases
+    assert made.scheme == "legendre:3"
+
+
+@pytest.mark.parametrize("name", ["trapezoidal", "hermite-simpson", "semi-implicit-euler", "legendre:4"])
+def test_schemes_without_a_next_degree_are_split(name):
+    errors = PhaseErrors(local=np.full(5, 1e-3), phase=5e-3, unknowns=SIZES)
+    (made,) = remeshed(Mesh.uniform(name, [5]), [errors], 1e-4, 1.0).phases
+    assert made.scheme == name
+    assert made.count > 5
+
+
+@pytest.mark.parametrize(
+    ("local", "phase", "least"),
+    [([np.inf, 1e-3], np.inf, 3), ([0.0, 0.0, 0.0], 1e-3, 0)],
+    ids=["a phase that ran away", "errors of rounding"],
+)
+def test_no_mesh_is_without_end(local, phase, least):
+    count = len(local)
+    errors = PhaseErrors(local=np.array(local), phase=phase, unknowns=SIZES)
+    (made,) = remeshed(Mesh.uniform("legendre:4", [count]), [errors], 1e-6, 1.0).phases
+    assert least <= made.count <= count * MOST_PARTS
+
+
+@pytest.mark.long
+def test_refined_motion_is_as_accurate_as_measured_anew_from_its_file(tmp_path):
+    target = 1e-4
+    found = refine(hop(), target, compile="none")
+    assert found.reached
+    again = measure(found.solution.save(tmp_path / "hop.npz"))
+    assert max(phase_errors(again)) <= target
+    assert again.open_loop <= target
+    assert found.solution.meta["refinement"]["reached"] is True
+    assert found.solution.meta["refinement"]["error_m"] == pytest.approx(found.error)
+    assert len(found.rounds) > 1
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("raise_degree", [False, True])
+def test_refinement_needs_fewer_variables_than_a_uniform_mesh_for_the_same_error(raise_degree):
+    problem = problems.load("hopper-hop")
+    uniform = solve(problem, compile="none")
+    error = max(phase_errors(measure(uniform)))
+    found = refine(problem, error, raise_degree=raise_degree, compile="none")
+    assert found.reached
+    assert found.solution.meta["variables"] <= FEWER * uniform.meta["variables"]
+
+
+def test_mesh_that_meets_the_target_is_left_alone():
+    mesh = Mesh.uniform("legendre:4", [10])
+    found = refine(reach(), 1e-3, mesh=mesh, compile="none")
+    assert found.reached
+    assert len(found.rounds) == 1
+    assert found.rounds[0].mesh == mesh
+
+
+@pytest.mark.long
+def test_solution_at_hand_is_measured_and_its_own_mesh_refined():
+    coarse = solve(hop(), intervals=6, compile="none")
+    found = refine(hop(), 1e-4, start=coarse, compile="none")
+    assert found.reached
+    assert found.rounds[0].mesh == mesh_of(coarse)
+    assert found.rounds[0].errors == phase_errors(measure(coarse))
+    enough = refine(hop(), 10 * found.error, start=found.solution, compile="none")
+    assert len(enough.rounds) == 1
+
+
+def test_target_below_rounding_is_not_reached_and_says_why():
+    found = refine(reach(), 1e-300, compile="none", max_rounds=2)
+    assert not found.reached
+    assert found.why == "2 rounds were not enough"
+    assert found.solution.success
+    assert found.to_dict()["reached"] is False
+
+
+def test_limit_of_unknowns_stops_with_the_best_solution():
+    found = refine(hop(), 1e-8, compile="none", max_variables=300)
+    assert not found.reached
+    assert "more than 300 unknowns" in found.why
+    assert found.solution.success
+
+
+def test_problem_without_a_solution_is_told_as_such():
+    found = refine(hop(), 1e-3, compile="none", max_iterations=1)
+    assert not found.reached
+    assert not found.solution.success
+    assert found.why == "a mesh was not solved: iteration limit"
+    assert found.to_dict()["error_m"] is None
+
+
+@pytest.mark.parametrize("target", [0.0, -1e-3, float("nan"), float("inf"), "1e-3"])
+def test_targets_that_are_no_length_are_refused(target):
+    with pytest.raises(InputError, match=r"accuracy is .* m; allowed: finite and > 0"):
+        refine(reach(), target, compile="none")
+
+
+def test_tolerance_follows_the_target_within_what_solvers_reach():
+    assert_allclose(tolerance_for(1.0, 0.2), 1e-6)
+    assert_allclose(tolerance_for(1e-4, 1.0), 1e-7)
+    assert_allclose(tolerance_for(1e-12, 1.0), 1e-10)

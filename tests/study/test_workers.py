@@ -1,0 +1,300 @@
+"""Tasks in processes of their own: results, losses, limits, cores, what they tell; records and display."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Executor, Future
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.processes import environment, needs_proc
+from trajopt.errors import InputError
+from trajopt.study.workers.display import TaskDisplay
+from trajopt.study.workers.executor import ProcessPerTaskExecutor
+from trajopt.study.workers.records import JsonLines
+from trajopt.study.workers.task import (
+    LostTaskError,
+    RefusedTaskError,
+    TaskError,
+    TaskTimeoutError,
+    announced,
+    limit_time,
+    tell,
+)
+
+# Seconds that any task here may take; none takes one unless it hangs.
+WAIT = 120.0
+# Seconds until a task that hangs is killed.
+SHORT = 0.5
+
+
+def product(a: int, *, b: int) -> int:
+    tell(("factors", a, b))
+    return a * b
+
+
+def refuse() -> None:
+    raise InputError("the goal is on the moon", "allowed: on earth")
+
+
+def fail() -> None:
+    raise RuntimeError("first line\nsecond line")
+
+
+def run_out_of_memory() -> None:
+    raise MemoryError
+
+
+def end_by(number: int) -> None:
+    os.kill(os.getpid(), number)
+
+
+def leave() -> None:
+    """What a library does that ends the process by itself."""
+    print("kept for the developer", flush=True)
+    os.write(1, b"nothing works\n")
+    os._exit(3)
+
+
+def unpicklable() -> Callable[[], None]:
+    return lambda: None
+
+
+def hang(pids: Path) -> None:
+    """Hang in no Python code, beside a process like a compiler's."""
+    child = subprocess.Popen(["sleep", "3600"])
+    pids.write_text(f"{os.getpid()} {child.pid}")
+    limit_time(SHORT, "build")
+    threading.Lock().acquire() and threading.Event().wait()
+
+
+def wait(pids: Path) -> None:
+    child = subprocess.Popen(["sleep", "3600"])
+    pids.write_text(f"{os.getpid()} {child.pid}")
+    time.sleep(3600)
+
+
+def end_server() -> str:
+    os.kill(os.getppid(), signal.SIGKILL)
+    return "alive"
+
+
+def surroundings() -> tuple[set[int], str, int]:
+    return os.sched_getaffinity(0), os.environ["OMP_NUM_THREADS"], os.getpid()
+
+
+def gone(pids: Path) -> bool:
+    """Whether all processes are, within the time."""
+    deadline = time.monotonic() + WAIT
+    while time.monotonic() < deadline:
+        if not any(_runs(pid) for pid in pids.read_text().split()):
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def _runs(pid: str) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def written(file: Path) -> Path:
+    deadline = time.monotonic() + WAIT
+    while not (file.exists() and file.read_text()):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    return file
+
+
+# Tasks
+
+
+def test_it_is_an_executor():
+    told: list[Any] = []
+    with ProcessPerTaskExecutor(2, on_event=told.append) as executor:
+        assert isinstance(executor, Executor)
+        assert executor.submit(product, 2, b=3).result(WAIT) == 6
+        assert list(executor.map(abs, [-1, -2, -3], timeout=WAIT)) == [1, 2, 3]
+    assert told == [("factors", 2, 3)]
+    with pytest.raises(RuntimeError):
+        executor.submit(abs, 1)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("function", "arguments", "kind", "text"),
+    [
+        (refuse, (), RefusedTaskError, "the goal is on the moon; allowed: on earth"),
+        (fail, (), LostTaskError, "crash: RuntimeError: first line second line"),
+        (run_out_of_memory, (), LostTaskError, "crash: out of memory"),
+        (end_by, (signal.SIGSEGV,), LostTaskError, "crash: SIGSEGV"),
+        (end_by, (signal.SIGKILL,), LostTaskError, "crash: SIGKILL (out of memory?)"),
+        (leave, (), LostTaskError, "crash: exit status 3: nothing works"),
+        (unpicklable, (), LostTaskError, "crash: AttributeError: Can't pickle local object"),
+    ],
+)
+def test_a_task_without_result_says_why(
+    function: Callable[..., Any], arguments: tuple[Any, ...], kind: type[TaskError], text: str
+):
+    with ProcessPerTaskExecutor(1) as executor:
+        error = executor.submit(function, *arguments).exception(WAIT)
+        assert type(error) is kind
+        assert str(error).startswith(text)
+        assert executor.submit(abs, -1).result(WAIT) == 1
+
+
+@needs_proc
+def test_a_task_that_hangs_ends_with_all_it_started(tmp_path: Path):
+    with ProcessPerTaskExecutor(1) as executor:
+        with pytest.raises(TaskTimeoutError, match=r"^build killed after 0\.5 s$"):
+            executor.submit(hang, tmp_path / "pids").result(WAIT)
+        assert gone(tmp_path / "pids")
+
+
+def test_an_announced_task_tells_its_name_and_has_a_limit():
+    told: list[str] = []
+    with ProcessPerTaskExecutor(1, on_event=told.append) as executor:
+        assert executor.submit(announced, "first", WAIT, abs, -1).result(WAIT) == 1
+        with pytest.raises(TaskTimeoutError, match=r"^killed after 0\.5 s$"):
+            executor.submit(announced, "second", SHORT, time.sleep, 3600).result(WAIT)
+    assert told == ["first", "second"]
+
+
+def test_a_limit_here_ends_nothing():
+    assert announced("here", 1e-3, time.sleep, 0.05) is None
+
+
+@pytest.mark.long
+def test_tasks_are_pinned_and_have_one_thread_and_a_process_of_their_own():
+    cores = sorted(os.sched_getaffinity(0))
+    with ProcessPerTaskExecutor(len(cores), cores=cores) as executor:
+        found = [executor.submit(surroundings).result(WAIT) for _ in range(3)]
+    assert all(len(own) == 1 and own <= set(cores) and threads == "1" for own, threads, _ in found)
+    assert len({pid for _, _, pid in found}) == 3
+    with ProcessPerTaskExecutor(1) as executor:
+        assert executor.submit(surroundings).result(WAIT)[0] == set(cores)
+
+
+def test_a_server_that_dies_is_replaced():
+    with ProcessPerTaskExecutor(1) as executor:
+        assert executor.submit(end_server).result(WAIT) == "alive"
+        assert executor.submit(abs, -1).result(WAIT) == 1
+
+
+@needs_proc
+def test_an_exception_ends_all_processes(tmp_path: Path):
+    futures: list[Future[Any]] = []
+
+    def interrupted() -> None:
+        with ProcessPerTaskExecutor(1) as executor:
+            futures.append(executor.submit(wait, tmp_path / "pids"))
+            futures.append(executor.submit(abs, -1))
+            written(tmp_path / "pids")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert gone(tmp_path / "pids")
+    assert isinstance(futures[0].exception(WAIT), LostTaskError)
+    with pytest.raises(CancelledError):
+        futures[1].result(WAIT)
+
+
+ORPHANED = """
+import sys
+from pathlib import Path
+from tests.study import test_workers
+from trajopt.study.workers.executor import ProcessPerTaskExecutor
+if __name__ == "__main__":
+    with ProcessPerTaskExecutor(1) as executor:
+        executor.submit(test_workers.wait, Path(sys.argv[1])).result()
+"""
+
+
+@needs_proc
+def test_no_task_outlives_the_process_that_waits(tmp_path: Path):
+    script = tmp_path / "script.py"
+    script.write_text(ORPHANED)
+    process = subprocess.Popen([sys.executable, str(script), str(tmp_path / "pids")], env=environment())
+    written(tmp_path / "pids")
+    process.kill()
+    process.wait(WAIT)
+    assert gone(tmp_path / "pids")
+
+
+def interrupt(event: Any) -> None:
+    raise KeyboardInterrupt
+
+
+def test_what_a_listener_raises_comes_from_the_future():
+    with ProcessPerTaskExecutor(1, on_event=interrupt) as executor:
+        assert isinstance(executor.submit(product, 2, b=3).exception(WAIT), KeyboardInterrupt)
+
+
+# Records
+
+
+def test_lines_are_read_back_but_for_damaged_ones(tmp_path: Path):
+    lines = JsonLines(tmp_path / "new" / "lines.jsonl")
+    assert lines.open(resume=True) == []
+    lines.append({"a": 1})
+    with lines.path.open("a") as stream:
+        stream.write('[1]\nno json\n{"b": 2}\n{"c": ')  # the machine stopped here
+    assert lines.open(resume=True) == [{"a": 1}, {"b": 2}]
+    lines.append({"d": 4})
+    assert lines.read() == [{"a": 1}, {"b": 2}, {"d": 4}]
+    assert lines.open(resume=False) == []
+    lines.remove()
+    assert lines.read() == []
+
+
+def test_lines_go_nowhere_without_a_path():
+    lines = JsonLines(None)
+    assert lines.open(resume=False) == []
+    lines.append({"a": 1})
+    lines.remove()
+    assert lines.read() == []
+
+
+# Display
+
+
+def show() -> None:
+    with TaskDisplay("all", total=2) as display:
+        display.show("first", "building", steps=2)
+        display.show("first", "solving", advance=1)
+        display.more()
+        display.finished("first", "first: solved")
+        display.note("a note")
+
+
+def test_without_a_terminal_only_lines_are_shown(capsys: pytest.CaptureFixture[str]):
+    show()
+    assert capsys.readouterr() == ("", "first: solved\na note\n")
+
+
+def test_a_terminal_shows_what_runs_and_keeps_the_lines():
+    mine, end = pty.openpty()
+    code = "from tests.study import test_workers; test_workers.show()"
+    known = environment(TERM="xterm", COLUMNS="80")
+    subprocess.run([sys.executable, "-c", code], stderr=end, env=known, timeout=WAIT, check=True)
+    os.close(end)
+    seen = os.read(mine, 65536).decode()
+    os.close(mine)
+    plain = re.sub(r"\x1b\[[?0-9;]*[A-Za-z]", "", seen)
+    assert "all" in plain
+    assert "0/2" in plain or "1/3" in plain
+    assert "first: solved" in plain
+    assert "a note" in plain

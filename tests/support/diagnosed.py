@@ -1,0 +1,26 @@
+"""Small problems with their solutions, and what a diagnosis sees of them."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import trajopt
+from tests.support.problems import hop, lean, reach
+from tests.support.redundant_contacts import solo_hop
+from trajopt import Problem, Solution
+from trajopt.solving.solving import prepare
+from trajopt.study.diagnosis.snapshot import Snapshot
+
+
+@lru_cache
+def solved(name: str) -> tuple[Problem, Solution]:
+    problem = {"reach": reach, "lean": lean, "hop": hop, "solo": solo_hop}[name]()
+    intervals = {"hop": 8, "solo": 9}.get(name)
+    return problem, trajopt.solve(problem, intervals=intervals, compile="none")
+
+
+def snapshot_of(problem: Problem, solution: Solution) -> Snapshot:
+    from trajopt.solution.grid import mesh_of
+    from trajopt.study.diagnosis.diagnose import at_solution
+
+    return at_solution(prepare(problem, mesh=mesh_of(solution), compile="none"), solution)

@@ -1,0 +1,59 @@
+"""Solutions to plot, and the figures of their pages."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from tests.support.problems import hop
+from tests.support.synthetic_motions import arm_motion, sampled
+from trajopt import solve
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solution.solution import Solution
+from trajopt.view.plotting.figure import figure_of
+from trajopt.view.plotting.summary import pages_of
+from trajopt.view.plotting.track import Track, tracks_of
+from trajopt_library import robots
+
+
+@lru_cache
+def jump() -> Solution:
+    """A hop of a floating robot with a sole that lands by an impact: phases, forces, impulses."""
+    phases = (
+        Phase(name="stance", duration=0.3, contacts=("foot",)),
+        Phase(name="flight", duration=0.2),
+        Phase(name="landing", duration=0.3, contacts=("foot",), impact=True),
+    )
+    return solve(hop("surface", schedule=Schedule(phases)), compile="none")
+
+
+@lru_cache
+def arm() -> Solution:
+    robot = robots.load("irb1600")
+    drives = [None if drive is None else drive.to_meta() for drive in robot.drives]
+    return sampled(robot, [arm_motion(robot)], 6, drives=drives)
+
+
+def track_of(solution: Solution) -> Track:
+    return tracks_of([solution])[0]
+
+
+def drawn(solution: Solution, name: str, *others: Solution) -> list[Figure]:
+    tracks = tracks_of([solution, *others])
+    return [figure_of(page, tracks, fixed=True) for page in pages_of(tracks, [name])]
+
+
+def lines(figures: list[Figure], panel: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Data of the named lines of a panel, without gaps."""
+    found = {}
+    for axes in (axes for figure in figures for axes in figure.axes if axes.get_label() == panel):
+        for line in axes.get_lines():
+            name = str(line.get_label())
+            if not name.startswith("_"):
+                x, y = (np.asarray(values, dtype=float) for values in line.get_data())
+                keep = np.isfinite(y)
+                found[name.partition("/")[0]] = (x[keep], y[keep])
+    assert found, f"no panel {panel}"
+    return found

@@ -1,0 +1,43 @@
+"""Solutions with the unknowns that a solver found, and the transcription that they belong to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+from tests.support.problems import hop
+from trajopt.problem.problem import Problem
+from trajopt.solution.solution import Solution
+from trajopt.solvers.drivers import run_solver
+from trajopt.solvers.result import Result, StoppingCriteria
+from trajopt.solving.extraction import extract
+from trajopt.solving.multipliers import with_multipliers
+from trajopt.solving.solving import prepare
+from trajopt.transcription.transcription import Transcription
+
+# Polynomials through up to four points, evaluated by powers of the fraction, lose three digits.
+ROUNDING = 1e-12
+# The solution's times are sums of steps; a sample at a node lies within rounding of it.
+SAME_STATE = 1e-9
+
+
+@dataclass(frozen=True)
+class Solved:
+    transcription: Transcription
+    result: Result
+    solution: Solution
+
+
+def solved(problem: Problem, scheme: str, intervals: int) -> Solved:
+    prepared = prepare(problem, transcription=scheme, intervals=intervals, compile="none")
+    result = run_solver(prepared.nlp, prepared.guess, "ipopt", StoppingCriteria(), {}, lambda *_: True)
+    t = prepared.transcription
+    meta = {"success": True, "status": "solved", "solver": "ipopt"}
+    meta |= {"iterations": 0, "objective": 0.0, "tolerance": 1e-6, "wall_time_s": 0.0}
+    found = with_multipliers(extract(t, result.x, meta), t, result.lam_g, result.lam_x)
+    return Solved(t, result, found)
+
+
+@lru_cache
+def solved_hop() -> Solved:
+    return solved(hop(), "legendre:2", 8)

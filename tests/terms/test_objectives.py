@@ -1,0 +1,315 @@
+"""Goals of motions: costs at nodes and the named goals, against numpy and closed forms."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose
+from scipy import sparse
+
+from tests.support.goals import objective, sampled, wandering, with_terms
+from tests.support.problems import FOOT, REACH, hop, hopper, one_joint_arm, reach
+from tests.support.scenes import biped, push, usual
+from trajopt.certify.energy import energy
+from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
+from trajopt.reduced.scenes.smallest import smallest
+from trajopt.robot.kinematics import frame_pose
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solving.solving import prepare, solve
+from trajopt.terms import (
+    AccelerationCost,
+    DistanceCost,
+    EffortLimits,
+    FrameHeightCost,
+    PowerCost,
+    TerminalRest,
+    TerminalState,
+    TimeCost,
+    TorqueCost,
+    TrackingCost,
+    effort_costs,
+    goal_terms,
+)
+from trajopt.terms.objectives import GOALS, REST, REST_OF_LINEAR
+from trajopt.terms.tracking import key_frames
+from trajopt.terrain.flat import FlatGround
+
+# Central differences along a direction, step 1e-5, on values of order up to 1e3 in scaled units.
+STEP = 1e-5
+DIFFERENCES = {"rtol": 2e-6, "atol": 2e-6}
+# Sums of the same numbers in another order.
+ROUNDING = 1e-11
+# Of two problems with other unknowns, solved to 1e-8.
+SAME_OPTIMUM = 1e-5
+# The solver's tolerance of 1e-6 on scaled rows and multipliers, with two orders for conditioning.
+SOLVED = 1e-4
+PUSH, THRUST_TIME = 25.0, 0.4  # N, s
+
+
+def lift(mass: float = 2.0) -> Robot:
+    """A mass on a vertical slider, with a motor of ``PUSH`` N."""
+    model = pin.Model()
+    model.name = "lift"
+    joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "slider")
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(mass, 0.1), pin.SE3.Identity())
+    model.addFrame(pin.Frame("top", joint, 0, pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.1])), pin.OP_FRAME))
+    robot = Robot.from_model(model, name="lift", reference=np.zeros(1))
+    return replace(robot, effort_limit=np.array([PUSH]))
+
+
+def thrust(*terms: object) -> Problem:
+    """The mass from rest, pushed up for ``THRUST_TIME``."""
+    robot = lift()
+    return Problem(
+        name="thrust",
+        robot=robot,
+        schedule=Schedule((Phase(name="thrust", duration=THRUST_TIME),)),
+        terrain=FlatGround(),
+        initial_q=np.zeros(1),
+        initial_v=np.zeros(1),
+        terms=(*terms, EffortLimits()),
+        guess=lambda t: np.zeros(1),
+        default_intervals=8,
+    )
+
+
+# Costs at nodes
+
+
+def test_height_is_counted_at_the_middle_of_its_phase_and_distance_at_the_end():
+    robot = hopper()
+    problem = replace(hop(), guess=wandering(robot))
+    direction = np.array([1.0, 2.0, 0.5])
+    height = FrameHeightCost(weight=2.0, frame=FOOT, phase="flight", fraction=0.5)
+    distance = DistanceCost(weight=3.0, frame=FOOT, direction=tuple(direction))
+    prepared = prepare(problem, intervals=6, compile="none")
+    layout = prepared.transcription.layout
+    flight = layout.intervals_of(1)
+    middle = layout.node_times[flight[0] + round(len(flight) / 2)]
+    top = frame_pose(robot, problem.guess(middle), FOOT).translation[2]
+    end = frame_pose(robot, problem.guess(problem.schedule.duration), FOOT).translation
+    found = objective(with_terms(problem, height, distance))
+    way = end @ direction / np.linalg.norm(direction)
+    assert_allclose(found, -(2.0 * top + 3.0 * way) / robot.length, rtol=ROUNDING)
+
+
+@pytest.mark.parametrize("goal", ["height", "distance"])
+@pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
+def test_highest_point_is_that_of_full_thrust(goal, solver):
+    costs = {
+        "height": FrameHeightCost(weight=1.0, frame="top", phase="thrust", fraction=1.0),
+        "distance": DistanceCost(weight=1.0, frame="top", direction=(0.0, 0.0, 1.0)),
+    }
+    solution = solve(thrust(costs[goal]), solver=solver)
+    assert solution.success
+    acceleration = PUSH / 2.0 - 9.81
+    assert_allclose(solution.q[-1], acceleration * THRUST_TIME**2 / 2, rtol=SOLVED)
+    assert_allclose(solution.tau, PUSH, rtol=SOLVED)
+
+
+def test_height_in_an_early_moment_is_not_that_of_the_end():
+    early = FrameHeightCost(weight=1.0, frame="top", phase="thrust", fraction=0.5)
+    solution = solve(thrust(early, TorqueCost(weight=1e-6)))
+    half = solution.t < THRUST_TIME / 2
+    assert_allclose(solution.tau[half & solution.collocation], PUSH, rtol=1e-2)
+    assert solution.tau[~half & solution.collocation].max() < PUSH / 2
+
+
+# Derivatives
+
+
+@pytest.mark.parametrize("name", ["hop", "arm"])
+def test_derivatives_of_goals_agree_with_differences(name):
+    problem, x, engine = _goals_problem(name)
+    generator = np.random.default_rng(3)
+    x = x + generator.normal(0.0, 0.02, x.shape)
+    along = generator.normal(size=x.shape)
+    after, before = x + STEP * along, x - STEP * along
+    assert_allclose(
+        engine.gradient(x) @ along, (engine.f(after) - engine.f(before)) / (2 * STEP), **DIFFERENCES
+    )
+    nlp = problem.nlp
+    n, none = len(x), np.zeros(nlp.transcription.n_rows)
+    lower = sparse.csr_matrix(
+        (engine.hessian(x, 1.0, none), (nlp.hessian_row, nlp.hessian_column)), shape=(n, n)
+    )
+    hessian = lower + sparse.tril(lower, -1).T
+    change = (np.asarray(engine.gradient(after)) - np.asarray(engine.gradient(before))) / (2 * STEP)
+    assert_allclose(hessian @ along, change, **DIFFERENCES)
+
+
+def _goals_problem(name: str):
+    if name == "hop":
+        robot = hopper()
+        problem = with_terms(
+            replace(hop(), guess=wandering(robot)),
+            FrameHeightCost(weight=1.0, frame=FOOT, phase="flight"),
+            DistanceCost(weight=1.0, frame=FOOT),
+            PowerCost(weight=1.0),
+            TrackingCost(weight=1.0, reference=lambda t: wandering(robot)(t + 1.0)),
+        )
+    else:
+        arm = one_joint_arm(gravity=True)
+        free = Schedule((Phase(name="reach", duration=0.8, duration_bounds=(0.4, 1.6)),))
+        problem = with_terms(
+            replace(reach(gravity=True), schedule=free),
+            PowerCost(weight=1.0, recovered=0.2),
+            TrackingCost(weight=1.0, reference=lambda t: arm.reference + t),
+            TimeCost(weight=1.0),
+        )
+    prepared = prepare(problem, intervals=6, compile="none")
+    return prepared, prepared.guess, prepared.nlp.engine
+
+
+# Named goals
+
+
+def jump_goals(**changes: object):
+    """What every goal needs on the small hopper."""
+    schedule = Schedule(tuple(replace(phase, duration_bounds=(0.1, 1.0)) for phase in hop().schedule.phases))
+    given = {"frame": FOOT, "travel": 0.3, "reference": wandering(hopper()), **changes}
+    return schedule, given
+
+
+@pytest.mark.parametrize("goal", GOALS)
+def test_every_goal_is_its_term_and_a_rest_of_effort(goal):
+    schedule, given = jump_goals()
+    terms = goal_terms(goal, hopper(), schedule, **given)
+    own = {
+        "time": TimeCost, "height": FrameHeightCost, "distance": DistanceCost, "transport": PowerCost,
+        "smooth": AccelerationCost, "track": TrackingCost, "effort": TorqueCost,
+    }  # fmt: skip
+    assert isinstance(terms[0], own[goal])
+    share = {"effort": 1.0, "time": REST_OF_LINEAR, "height": REST_OF_LINEAR, "distance": REST_OF_LINEAR}
+    rest = terms if goal == "effort" else terms[1:]
+    expected = [share.get(goal, REST) * term.weight for term in effort_costs()]
+    assert_allclose([term.weight for term in rest], expected, rtol=ROUNDING)
+
+
+def test_transport_counts_cost_of_transport():
+    robot = hopper()
+    problem = replace(hop(), guess=wandering(robot))
+    solution, x = sampled(problem)
+    (cost, *_) = goal_terms("transport", robot, problem.schedule, travel=0.3)
+    sharp = replace(cost, smoothing=1e-9)
+    expected = energy(solution) / (robot.weight * 0.3)
+    assert_allclose(objective(with_terms(problem, sharp), x), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
+def test_least_time_of_a_double_integrator_is_bang_bang(solver):
+    arm = one_joint_arm()
+    inertia, torque = pin.crba(arm.model, arm.model.createData(), np.zeros(1))[0, 0], 3.0
+    schedule = Schedule((Phase(name="reach", duration=0.8, duration_bounds=(0.1, 3.0)),))
+    goal = np.array([REACH])
+    problem = replace(
+        reach(),
+        schedule=schedule,
+        terms=(
+            *goal_terms("time", arm, schedule, effort=(AccelerationCost(weight=1.0),), rest=0.0),
+            EffortLimits(limit=np.array([torque])), TerminalState(q=goal), TerminalRest(q=goal),
+        ),
+    )  # fmt: skip
+    solution = solve(problem, solver=solver, intervals=10)
+    assert solution.success
+    assert_allclose(solution.meta["durations"], 2 * math.sqrt(REACH * inertia / torque), rtol=SOLVED)
+
+
+# In a reduced problem
+
+
+def push_with_goals(raised: float = 0.0) -> Problem:
+    """The symmetric biped pushes, with goals of every kind; at last its left arm is to be ``raised``, rad."""
+    robot, turn = biped(), np.zeros(biped().nv)
+    turn[robot.model.joints[robot.model.getJointId("left_arm")].idx_v] = raised
+    end = pin.integrate(robot.model, robot.reference, turn)
+    reference = key_frames(robot, [0.0, 0.4], np.array([robot.reference, end]))
+    goals = (
+        FrameHeightCost(weight=0.05, frame="waist", phase="stance"),
+        DistanceCost(weight=0.02, frame="waist"),
+        TrackingCost(weight=1.0, reference=reference),
+        PowerCost(weight=0.1),
+    )
+    terms = [term for term in usual(robot) if not isinstance(term, TerminalState | TerminalRest)]
+    return push(robot, terms=(*terms, *goals))
+
+
+def test_goals_of_half_a_robot_are_those_of_the_whole():
+    problem = push_with_goals()
+    made = smallest(problem, keep=("left_abduction", "right_abduction", "left_arm", "right_arm"), plane=True)
+    assert made.report.is_exact
+    whole, half = (solve(own, compile="none", tolerance=1e-8) for own in (problem, made.problem))
+    assert whole.success
+    assert half.success
+    assert_allclose(half.meta["objective"], whole.meta["objective"], rtol=SAME_OPTIMUM)
+
+
+def test_a_reference_that_is_asymmetric_at_its_end_alone_leaves_the_robot_whole():
+    with pytest.raises(InputError, match="tracking_cost"):
+        smallest(push_with_goals(raised=0.5), plane=True)
+
+
+# Bad input
+
+
+def test_bad_goals_are_refused_in_one_line():
+    schedule, given = jump_goals()
+    robot = hopper()
+    for goal, missing, words in (
+        ("height", "frame", "frame"), ("distance", "frame", "frame"), ("transport", "travel", "travel"),
+        ("track", "reference", "reference"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=words):
+            goal_terms(goal, robot, schedule, **{**given, missing: None})
+    with pytest.raises(InputError, match="duration_bounds"):
+        goal_terms("time", robot, hop().schedule)
+    with pytest.raises(InputError, match="without contacts"):
+        goal_terms(
+            "height", robot, Schedule((Phase(name="stand", duration=1.0, contacts=(FOOT,)),)), frame=FOOT
+        )
+    with pytest.raises(InputError, match="effort, time"):
+        goal_terms("glory", robot, schedule)
+    for travel in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(InputError, match="travel"):
+            goal_terms("transport", robot, schedule, travel=travel)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: FrameHeightCost(weight=-1.0, frame=FOOT, phase="flight"),
+        lambda: FrameHeightCost(weight=1.0, frame=FOOT, phase="flight", fraction=1.5),
+        lambda: DistanceCost(weight=math.nan, frame=FOOT),
+        lambda: DistanceCost(weight=1.0, frame=FOOT, direction=(0.0, 0.0, 0.0)),
+        lambda: PowerCost(weight=1.0, recovered=1.5),
+        lambda: PowerCost(weight=1.0, smoothing=0.0),
+        lambda: TrackingCost(weight=1.0, reference=lambda t: np.zeros(9), part="head"),
+        lambda: key_frames(one_joint_arm(), [0.0, 0.0], np.zeros((2, 1))),
+        lambda: key_frames(one_joint_arm(), [0.0], np.zeros((1, 1))),
+        lambda: key_frames(one_joint_arm(), [0.0, 1.0], np.zeros((2, 3))),
+        lambda: key_frames(one_joint_arm(), [0.0, 1.0], np.array([[0.0], [np.nan]])),
+        lambda: key_frames(hopper(), [0.0, 1.0], np.zeros((2, 9))),
+    ],
+)
+def test_bad_terms_are_refused(make):
+    with pytest.raises(InputError):
+        make()
+
+
+@pytest.mark.parametrize(
+    "reference", [lambda t: np.zeros(3), lambda t: np.full(1, np.nan if t > 0.5 else 0.0)]
+)
+def test_a_reference_of_another_robot_or_with_gaps_is_refused(reference):
+    with pytest.raises(InputError):
+        prepare(reach(terms=(TrackingCost(weight=1.0, reference=reference),)), intervals=6, compile="none")
+
+
+def test_a_cost_at_nodes_of_an_unknown_phase_is_refused():
+    with pytest.raises(InputError, match="flihgt"):
+        with_terms(hop(), FrameHeightCost(weight=1.0, frame=FOOT, phase="flihgt"))

@@ -1,0 +1,160 @@
+"""Ground as geometry: heights and normals of piecewise and smooth terrain."""
+
+from __future__ import annotations
+
+import json
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial import Delaunay
+
+from tests.support.ground import HILLS, STAIRS
+from tests.support.problems import FOOT, hopper
+from trajopt.dynamics.manifold import Coordinates
+from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Phase
+from trajopt.terms import (
+    Context,
+    NodePlace,
+    SwingClearance,
+)
+from trajopt.terms.friction import surface_force
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.piecewise import PiecewiseTerrain
+from trajopt.terrain.surface import frame_of_normal
+from trajopt.terrain.terrain import terrain_from_description
+from trajopt.transcription.mesh import equal_fractions
+
+ROUNDING = 1e-12  # numbers of order one after a few products
+DIFFERENCES = 1e-7  # central differences with steps of 1e-5 of functions of order one
+SEED = 5
+
+
+def points(count: int, reach: float = 2.0) -> np.ndarray:
+    return np.random.default_rng(SEED).uniform(-reach, reach, (count, 2))
+
+
+# Piecewise ground
+
+
+def test_stairs_rise_by_a_step_at_every_riser():
+    x = np.array([-1.0, 0.01, 0.29, 0.31, 0.61, 5.0])
+    assert_allclose(STAIRS.height(x, 0.0), [0.0, 0.1, 0.1, 0.2, 0.3, 0.3])
+    assert STAIRS.names == ("before", "step1", "step2", "beyond")
+    assert_allclose(PiecewiseTerrain.stairs(-0.1, 0.3, 2).height(x[[0, 1, 3]], 0.0), [0.0, -0.1, -0.2])
+
+
+def test_ground_in_a_hole_is_nowhere_and_its_normal_is_up():
+    gap = PiecewiseTerrain.gap(0.4, height=0.1)
+    assert_allclose(gap.height([-0.1, 0.2, 0.5], 0.0), [0.0, -np.inf, 0.1])
+    assert_allclose(gap.normal(0.2, 0.0), [0, 0, 1])
+    assert gap.face_at(0.2, 0.0) is None
+    assert STAIRS.height(0.1, 0.6) == -np.inf  # beside the stairs
+
+
+def test_box_has_ground_all_around_it_and_the_highest_face_counts():
+    box = PiecewiseTerrain.box(0.3, 0.6, 0.4, at=(1.0, 0.5), yaw=0.3)
+    assert box.height(1.0, 0.5) == 0.3
+    angle = np.linspace(0, 2 * np.pi, 50)
+    assert_allclose(box.height(1.0 + np.cos(angle), 0.5 + np.sin(angle)), 0.0)
+
+
+def test_slope_is_a_plane_between_two_flats():
+    slope = PiecewiseTerrain.slope(0.5, 1.0)
+    assert_allclose(slope.height([-1.0, 0.0, 0.5, 1.0, 2.0], 3.0), [0.0, 0.0, 0.25, 0.5, 0.5])
+    assert_allclose(slope.normal(0.5, 0.0), np.array([-0.5, 0, 1]) / np.sqrt(1.25))
+
+
+def test_height_is_the_highest_polygon_that_holds_the_point():
+    centres = [(0.0, 0.0), (0.4, 0.1), (0.9, -0.3)]
+    stones = PiecewiseTerrain.stepping_stones(centres, (0.6, 0.5), [0.0, 0.2, 0.1], yaw=0.5)
+    triangulated = [Delaunay(face.vertices[:, :2]) for face in stones.faces]
+    for x, y in points(400, 1.5):
+        inside = [
+            f.centre[2]
+            for f, t in zip(stones.faces, triangulated, strict=True)
+            if t.find_simplex((x, y)) >= 0
+        ]
+        assert stones.height(x, y) == (max(inside) if inside else -np.inf)
+
+
+def test_yaw_turns_and_at_moves_an_obstacle():
+    turned = PiecewiseTerrain.stairs(0.1, 0.3, 3, width=1.0, at=(0.5, -0.2), yaw=0.7)
+    c, s = np.cos(0.7), np.sin(0.7)
+    for x, y in points(100):
+        assert turned.height(0.5 + c * x - s * y, -0.2 + s * x + c * y) == pytest.approx(STAIRS.height(x, y))
+
+
+@pytest.mark.parametrize("terrain", [STAIRS, PiecewiseTerrain.slope(-0.2, 1.0, yaw=0.4), HILLS, FlatGround()])
+def test_description_makes_the_terrain_again(terrain):
+    again = terrain_from_description(json.loads(json.dumps(terrain.describe())))
+    assert again.describe() == terrain.describe()
+    assert type(again) is type(terrain)
+
+
+# Smooth ground
+
+
+def test_normal_is_across_the_finite_differences_of_the_height():
+    step = 1e-5
+    for x, y in points(50):
+        slopes = [
+            (HILLS.height(x + dx, y + dy) - HILLS.height(x - dx, y - dy)) / (2 * step)
+            for dx, dy in ((step, 0), (0, step))
+        ]
+        expected = np.array([-slopes[0], -slopes[1], 1.0])
+        assert_allclose(HILLS.normal(x, y), expected / np.linalg.norm(expected), atol=DIFFERENCES)
+
+
+def test_symbols_of_smooth_ground_are_its_numbers():
+    p, values = ca.SX.sym("p", 3), []
+
+    def parameter(value: np.ndarray) -> ca.SX:
+        values.append(value)
+        return ca.SX(value)
+
+    function = ca.Function(
+        "ground", [p], [HILLS.surface.symbolic_gap(p, parameter), HILLS.surface.symbolic_frame(p, parameter)]
+    )
+    assert values
+    for x, y in points(50):
+        gap, frame = function([x, y, 0.7])
+        assert_allclose(float(gap), 0.7 - HILLS.height(x, y), atol=ROUNDING)
+        assert_allclose(np.array(frame), frame_of_normal(HILLS.normal(x, y)), atol=ROUNDING)
+
+
+def test_tangent_plane_touches_the_ground_and_distance_is_along_its_normal():
+    for x, y in points(20):
+        plane = HILLS.surface.plane_at(np.array([x, y, 3.0]))
+        assert plane.distance(np.array([x, y, HILLS.height(x, y)])) == pytest.approx(0.0, abs=ROUNDING)
+        above = np.array([x, y, float(HILLS.height(x, y)) + 0.1])
+        assert HILLS.surface.distance(above) == pytest.approx(0.1 * HILLS.normal(x, y)[2])
+
+
+def test_force_on_curved_ground_is_split_along_its_normal_there():
+    robot = hopper()
+    contact = robot.contact(FOOT)
+    context = Context(robot, Coordinates(robot.model), (contact,), surfaces={FOOT: HILLS.surface})
+    force = surface_force(context, contact)
+    inputs = [context.wrenches[FOOT], context.frame(FOOT).position, context.parameters]
+    function = ca.Function("force", inputs, [force])
+    given = np.array([1.0, -2.0, 30.0])
+    for x, y in points(20):
+        found = np.array(function(given, [x, y, 0.0], context.parameter_values)).ravel()
+        assert found[2] == pytest.approx(given @ HILLS.normal(x, y))
+        assert_allclose(found, frame_of_normal(HILLS.normal(x, y)).T @ given, atol=1e3 * ROUNDING)
+
+
+def test_swing_clearance_is_the_height_over_smooth_ground():
+    context = Context(hopper(), Coordinates(hopper().model), node=True)
+    place = NodePlace(
+        phase=Phase(name="flight", duration=0.2), index=1, fractions=equal_fractions(4), last=False
+    )
+    rows = SwingClearance(height=0.04, terrain=HILLS).rows(context, Units(hopper()), place)
+    assert_allclose(rows.lower, 0.04 * 16 * 0.25**2 * 0.75**2)
+    function = ca.Function("rows", [context.frame(FOOT).position, context.parameters], [rows.expression])
+    assert float(function([0.2, 0.1, 0.9], context.parameter_values)) == pytest.approx(
+        0.9 - HILLS.height(0.2, 0.1)
+    )
