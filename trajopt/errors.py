@@ -1,6 +1,13 @@
-"""Errors of the toolkit: one line each that says what, where and what is allowed."""
+"""Errors of the toolkit, one line each that says what, where and what is allowed; checks that raise them."""
 
 from __future__ import annotations
+
+import math
+from numbers import Real
+from typing import TYPE_CHECKING, Any, TypeGuard
+
+if TYPE_CHECKING:
+    import numpy as np
 
 
 class TrajoptError(Exception):
@@ -41,3 +48,68 @@ class VersionMismatchError(TrajoptError):
 def first_line(error: Exception) -> str:
     """What a library's exception says first, or its kind where it says nothing."""
     return next(iter(str(error).strip().splitlines()), type(error).__name__)
+
+
+def is_number(value: Any) -> TypeGuard[float]:
+    """Whether a value is a finite number, Python's or NumPy's; True and False are none."""
+    return _is_real(value) and math.isfinite(value)
+
+
+def require_positive(what: str, value: Any, unit: str = "") -> None:
+    """Raise `InputError` unless ``value`` is a finite number above zero."""
+    if not (is_number(value) and value > 0):
+        raise InputError(f"{what} is {_shown(value, unit)}", "allowed: finite and > 0")
+
+
+def require_not_negative(what: str, value: Any, unit: str = "") -> None:
+    """Raise `InputError` unless ``value`` is a finite number of zero or above."""
+    if not (is_number(value) and value >= 0):
+        raise InputError(f"{what} is {_shown(value, unit)}", "allowed: finite and >= 0")
+
+
+def require_finite(what: str, value: Any, unit: str = "") -> None:
+    """Raise `InputError` unless ``value`` is a finite number."""
+    if not is_number(value):
+        raise InputError(f"{what} is {_shown(value, unit)}", "allowed: a finite number")
+
+
+def _is_real(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _shown(value: Any, unit: str) -> str:
+    return (f"{value:g}" if _is_real(value) else repr(value)) + (f" {unit}" if unit else "")
+
+
+def numbers_of(value: Any) -> np.ndarray:
+    """A copy of ``value`` as an array of numbers, without entries where it is none."""
+    import numpy as np  # here as below: errors are loaded with the command line, before arrays are needed
+
+    try:
+        return np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        return np.zeros(0)
+
+
+def finite_array(what: str, value: Any, shape: tuple[int, ...] = (3,), unit: str = "") -> np.ndarray:
+    """A read-only copy of ``value`` as finite numbers of a shape. Raises `InputError` for anything else."""
+    import numpy as np
+
+    array = numbers_of(value)
+    if array.shape != shape or not np.isfinite(array).all():
+        size = str(shape[0]) if len(shape) == 1 else f"{shape}"
+        raise InputError(
+            f"{what} is {value!r}", f"allowed: {size} finite numbers" + (f", {unit}" if unit else "")
+        )
+    array.setflags(write=False)
+    return array
+
+
+def unit_vector(what: str, value: Any) -> np.ndarray:
+    """The direction (3,) of ``value`` with length one. Raises `InputError` for anything without direction."""
+    import numpy as np
+
+    vector = numbers_of(value)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+        raise InputError(f"{what} is {value!r}", "allowed: 3 finite numbers, not all 0")
+    return np.asarray(vector / np.linalg.norm(vector))

@@ -184,7 +184,7 @@ def test_every_solve_of_a_ladder_says_which_it_is():
             assert history.rows == []
 
     solve_ladder(small(), [("legendre:1", 8), ("legendre:1", 12)], compare=True, compile="none", watch=watch)
-    assert labels == ["rung 1 of 2", "rung 2 of 2", "from its own guess"]
+    assert labels == ["rung 1 of 2", "rung 2 of 2", "from the default guess"]
     assert history.number == 3
 
 

@@ -194,7 +194,10 @@ NOSE = LinkCapsule(name="c", frame="nose", start=ZERO, end=ZERO, radius=1.0)
 BALL = SphereObstacle(name="a", centre=ONE, radius=1.0)
 BAD = {
     "flat box": (lambda: BoxObstacle(name="b", sides=[1, 0, 1], position=ZERO), "sides of obstacle 'b'"),
-    "mirrored": (lambda: BoxObstacle(name="b", sides=ONE, position=ZERO, rotation=-np.eye(3)), "no rotation"),
+    "mirrored": (
+        lambda: BoxObstacle(name="b", sides=ONE, position=ZERO, rotation=-np.eye(3)),
+        "not a rotation",
+    ),
     "text": (lambda: SphereObstacle(name="s", centre="here", radius=1.0), "centre of obstacle 's'"),
     "no radius": (lambda: SphereObstacle(name="s", centre=ZERO, radius=0.0), "radius of obstacle 's'"),
     "nan": (lambda: CapsuleObstacle(name="c", start=[0, 0, np.nan], end=ZERO, radius=1.0), "start of"),

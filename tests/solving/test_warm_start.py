@@ -91,8 +91,8 @@ def assert_start_is_exact(case: Solved) -> None:
     assert apart[inside].max() <= ROUNDING + PER_NORM * norm
     assert apart[~inside].max(initial=0.0) <= RELAXED
     assert start.multipliers is not None
-    assert_allclose(start.multipliers.rows, case.result.lam_g, rtol=ROUNDING, atol=ROUNDING)
-    assert_allclose(start.multipliers.bounds, case.result.lam_x, rtol=ROUNDING, atol=ROUNDING)
+    assert_allclose(start.multipliers.lam_g, case.result.lam_g, rtol=ROUNDING, atol=ROUNDING)
+    assert_allclose(start.multipliers.lam_x, case.result.lam_x, rtol=ROUNDING, atol=ROUNDING)
 
 
 @pytest.mark.parametrize("coordinates", ["excess", "minimal"])
@@ -229,8 +229,8 @@ def test_multipliers_on_a_finer_grid_are_near_those_found_there():
     assert start is not None
     largest = np.abs(fine.result.lam_g).max()
     # Linear interpolation between nodes, constant over the first interval: of first order there.
-    assert_allclose(start.rows, fine.result.lam_g, atol=0.1 * largest)
-    assert np.abs(start.rows - fine.result.lam_g).mean() < 0.02 * largest
+    assert_allclose(start.lam_g, fine.result.lam_g, atol=0.1 * largest)
+    assert np.abs(start.lam_g - fine.result.lam_g).mean() < 0.02 * largest
 
 
 def test_multipliers_survive_the_file(tmp_path):

@@ -47,10 +47,10 @@ def test_an_unknown_changes_what_its_name_says():
         else:
             joint = model.joints[model.getJointId(label.owner)]
             column = joint.idx_q if label.kind == "position" else joint.idx_v
-        assert changed[at][:, column].any(), names.unknown(index)
+        assert changed[at][:, column].any(), names.unknown_labels[index]
         others = np.delete(changed[at & before.collocation], column, axis=1)
         if site.point >= 0:
-            assert not others.any(), names.unknown(index)
+            assert not others.any(), names.unknown_labels[index]
         seen.add(label.kind)
     assert seen == {"position", "rate", "acceleration", "force"}
 
@@ -73,7 +73,7 @@ def test_a_row_of_a_limit_is_the_torque_that_its_name_says():
 def test_rows_are_named_by_contact_axis_and_state():
     problem, solution = solved("hop")
     names = snapshot_of(problem, solution).names
-    texts = {names.row(row).what for row in range(len(names.row_sites))}
+    texts = {names.row(row).what for row in range(names.transcription.n_rows)}
     assert "contact_acceleration [foot acceleration y]" in texts
     assert "base_dynamics [base turn about x balance]" in texts
     assert "contact_landing [foot position z]" in texts
@@ -124,4 +124,4 @@ def test_the_jump_at_its_defaults_is_clean():
 
 
 def names_phase(snapshot: Snapshot, row: int) -> str:
-    return snapshot.names.phase(snapshot.names.row_sites[row].stage)
+    return snapshot.names.phase(snapshot.names.sites[row].stage)

@@ -21,6 +21,6 @@ def solved(name: str) -> tuple[Problem, Solution]:
 
 def snapshot_of(problem: Problem, solution: Solution) -> Snapshot:
     from trajopt.solution.grid import mesh_of
-    from trajopt.study.diagnosis.sources import at_solution
+    from trajopt.study.diagnosis.diagnose import at_solution
 
     return at_solution(prepare(problem, mesh=mesh_of(solution), compile="none"), solution)

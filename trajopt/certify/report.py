@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from trajopt.dynamics.virtual_base import LEAST_MARGIN
-from trajopt.values import jsonable
+from trajopt.solution.descriptions import jsonable
 
 # Residuals, contact accelerations and forces of inactive contacts, as parts of the weight (of
 # gravity): what a solver leaves that stops at 1e-6 in units of weight and length.

@@ -4,28 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
-from trajopt.cli.progress import stdout_to_stderr, watched
+from trajopt.cli.input import option_group
+from trajopt.cli.progress import watched
+from trajopt.cli.report import SolveReport
 from trajopt.errors import InputError
 
 if TYPE_CHECKING:
     from trajopt.problem.problem import Problem
-    from trajopt.solution.solution import Solution
     from trajopt.solving.monitoring import Watch
-    from trajopt.study.choosing.solve_to import Aimed
+    from trajopt.study.choosing.solve_to import TargetSolve
 
 # Options that a choice makes, or that have no meaning with it.
 CHOSEN = ("transcription", "intervals", "tolerance")
 WITHOUT = ("ladder", "compare")
 UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0}
 NAMES = {"tolerance": "tol"}
-
-_Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
 class Seconds(click.ParamType):
@@ -46,25 +44,17 @@ class Seconds(click.ParamType):
         return found
 
 
-def aim_options(command: _Command) -> _Command:
-    """The options ``--accuracy``, ``--budget`` and ``--front`` of a solve."""
-    for option in reversed(
-        (
-            click.option(
-                "--accuracy", type=float, metavar="M", help="Choose settings for this open-loop error in m."
-            ),
-            click.option(
-                "--budget", type=Seconds(), metavar="TIME", help="Choose settings for this time, e.g. 0.5s."
-            ),
-            click.option(
-                "--front",
-                metavar="FRONT",
-                help="Measured front to choose from.  [default: the most alike]",
-            ),
-        )
-    ):
-        command = option(command)
-    return command
+aim_options = option_group(
+    click.option(
+        "--accuracy", type=float, metavar="M", help="Choose settings for this open-loop error in m."
+    ),
+    click.option(
+        "--budget", type=Seconds(), metavar="TIME", help="Choose settings for this time, e.g. 0.5s."
+    ),
+    click.option(
+        "--front", metavar="FRONT", help="Measured front to choose from.  [default: the most alike]"
+    ),
+)
 
 
 def wants_aim(arguments: dict[str, Any]) -> bool:
@@ -78,34 +68,9 @@ def wants_aim(arguments: dict[str, Any]) -> bool:
     return True
 
 
-@dataclass(frozen=True)
-class AimedReport:
-    """What was aimed at and reached, as the command reports it."""
-
-    aimed: Aimed
-
-    @property
-    def solution(self) -> Solution:
-        """The best solution."""
-        return self.aimed.solution
-
-    @property
-    def reached(self) -> bool:
-        """Whether the goal is met."""
-        return self.aimed.reached
-
-    def lines(self) -> list[str]:
-        """What a summary says of the choice, the rounds and what was reached."""
-        return aim_lines(self.aimed)
-
-    def extra(self) -> dict[str, Any]:
-        """What the JSON has besides the solution's figures."""
-        return {"aimed": self.aimed.to_dict()}
-
-
 def solve_aimed(
     problem: Problem, *, title: str, log: str | None = None, viewer: Watch | None = None, **arguments: Any
-) -> AimedReport:
+) -> SolveReport:
     """Choose, solve, measure and refine, with progress."""
     from trajopt.solving.refine import MAX_ROUNDS
     from trajopt.study.choosing.solve_to import solve_to_accuracy, solve_within
@@ -115,11 +80,13 @@ def solve_aimed(
         raise InputError("--accuracy and --budget are given", "allowed: one of them")
     where = _allowed_settings(arguments)
     most = arguments["max_time"] * (1 + MAX_ROUNDS)
-    with stdout_to_stderr(), watched(title, most, log, viewer) as told:
+    with watched(title, most, log, viewer) as told:
         settings = {**arguments, "front": front, "where": where, **told}
         if accuracy is not None:
-            return AimedReport(solve_to_accuracy(problem, accuracy, **settings))
-        return AimedReport(solve_within(problem, budget, **settings))
+            found = solve_to_accuracy(problem, accuracy, **settings)
+        else:
+            found = solve_within(problem, budget, **settings)
+    return SolveReport(found.solution, found.reached, _lines(found), {"aimed": found.to_dict()})
 
 
 def _allowed_settings(arguments: dict[str, Any]) -> Callable[[Any], bool]:
@@ -140,27 +107,27 @@ def _allowed_settings(arguments: dict[str, Any]) -> Callable[[Any], bool]:
     return lambda setting: all(getattr(setting, name) == value for name, value in wanted.items())
 
 
-def aim_lines(aimed: Aimed) -> list[str]:
+def _lines(found: TargetSolve) -> list[str]:
     """What a summary says of the choice, the rounds and what was reached."""
     lines = []
-    for choice in aimed.choices:
+    for choice in found.choices:
         mesh, setting = choice.mesh, choice.measured.setting
         lines.append(
             f"chosen from {choice.front}: {mesh.transcription}, {sum(mesh.counts)} intervals, "
             f"{setting.solver}, {setting.hessian}; "
             f"predicted {choice.predicted_error:.1e} m, {choice.predicted_time:.2g} s"
         )
-    for own in aimed.rounds:
-        error = "" if own.error is None else f", error {own.error:.1e} m"
+    for solve in found.rounds:
+        error = "" if solve.error is None else f", error {solve.error:.1e} m"
         lines.append(
-            f"{own.mesh.transcription} on {'+'.join(map(str, own.mesh.counts))}: "
-            f"{own.status.replace('_', ' ')}, {own.variables} variables, "
-            f"{own.iterations} iterations, {own.wall_time:.2f} s{error}"
+            f"{solve.mesh.transcription} on {'+'.join(map(str, solve.mesh.counts))}: "
+            f"{solve.status.replace('_', ' ')}, {solve.variables} variables, "
+            f"{solve.iterations} iterations, {solve.wall_time:.2f} s{error}"
         )
-    unit = "m" if aimed.goal == "accuracy" else "s"
-    verdict = "reached" if aimed.reached else "not reached"
+    unit = "m" if found.goal == "accuracy" else "s"
+    verdict = "reached" if found.reached else "not reached"
     lines.append(
-        f"{aimed.goal} of {aimed.wanted:g} {unit} {verdict}: "
-        f"{aimed.error:.1e} m in {aimed.spent:.2f} s; {aimed.why}"
+        f"{found.goal} of {found.wanted:g} {unit} {verdict}: "
+        f"{found.error:.1e} m in {found.spent:.2f} s; {found.why}"
     )
     return lines

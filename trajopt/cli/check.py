@@ -6,10 +6,8 @@ from pathlib import Path
 
 import click
 
-from trajopt.cli.input import json_option
+from trajopt.cli.input import NOT_REACHED, json_option
 from trajopt.cli.report import to_json
-
-NOT_REACHED = 1
 
 
 @click.command("check")

@@ -3,7 +3,7 @@
 Exit status: 0 done; 1 ran but not solved (``solve``) or not within tolerance (``check``); 2 bad
 input, with one line on stderr; 130 cancelled by Ctrl-C. ``solve`` goes by the solver's verdict alone: a
 solved problem whose motion a check finds beyond its tolerances is noted in the summary (and in
-``accuracy`` of the JSON), and its exit status is 0, because a finer grid, not another solve, mends it.
+``accuracy`` of the JSON), and its exit status is 0, because a finer grid, not another solve, helps.
 
 A command's module is imported when the command is looked up, and imports what takes long to load in its
 function: ``--help`` loads neither CasADi, Pinocchio nor NumPy.

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from trajopt.cli.input import (
+    NOT_REACHED,
     WholeNumber,
     default_option,
     grid_options,
@@ -19,7 +19,7 @@ from trajopt.cli.input import (
     solver_options,
     tolerance_option,
 )
-from trajopt.cli.progress import stdout_to_stderr, watched
+from trajopt.cli.progress import watched
 from trajopt.cli.report import console, plain_table, to_json
 from trajopt.cli.warm import cost
 from trajopt.cli.watch import open_viewer, show_until_interrupted, watch_options
@@ -30,9 +30,7 @@ if TYPE_CHECKING:
     from trajopt.problem.family import Family
     from trajopt.problem.problem import Problem
     from trajopt.solving.continuation import Continuation, ContinuationStep
-    from trajopt.solving.monitoring import Watch
 
-NOT_REACHED = 1
 MOST_VALUES = 1000
 HALVINGS = WholeNumber(0, 20)
 VARY_FORM = "allowed: NAME=START:STOP:COUNT, such as distance=0.2:0.4:5"
@@ -73,6 +71,7 @@ def continue_command(
     from trajopt.problem.catalogue import families
     from trajopt.problem.family import choose
     from trajopt.solution.input import solution_of
+    from trajopt.solving.continuation import continuation
 
     family, fixed = choose(families(), problem), parse_settings(settings, "--set")
     name, values = parse_vary(family, vary, fixed)
@@ -86,8 +85,14 @@ def continue_command(
     arguments |= {"options": options_of(solver_options), "start": known}
     import_in_background("scipy.integrate")
     viewer = open_viewer(watch)
-    found = _continued(problem, load, values, arguments, log, viewer)
-    files = {} if folder is None else _saved(found, folder, f"{problem}-{name}")
+    each = 2 + 2 * arguments["max_halvings"] + arguments["compare"]
+    most = arguments["max_time"] * len(values) * each
+    with watched(problem, most, log, viewer) as told:
+        found = continuation(load, values, **told, **arguments)
+    files = {}
+    if folder is not None:
+        for value, solution in found.solutions.items():
+            files[f"{value:.9g}"] = str(solution.save(folder / f"{problem}-{name}={value:.9g}.npz"))
     if as_json:
         click.echo(to_json({"problem": problem, "parameter": name, "files": files, **found.to_dict()}))
     else:
@@ -118,22 +123,6 @@ def parse_vary(family: Family, text: str, fixed: dict[str, str]) -> tuple[str, l
     return name, [first + (last - first) * (i / steps) for i in range(steps)] + [last]
 
 
-def _continued(
-    title: str,
-    load: Callable[[float], Problem],
-    values: list[float],
-    arguments: dict[str, Any],
-    log: str | None,
-    viewer: Watch | None,
-) -> Continuation:
-    from trajopt.solving.continuation import continuation
-
-    each = 2 + 2 * arguments["max_halvings"] + arguments["compare"]
-    most = arguments["max_time"] * len(values) * each
-    with stdout_to_stderr(), watched(title, most, log, viewer) as told:
-        return continuation(load, values, **told, **arguments)
-
-
 def _folder(path: Path, problem: str) -> Path:
     """The folder, made if it is not there; raises `InputError` where no solution can be written."""
     folder = path.expanduser()
@@ -142,14 +131,6 @@ def _folder(path: Path, problem: str) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     check_output(folder / f"{problem}.npz")
     return folder
-
-
-def _saved(found: Continuation, folder: Path, stem: str) -> dict[str, str]:
-    """Files of the values that were solved, by value."""
-    return {
-        f"{value:.9g}": str(solution.save(folder / f"{stem}={value:.9g}.npz"))
-        for value, solution in found.solutions.items()
-    }
 
 
 def _print(found: Continuation, problem: str, name: str, files: dict[str, str]) -> None:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _INTEGER = re.compile(r"[-+]?[0-9]+", re.ASCII)
+# Exit status of a command that ran and did not reach what was asked for.
+NOT_REACHED = 1
 # Solvers count with C's int.
 LARGEST_INTEGER = 2**31 - 1
 
@@ -73,6 +75,8 @@ def option_group(*options: Callable[[_Command], _Command]) -> Callable[[_Command
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+solver_option = default_option("--solver", "ipopt", "NAME", "ipopt, fatrop or sqp.")
+compile_option = default_option("--compile", "quick", "LEVEL", "none, quick or fast.")
 grid_options = option_group(
     click.option(
         "--transcription", metavar="NAME", help="Scheme, e.g. legendre:2.  [default: the problem's]"
@@ -80,11 +84,11 @@ grid_options = option_group(
     click.option(
         "--intervals", type=GRID, metavar="N", help="Over the whole schedule.  [default: the problem's]"
     ),
-    default_option("--solver", "ipopt", "NAME", "ipopt, fatrop or sqp."),
+    solver_option,
 )
 tolerance_option = default_option("--tol", 1e-6, "TOL", "Tolerance.", to="tolerance")
 function_options = option_group(
-    default_option("--compile", "quick", "LEVEL", "none, quick or fast."),
+    compile_option,
     default_option("--threads", 1, "N", "For functions.", kind=THREADS),
 )
 solver_options = option_group(
@@ -94,6 +98,16 @@ solver_options = option_group(
     click.option(
         "--solver-option", "solver_options", multiple=True, metavar="NAME=VALUE", help="The solver's own."
     ),
+)
+layout_options = option_group(
+    click.option(
+        "--side-by-side",
+        "layout",
+        flag_value="side-by-side",
+        default="overlaid",
+        help="Several files beside each other, not overlaid.",
+    ),
+    click.option("--label", "labels", multiple=True, metavar="NAME", help="Name of a file, one for each."),
 )
 
 

@@ -5,71 +5,45 @@ from __future__ import annotations
 import os
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
+from trajopt.cli.input import NOT_REACHED
 from trajopt.solving.interruption import GRACE, Interruption, end_at_once, interruptible
 
 if TYPE_CHECKING:
     from trajopt.solving.monitoring import Watch
 
-# Exit status of a run that did not solve its problem.
-UNSOLVED = 1
 # The ``log`` that is a line an iteration on stderr.
 LINES = "-"
 # What the second Ctrl-C loses while a problem is solved.
 LOST = ", nothing was written"
 
 
-class Deadline:
-    """Ends the program when a solver has not returned ``GRACE`` seconds after its time limit.
-
-    The last resort: solvers look at their limit between steps, FATROP inside them too, and one factorisation
-    of a large problem may take long. A solver in another thread cannot be stopped from outside, so the
-    program ends, with nothing written.
-    """
-
-    def __init__(self, max_time: float) -> None:
-        self._max_time = max_time
-        self._timer: threading.Timer | None = None
-
-    def start(self) -> None:
-        """Start the clock, once, when the solver starts."""
-        if self._timer is None and self._max_time + GRACE < threading.TIMEOUT_MAX:
-            self._timer = threading.Timer(self._max_time + GRACE, self._end)
-            self._timer.daemon = True
-            self._timer.start()
-
-    def cancel(self) -> None:
-        """The solver has returned."""
-        if self._timer is not None:
-            self._timer.cancel()
-
-    def _end(self) -> None:
-        end_at_once(
-            f"trajopt: the solver did not return within its time limit of {self._max_time:g} s; "
-            "nothing was written; try another --solver or start\n",
-            UNSOLVED,
-        )
-
-
 class SolveControl:
-    """The progress callback of `trajopt.solve` that stops on Ctrl-C, and starts the deadline's clock.
+    """The progress callback of `trajopt.solve` that stops on Ctrl-C, and ends a solver that hangs.
 
-    From the first iteration on a press raises nothing: it stops the solver at its iterate.
+    From the first iteration on a press raises nothing: it stops the solver at its iterate. A solver that has
+    not returned ``GRACE`` seconds after its time limit ends the program, with nothing written. That is the
+    last resort: solvers look at their limit between steps, FATROP inside them too, and one factorisation of
+    a large problem may take long. A solver in another thread cannot be stopped from outside.
     """
 
-    def __init__(self, interruption: Interruption, deadline: Deadline) -> None:
-        self._interruption, self._deadline = interruption, deadline
+    def __init__(self, interruption: Interruption, max_time: float) -> None:
+        self._interruption, self._max_time = interruption, max_time
         self._started = False
+        self._timer = threading.Timer(min(max_time + GRACE, threading.TIMEOUT_MAX), self._end)
+        self._timer.daemon = True
+        self.cancel_deadline = self._timer.cancel
 
     def __call__(self, figures: dict[str, float]) -> bool:
         """Return False when the solver shall stop."""
         if not self._interruption.pressed:
             self._interruption.record()
             self._started = True
-        self._deadline.start()
+        if self._timer.ident is None:
+            self._timer.start()
         return not self._interruption.pressed
 
     @property
@@ -85,6 +59,13 @@ class SolveControl:
             self._interruption.stops = True
             self._interruption.answer()
 
+    def _end(self) -> None:
+        end_at_once(
+            f"trajopt: the solver did not return within its time limit of {self._max_time:g} s; "
+            "nothing was written; try another --solver or start\n",
+            NOT_REACHED,
+        )
+
 
 @contextmanager
 def watched(
@@ -92,21 +73,22 @@ def watched(
 ) -> Iterator[dict[str, Any]]:
     """``progress`` and ``watch`` for solves of ``max_time`` s at most; Ctrl-C is as before afterwards.
 
-    On a terminal the watch shows the convergence. log: a file for a table of all iterations, or ``-`` for a
-    line an iteration on stderr, instead. viewer: another watch. Raises `InputError` for a file that cannot be
-    written, and KeyboardInterrupt at the end if Ctrl-C came before the solver started.
+    What libraries print to stdout goes to stderr. On a terminal the watch shows the convergence. log: a file
+    for a table of all iterations, or ``-`` for a line an iteration on stderr, instead. viewer: another watch.
+    Raises `InputError` for a file that cannot be written, and KeyboardInterrupt at the end if Ctrl-C came
+    before the solver started.
     """
     from trajopt.solving.monitoring import combine_watches
     from trajopt.view.watching.panel import ConvergencePanel
     from trajopt.view.watching.record import IterationLines, IterationTable
 
-    deadline = Deadline(max_time)
     with ExitStack() as stack:
+        stack.enter_context(_stdout_to_stderr())
         interruption = stack.enter_context(interruptible())
         stack.enter_context(interruption.recording())
         interruption.note = LOST
         stack.callback(setattr, interruption, "note", "")
-        control = SolveControl(interruption, deadline)
+        control = SolveControl(interruption, max_time)
         table = stack.enter_context(IterationTable(log)) if log not in (None, LINES) else None
         shown = (
             IterationLines(sys.stderr, title)
@@ -120,12 +102,24 @@ def watched(
             interruption.check()  # the error may be what has become of a press
             raise
         finally:
-            deadline.cancel()
+            control.cancel_deadline()
         control.settle()
 
 
+def runs_to_its_end(work: Callable[[Callable[[], None]], object]) -> bool:
+    """Whether ``work`` is done, False where Ctrl-C ends it: what it is given raises after a press."""
+    with interruptible() as interruption, interruption.recording():
+        try:
+            work(interruption.check)
+            complete = True
+        except KeyboardInterrupt:
+            complete = False
+        interruption.answer()  # also one that came when all was done
+    return complete
+
+
 @contextmanager
-def stdout_to_stderr() -> Iterator[None]:
+def _stdout_to_stderr() -> Iterator[None]:
     """Send what libraries print to the process's stdout to stderr: stdout carries results only."""
     sys.stdout.flush()
     kept = os.dup(1)

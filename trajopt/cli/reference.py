@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from trajopt.cli.input import chosen_problem, default_option, function_options, json_option
+from trajopt.cli.input import NOT_REACHED, chosen_problem, default_option, function_options, json_option
 from trajopt.cli.report import to_json
 from trajopt.solution.output import check_output
 
 if TYPE_CHECKING:
     from trajopt.solving.reference import MeshSolve
-
-NOT_REACHED = 1
 
 
 @click.command("reference")
@@ -49,8 +47,12 @@ def reference_command(
     loaded = chosen_problem(problem, settings)
     target = check_output(output or Path(f"{problem}-reference.npz"))
     bounds = Agreement(objective=objective, distance=distance)
+
+    def show(rung: MeshSolve) -> None:
+        click.echo(str(rung), err=True)
+
     try:
-        converged = converged_reference(loaded, agreement=bounds, progress=_show, **arguments)
+        converged = converged_reference(loaded, agreement=bounds, progress=show, **arguments)
     except NoReferenceError as error:
         click.echo(f"trajopt: {error}", err=True)
         return NOT_REACHED
@@ -58,7 +60,3 @@ def reference_command(
     shown = {**converged.to_dict(), "file": str(target)}
     click.echo(to_json(shown) if as_json else f"{converged}\n{target}")
     return 0
-
-
-def _show(rung: MeshSolve) -> None:
-    click.echo(str(rung), err=True)

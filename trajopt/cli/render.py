@@ -12,7 +12,7 @@ from typing import Any
 import click
 from typing_extensions import override
 
-from trajopt.cli.input import WholeNumber, default_option
+from trajopt.cli.input import WholeNumber, default_option, layout_options
 from trajopt.solution.output import check_apart
 
 # Digits of a side: more are too many pixels in any case.
@@ -51,13 +51,11 @@ class PictureSize(click.ParamType):
 @click.option("--no-caption", is_flag=True, help="No text in the picture.")
 @click.option("--hide", "hidden", multiple=True, metavar="LAYER", help="Hide a layer; may be repeated.")
 @click.option("--show", "shown", multiple=True, metavar="LAYER", help="Show a layer; may be repeated.")
-@click.option("--side-by-side", is_flag=True, help="Several files beside each other, not overlaid.")
-@click.option("--label", "labels", multiple=True, metavar="NAME", help="Name of a file, one for each.")
+@layout_options
 def render_command(
     files: tuple[Path, ...],
     output: Path,
     no_caption: bool,
-    side_by_side: bool,
     labels: tuple[str, ...],
     **options: Any,
 ) -> None:
@@ -71,7 +69,6 @@ def render_command(
         done = render(
             solutions,
             output,
-            layout="side-by-side" if side_by_side else "overlaid",
             labels=list(labels) or None,
             progress=shown,
             caption=not no_caption,

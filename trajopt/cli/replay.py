@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Literal
 
 import click
 
-from trajopt.cli.input import default_option
+from trajopt.cli.input import default_option, layout_options
 from trajopt.solution.output import check_apart, check_output
 from trajopt.solving.interruption import interruptible
 
@@ -17,14 +18,13 @@ from trajopt.solving.interruption import interruptible
 @click.option("--html", type=Path, metavar="OUT", help="Write one self-contained page instead.")
 @click.option("--no-open", is_flag=True, help="Do not open a browser.")
 @default_option("--speed", 1.0, "S", "1 is real time.")
-@click.option("--side-by-side", is_flag=True, help="Several files beside each other, not overlaid.")
-@click.option("--label", "labels", multiple=True, metavar="NAME", help="Name of a file, one for each.")
+@layout_options
 def replay_command(
     files: tuple[Path, ...],
     html: Path | None,
     no_open: bool,
     speed: float,
-    side_by_side: bool,
+    layout: Literal["side-by-side", "overlaid"],
     labels: tuple[str, ...],
 ) -> None:
     """Show FILE, or several in one picture, in Meshcat until Ctrl-C, or write them to a page."""
@@ -39,7 +39,7 @@ def replay_command(
         html=html,
         open_browser=not no_open,
         speed=speed,
-        layout="side-by-side" if side_by_side else "overlaid",
+        layout=layout,
         labels=list(labels) or None,
     )
     if shown.html is not None:

@@ -6,6 +6,7 @@ import json
 import math
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,6 +58,16 @@ KEY_FIGURES = {
     "open_loop_orientation": "orientation",
     "open_loop_joints": "joints",
 }
+
+
+@dataclass(frozen=True)
+class SolveReport:
+    """What became of a solve, with notes for its summary and entries for its JSON beside the figures."""
+
+    solution: Solution
+    reached: bool
+    notes: list[str] = field(default_factory=list)
+    extra: dict[str, Any] = field(default_factory=dict)
 
 
 def to_json(value: object) -> str:
@@ -123,7 +134,11 @@ def solve_summary(solution: Solution, report: CheckReport | None, file: Path | N
     lines.append(_line("objective", _number(meta["objective"])))
     lines.append(_line("violation", f"{_number(meta['max_violation'])} (tolerance {meta['tolerance']:g})"))
     lines.append(_line("energy", _energy(solution)))
-    lines.append(_line("times", _times(meta)))
+    times = (
+        f"solver {meta['wall_time_s']:.2f} s (functions {meta['function_time_s']:.2f} s), "
+        f"build {meta['build_time_s']:.2f} s, compile {meta['compile_time_s']:.2f} s"
+    )
+    lines.append(_line("times", times))
     if report is not None:
         lines.append(_line("accuracy", _accuracy_line(report)))
     lines += [_line("note", note) for note in notes]
@@ -156,13 +171,6 @@ def _energy(solution: Solution) -> str:
     drawn, transport = energy(solution), cost_of_transport(solution)
     cost = f", cost of transport {transport:.3g}" if transport < MOST_TRANSPORT else ""
     return f"{drawn:.4g} J drawn by joints{cost}"
-
-
-def _times(meta: dict[str, Any]) -> str:
-    return (
-        f"solver {meta['wall_time_s']:.2f} s (functions {meta['function_time_s']:.2f} s), "
-        f"build {meta['build_time_s']:.2f} s, compile {meta['compile_time_s']:.2f} s"
-    )
 
 
 def _accuracy_line(report: CheckReport) -> str:

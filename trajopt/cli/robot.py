@@ -71,7 +71,6 @@ def _loaded(name: str, base: str | None, write: Path | None) -> Robot:
 
 
 def _starter(loaded: Robot, target: Path) -> str:
-    from trajopt.errors import InputError
     from trajopt.robot.inspection.starter import starter
 
     if target.suffix != ".py" or not target.absolute().parent.is_dir():

@@ -7,11 +7,9 @@ from typing import Any
 
 import click
 
-from trajopt.cli.input import COUNT, default_option, json_option
+from trajopt.cli.input import COUNT, NOT_REACHED, default_option, json_option
 from trajopt.cli.report import to_json
 from trajopt.solution.output import check_apart, check_output
-
-NOT_TRACKED = 1
 
 
 @click.command("simulate")
@@ -52,4 +50,4 @@ def simulate_command(
         replay([plan, simulated.as_solution()], html=targets[1], labels=["plan", "simulation"])
     report = simulated.report
     click.echo(to_json(report.to_dict()) if as_json else report.table())
-    return 0 if report.passed else NOT_TRACKED
+    return 0 if report.passed else NOT_REACHED

@@ -11,6 +11,7 @@ from trajopt.cli.aim import aim_options, solve_aimed, wants_aim
 from trajopt.cli.diagnose import diagnose_option, diagnosis_of
 from trajopt.cli.input import (
     COUNT,
+    NOT_REACHED,
     chosen_problem,
     default_option,
     grid_options,
@@ -28,11 +29,8 @@ from trajopt.solution.output import check_apart, check_output
 
 if TYPE_CHECKING:
     from trajopt.certify.report import CheckReport
-    from trajopt.problem.problem import Problem
     from trajopt.reduced.scenes.smallest import Scene
     from trajopt.solution.solution import Solution
-
-NOT_REACHED = 1
 
 
 @click.command("solve")
@@ -84,36 +82,34 @@ def solve_command(
         start, log = arguments.get("start"), Path(arguments["log"])
         check_apart([target, log], [])
         check_apart([log], [Path(start)] if start else [])
-    scene = _smallest(loaded, keep, arguments) if smallest or explain or keep else None
-    if scene is not None and explain and not as_json:
-        click.echo(str(scene.report))
+    scene: Scene | None = None
+    if smallest or explain or keep:
+        from trajopt.reduced.scenes.smallest import smallest as smallest_scene
+
+        grid = {name: arguments[name] for name in ("transcription", "intervals")}
+        scene = smallest_scene(loaded, keep=keep, **grid)
+        if explain and not as_json:
+            click.echo(str(scene.report))
+    asked = scene.problem if scene else loaded
     import_in_background("scipy.integrate")  # the check's integrator
     solve_chosen = solve_aimed if wants_aim(arguments) else solve_warm
     viewer = open_viewer(watch)
     arguments |= {"title": problem, "options": options, "viewer": viewer}
-    solved = solve_chosen(scene.problem if scene else loaded, **arguments)
+    solved = solve_chosen(asked, **arguments)
     solution = scene.lift(solved.solution) if scene else solved.solution
     file, notes = _saved(solution, target)
     report = _checked(solution, notes, "" if scene is None or scene.report.is_exact else " or no --smallest")
-    diagnosis = diagnosis_of(solved.solution, scene.problem if scene else loaded) if diagnosed else None
+    diagnosis = diagnosis_of(solved.solution, asked) if diagnosed else None
     if as_json:
         extra: dict[str, Any] = {"scene": scene.report.to_dict()} if scene else {}
         extra |= {"diagnosis": diagnosis[0]} if diagnosis else {}
-        click.echo(to_json(solve_dict(solution, report, file) | extra | solved.extra()))
+        click.echo(to_json(solve_dict(solution, report, file) | extra | solved.extra))
     else:
-        click.echo(solve_summary(solution, report, file, solved.lines() + notes))
+        click.echo(solve_summary(solution, report, file, solved.notes + notes))
         if diagnosis:
             click.echo(diagnosis[1])
     show_until_interrupted(viewer, solution)
     return 0 if solved.reached else NOT_REACHED
-
-
-def _smallest(problem: Problem, keep: tuple[str, ...], arguments: dict[str, Any]) -> Scene:
-    """The smallest problem with the same task, on the grid of the command line."""
-    from trajopt.reduced.scenes.smallest import smallest
-
-    grid = {name: arguments[name] for name in ("transcription", "intervals")}
-    return smallest(problem, keep=keep, **grid)
 
 
 def _saved(solution: Solution, target: Path) -> tuple[Path | None, list[str]]:

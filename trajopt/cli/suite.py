@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from trajopt.cli.input import COUNT, THREADS
+from trajopt.cli.input import (
+    COUNT,
+    NOT_REACHED,
+    THREADS,
+    compile_option,
+    default_option,
+    json_option,
+    solver_option,
+)
+from trajopt.cli.progress import runs_to_its_end
 from trajopt.cli.report import console, to_json
 from trajopt.errors import InputError
 from trajopt.solution.output import check_output
-from trajopt.solving.interruption import CANCELLED, interruptible
+from trajopt.solving.interruption import CANCELLED
 
 if TYPE_CHECKING:
     from trajopt.study.suite.cases import Case
@@ -22,7 +31,6 @@ if TYPE_CHECKING:
     from trajopt.study.suite.records import SuiteRecords
     from trajopt.study.suite.settings import SuiteSettings
 
-NOT_REACHED = 1
 # Columns of the table where it goes to a file or a pipe: no column is folded.
 PIPE_WIDTH = 170
 # Options that take every word up to the next option, as in ``--robots solo12 go2``.
@@ -59,28 +67,20 @@ def _each(option: str, words: str) -> list[str]:
 @click.command(cls=ListCommand)
 @click.option("--problems", multiple=True, metavar="GLOB...", help="Names or patterns.  [default: all]")
 @click.option("--robots", multiple=True, metavar="NAME...", help="Robots, or .py files.  [default: all]")
-@click.option(
-    "--perturbed", type=COUNT, default=0, metavar="K", show_default=True, help="Noisy starts of each pair."
-)
-@click.option(
-    "--sigma", type=float, default=0.1, metavar="SIGMA", show_default=True, help="Their noise, scaled units."
-)
+@default_option("--perturbed", 0, "K", "Noisy starts of each pair.", kind=COUNT)
+@default_option("--sigma", 0.1, "SIGMA", "Their noise, scaled units.")
 @click.option("--jobs", type=THREADS, metavar="N", help="Processes at a time.  [default: the processors]")
-@click.option("--solver", default="ipopt", metavar="NAME", show_default=True, help="ipopt, fatrop or sqp.")
-@click.option(
-    "--max-iterations", type=COUNT, default=500, metavar="N", show_default=True, help="Iteration limit."
-)
-@click.option(
-    "--max-time", type=float, default=300.0, metavar="S", show_default=True, help="Time limit of a solve."
-)
-@click.option("--compile", default="quick", metavar="LEVEL", show_default=True, help="none, quick or fast.")
+@solver_option
+@default_option("--max-iterations", 500, "N", "Iteration limit.", kind=COUNT)
+@default_option("--max-time", 300.0, "S", "Time limit of a solve.")
+@compile_option
 @click.option("--simulate", is_flag=True, help="Run what is solved of legged robots in MuJoCo, too.")
 @click.option("--output-dir", type=Path, metavar="DIR", help="Write results and solution files there.")
 @click.option("--resume", is_flag=True, help="Go on from the results in --output-dir.")
 @click.option("--update", type=Path, metavar="FILE", help="Write the pairs' bands to FILE.")
 @click.option("--compare", type=Path, metavar="FILE", help="Compare with the bands in FILE.")
 @click.option("--list", "only_list", is_flag=True, help="List the pairs and run none.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option
 def suite(
     problems: tuple[str, ...],
     robots: tuple[str, ...],
@@ -95,7 +95,7 @@ def suite(
 ) -> int:
     """Run every problem on every robot it is for, and print what was found.
 
-    Each pair is solved from its own guess at default settings, checked, and solved from --perturbed noisy
+    Each pair is solved from its default guess at default settings, checked, and solved from --perturbed noisy
     starts. With --simulate the plan of every legged robot is run in MuJoCo, too. Exit status 0 when all pairs
     are solved and within the check (and within their bands with --compare; without them --simulate allows no
     fall), 1 when not, 130 after Ctrl-C: what is done by then is printed.
@@ -161,31 +161,19 @@ def _run(
     known = records.open(resume=resume)
     missing = [case for case in cases if case.name not in known]
     outcomes = [known[case.name] for case in cases if case.name in known]
-    jobs, complete = max(1, min(jobs, len(missing))), False
-    with interruptible() as interruption, interruption.recording():
-        try:
-            with (
-                TaskDisplay("suite", len(cases), len(outcomes)) as display,
-                closing(
-                    run_all(
-                        missing,
-                        settings,
-                        jobs=jobs,
-                        records=records,
-                        display=display,
-                        check=interruption.check,
-                    )
-                ) as running,
-            ):
+    jobs = max(1, min(jobs, len(missing)))
+
+    def run(check: Callable[[], None]) -> None:
+        with TaskDisplay("suite", len(cases), len(outcomes)) as display:
+            running = run_all(missing, settings, jobs=jobs, records=records, display=display, check=check)
+            with closing(running):
                 for outcome in running:
                     records.add(outcome)
                     outcomes.append(outcome)
                     display.finished(outcome.name, f"{len(outcomes)}/{len(cases)} {line(outcome)}")
-            records.close()
-            complete = True
-        except KeyboardInterrupt:
-            complete = False
-        interruption.answer()  # also one that came when all was done
+        records.close()
+
+    complete = runs_to_its_end(run)
     return sorted(outcomes, key=lambda outcome: outcome.name), complete
 
 

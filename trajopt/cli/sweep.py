@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from trajopt.cli.input import COUNT, THREADS, parse_settings
+from trajopt.cli.input import COUNT, NOT_REACHED, THREADS, default_option, json_option, parse_settings
+from trajopt.cli.progress import runs_to_its_end
 from trajopt.cli.report import console, to_json
-from trajopt.solving.interruption import CANCELLED, interruptible
+from trajopt.solving.interruption import CANCELLED
 
 if TYPE_CHECKING:
     from trajopt.study.sweep.plan import SweepPlan
     from trajopt.study.sweep.records import SweepRecords, SweepRequest
     from trajopt.study.sweep.summary import Summary
 
-NOT_REACHED = 1
 # Columns of the table where it goes to a file or a pipe: no column is folded.
 PIPE_WIDTH = 150
 PLOT = "front.png"
@@ -58,36 +58,16 @@ NUMBER_LIST = _values(float, "numbers")
 @click.option("--start", callback=WORD_LIST, metavar="A,B", help="cold, warm: from half the intervals.")
 @click.option("--also", multiple=True, metavar="WORDS", help="One more: 'legendre:1@10 fatrop 1e-3'.")
 @click.option("--full", is_flag=True, help="All combinations of what is named.")
-@click.option(
-    "--repeats", type=COUNT, default=2, metavar="K", show_default=True, help="Perturbed starts of a setting."
-)
-@click.option(
-    "--perturb",
-    "sigma",
-    type=float,
-    default=0.1,
-    metavar="SIGMA",
-    show_default=True,
-    help="Their noise, scaled units.",
-)
-@click.option(
-    "--max-iterations", type=COUNT, default=500, metavar="N", show_default=True, help="Of each solve."
-)
-@click.option("--max-time", type=float, default=60.0, metavar="S", show_default=True, help="Of each solve.")
-@click.option(
-    "--reference",
-    "reference_time",
-    type=float,
-    default=300.0,
-    metavar="S",
-    show_default=True,
-    help="Time for the converged reference; 0: none.",
-)
-@click.option("--jobs", type=THREADS, default=1, metavar="N", show_default=True, help="Timed processes.")
+@default_option("--repeats", 2, "K", "Perturbed starts of a setting.", kind=COUNT)
+@default_option("--perturb", 0.1, "SIGMA", "Their noise, scaled units.", to="sigma")
+@default_option("--max-iterations", 500, "N", "Of each solve.", kind=COUNT)
+@default_option("--max-time", 60.0, "S", "Of each solve.")
+@default_option("--reference", 300.0, "S", "Time for the converged reference; 0: none.", to="reference_time")
+@default_option("--jobs", 1, "N", "Timed processes.", kind=THREADS)
 @click.option("--output-dir", type=Path, metavar="DIR", help="Results.  [default: PROBLEM-sweep]")
 @click.option("--resume", is_flag=True, help="Go on in --output-dir.")
 @click.option("--list", "only_list", is_flag=True, help="List the settings and run none.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option
 def sweep(
     problem: str,
     values: tuple[str, ...],
@@ -145,19 +125,16 @@ def _run(request: SweepRequest, plan: SweepPlan, records: SweepRecords, cores: S
     from trajopt.study.workers.display import TaskDisplay
 
     settings, starts = len(plan.settings), len(request.starts)
-    complete = True
-    with interruptible() as interruption, interruption.recording():
-        try:
-            with TaskDisplay(f"sweep of {request.problem}") as display:
-                display.note(
-                    f"{settings} settings, {starts} starts each: {settings * starts} runs, "
-                    f"{len(cores)} at a time, on core {', '.join(map(str, cores))}"
-                )
-                Sweep(request, plan, records, cores, display, interruption.check).run()
-        except KeyboardInterrupt:
-            complete = False
-        interruption.answer()  # also one that came when all was done
-    return complete
+
+    def run(check: Callable[[], None]) -> None:
+        with TaskDisplay(f"sweep of {request.problem}") as display:
+            display.note(
+                f"{settings} settings, {starts} starts each: {settings * starts} runs, "
+                f"{len(cores)} at a time, on core {', '.join(map(str, cores))}"
+            )
+            Sweep(request, plan, records, cores, display, check).run()
+
+    return runs_to_its_end(run)
 
 
 def _found(plan: SweepPlan, records: SweepRecords, settings: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from trajopt.cli.input import option_group
-from trajopt.cli.progress import stdout_to_stderr, watched
+from trajopt.cli.progress import watched
+from trajopt.cli.report import SolveReport
 from trajopt.errors import InputError
 
 if TYPE_CHECKING:
     from trajopt.problem.problem import Problem
-    from trajopt.solution.solution import Solution
-    from trajopt.solving.ladder import Ladder
     from trajopt.solving.monitoring import Watch
 
 LADDER_FORM = "allowed: SCHEME@INTERVALS,..., such as legendre:1@15,legendre:2@50"
@@ -25,31 +23,6 @@ warm_options = option_group(
     click.option("--ladder", metavar="GRIDS", help="Coarse to fine, e.g. legendre:1@15,legendre:2@50."),
     click.option("--compare", is_flag=True, help="With either: solve from the default guess, too."),
 )
-
-
-@dataclass(frozen=True)
-class LadderOutcome:
-    """The solves of a ladder, as the command reports them."""
-
-    ladder: Ladder
-
-    @property
-    def solution(self) -> Solution:
-        """The finest rung's."""
-        return self.ladder.solution
-
-    @property
-    def reached(self) -> bool:
-        """Whether it was solved."""
-        return self.solution.success
-
-    def lines(self) -> list[str]:
-        """Lines of the summary about the rungs."""
-        return ladder_lines(self.ladder)
-
-    def extra(self) -> dict[str, Any]:
-        """What the JSON has besides the solution's figures."""
-        return {"ladder": self.ladder.to_dict()} if self.lines() else {}
 
 
 def solve_warm(
@@ -62,7 +35,7 @@ def solve_warm(
     log: str | None = None,
     viewer: Watch | None = None,
     **settings: Any,
-) -> LadderOutcome:
+) -> SolveReport:
     """Solve from a file, over a ladder, or neither (a ladder of one rung), with progress."""
     from trajopt.solution.input import solution_of
     from trajopt.solving.ladder import solve_ladder
@@ -77,8 +50,12 @@ def solve_warm(
     rungs = [grid] if ladder is None else parse_ladder(ladder)
     known = None if start is None else solution_of(start)
     most = settings["max_time"] * (len(rungs) + compare)
-    with stdout_to_stderr(), watched(title, most, log, viewer) as told:
-        return LadderOutcome(solve_ladder(problem, rungs, start=known, compare=compare, **told, **settings))
+    with watched(title, most, log, viewer) as told:
+        found = solve_ladder(problem, rungs, start=known, compare=compare, **told, **settings)
+    if len(found.rungs) == 1 and found.cold is None:
+        return SolveReport(found.solution, found.solution.success)
+    figures = found.to_dict()
+    return SolveReport(found.solution, found.solution.success, _lines(figures), {"ladder": figures})
 
 
 def parse_ladder(text: str) -> list[tuple[str | None, int | None]]:
@@ -92,15 +69,12 @@ def parse_ladder(text: str) -> list[tuple[str | None, int | None]]:
     return rungs
 
 
-def ladder_lines(ladder: Ladder) -> list[str]:
-    """What a summary says of the rungs and of the comparison; nothing for one solve alone."""
-    figures = ladder.to_dict()
-    if len(ladder.rungs) == 1 and ladder.cold is None:
-        return []
+def _lines(figures: dict[str, Any]) -> list[str]:
+    """What a summary says of the rungs and of the comparison."""
     lines = [
         f"{rung['transcription']}, {rung['intervals']} intervals: {_found(rung)}" for rung in figures["rungs"]
     ]
-    if len(ladder.rungs) > 1:
+    if len(figures["rungs"]) > 1:
         lines.append(f"all rungs: {cost(figures['total'])}")
     if figures["cold"] is not None:
         lines.append(f"from the default guess: {_found(figures['cold'])}")

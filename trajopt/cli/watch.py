@@ -4,35 +4,25 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
 import click
 
+from trajopt.cli.input import option_group
 from trajopt.solving.interruption import LOOK, interruptible
 
 if TYPE_CHECKING:
     from trajopt.solution.solution import Solution
     from trajopt.view.watching.viewer import Viewer
 
-_Command = TypeVar("_Command", bound=Callable[..., Any])
-
 # Seconds that the picture of the solution may take.
 DRAWN = 60.0
 
 
-def watch_options(command: _Command) -> _Command:
-    """``--watch`` and ``--log``."""
-    for option in reversed(
-        (
-            click.option("--watch", is_flag=True, help="Show the iterates in Meshcat while solving."),
-            click.option(
-                "--log", metavar="FILE", help="Write all iterations to FILE (CSV); - for lines on stderr."
-            ),
-        )
-    ):
-        command = option(command)
-    return command
+watch_options = option_group(
+    click.option("--watch", is_flag=True, help="Show the iterates in Meshcat while solving."),
+    click.option("--log", metavar="FILE", help="Write all iterations to FILE (CSV); - for lines on stderr."),
+)
 
 
 def open_viewer(watch: bool) -> Viewer | None:

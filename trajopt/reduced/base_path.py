@@ -10,9 +10,8 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
-from trajopt.errors import InputError
+from trajopt.errors import InputError, finite_array, require_finite
 from trajopt.schedule.schedule import Schedule
-from trajopt.values import finite_array, require_finite
 
 # Times of waypoints and of phases that differ by less than this part of the schedule are one.
 SAME_TIME = 1e-9

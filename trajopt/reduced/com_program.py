@@ -27,12 +27,11 @@ import osqp
 from scipy import sparse
 from scipy.linalg import expm
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_positive
 from trajopt.reduced.com_planning import ComMotion, CubicMotion
 from trajopt.reduced.footsteps import FootstepPlan, support_vertices
 from trajopt.reduced.lip import Pendulum, PendulumMotion
 from trajopt.robot.robot import Robot
-from trajopt.values import require_positive
 
 PendulumInput = Literal["zmp_rate", "jerk"]
 EndCondition = Literal["rest", "captured"]

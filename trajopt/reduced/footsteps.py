@@ -10,12 +10,11 @@ from types import MappingProxyType
 
 import numpy as np
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, finite_array, require_finite, require_positive
 from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terrain.terrain import Terrain
-from trajopt.values import finite_array, require_finite, require_positive
 
 
 @dataclass(frozen=True, eq=False)

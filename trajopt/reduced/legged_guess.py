@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.model_quantities import gravity_of
+from trajopt.errors import require_finite
 from trajopt.reduced.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights, turn_to_heading
 from trajopt.reduced.foot_motion import CACHED_POSTURES, require_free_flyer
 from trajopt.robot.kinematics import contact_poses, contact_targets, inverse_kinematics
@@ -20,7 +21,6 @@ from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import Surface, frame_of_normal
 from trajopt.terrain.swing_profile import require_clearance, smooth_step, swing_profile
 from trajopt.terrain.terrain import Terrain
-from trajopt.values import require_finite
 
 # Height of a swing over the straight line between its footholds, as a part of the robot's length.
 CLEARANCE_PART = 0.1

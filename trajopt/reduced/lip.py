@@ -26,8 +26,7 @@ from functools import cached_property
 import numpy as np
 
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
-from trajopt.errors import InputError
-from trajopt.values import finite_array, require_positive
+from trajopt.errors import InputError, finite_array, require_positive
 
 
 @dataclass(frozen=True, kw_only=True)

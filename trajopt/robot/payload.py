@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, finite_array, require_not_negative
 from trajopt.robot.robot import Robot
-from trajopt.values import finite_array, require_not_negative
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -9,9 +9,8 @@ import pinocchio as pin
 
 from trajopt.dynamics.model_quantities import mass_of
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_positive
 from trajopt.robot.contact import Contact, require_frame
-from trajopt.values import require_positive
 
 # A reference posture may touch its limit: rounding of degrees in description files, rad or m.
 LIMIT_SLACK = 1e-6

@@ -17,9 +17,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_finite, require_positive
 from trajopt.schedule.schedule import Phase
-from trajopt.values import require_finite, require_positive
 
 # Events nearer than this part of the period are one event: rounding of sums of decimal fractions.
 SIMULTANEOUS = 1e-9

@@ -10,11 +10,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, finite_array, require_positive
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import SAME_PLANE, Surface
 from trajopt.terrain.terrain import Ground, Terrain
-from trajopt.values import finite_array, require_positive
 
 # A configuration (nq,) at a time in s: a guess, a reference.
 Motion = Callable[[float], np.ndarray]

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.errors import InputError, SolutionFileError
-from trajopt.values import finite_array
+from trajopt.errors import InputError, SolutionFileError, finite_array
 
 KEYS = ("frame", "position", "rotation", "q", "phase")
 

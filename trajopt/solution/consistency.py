@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from trajopt.errors import InputError, SolutionFileError
+from trajopt.errors import InputError, SolutionFileError, is_number
 from trajopt.robot.actuators.drive import Drive
 from trajopt.solution.arrays import OTHERS, SAMPLED, model_from_text, runs
 from trajopt.solution.descriptions import patches_of, scene_of_meta, surfaces_of
-from trajopt.values import is_number
 
 META_KEYS = (
     "format",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -100,3 +101,12 @@ def _scene(model: pin.Model, described: Any) -> CollisionScene:
         obstacles=tuple(obstacle_from_description(entry) for entry in described["obstacles"]),
         self_pairs=tuple((str(first), str(second)) for first, second in pairs),
     )
+
+
+def jsonable(value: Any) -> Any:
+    """The value with lists for tuples and arrays, and None for numbers that are not finite."""
+    if isinstance(value, dict):
+        return {str(key): jsonable(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [jsonable(entry) for entry in list(value)]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

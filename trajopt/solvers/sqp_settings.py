@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from trajopt.errors import is_number
 from trajopt.solvers.result import FEASIBILITY_SHARE, StoppingCriteria
-from trajopt.values import is_number
 
 # Options with what they allow; a whole number is a number, too.
 ALLOWED = {

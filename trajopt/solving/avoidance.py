@@ -128,11 +128,9 @@ def solve_clear(problem: Problem, **options: Any) -> tuple[Solution, Problem]:
 
 def _least(problem: Problem, solution: Solution) -> float:
     scene = collision_scene(problem.terms)
-    return (
-        math.inf
-        if scene is None
-        else float(scene.least_distances(refined_configurations(solution)).min(initial=math.inf))
-    )
+    if scene is None:
+        return math.inf
+    return float(scene.least_distances(refined_configurations(solution)).min(initial=math.inf))
 
 
 def _again(problem: Problem, solution: Solution, missed: Mapping[str, tuple[ShapePair, ...]]) -> Problem:

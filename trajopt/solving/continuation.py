@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
-from trajopt.solving.ladder import INTERRUPTED, OWN_GUESS, solve_figures, total_effort
+from trajopt.solving.ladder import FROM_DEFAULT_GUESS, INTERRUPTED, solve_figures, total_effort
 from trajopt.solving.solving import solve
 
 MAX_HALVINGS = 4
@@ -118,20 +118,16 @@ def _numbers(values: Sequence[float]) -> tuple[float, ...]:
     return asked
 
 
+@dataclass
 class _Walk:
     """The steps made so far, and the last solution with its value (None: of no value in the sequence)."""
 
-    def __init__(
-        self,
-        load: Callable[[float], Problem],
-        settings: dict[str, Any],
-        on_step: Callable[[ContinuationStep], None] | None,
-        start: Solution | str | Path | None,
-    ) -> None:
-        self.load, self.settings, self.on_step = load, settings, on_step
-        self.start = start
-        self.origin: float | None = None
-        self.steps: list[ContinuationStep] = []
+    load: Callable[[float], Problem]
+    settings: dict[str, Any]
+    on_step: Callable[[ContinuationStep], None] | None
+    start: Solution | str | Path | None
+    origin: float | None = None
+    steps: list[ContinuationStep] = field(default_factory=list)
 
     def to(self, value: float, halvings: int, compare: bool) -> bool:
         """Go on to ``value``, with steps between where needed; False when the user stops it."""
@@ -147,13 +143,13 @@ class _Walk:
             else:
                 halvings -= 1
                 targets.append((self.origin + targets[-1]) / 2)
-        if targets and self.start is not None and _stopped(self.solve(value, own_guess=True).solution):
+        if targets and self.start is not None and _stopped(self.solve(value, default_guess=True).solution):
             return False
         return not (compare and _stopped(self.compare(value)))
 
-    def solve(self, value: float, *, asked: bool = True, own_guess: bool = False) -> ContinuationStep:
+    def solve(self, value: float, *, asked: bool = True, default_guess: bool = False) -> ContinuationStep:
         """One solve, from the last solution or from the problem's default guess."""
-        start = None if own_guess else self.start
+        start = None if default_guess else self.start
         solution = solve(self.load(value), start=start, label=f"value {value:g}", **self.settings)
         origin = None if start is None else self.origin
         step = ContinuationStep(value=value, solution=solution, origin=origin, asked=asked)
@@ -168,12 +164,9 @@ class _Walk:
         """Solve from the default guess, unless the last step at ``value`` did, and record it there."""
         index = max(i for i, step in enumerate(self.steps) if step.asked and step.value == value)
         last = self.steps[index]
-        own = not last.solution.meta["warm_start"]
-        cold = (
-            last.solution
-            if own
-            else solve(self.load(value), label=f"value {value:g} {OWN_GUESS}", **self.settings)
-        )
+        cold = last.solution
+        if cold.meta["warm_start"]:
+            cold = solve(self.load(value), label=f"value {value:g} {FROM_DEFAULT_GUESS}", **self.settings)
         self.steps[index] = replace(last, cold=cold)
         return cold
 

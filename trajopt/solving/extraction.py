@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,17 +24,6 @@ from trajopt.transcription.layout import Layout
 from trajopt.transcription.timeline import NodeLayout, StageKind
 from trajopt.transcription.transcription import Transcription
 from trajopt.versions import VERSIONED, installed_version
-
-
-@dataclass(frozen=True)
-class _Interval:
-    """Motion of the whole robot at an interval's start, points and end; ``f`` (s, nc, 6) at the points."""
-
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    f: np.ndarray
-    tau: np.ndarray
 
 
 def extract(transcription: Transcription, x: np.ndarray, meta: dict[str, Any]) -> Solution:
@@ -59,11 +47,10 @@ def extract(transcription: Transcription, x: np.ndarray, meta: dict[str, Any]) -
         inner = times[k] + scheme.c * steps[k]
         columns["t"].append(np.concatenate([[times[k]], inner, [times[k + 1]]]))
         for name in ("q", "v", "a"):
-            columns[name].append(getattr(interval, name))
+            columns[name].append(interval[name])
         for name in ("tau", "f"):
-            points = getattr(interval, name)
-            outer = np.tensordot(ends, points, axes=1)
-            columns[name].append(np.concatenate([outer[:1], points, outer[1:]]))
+            outer = np.tensordot(ends, interval[name], axes=1)
+            columns[name].append(np.concatenate([outer[:1], interval[name], outer[1:]]))
     raw = np.concatenate(columns.pop("q"))
     q = np.array([pin.normalize(layout.robot.model, row) for row in raw])
     error = float(np.abs(q - raw).max())
@@ -129,8 +116,12 @@ def _widths(layout: Layout, stages: np.ndarray) -> np.ndarray:
 
 def _interval(
     problem: Problem, layout: Layout, unknowns: np.ndarray, k: int, h: float, clock: float
-) -> _Interval:
-    """Motion from the collocation map, torques from numeric Pinocchio; ``h`` in s, ``clock`` over nominal."""
+) -> dict[str, np.ndarray]:
+    """Motion of the whole robot from the collocation map, torques from numeric Pinocchio.
+
+    ``q``, ``v``, ``a`` are at the start, the points and the end; ``tau`` and ``f`` (s, nc, 6) at the points.
+    h: step, s. clock: duration over the nominal one.
+    """
     phase, form = int(layout.phase_of[k]), layout.forms[k]
     method = layout.scheme_of(phase)
     window, nv = unknowns[layout.window(k)], form.coordinates.nv
@@ -173,8 +164,7 @@ def _interval(
         f[:, names.index(mode.embedded.name), :3] = reaction[1:-1] - f[:, :, :3].sum(axis=1)
     points = [part[1:-1] for part in full]
     _add_payload(problem, layout.schedule.phases[phase].name, points, f)
-    tau = _torques(layout, points, f)
-    return _Interval(full[0], full[1], full[2], f, tau)
+    return {"q": full[0], "v": full[1], "a": full[2], "f": f, "tau": _torques(layout, points, f)}
 
 
 def _add_payload(problem: Problem, phase: str, motion: list[np.ndarray], f: np.ndarray) -> None:

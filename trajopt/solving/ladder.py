@@ -19,7 +19,7 @@ GridLevel = tuple[str | None, int | None]
 # The status of a solve that the user interrupted: nothing starts from it.
 INTERRUPTED = "interrupted"
 # The label of a solve that others are compared with.
-OWN_GUESS = "from its own guess"
+FROM_DEFAULT_GUESS = "from the default guess"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +96,7 @@ def solve_ladder(
             break
         start = found[-1] if is_usable_start(found[-1]) else start
     compared = compare and found[-1].meta["status"] != INTERRUPTED
-    cold = solve(problem, **rungs[-1], label=OWN_GUESS, **settings) if compared else None
+    cold = solve(problem, **rungs[-1], label=FROM_DEFAULT_GUESS, **settings) if compared else None
     return Ladder(rungs=tuple(found), cold=cold)
 
 

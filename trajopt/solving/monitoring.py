@@ -167,7 +167,9 @@ def configurations(transcription: Transcription, x: np.ndarray) -> tuple[np.ndar
         times = layout.times(unknowns)
         starts = [(int(k), int(layout.phase_of[k])) for k in layout.interval_stages]
         nodes = [*starts, (starts[-1][0] + 1, starts[-1][1])]
-        q = np.vstack([_normalized(layout, row) for row in _by_phase(layout, unknowns, nodes)])
+        # a rotation of no length stays what it is: not finite
+        raw = _by_phase(layout, unknowns, nodes)
+        q = np.array([pin.normalize(layout.robot.model, row) for row in raw])
     t, phases = times[[node for node, _ in nodes]], np.array([phase for _, phase in nodes])
     good = np.isfinite(q).all(axis=1) & np.isfinite(t)
     return t[good], q[good], phases[good]
@@ -183,8 +185,3 @@ def _by_phase(layout: Layout, unknowns: np.ndarray, nodes: list[tuple[int, int]]
         mode = layout.modes.get(layout.schedule.phases[phase].name)
         found.append(q if mode is None else mode.lifted(q)[0])
     return np.vstack(found)
-
-
-def _normalized(layout: Layout, q: np.ndarray) -> np.ndarray:
-    """The configuration on the manifold; a rotation of no length stays what it is: not finite."""
-    return np.asarray(pin.normalize(layout.robot.model, q))

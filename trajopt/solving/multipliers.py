@@ -10,13 +10,15 @@ match starts at zero, as without a warm start.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
+from trajopt.solvers.result import WarmMultipliers
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.row_collection import RowInfo
 from trajopt.transcription.timeline import StageKind
@@ -26,22 +28,8 @@ from trajopt.transcription.transcription import Transcription
 INSIDE = 1e-9
 
 
-@dataclass(frozen=True, kw_only=True)
-class Multipliers:
-    """Of rows (n_rows,) and of the bounds of unknowns (n_unknowns,): Lagrangian f + rows . g + bounds . x."""
-
-    rows: np.ndarray
-    bounds: np.ndarray
-
-
-@dataclass(frozen=True)
-class _Key:
-    """What rows must share to be samples of one function: a block of a phase at its kind of place."""
-
-    block: str
-    phase: int
-    place: str
-    size: int
+# What rows must share to be samples of one function: block, phase, kind of place, number of rows.
+_Key = tuple[str, int, str, int]
 
 
 @dataclass(frozen=True)
@@ -70,56 +58,32 @@ def with_multipliers(
     )
 
 
-def resampled_multipliers(transcription: Transcription, solution: Solution) -> Multipliers | None:
+def resampled_multipliers(transcription: Transcription, solution: Solution) -> WarmMultipliers | None:
     """The solution's multipliers on the rows and bounds of ``transcription``; None where none fit."""
     if solution.row_multiplier is None or solution.bound_multiplier is None:
         return None
     old = _layout_of(transcription.layout, solution, solution.bound_multiplier)
-    info = None if old is None else _rows_of(old, solution)
-    if old is None or info is None:
+    if old is None or (info := _rows_of(old, solution)) is None:
         return None
-    rows = np.zeros(transcription.n_rows)
-    known = _functions(list(_blocks(old, info)), solution.row_multiplier)
-    for block in _blocks(transcription.layout, transcription.rows):
-        if block.key in known:
-            rows[block.rows] = block.weight * known[block.key].at(block.fraction)
-    bounds = np.zeros(transcription.layout.n_unknowns)
-    known = _functions(list(_nodes(old)), solution.bound_multiplier)
-    for node in _nodes(transcription.layout):
-        if node.key in known:
-            bounds[node.rows] = node.weight * known[node.key].at(node.fraction)
-    return Multipliers(rows=rows, bounds=bounds)
+    new = transcription.layout
+    rows, bounds = np.zeros(transcription.n_rows), np.zeros(new.n_unknowns)
+    _resample(_blocks(old, info), solution.row_multiplier, _blocks(new, transcription.rows), rows)
+    _resample(_nodes(old), solution.bound_multiplier, _nodes(new), bounds)
+    return WarmMultipliers(lam_g=rows, lam_x=bounds)
 
 
-@dataclass(frozen=True)
-class _Function:
-    """Samples (n, size) at fractions (n,) of a phase."""
-
-    fractions: np.ndarray
-    values: np.ndarray
-
-    def at(self, fraction: float) -> np.ndarray:
-        """Linear interpolation (size,), constant beyond the samples."""
-        if len(self.fractions) == 1:
-            return np.asarray(self.values[0])
-        after = int(np.clip(np.searchsorted(self.fractions, fraction), 1, len(self.fractions) - 1))
-        low, high = self.fractions[after - 1 : after + 1]
-        share = float(np.clip((fraction - low) / (high - low), 0.0, 1.0)) if high > low else 0.0
-        return np.asarray((1 - share) * self.values[after - 1] + share * self.values[after])
-
-
-def _functions(blocks: list[_Block], multipliers: np.ndarray) -> Mapping[_Key, _Function]:
-    """Functions of time by key."""
-    members: dict[_Key, list[_Block]] = {}
-    for block in blocks:
-        members.setdefault(block.key, []).append(block)
-    return {
-        key: _Function(
-            np.array([one.fraction for one in own]),
-            np.array([multipliers[one.rows] / one.weight for one in own]),
-        )
-        for key, own in members.items()
-    }
+def _resample(old: Iterable[_Block], known: np.ndarray, new: Iterable[_Block], found: np.ndarray) -> None:
+    """Put multipliers of new blocks in ``found``, interpolated linearly, constant beyond the samples."""
+    members: defaultdict[_Key, list[_Block]] = defaultdict(list)
+    for block in old:
+        members[block.key].append(block)
+    fractions = {key: [one.fraction for one in own] for key, own in members.items()}
+    values = {key: np.array([known[one.rows] / one.weight for one in own]) for key, own in members.items()}
+    for block in new:
+        if block.key in members:
+            columns, times = values[block.key].T, fractions[block.key]
+            samples = [np.interp(block.fraction, times, column) for column in columns]
+            found[block.rows] = block.weight * np.array(samples)
 
 
 def _layout_of(layout: Layout, solution: Solution, bounds: np.ndarray) -> Layout | None:
@@ -162,13 +126,13 @@ def _block(layout: Layout, name: str, k: int, point: int, rows: np.ndarray) -> _
         c = float(method.c[point])
         inner = start + (c + INSIDE * (0.5 - c)) * (end - start)
         weight = layout.steps[k] * method.b1[point]
-        return _Block(_Key(name, phase, "point", len(rows)), rows, inner, weight)
+        return _Block((name, phase, "point", len(rows)), rows, inner, weight)
     if name == "defect" and not transition:
         phase, (_, end) = _interval_in_phase(layout, k)
-        return _Block(_Key(name, phase, "defect", len(rows)), rows, end, 1.0)
+        return _Block((name, phase, "defect", len(rows)), rows, end, 1.0)
     if transition:
         kind = layout.stages[k].kind.value
-        return _Block(_Key(name, int(layout.phase_of[k]), kind, len(rows)), rows, 0.0, 1.0)
+        return _Block((name, int(layout.phase_of[k]), kind, len(rows)), rows, 0.0, 1.0)
     return _at_node(layout, name, k, rows)
 
 
@@ -176,12 +140,12 @@ def _at_node(layout: Layout, name: str, k: int, rows: np.ndarray) -> _Block:
     """A node within a phase is one of many, its ends are places of their own."""
     place = layout.timeline.places[k]
     if place is None:
-        return _Block(_Key(name, layout.phase_at(k), "repeated", len(rows)), rows, 0.0, 1.0)
+        return _Block((name, layout.phase_at(k), "repeated", len(rows)), rows, 0.0, 1.0)
     phase, index = place
     mesh = layout.mesh.phases[phase]
     if index in (0, mesh.count):
-        return _Block(_Key(name, phase, "first" if index == 0 else "last", len(rows)), rows, 0.0, 1.0)
-    key = _Key(name, phase, "node", len(rows))
+        return _Block((name, phase, "first" if index == 0 else "last", len(rows)), rows, 0.0, 1.0)
+    key = (name, phase, "node", len(rows))
     spacing = (mesh.widths[index - 1] + mesh.widths[index]) / 2
     return _Block(key, rows, mesh.fractions[index], layout.schedule.phases[phase].duration * spacing)
 

@@ -92,10 +92,6 @@ class MeshSolve:
     apart: Comparison | None = None
     other_optimum: bool = False
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able."""
-        return asdict(self)
-
     def __str__(self) -> str:
         text = f"{self.scheme}, {self.intervals} intervals, {self.unknowns} unknowns: {self.status}"
         text += f" in {self.iterations} iterations, {self.seconds:.1f} s"
@@ -116,7 +112,7 @@ class ConvergedReference:
 
     def to_dict(self) -> dict[str, Any]:
         """Agreement and solves, JSON-able."""
-        return {"agreement": asdict(self.agreement), "rungs": [rung.to_dict() for rung in self.rungs]}
+        return {"agreement": asdict(self.agreement), "rungs": [asdict(rung) for rung in self.rungs]}
 
     def __str__(self) -> str:
         last = self.rungs[-1]
@@ -143,32 +139,6 @@ def _in_words(apart: Comparison) -> str:
     )
     when = f", {apart.time:.1e} s" if apart.time > 1e-9 else ""
     return f"{gap}, {apart.farthest:.1e} m{when}"
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Solver:
-    """How each mesh is solved, and the budget of all solves together."""
-
-    problem: Problem
-    settings: Mapping[str, Any]
-    scheme: str
-    agreement: Agreement
-    max_unknowns: int
-    deadline: float
-
-    def left(self) -> float:
-        """Time left, s."""
-        return self.deadline - time.monotonic()
-
-    def __call__(self, scheme: str | None, intervals: int | None, start: Start) -> Solution:
-        return solve(
-            self.problem,
-            transcription=scheme,
-            intervals=intervals,
-            start=start,
-            max_time=max(self.left(), LEAST_TIME),
-            **self.settings,
-        )
 
 
 def converged_reference(
@@ -208,74 +178,115 @@ def converged_reference(
     for name, value in (("max_time", max_time), ("max_unknowns", max_unknowns)):
         if not value > 0:
             raise InputError(f"{name} is {value:g}", "allowed: > 0")
-    run = _Solver(
+    climb = _Climb(
         problem=problem,
         settings={"solver": solver, "tolerance": tolerance, "compile": compile, "threads": threads},
         scheme=scheme,
-        agreement=agreement or Agreement(),
         max_unknowns=max_unknowns,
         deadline=time.monotonic() + max_time,
+        progress=progress,
     )
-    return _climb(run, start, progress or _ignore)
+    return climb.run(start, agreement or Agreement())
 
 
-def _ignore(_: MeshSolve) -> None:
-    return None
+@dataclass(kw_only=True)
+class _Climb:
+    """How each mesh is solved, the budget of all solves together, and the solves so far."""
 
+    problem: Problem
+    settings: Mapping[str, Any]
+    scheme: str
+    max_unknowns: int
+    deadline: float
+    progress: Callable[[MeshSolve], None] | None
+    rungs: list[MeshSolve] = field(default_factory=list)
+    begun: float = 0.0
 
-def _climb(run: _Solver, start: Start, progress: Callable[[MeshSolve], None]) -> ConvergedReference:
-    """Refine until two successive solutions agree."""
-    begun = time.monotonic()
-    last = _rung(run, [], start)
-    rungs = [_described(last, time.monotonic() - begun)]
-    progress(rungs[0])
-    units = NaturalUnits.of(last.model)
-    while True:
-        begun = time.monotonic()
-        found = _rung(run, rungs, last)
-        apart = compare(found, last)
-        agreed = len(rungs) > 1 and run.agreement.holds(apart, units)
-        rung = _described(found, time.monotonic() - begun, apart)
-        if not agreed and _is_other(run, rungs[-1], last, found, apart):
-            rung = replace(rung, other_optimum=True)
-        rungs.append(rung)
-        progress(rung)
-        if agreed:
-            return _recorded(found, apart, rungs)
-        last = found
+    @property
+    def left(self) -> float:
+        """Time left, s."""
+        return self.deadline - time.monotonic()
 
+    def run(self, start: Start, agreement: Agreement) -> ConvergedReference:
+        """Refine until two successive solutions agree."""
+        last = self._solved(start)
+        self._record(last)
+        while True:
+            found = self._solved(last)
+            apart = compare(found, last)
+            agreed = len(self.rungs) > 1 and agreement.holds(apart, NaturalUnits.of(found.model))
+            self._record(found, apart, other=not agreed and self._is_other(last, found, apart))
+            if agreed:
+                made = ConvergedReference(solution=found, agreement=apart, rungs=tuple(self.rungs))
+                return replace(
+                    made, solution=replace(found, meta={**found.meta, "reference": made.to_dict()})
+                )
+            last = found
 
-def _rung(run: _Solver, rungs: list[MeshSolve], start: Start) -> Solution:
-    """The solution on the next mesh; from the default guess where ``start`` does not lead to one."""
-    scheme, intervals = _mesh(run, rungs)
-    found = run(scheme, intervals, start)
-    if not found.success and start is not None and run.left() > 0:
-        found = run(scheme, intervals, None)
-    if not found.success:
+    def _record(self, found: Solution, apart: Comparison | None = None, *, other: bool = False) -> None:
+        meta = found.meta
+        rung = MeshSolve(
+            scheme=meta["transcription"],
+            intervals=found.n_intervals,
+            unknowns=meta["variables"],
+            iterations=meta["iterations"],
+            status=meta["status"],
+            objective=meta["objective"],
+            seconds=time.monotonic() - self.begun,
+            apart=apart,
+            other_optimum=other,
+        )
+        self.rungs.append(rung)
+        if self.progress is not None:
+            self.progress(rung)
+
+    def _solved(self, start: Start) -> Solution:
+        """The solution on the next mesh; from the default guess where ``start`` does not lead to one."""
+        scheme, intervals = self._mesh()
+        self.begun = time.monotonic()
+        for origin in (start, None) if start is not None else (None,):
+            found = solve(
+                self.problem,
+                transcription=scheme,
+                intervals=intervals,
+                start=origin,
+                max_time=max(self.left, LEAST_TIME),
+                **self.settings,
+            )
+            if found.success:
+                return found
+            if self.left <= 0:
+                break
         mesh = f"{found.meta['transcription']} with {found.n_intervals} intervals"
-        raise _gives_up(f"{mesh} is not solved ({found.meta['status'].replace('_', ' ')})", rungs)
-    return found
+        raise self._failure(f"{mesh} is not solved ({found.meta['status'].replace('_', ' ')})")
 
+    def _mesh(self) -> tuple[str | None, int | None]:
+        """Scheme and intervals of the next mesh, None for the problem's; raises where the budget is spent."""
+        if not self.rungs:
+            return None, None
+        if self.left <= 0:
+            raise self._failure("the time is up")
+        last, finer = self.rungs[-1], 1 if len(self.rungs) == 1 else 2
+        if finer * last.unknowns > self.max_unknowns:
+            raise self._failure(f"the next mesh has more than {self.max_unknowns} unknowns")
+        return self.scheme, finer * last.intervals
 
-def _mesh(run: _Solver, rungs: list[MeshSolve]) -> tuple[str | None, int | None]:
-    """Scheme and intervals of the next mesh, None for the problem's; raises where the budget is spent."""
-    if not rungs:
-        return None, None
-    if run.left() <= 0:
-        raise _gives_up("the time is up", rungs)
-    last, finer = rungs[-1], 1 if len(rungs) == 1 else 2
-    if finer * last.unknowns > run.max_unknowns:
-        raise _gives_up(f"the next mesh has more than {run.max_unknowns} unknowns", rungs)
-    return run.scheme, finer * last.intervals
+    def _is_other(self, coarse: Solution, fine: Solution, apart: Comparison) -> bool:
+        """Whether two solutions are different optima; tested where they are far apart, or ever further."""
+        before = self.rungs[-1].apart
+        grew = before is not None and apart.farthest > GREW * before.farthest
+        far = apart.farthest > APART * NaturalUnits.of(coarse.model).length
+        if self.left <= 0 or not (far or grew):
+            return False
+        return in_other_optimum(self.problem, coarse, fine, max_time=self.left, **self.settings)
 
-
-def _is_other(run: _Solver, coarser: MeshSolve, coarse: Solution, fine: Solution, apart: Comparison) -> bool:
-    """Whether two solutions are different optima; tested where they are far apart, or ever further."""
-    grew = coarser.apart is not None and apart.farthest > GREW * coarser.apart.farthest
-    far = apart.farthest > APART * NaturalUnits.of(coarse.model).length
-    if run.left() <= 0 or not (far or grew):
-        return False
-    return in_other_optimum(run.problem, coarse, fine, max_time=run.left(), **run.settings)
+    def _failure(self, why: str) -> NoReferenceError:
+        text = f"no reference: {why}"
+        if self.rungs and self.rungs[-1].apart is not None:
+            text += f"; the last two meshes agree to {_in_words(self.rungs[-1].apart)}"
+            if self.rungs[-1].other_optimum:
+                text += " and sit in different optima: one mesh has both"
+        return NoReferenceError(text, tuple(self.rungs))
 
 
 def in_other_optimum(problem: Problem, coarse: Solution, fine: Solution, **settings: Any) -> bool:
@@ -288,32 +299,3 @@ def in_other_optimum(problem: Problem, coarse: Solution, fine: Solution, **setti
     apart = compare(coarse, fine).farthest
     back = solve(problem, mesh=mesh_of(coarse), start=fine, **settings)
     return back.success and compare(back, fine).farthest < SAME_SIDE * apart
-
-
-def _described(found: Solution, seconds: float, apart: Comparison | None = None) -> MeshSolve:
-    meta = found.meta
-    return MeshSolve(
-        scheme=meta["transcription"],
-        intervals=found.n_intervals,
-        unknowns=meta["variables"],
-        iterations=meta["iterations"],
-        status=meta["status"],
-        objective=meta["objective"],
-        seconds=seconds,
-        apart=apart,
-    )
-
-
-def _recorded(found: Solution, apart: Comparison, rungs: list[MeshSolve]) -> ConvergedReference:
-    """The reference; its file says how closely it agrees and how it was found."""
-    made = ConvergedReference(solution=found, agreement=apart, rungs=tuple(rungs))
-    return replace(made, solution=replace(found, meta={**found.meta, "reference": made.to_dict()}))
-
-
-def _gives_up(why: str, rungs: list[MeshSolve]) -> NoReferenceError:
-    text = f"no reference: {why}"
-    if rungs and rungs[-1].apart is not None:
-        text += f"; the last two meshes agree to {_in_words(rungs[-1].apart)}"
-        if rungs[-1].other_optimum:
-            text += " and sit in different optima: one mesh has both"
-    return NoReferenceError(text, tuple(rungs))

@@ -7,7 +7,7 @@ from the phase's planned start), or the drift of its contacts where that is larg
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -94,7 +94,7 @@ class Refinement:
     @property
     def error(self) -> float:
         """Largest error of a phase of the solution, m; inf where nothing was solved."""
-        return math.inf if self.accuracy is None else max(phase_errors(self.accuracy))
+        return largest_error(self.accuracy)
 
     @property
     def reached(self) -> bool:
@@ -113,9 +113,20 @@ class Refinement:
         }
 
 
+def largest_error(accuracy: Accuracy | None) -> float:
+    """Largest error of a phase, m; inf where nothing was solved and measured."""
+    return math.inf if accuracy is None else max(phase_errors(accuracy))
+
+
 def phase_errors(accuracy: Accuracy) -> tuple[float, ...]:
     """Error of each phase in m: open loop from its planned start, or the drift of its contacts."""
     return tuple(max(own.open_loop.position, own.foot_drift or 0.0) for own in accuracy.phases)
+
+
+def require_positive(value: float, name: str, unit: str) -> None:
+    """Raise `InputError` for a goal that is no positive number."""
+    if not (isinstance(value, int | float) and math.isfinite(value) and value > 0):
+        raise InputError(f"{name} is {value!r} {unit}", "allowed: finite and > 0")
 
 
 def coarse_mesh(problem: Problem) -> Mesh:
@@ -163,8 +174,7 @@ def refine(
     Raises:
         InputError: For a target that is no length, and as `trajopt.solve` does.
     """
-    if not (isinstance(target, int | float) and math.isfinite(target) and target > 0):
-        raise InputError(f"accuracy is {target!r} m", "allowed: finite and > 0")
+    require_positive(target, "accuracy", "m")
     tolerance = tolerance_for(target, problem.robot.length) if tolerance is None else tolerance
     loop = _Loop(problem, float(target), raise_degree, {**settings, "tolerance": tolerance})
     known = None if start is None else solution_of(start)
@@ -176,15 +186,17 @@ def refine(
     return loop.result(why)
 
 
+@dataclass
 class _Loop:
     """The rounds so far, the last solution, and the best one with its measured accuracy."""
 
-    def __init__(self, problem: Problem, target: float, raise_degree: bool, settings: dict[str, Any]) -> None:
-        self.problem, self.target, self.raise_degree = problem, target, raise_degree
-        self.settings = settings
-        self.rounds: list[Round] = []
-        self.best: tuple[Solution, Accuracy] | None = None
-        self.last: Solution | None = None
+    problem: Problem
+    target: float
+    raise_degree: bool
+    settings: dict[str, Any]
+    rounds: list[Round] = field(default_factory=list)
+    best: tuple[Solution, Accuracy] | None = None
+    last: Solution | None = None
 
     def run(
         self, mesh: Mesh, start: Solution | None, found: Solution | None, rounds: int, max_variables: int
@@ -197,7 +209,7 @@ class _Loop:
             accuracy = measure(solution)
             errors = phase_errors(accuracy)
             self.rounds[-1] = replace(self.rounds[-1], errors=errors)
-            if self.best is None or max(errors) <= max(phase_errors(self.best[1])):
+            if self.best is None or max(errors) <= largest_error(self.best[1]):
                 self.best = (solution, accuracy)
             if max(errors) <= self.target:
                 return "the target is met"

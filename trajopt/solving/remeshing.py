@@ -49,11 +49,10 @@ class PhaseErrors:
 def error_constant(scheme: str) -> float | None:
     """c_s of a scheme's quadrature; None for the classic ones, whose order is not raised."""
     family, _, degree = scheme.partition(":")
+    s = int(degree or 0)
     if family == "legendre":
-        s = int(degree)
         return math.factorial(s) ** 4 / ((2 * s + 1) * math.factorial(2 * s) ** 3)
     if family == "radau":
-        s = int(degree)
         return s * math.factorial(s - 1) ** 4 / (2 * math.factorial(2 * s - 1) ** 3)
     return None
 

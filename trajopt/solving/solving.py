@@ -80,7 +80,11 @@ def prepare(
     compiled, report = compile_points(points.values(), compile, hessian)
     by_point = {key: compiled[entry_key(point, report.level)] for key, point in points.items()}
     nlp = assemble(transcribed, by_point, threads, hessian)
-    guess, warm = _guess(transcribed, start)
+    if start is None:
+        guess, warm = initial_guess(transcribed), None
+    else:
+        found = warm_start(transcribed, solution_of(start))
+        guess, warm = found.x, found.multipliers or WarmMultipliers()
     build_time = time.perf_counter() - begun - report.compile_time
     return PreparedProblem(
         transcription=transcribed,
@@ -89,18 +93,6 @@ def prepare(
         compilation=report,
         build_time=build_time,
         warm=warm,
-    )
-
-
-def _guess(
-    transcribed: Transcription, start: Solution | str | Path | None
-) -> tuple[np.ndarray, WarmMultipliers | None]:
-    if start is None:
-        return initial_guess(transcribed), None
-    found = warm_start(transcribed, solution_of(start))
-    known = found.multipliers
-    return found.x, WarmMultipliers() if known is None else WarmMultipliers(
-        lam_g=known.rows, lam_x=known.bounds
     )
 
 

@@ -22,7 +22,8 @@ from trajopt.solution.interpolation import MotionSample
 from trajopt.solution.local_states import local_state
 from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
-from trajopt.solving.multipliers import Multipliers, resampled_multipliers
+from trajopt.solvers.result import WarmMultipliers
+from trajopt.solving.multipliers import resampled_multipliers
 from trajopt.transcription.guess import MotionSource, node_phase, unknowns_from_motion
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.transcription import Transcription
@@ -34,7 +35,7 @@ class WarmStart:
     """Scaled unknowns ``x`` (n_unknowns,) and multipliers, None where the solution has none that fit."""
 
     x: np.ndarray
-    multipliers: Multipliers | None
+    multipliers: WarmMultipliers | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,17 +112,14 @@ def warm_start(transcription: Transcription, solution: Solution) -> WarmStart:
 
 
 def _require_same_robot(layout: Layout, solution: Solution) -> None:
-    own, other = layout.robot.model, solution.model
-    joints = [[(name, joint.shortname()) for name, joint in _joints(model)] for model in (own, other)]
-    if joints[0] != joints[1]:
+    def joints(model: pin.Model) -> list[tuple[str, str]]:
+        return [(name, own.shortname()) for name, own in zip(model.names, model.joints, strict=True)][1:]
+
+    if joints(layout.robot.model) != joints(solution.model):
         raise InputError(
             f"the solution's robot '{solution.meta['robot']}' has other joints than '{layout.robot.name}'",
             "allowed: a solution of a robot with the same joints, in the same coordinates of its base",
         )
-
-
-def _joints(model: pin.Model) -> list[tuple[str, pin.JointModel]]:
-    return list(zip(model.names, model.joints, strict=True))[1:]
 
 
 def _require_same_phases(layout: Layout, solution: Solution) -> None:

@@ -10,14 +10,13 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_not_negative
 from trajopt.robot.collision.distances import Box, SymbolicAxis, box_distance, segment_distance
 from trajopt.robot.collision.near import CollisionScene, ShapePair
 from trajopt.robot.collision.shapes import BoxObstacle, LinkCapsule, Obstacle
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import PointConstraint, Rows, Term
-from trajopt.values import require_not_negative
 
 # What smoothing may take off a distance, over the robot's length: a millimetre on an arm of one metre.
 SMOOTHING = 1e-3

@@ -10,14 +10,13 @@ import numpy as np
 from typing_extensions import override
 
 from trajopt.dynamics.rotations import rotation_error
-from trajopt.errors import InputError
+from trajopt.errors import InputError, finite_array, unit_vector
 from trajopt.robot.units import Units
 from trajopt.robot.validation import UNIT_SLACK
 from trajopt.schedule.targets import Target
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Rows
 from trajopt.terms.node_interfaces import NodeConstraint, NodePlace, nearest_node
-from trajopt.values import finite_array, unit_vector
 
 
 @dataclass(frozen=True, kw_only=True)

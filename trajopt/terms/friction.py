@@ -11,14 +11,13 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_not_negative
 from trajopt.robot.contact import Contact
 from trajopt.robot.sole import friction_rows, pressure_rows, yaw_rows
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import PointConstraint, Rows
 from trajopt.terrain.smooth import CurvedSurface
-from trajopt.values import require_not_negative
 
 # Part of the weight below which a smooth cone of friction is rounded off: a violation of 1e-9, what solvers
 # leave, is then a force of 3e-6 at most (3e-5 of a squared cone). With a sharper apex IPOPT takes several

@@ -17,12 +17,11 @@ from typing import ClassVar
 import casadi as ca
 import numpy as np
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_not_negative
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.targets import Target
 from trajopt.terms.context import Context
-from trajopt.values import require_not_negative
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,12 +14,11 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_not_negative, unit_vector
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Term
 from trajopt.terms.node_interfaces import NodePlace, nearest_node
-from trajopt.values import require_not_negative, unit_vector
 
 
 @dataclass(frozen=True, kw_only=True)

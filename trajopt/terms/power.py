@@ -20,12 +20,11 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_positive
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Cost
-from trajopt.values import require_positive
 
 # Width over which |p| is rounded at zero, in natural units of power: a tenth as wide takes Newton's method
 # three times the iterations for a cost of transport 3 % lower (docs/modelling/objectives.md). The rounded |p|

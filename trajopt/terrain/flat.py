@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_finite, require_not_negative
 from trajopt.terrain.surface import UP, Surface
-from trajopt.values import require_finite, require_not_negative
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_positive
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import UP, Surface
-from trajopt.values import require_positive
 
 PlanePoint = Sequence[float] | np.ndarray
 

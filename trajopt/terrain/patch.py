@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, finite_array, is_number, numbers_of, require_not_negative
 from trajopt.terrain.surface import SAME_PLANE, UP, Surface
-from trajopt.values import finite_array, is_number, numbers_of, require_not_negative
 
 # Sine of the turn at a corner below which three corners are on one line (or turn the wrong way): rounding of
 # corners that were computed, far below any polygon that is meant to turn there.

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_finite
 from trajopt.terrain.obstacle import ObstacleAxes, PlanePoint, require_lengths
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import UP, Surface
-from trajopt.values import require_finite
 
 # How far flats before and beyond an obstacle reach, m: farther than any motion of one plan.
 REACH = 20.0

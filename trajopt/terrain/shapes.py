@@ -12,8 +12,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.errors import InputError
-from trajopt.values import numbers_of
+from trajopt.errors import InputError, numbers_of
 
 ParameterOf = Callable[[np.ndarray], ca.SX]
 

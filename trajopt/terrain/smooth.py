@@ -8,10 +8,9 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_not_negative
 from trajopt.terrain.shapes import ParameterOf, Shape, shape_from_description
 from trajopt.terrain.surface import Surface
-from trajopt.values import require_not_negative
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.errors import InputError
-from trajopt.values import finite_array, is_number, require_not_negative
+from trajopt.errors import InputError, finite_array, is_number, require_not_negative
 
 UP = (0.0, 0.0, 1.0)
 # Two surfaces are one plane within this distance, m, and this error of the normal: rounding of what

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from trajopt.values import require_not_negative
+from trajopt.errors import require_not_negative
 
 
 def require_clearance(clearance: float) -> None:

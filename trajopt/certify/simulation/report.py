@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from trajopt.values import jsonable
+from trajopt.solution.descriptions import jsonable
 
 # A plan is tracked that ends with its base within this part of the robot's reach and within this angle, rad;
 # on a fixed base, that never has a joint off by more than this, rad or m.

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
-from trajopt.errors import InputError
-from trajopt.values import require_finite
+from trajopt.errors import InputError, require_finite
 
 # Shares of the robot's natural time sqrt(l / g), l its reach: the step of the simulation, the time in which
 # a contact pushes a penetration out again, and the time in which the feedback takes out an error of a joint.

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, finite_array
 from trajopt.problem.problem import Problem
 from trajopt.reduced.scenes.guess import SceneGuess, end_posture
 from trajopt.reduced.scenes.smallest import Plane, Scene, smallest
@@ -27,7 +27,6 @@ from trajopt.terms.swing import SwingClearance
 from trajopt.terms.terminal import TerminalRest, TerminalState
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import SAME_PLANE
-from trajopt.values import finite_array
 
 Goals = Mapping[str, pin.SE3 | ArrayLike] | ArrayLike
 

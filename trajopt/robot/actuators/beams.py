@@ -18,8 +18,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from trajopt.errors import InputError
-from trajopt.values import require_positive
+from trajopt.errors import InputError, require_positive
 
 # kg/m^3, at room temperature: carbon steel, wrought aluminium alloys, grey cast iron.
 DENSITY = {"steel": 7850.0, "aluminium": 2700.0, "iron": 7200.0}

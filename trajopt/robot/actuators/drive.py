@@ -20,8 +20,7 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from trajopt.errors import InputError
-from trajopt.values import require_not_negative, require_positive
+from trajopt.errors import InputError, require_not_negative, require_positive
 
 Quantity = TypeVar("Quantity", float, np.ndarray, ca.SX)
 

@@ -10,9 +10,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, finite_array, numbers_of, require_positive
 from trajopt.terrain.surface import frame_of_normal
-from trajopt.values import finite_array, jsonable, numbers_of, require_positive
 
 # A rotation matrix is one up to rounding of what was written as decimal numbers.
 ROTATION_ERROR = 1e-6
@@ -195,7 +194,7 @@ def _set_radius(shape: Any, label: str) -> None:
 
 def _described(shape: Any) -> dict[str, Any]:
     """Fields of a shape as JSON has them."""
-    return {name: jsonable(value) for name, value in vars(shape).items()}
+    return {name: np.asarray(value).tolist() for name, value in vars(shape).items()}
 
 
 def _require_keys(described: Any, keys: Sequence[str], what: str) -> None:

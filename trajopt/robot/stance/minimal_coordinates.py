@@ -25,13 +25,12 @@ from numpy.typing import ArrayLike
 from trajopt.dynamics import rigid_body
 from trajopt.dynamics.base_joint import position_limits
 from trajopt.dynamics.rerooting import joint_motion, path_to_base, reroot
-from trajopt.errors import InputError
+from trajopt.errors import InputError, finite_array
 from trajopt.robot.building import joint_entries
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.stance_maps import drop_map, lift_map, symbols
-from trajopt.values import finite_array
 
 # Sines of angles between the axes of joints that move in one plane: rounding of description files.
 PARALLEL = 1e-6

@@ -87,7 +87,7 @@ def choose_for_accuracy(
     allowed = _allowed(problem, known, where)
     found = known.for_accuracy(accuracy / problem.robot.length, allowed, LEAST_SUCCESS)
     best = found or _points(known, allowed)[-1]
-    return _choice(problem, name, known, best, machine_speed(known))
+    return _choice(problem, name, best, machine_speed(known))
 
 
 def choices_by_time(
@@ -97,7 +97,7 @@ def choices_by_time(
     name, known = front_for(problem, front)
     speed = machine_speed(known)
     points = _points(known, _allowed(problem, known, where))
-    choices = [_choice(problem, name, known, point, speed) for point in points]
+    choices = (_choice(problem, name, point, speed) for point in points)
     return tuple(sorted(choices, key=lambda choice: choice.predicted_time))
 
 
@@ -128,7 +128,7 @@ def _points(front: Front, allowed: SettingFilter) -> tuple[Measured, ...]:
     return front.best(allowed, LEAST_SUCCESS) or (front.default,)
 
 
-def _choice(problem: Problem, name: str, front: Front, point: Measured, speed: float) -> ChosenSetting:
+def _choice(problem: Problem, name: str, point: Measured, speed: float) -> ChosenSetting:
     units = Units(problem.robot)
     total = round(point.density * problem.schedule.duration / units.time)
     least = len(problem.schedule.phases)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from trajopt.certify.accuracy.measures import Accuracy, measure
-from trajopt.errors import InputError
 from trajopt.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.solving.ladder import INTERRUPTED
-from trajopt.solving.refine import Round, phase_errors, refine
+from trajopt.solving.refine import Round, largest_error, refine, require_positive
 from trajopt.solving.solving import solve
 from trajopt.solving.verdicts import is_usable_start
 from trajopt.study.choosing.choice import ChosenSetting, choices_by_time, choose_for_accuracy
@@ -27,8 +25,8 @@ MOST_SETTINGS = 4
 LEAST_TIME = 1e-3
 
 
-@dataclass(frozen=True, kw_only=True)
-class Aimed:
+@dataclass(frozen=True)
+class TargetSolve:
     """What was chosen, solved and measured.
 
     choices: settings in the order in which they were tried. rounds: all solves. spent: s, of the solver.
@@ -46,12 +44,12 @@ class Aimed:
     @property
     def spent(self) -> float:
         """Time of the solver in all rounds, s."""
-        return sum(own.wall_time for own in self.rounds)
+        return sum(solve.wall_time for solve in self.rounds)
 
     @property
     def error(self) -> float:
         """Largest error of a phase of the solution, m; inf where nothing was solved."""
-        return math.inf if self.accuracy is None else max(phase_errors(self.accuracy))
+        return largest_error(self.accuracy)
 
     @property
     def reached(self) -> bool:
@@ -69,7 +67,7 @@ class Aimed:
             "spent_s": self.spent,
             "why": self.why,
             "choices": [choice.to_dict() for choice in self.choices],
-            "rounds": [own.to_dict() for own in self.rounds],
+            "rounds": [solve.to_dict() for solve in self.rounds],
         }
 
 
@@ -81,7 +79,7 @@ def solve_to_accuracy(
     where: SettingFilter | None = None,
     start: Solution | str | Path | None = None,
     **settings: Any,
-) -> Aimed:
+) -> TargetSolve:
     """Solve to an error of ``accuracy`` m in every phase: the fastest measured setting, then refinement.
 
     The error is `refinement.phase_errors`: open loop by numeric Pinocchio, or drift of contacts. front: a
@@ -89,12 +87,13 @@ def solve_to_accuracy(
     that may be chosen. ``settings`` are those of `trajopt.solve` but its grid, solver and tolerance.
     Raises InputError for an accuracy that is no length, and as `trajopt.solve` does.
     """
-    _require(accuracy, "accuracy", "m")
+    require_positive(accuracy, "accuracy", "m")
+    wanted = float(accuracy)
     choice = choose_for_accuracy(problem, accuracy, front=front, where=where)
     first = solve(problem, mesh=choice.mesh, start=start, label="chosen mesh", **choice.solver, **settings)
     begun: tuple[Round, ...] = (Round.of(choice.mesh, first),)
     if first.meta["status"] == INTERRUPTED:
-        return _aimed("accuracy", accuracy, [choice], begun, first, None, "interrupted")
+        return _recorded(TargetSolve("accuracy", wanted, (choice,), begun, first, None, "interrupted"))
     own = {name: value for name, value in choice.solver.items() if name != "tolerance"}
     if is_usable_start(first):
         made = refine(problem, accuracy, start=first, **own, **settings)
@@ -102,7 +101,9 @@ def solve_to_accuracy(
     else:
         made = refine(problem, accuracy, mesh=choice.mesh, start=start, **own, **settings)
     rounds = (*begun, *made.rounds)
-    return _aimed("accuracy", accuracy, [choice], rounds, made.solution, made.accuracy, made.why)
+    return _recorded(
+        TargetSolve("accuracy", wanted, (choice,), rounds, made.solution, made.accuracy, made.why)
+    )
 
 
 def solve_within(
@@ -113,13 +114,13 @@ def solve_within(
     where: SettingFilter | None = None,
     start: Solution | str | Path | None = None,
     **settings: Any,
-) -> Aimed:
+) -> TargetSolve:
     """The most accurate solution that ``budget`` s of the solver give: a fast one first, then better ones.
 
     Building and compiling, which happen once, do not count; `Solution.meta` has their times. Arguments as of
     `solve_to_accuracy`. Raises InputError for a budget that is no time, and as `trajopt.solve` does.
     """
-    _require(budget, "budget", "s")
+    require_positive(budget, "budget", "s")
     settings.pop("max_time", None)
     remaining = choices_by_time(problem, front=front, where=where)
     tried: list[ChosenSetting] = []
@@ -147,33 +148,14 @@ def solve_within(
         elif not fitting:
             why = "no better setting is predicted to fit into what is left"
     if best is None:
-        return _aimed("budget", budget, tried, rounds, found, None, "nothing was solved in that time")
-    return _aimed("budget", budget, tried, rounds, best, measure(best), why)
-
-
-def _aimed(
-    goal: str,
-    wanted: float,
-    choices: Sequence[ChosenSetting],
-    rounds: Sequence[Round],
-    solution: Solution,
-    accuracy: Accuracy | None,
-    why: str,
-) -> Aimed:
-    """What was aimed at and reached, in the solution's meta too."""
-    aimed = Aimed(
-        goal=goal,
-        wanted=float(wanted),
-        choices=tuple(choices),
-        rounds=tuple(rounds),
-        solution=solution,
-        accuracy=accuracy,
-        why=why,
+        why = "nothing was solved in that time"
+    accuracy = None if best is None else measure(best)
+    return _recorded(
+        TargetSolve("budget", float(budget), tuple(tried), tuple(rounds), best or found, accuracy, why)
     )
-    meta = {name: value for name, value in solution.meta.items() if name != "refinement"}
-    return replace(aimed, solution=replace(solution, meta={**meta, "aimed": aimed.to_dict()}))
 
 
-def _require(value: float, name: str, unit: str) -> None:
-    if not (isinstance(value, int | float) and math.isfinite(value) and value > 0):
-        raise InputError(f"{name} is {value!r} {unit}", "allowed: finite and > 0")
+def _recorded(found: TargetSolve) -> TargetSolve:
+    """The goal and what was reached, in the solution's meta too."""
+    meta = {name: value for name, value in found.solution.meta.items() if name != "refinement"}
+    return replace(found, solution=replace(found.solution, meta={**meta, "aimed": found.to_dict()}))

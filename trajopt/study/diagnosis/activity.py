@@ -10,7 +10,6 @@ import numpy as np
 from trajopt.study.diagnosis.names import NlpNames, Site
 from trajopt.study.diagnosis.snapshot import Snapshot
 
-BOUNDS = "bounds"
 SIDES = {-1: "lower", 1: "upper"}
 
 
@@ -54,73 +53,48 @@ class ActiveLimit:
 
 def active_limits(snapshot: Snapshot) -> list[ActiveLimit]:
     """All active inequalities and bounds, those with the largest multipliers first."""
-    t, names = snapshot.transcription, snapshot.names
-    rows = [(names.block(row), names.row_sites[row]) for row in range(t.n_rows)]
-    bounds = [(BOUNDS, site) for site in names.unknown_sites]
-    bounded = (np.isfinite(t.lower_x) | np.isfinite(t.upper_x)) & ~snapshot.fixed
-    found = _grouped(
-        snapshot,
-        [(*rows[row], names.row(row).about, row) for row in np.flatnonzero(snapshot.row_side).tolist()],
-        snapshot.row_side,
-        snapshot.row_multiplier,
-        np.minimum(snapshot.g - t.lower_g, t.upper_g - snapshot.g),
-        {rows[row] for row in np.flatnonzero(~snapshot.equality).tolist()},
-    )
-    found += _grouped(
-        snapshot,
-        [(*bounds[i], str(names.unknown_labels[i]), i) for i in np.flatnonzero(snapshot.bound_side).tolist()],
-        snapshot.bound_side,
-        snapshot.bound_multiplier,
-        np.minimum(snapshot.x - t.lower_x, t.upper_x - snapshot.x),
-        {bounds[i] for i in np.flatnonzero(bounded).tolist()},
-    )
+    names, lower, upper = snapshot.names, snapshot.lower, snapshot.upper
+    limited = (np.isfinite(lower) | np.isfinite(upper)) & (lower != upper)
+    stated = {(names.block(i), names.sites[i]) for i in np.flatnonzero(limited).tolist()}
+    of = Counter((block, names.phase_index(site.stage)) for block, site in stated)
+    groups: dict[tuple[str, str, int, int], list[int]] = {}
+    for index in np.flatnonzero(snapshot.side).tolist():
+        name = names.row(index)
+        key = (name.block, name.about, int(snapshot.side[index]), names.phase_index(name.site.stage))
+        groups.setdefault(key, []).append(index)
+    found = [_limit(snapshot, *key, of[key[0], key[3]], members) for key, members in groups.items()]
     return sorted(found, key=lambda limit: (-(limit.multiplier or 0.0), -limit.places))
 
 
-def _grouped(
-    snapshot: Snapshot,
-    active: list[tuple[str, Site, str, int]],
-    side: np.ndarray,
-    multiplier: np.ndarray | None,
-    slack: np.ndarray,
-    stated: set[tuple[str, Site]],
-) -> list[ActiveLimit]:
-    """Active limits (block, place, subject, index) by phase; ``stated``: blocks and places that have some."""
-    names, strict = snapshot.names, snapshot.strict(slack, multiplier)
-    of = Counter((block, names.phase_index(site.stage)) for block, site in stated)
-    groups: dict[tuple[str, str, int, int], list[tuple[int, Site]]] = {}
-    for block, site, about, index in active:
-        key = (block, about, int(side[index]), names.phase_index(site.stage))
-        groups.setdefault(key, []).append((index, site))
-    found = []
-    for (block, about, sign, phase), members in groups.items():
-        sites = {site for _, site in members}
-        times = [names.time(site) for site in sites]
-        largest = at = None
-        if multiplier is not None:
-            index, site = max(members, key=lambda member: abs(multiplier[member[0]]))
-            largest, at = abs(float(multiplier[index])), names.time(site)
-        found.append(
-            ActiveLimit(
-                block=block,
-                about=about,
-                side=SIDES[sign],
-                phase=names.layout.schedule.phases[phase].name,
-                places=len(sites),
-                of=of[block, phase],
-                strict=int(sum(strict[index] for index, _ in members)),
-                duration=float(sum(_share(names, site) for site in sites)),
-                first=min(times),
-                last=max(times),
-                multiplier=largest,
-                at=at,
-            )
-        )
-    return found
+def _limit(
+    snapshot: Snapshot, block: str, about: str, side: int, phase: int, of: int, members: list[int]
+) -> ActiveLimit:
+    """One limit in one phase, active at ``members``, rows or bounds."""
+    names, multiplier = snapshot.names, snapshot.multiplier
+    sites = {names.sites[index] for index in members}
+    times = [names.time(site) for site in sites]
+    largest = at = None
+    if multiplier is not None:
+        index = max(members, key=lambda member: abs(multiplier[member]))
+        largest, at = abs(float(multiplier[index])), names.time(names.sites[index])
+    return ActiveLimit(
+        block=block,
+        about=about,
+        side=SIDES[side],
+        phase=names.layout.schedule.phases[phase].name,
+        places=len(sites),
+        of=of,
+        strict=int(snapshot.strict[members].sum()),
+        duration=float(sum(_share(names, site) for site in sites)),
+        first=min(times),
+        last=max(times),
+        multiplier=largest,
+        at=at,
+    )
 
 
 def _share(names: NlpNames, site: Site) -> float:
-    """Time for which a point stands, s: its weight in the integral; none for a node."""
+    """Time that a point stands for, s: its weight in the integral; none for a node."""
     if site.point < 0:
         return 0.0
     step = float(names.times[site.stage + 1] - names.times[site.stage])

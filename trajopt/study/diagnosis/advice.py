@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from trajopt.study.diagnosis.activity import BOUNDS
 from trajopt.study.diagnosis.diagnosis import Advice
+from trajopt.study.diagnosis.names import BOUNDS
 
 if TYPE_CHECKING:
-    from trajopt.study.diagnosis.activity import ActiveLimit
-    from trajopt.study.diagnosis.conflict import Conflict, ConflictMember
+    from trajopt.study.diagnosis.conflict import Conflict
     from trajopt.study.diagnosis.diagnosis import Diagnosis
     from trajopt.study.diagnosis.findings import DependentRows
 
-# Goals: rows that ask for something at a place, and what is done about them.
+# Goals: rows that the motion is to reach at some place.
 GOALS = (
     "frame_pose",
     "frame_velocity",
@@ -32,7 +31,7 @@ CONTACTS = ("contact_acceleration", "contact_velocity", "contact_landing", "impa
 REMEDIES = {
     "velocity_limits": "lengthen the phase, or raise the velocity limit",
     "effort_limits": "lengthen the phase, raise the effort limit, or carry less",
-    "position_limits": "ask for what is within the joint's range, or start from another posture",
+    "position_limits": "choose a goal within the joint's range, or start from another posture",
     "friction_pyramid": "raise the friction, accelerate less, or use FrictionCone, which holds more",
     "friction_cone": "raise the friction, or accelerate less",
     "sole_limits": "move slower, or make the sole larger",
@@ -75,7 +74,7 @@ def advice(found: Diagnosis) -> Iterator[Advice]:
         exactly = "exactly on" in text
         remedy = "move it inside by a little" if exactly else "start within the limits"
         if not exactly or not found.solved:
-            yield Advice(finding=text, remedy=remedy)
+            yield Advice(text, remedy)
 
 
 def _of_values(found: Diagnosis) -> Iterator[Advice]:
@@ -84,32 +83,32 @@ def _of_values(found: Diagnosis) -> Iterator[Advice]:
         return
     finding = str(wrong)
     if any(entry.value != entry.value for entry in wrong.inputs):
-        yield Advice(finding=finding, remedy="the guess itself is not finite there: mend the guess")
+        yield Advice(finding, "the guess itself is not finite there: correct the guess")
     elif wrong.inputs:
         yield Advice(
-            finding=finding,
-            remedy="keep that input where the term is defined: another guess, a bound, or a term that is "
+            finding,
+            "keep that input where the term is defined: another guess, a bound, or a term that is "
             "smooth there",
         )
     else:
-        yield Advice(finding=finding, remedy="give the term values and slopes there, or start elsewhere")
+        yield Advice(finding, "give the term values and slopes there, or start elsewhere")
 
 
 def _of_rows(found: Diagnosis) -> Iterator[Advice]:
     for group in found.dependent:
-        yield Advice(finding=str(group), remedy=_untangled(group))
+        yield Advice(str(group), _untangled(group))
     for report in found.ranks:
         if report.condition is not None and report.condition > ILL and report.full:
             where = "all phases together" if report.phase is None else f"phase '{report.phase}'"
             yield Advice(
-                finding=f"active rows of {where} are nearly dependent, condition {report.condition:.1e}",
-                remedy="look for goals that almost repeat contacts or limits, and for singular postures",
+                f"active rows of {where} are nearly dependent, condition {report.condition:.1e}",
+                "look for goals that almost repeat contacts or limits, and for singular postures",
             )
 
 
 def _untangled(group: DependentRows) -> str:
     if group.fixed:
-        return "they ask of the fixed start what it has or has not: leave them out, or free the start"
+        return "they constrain only the fixed start, which meets them or not: remove them, or free the start"
     goals = [block for block in group.blocks if block in GOALS and block != "contact_landing"]
     others = [block for block in group.blocks if block not in (*GOALS, *CONTACTS, "defect")]
     if all(block in CONTACTS for block in group.blocks):
@@ -117,12 +116,12 @@ def _untangled(group: DependentRows) -> str:
             "contacts fix each other: hold fewer of their rows (redundancy elimination leaves such rows out)"
         )
     if goals and not others and any(block in CONTACTS for block in group.blocks):
-        return f"{' and '.join(goals)} ask what contacts fix already: ask only in directions they leave free"
+        return f"{' and '.join(goals)} constrain what contacts fix: keep only directions they leave free"
     if goals and not others and len(group.rows) > 1:
-        return f"goals repeat each other ({', '.join(goals)}): take one of them out"
+        return f"goals repeat each other ({', '.join(goals)}): remove one of them"
     if not group.equations:
         return "limits at their bounds leave too little: raise one of them, or ask for less"
-    return "the same is said twice: take one of these rows out"
+    return "the same constraint is stated twice: remove one of these rows"
 
 
 def _of_conflict(found: Diagnosis) -> Iterator[Advice]:
@@ -130,25 +129,26 @@ def _of_conflict(found: Diagnosis) -> Iterator[Advice]:
     if not found.worst or found.nonfinite is not None:
         return
     if clash is None:
-        yield Advice(
-            finding=f"violated: {found.worst[0].row}", remedy="another start, or an easier goal first"
-        )
+        yield Advice(f"violated: {found.worst[0].row}", "another start, or an easier goal first")
         return
-    misses = f"rows miss {clash.before:.2e} in sum, and small motions mend that to {clash.after:.2e}"
+    misses = (
+        f"rows are violated by {clash.before:.2e} in sum, which a small step reduces to {clash.after:.2e}"
+    )
     if clash.mended:
         yield Advice(
-            finding=misses,
-            remedy="the iterate is early, not in conflict: more iterations, another solver or another start",
+            misses,
+            "the iterate is early, no conflict: more iterations, another solver or another start",
         )
         return
-    goal = any(_block(party) in GOALS for party in clash.giving)
+    goal = any(party.block in GOALS for party in clash.giving)
     kind = "goal out of reach" if goal else "rows contradict each other"
-    remedies = list(dict.fromkeys(_remedy(party) for party in clash.against[:3]))
+    against = (_remedy(one.block, one.what, f"ask less of {one.block}") for one in clash.against[:3])
+    remedies = list(dict.fromkeys(against))
     if not clash.stuck or found.status is None:  # of a guess the linearisation says little
         kind = f"{misses}; left are"
         remedies = ["more iterations, or an easier goal first and its solution as the start", *remedies]
     finding = f"{kind}: {_parties(clash)}"
-    yield Advice(finding=finding, remedy="; ".join(remedies) or "bring the goal nearer, or give it more time")
+    yield Advice(finding, "; ".join(remedies) or "bring the goal nearer, or give it more time")
 
 
 def _parties(clash: Conflict) -> str:
@@ -158,15 +158,7 @@ def _parties(clash: Conflict) -> str:
     return f"{giving}{where}" + (f"; against it stand {against}" if against else "")
 
 
-def _block(party: ConflictMember) -> str:
-    return party.what.split(" [", 1)[0]
-
-
-def _remedy(party: ConflictMember) -> str:
-    return _remedy_of(_block(party), party.what, f"ask less of {_block(party)}")
-
-
-def _remedy_of(block: str, what: str, otherwise: str) -> str:
+def _remedy(block: str, what: str, otherwise: str) -> str:
     """A bound of a node's rate or position is what the limits at points are."""
     if block == BOUNDS:
         block = next((limits for word, limits in BOUND_OF.items() if word in what), block)
@@ -177,8 +169,8 @@ def _of_contacts(found: Diagnosis) -> Iterator[Advice]:
     for phase in found.contacts:
         if phase.singular and not found.solved:
             yield Advice(
-                finding=f"phase '{phase.phase}': {phase}",
-                remedy="postures there are singular, such as a straight leg: bend it in the guess and at the "
+                f"phase '{phase.phase}': {phase}",
+                "postures there are singular, such as a straight leg: bend it in the guess and at the "
                 "start, or narrow the position limits",
             )
 
@@ -189,15 +181,15 @@ def _of_curvature(found: Diagnosis) -> Iterator[Advice]:
         return
     if curved.negative and curved.known:
         yield Advice(
-            finding=f"the Lagrangian curves downwards, {curved.smallest_along[0]}: this is no minimum",
-            remedy="start from a perturbed guess (--perturb 0.1), or solve further from here",
+            f"the Lagrangian has negative curvature, {curved.smallest_along[0]}: this is no minimum",
+            "start from a perturbed guess (--perturb 0.1), or solve further from here",
         )
     if curved.flat_along:
         flat = curved.flat_along[0]
         costs = dict.fromkeys(CURVING.get(kind, "a cost on it") for kind in flat.kinds[:2])
         yield Advice(
-            finding=f"no cost has curvature, {flat}",
-            remedy=f"add a small {' or '.join(costs)}: what nothing asks for is not unique",
+            f"no cost has curvature, {flat}",
+            f"add a small {' or '.join(costs)}: what no cost depends on is not unique",
         )
 
 
@@ -210,16 +202,16 @@ def _of_scaling(found: Diagnosis) -> Iterator[Advice]:
             continue
         what = f"multipliers {block.multiplier}" if much else f"row norms {block.row_norm}"
         yield Advice(
-            finding=f"{block.block} is far from scale one, {what}",
-            remedy="give its rows the unit of what they measure"
+            f"{block.block} is far from scale one, {what}",
+            "give its rows the unit of what they measure"
             if not much
-            else "weights of costs far from one, or a constraint that is hardly to be met",
+            else "look at weights of costs far from one, or a constraint that can hardly be met",
         )
     for kind in found.scaling.worst_kinds[:1]:
         yield Advice(
-            finding=f"unknowns of kind {kind.kind} are far from scale one: values {kind.value}, "
+            f"unknowns of kind {kind.kind} are far from scale one: values {kind.value}, "
             f"columns {kind.column_norm}",
-            remedy="measure from a nearer origin, or look at masses and lengths of the robot",
+            "measure from a nearer origin, or look at masses and lengths of the robot",
         )
 
 
@@ -227,33 +219,26 @@ def _of_mesh(found: Diagnosis) -> Iterator[Advice]:
     for phase, error in (found.local_error or {}).items():
         if not error <= COARSE:
             yield Advice(
-                finding=f"one interval of phase '{phase}' errs by {error:.1e} m",
-                remedy="the mesh is too coarse there: more intervals, or a scheme of higher order",
+                f"one interval of phase '{phase}' errs by {error:.1e} m",
+                "the mesh is too coarse there: more intervals, or a scheme of higher order",
             )
 
 
 def _of_limits(found: Diagnosis) -> Iterator[Advice]:
+    tried = found.status is not None and not found.solved  # limits at a guess say nothing
     saturated = 0
     for limit in found.limits:
+        decides = limit.of > 1 and limit.places >= SATURATED * limit.of and not limit.weak
         clock = limit.about.endswith("duration") or limit.block == "duration"
         if clock and not limit.weak:
             yield Advice(
-                finding=f"{limit.about} is at its {limit.side} bound",
-                remedy="widen that bound if the motion should choose its time",
+                f"{limit.about} is at its {limit.side} bound",
+                "widen that bound if the motion should choose its time",
             )
-        elif saturated < MOST_SATURATED and _decides(limit) and _tried(found):
+        elif saturated < MOST_SATURATED and decides and tried:
             saturated += 1
             yield Advice(
-                finding=f"{limit.block} [{limit.about}] is at its {limit.side} bound for {limit.places} of "
+                f"{limit.block} [{limit.about}] is at its {limit.side} bound for {limit.places} of "
                 f"{limit.of} places of phase '{limit.phase}'",
-                remedy=_remedy_of(limit.block, limit.about, "raise it, or ask for less"),
+                _remedy(limit.block, limit.about, "raise it, or ask for less"),
             )
-
-
-def _tried(found: Diagnosis) -> bool:
-    """Whether a solver has tried: limits at a guess say nothing."""
-    return found.status is not None and not found.solved
-
-
-def _decides(limit: ActiveLimit) -> bool:
-    return limit.of > 1 and limit.places >= SATURATED * limit.of and not limit.weak

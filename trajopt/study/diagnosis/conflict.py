@@ -18,7 +18,6 @@ import numpy as np
 import piqp  # type: ignore[import-untyped]
 from scipy import sparse
 
-from trajopt.study.diagnosis.activity import BOUNDS
 from trajopt.study.diagnosis.names import Site
 from trajopt.study.diagnosis.snapshot import Snapshot
 
@@ -50,6 +49,11 @@ class ConflictMember:
     amount: float
     weight: float
     place: str
+
+    @property
+    def block(self) -> str:
+        """Their block."""
+        return self.what.split(" [", 1)[0]
 
     def __str__(self) -> str:
         if self.amount > 0:
@@ -91,7 +95,7 @@ def conflict(snapshot: Snapshot) -> Conflict | None:
     result = _elastic(snapshot, jacobian, free)
     if result is None:
         return None
-    x, rows, bounds = result
+    x, weights = result
     step, give = x[:n], x[n : n + m] + x[n + m :]
     before = float(snapshot.violations[: t.n_rows].sum())
     give[give < GIVES * max(give.max(initial=0.0), snapshot.tolerance)] = 0.0
@@ -99,15 +103,15 @@ def conflict(snapshot: Snapshot) -> Conflict | None:
         before=before,
         after=float(give.sum()),
         giving=_giving(snapshot, give),
-        against=_against(snapshot, give, rows, free, bounds),
+        against=_against(snapshot, give, weights),
         edge=float(np.mean(np.abs(step) > 0.99 * BOX)),
     )
 
 
 def _elastic(
     snapshot: Snapshot, jacobian: sparse.csc_matrix, free: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Unknowns of the elastic program, multipliers of its rows, and of bounds that are not the box's."""
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Unknowns of the elastic program; multipliers of rows, then of bounds that are not the box's."""
     t = snapshot.transcription
     m, n = jacobian.shape
     eye = sparse.eye(m, format="csc")
@@ -116,7 +120,7 @@ def _elastic(
     lower_room, upper_room = (t.lower_x - snapshot.x)[free], (t.upper_x - snapshot.x)[free]
     low = np.concatenate([np.clip(lower_room, -BOX, 0.0), np.zeros(2 * m)])
     high = np.concatenate([np.clip(upper_room, 0.0, BOX), np.full(2 * m, np.inf)])
-    price = np.concatenate([np.full(n, NEAREST), np.full(2 * m, NEAREST)])
+    price = np.full(n + 2 * m, NEAREST)
     motion = np.isin(t.rows.block, [i for i, name in enumerate(t.rows.names) if name in TRANSMITTING])
     elastic = np.where(motion, LAST, 1.0)
     solver = piqp.SparseSolver()
@@ -137,43 +141,33 @@ def _elastic(
     if status not in (piqp.PIQP_SOLVED, piqp.PIQP_MAX_ITER_REACHED):
         return None
     found = solver.result
-    weights = np.zeros(m)
-    weights[equal] = found.y
-    weights[~equal] = found.z_u - found.z_l
-    at_bound = found.z_bu[:n] * (upper_room < BOX) - found.z_bl[:n] * (lower_room > -BOX)
-    return np.array(found.x), weights, np.array(at_bound)
+    weights = np.zeros(len(snapshot.lower))
+    weights[np.flatnonzero(equal)] = found.y
+    weights[np.flatnonzero(~equal)] = found.z_u - found.z_l
+    weights[m + free] = found.z_bu[:n] * (upper_room < BOX) - found.z_bl[:n] * (lower_room > -BOX)
+    return np.array(found.x), weights
 
 
 def _giving(snapshot: Snapshot, give: np.ndarray) -> tuple[ConflictMember, ...]:
-    order = [row for row in np.argsort(-give).tolist() if give[row] > 0]
+    names = snapshot.names
     parties: dict[tuple[str, str], ConflictMember] = {}
-    for row in order:
-        name = snapshot.names.row(row)
-        key = (name.what, snapshot.names.phase(name.site.stage))
-        if key not in parties and len(parties) < NAMED:
-            place = snapshot.names.place(name.site)
-            parties[key] = ConflictMember(
-                what=key[0], phase=key[1], amount=float(give[row]), weight=1.0, place=place
-            )
-    return tuple(parties.values())
+    for row in np.argsort(-give)[: np.count_nonzero(give)].tolist():
+        name, amount = names.row(row), float(give[row])
+        what, phase, place = name.what, names.phase(name.site.stage), names.place(name.site)
+        member = ConflictMember(what=what, phase=phase, amount=amount, weight=1.0, place=place)
+        parties.setdefault((what, phase), member)
+    return tuple(parties.values())[:NAMED]
 
 
-def _against(
-    snapshot: Snapshot, give: np.ndarray, weights: np.ndarray, free: np.ndarray, bounds: np.ndarray
-) -> tuple[ConflictMember, ...]:
-    """Limits, bounds and goals with the largest multipliers, added up over time."""
+def _against(snapshot: Snapshot, give: np.ndarray, weights: np.ndarray) -> tuple[ConflictMember, ...]:
+    """Limits, bounds and goals with the largest multipliers (of rows, then of bounds), added up over time."""
     names, giving = snapshot.names, {snapshot.names.block(row) for row in np.flatnonzero(give).tolist()}
     found: dict[tuple[str, str], list[tuple[float, Site]]] = {}
-    for row in np.flatnonzero(np.abs(weights) > NOISE).tolist():
-        if names.block(row) not in (*TRANSMITTING, *giving):
-            site = names.row_sites[row]
-            key = (names.row(row).what, names.phase(site.stage))
-            found.setdefault(key, []).append((abs(float(weights[row])), site))
-    for position in np.flatnonzero(np.abs(bounds) > NOISE).tolist():
-        index = int(free[position])
-        site = names.unknown_sites[index]
-        key = (f"{BOUNDS} [{names.unknown_labels[index]}]", names.phase(site.stage))
-        found.setdefault(key, []).append((abs(float(bounds[position])), site))
+    for index in np.flatnonzero(np.abs(weights) > NOISE).tolist():
+        if names.block(index) not in (*TRANSMITTING, *giving):
+            name = names.row(index)
+            key = (name.what, names.phase(name.site.stage))
+            found.setdefault(key, []).append((abs(float(weights[index])), name.site))
     sums = {key: sum(weight for weight, _ in entries) for key, entries in found.items()}
     largest = max(sums.values(), default=0.0)
     order = sorted((key for key in sums if sums[key] > PART * largest), key=lambda key: -sums[key])

@@ -71,15 +71,11 @@ class PhaseContacts:
         return text + (f"; left out: {', '.join(self.left_out)}" if self.left_out else "")
 
 
-def phase_contacts(transcription: Transcription, solution: Solution) -> tuple[PhaseContacts, ...]:
+def phase_contacts(transcription: Transcription, solution: Solution) -> Iterator[PhaseContacts]:
     """Contact ranks of every phase at the collocation points of its motion.
 
     Samples that are not finite, and phases without any other, are passed over.
     """
-    return tuple(_phases(transcription, solution))
-
-
-def _phases(transcription: Transcription, solution: Solution) -> Iterator[PhaseContacts]:
     layout, model = transcription.layout, solution.model
     finite = np.isfinite(solution.q).all(axis=1) & solution.collocation
     for index, phase in enumerate(layout.schedule.phases):
@@ -91,7 +87,6 @@ def _phases(transcription: Transcription, solution: Solution) -> Iterator[PhaseC
         absent = _absent_rows(contacts)
         least = min(ranks, key=lambda rank: rank.delassus)
         worst = int(np.argmax([rank.condition for rank in ranks]))
-        groups = [ContactDependency(rows=g.rows, excess=g.excess) for g in least.dependencies]
         yield PhaseContacts(
             phase=phase.name,
             rows=least.rows - len(absent),
@@ -99,7 +94,11 @@ def _phases(transcription: Transcription, solution: Solution) -> Iterator[PhaseC
             most=max(rank.delassus for rank in ranks),
             condition=ranks[worst].condition,
             at=float(solution.t[samples[worst]]),
-            dependencies=tuple(group for group in groups if not set(group.rows) <= absent),
+            dependencies=tuple(
+                ContactDependency(rows=group.rows, excess=group.excess)
+                for group in least.dependencies
+                if not set(group.rows) <= absent
+            ),
             left_out=tuple(transcription.redundant.get(phase.name, ())),
         )
 

@@ -29,9 +29,9 @@ from trajopt.study.diagnosis.rank import DENSE, RANK_TOLERANCE, quiet_factor
 # a cost of negligible weight.
 FLAT = 1e-8
 BETA = 1e-14
-# Lanczos vectors, relative error at which an eigenvalue has converged, restarts; directions that are named.
+# Lanczos vectors, relative error at which an eigenvalue has converged, restarts; eigenvalues sought.
 STEPS, CONVERGED, RESTARTS = 40, 1e-8, 30
-NAMED = 4
+SOUGHT = 16
 # Ritz vectors of different runs that differ by less than this are one: their difference is rounding.
 DISTINCT = 1e-5
 # Between the flat and the largest curvature one more shift looks for what both ends miss.
@@ -42,19 +42,25 @@ BETWEEN = -1e-2
 class Curvature:
     """Eigenvalues of the reduced Hessian, per unit of scaled unknowns squared.
 
-    directions: number of free directions. smallest, largest: None where there is no free direction.
-    values (k,), vectors (n, k): the smallest found, ascending, with unit directions over the free unknowns.
-    nearest (k,), nearest_vectors (n, k): those nearest to zero. exact: by a dense decomposition.
+    directions: number of free directions. values (k,), vectors (n, k): those found, ascending, with unit
+    directions over the free unknowns; where nothing could be found, a NaN without a direction. exact: all of
+    them, by a dense decomposition.
     """
 
     directions: int
-    smallest: float | None
-    largest: float | None
     values: np.ndarray
     vectors: np.ndarray
-    nearest: np.ndarray
-    nearest_vectors: np.ndarray
     exact: bool
+
+    @property
+    def smallest(self) -> float | None:
+        """Least curvature, None where there is no free direction."""
+        return float(self.values[0]) if len(self.values) else None
+
+    @property
+    def largest(self) -> float | None:
+        """Largest curvature, None where there is no free direction."""
+        return float(self.values[-1]) if len(self.values) else None
 
     @property
     def flat(self) -> float:
@@ -81,36 +87,15 @@ def curvature(hessian: sparse.spmatrix, active: sparse.spmatrix) -> Curvature:
 
 
 def _dense(hessian: np.ndarray, active: np.ndarray) -> Curvature:
-    n = len(hessian)
-    if len(active):
-        _, values, right = np.linalg.svd(active, full_matrices=True)
-        rank = int(np.sum(values > RANK_TOLERANCE * values.max(initial=0.0)))
-        basis = right[rank:].T
-    else:
-        basis = np.eye(n)
+    basis = linalg.null_space(active, rcond=RANK_TOLERANCE) if len(active) else np.eye(len(hessian))
     if basis.shape[1] == 0:
-        return _none(n, exact=True)
+        return _none(len(hessian), exact=True)
     values, vectors = linalg.eigh(basis.T @ hessian @ basis)
-    return _found(basis.shape[1], values, basis @ vectors, exact=True)
-
-
-def _found(directions: int, values: np.ndarray, vectors: np.ndarray, *, exact: bool) -> Curvature:
-    """From eigenvalues (k,), ascending, and their directions (n, k)."""
-    nearest = np.argsort(np.abs(values), kind="stable")[:NAMED]
-    return Curvature(
-        directions=directions,
-        smallest=float(values[0]) if len(values) else None,
-        largest=float(values[-1]) if len(values) else None,
-        values=values[:NAMED],
-        vectors=vectors[:, :NAMED],
-        nearest=values[nearest],
-        nearest_vectors=vectors[:, nearest],
-        exact=exact,
-    )
+    return Curvature(directions=len(values), values=values, vectors=basis @ vectors, exact=True)
 
 
 def _none(n: int, *, exact: bool) -> Curvature:
-    return _found(0, np.zeros(0), np.zeros((n, 0)), exact=exact)
+    return Curvature(directions=0, values=np.zeros(0), vectors=np.zeros((n, 0)), exact=exact)
 
 
 Operator = Callable[[np.ndarray], np.ndarray]
@@ -122,7 +107,7 @@ def _sparse(hessian: sparse.csc_matrix, active: sparse.csc_matrix) -> Curvature:
     scaled = hessian / unit
     project = _operator(sparse.eye(n, format="csc"), active)
     if project is None:  # the rows' own factor fails: nothing can be said
-        return replace(_none(n, exact=False), directions=max(0, n - m), smallest=np.nan, largest=np.nan)
+        return replace(_none(n, exact=False), directions=max(0, n - m), values=np.array([np.nan]))
     start = project(np.random.default_rng(0).standard_normal(n))
     if np.linalg.norm(start) < np.sqrt(np.finfo(float).eps) * np.sqrt(n):
         return _none(n, exact=False)
@@ -149,7 +134,7 @@ def lanczos(operator: Operator, start: np.ndarray) -> np.ndarray:
     symmetric = sparse_linalg.LinearOperator((n, n), matvec=operator, dtype=float)
     settings = {"which": "BE", "v0": start, "ncv": min(STEPS, n), "tol": CONVERGED, "maxiter": RESTARTS}
     try:
-        return np.asarray(sparse_linalg.eigsh(symmetric, k=min(4 * NAMED, n - 1), **settings)[1])
+        return np.asarray(sparse_linalg.eigsh(symmetric, k=min(SOUGHT, n - 1), **settings)[1])
     except sparse_linalg.ArpackNoConvergence as error:
         return np.asarray(error.eigenvectors).reshape(n, -1)
     except sparse_linalg.ArpackError:
@@ -168,7 +153,7 @@ def _from_vectors(
     basis = _orthonormal(_orthonormal(vectors, project), project)
     small = basis.T @ (hessian @ basis)
     values, rotation = np.linalg.eigh((small + small.T) / 2)
-    return _found(max(0, n - m), values * unit, basis @ rotation, exact=False)
+    return Curvature(directions=max(0, n - m), values=values * unit, vectors=basis @ rotation, exact=False)
 
 
 def _orthonormal(vectors: np.ndarray, project: Operator) -> np.ndarray:

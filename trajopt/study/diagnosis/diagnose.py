@@ -9,31 +9,28 @@ from pathlib import Path
 
 import numpy as np
 
-from trajopt.errors import TrajoptError
+from trajopt.errors import InputError, TrajoptError
+from trajopt.problem.catalogue import families
 from trajopt.problem.problem import Problem
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.input import solution_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import PreparedProblem, prepare
-from trajopt.solving.verdicts import STILL_FEASIBLE
+from trajopt.solving.verdicts import STILL_FEASIBLE, finite_or_none
+from trajopt.solving.warm_start import warm_start
 from trajopt.study.diagnosis.activity import active_limits
 from trajopt.study.diagnosis.advice import advice
 from trajopt.study.diagnosis.conflict import conflict
 from trajopt.study.diagnosis.contacts import phase_contacts
-from trajopt.study.diagnosis.curvature import curvature
 from trajopt.study.diagnosis.diagnosis import Diagnosis, Violation
-from trajopt.study.diagnosis.findings import (
-    CurvatureReport,
-    RankReport,
-    curvature_report,
-    rank_report,
-    start_findings,
-)
+from trajopt.study.diagnosis.findings import curvature_report, rank_report, start_findings
 from trajopt.study.diagnosis.nonfinite import first_nonfinite
 from trajopt.study.diagnosis.scaling import scaling
 from trajopt.study.diagnosis.snapshot import Snapshot
-from trajopt.study.diagnosis.sources import at_guess, at_solution, cached_level, problem_of
+from trajopt.transcription.compilation import LEVELS, in_cache
+from trajopt.transcription.mesh import Mesh
+from trajopt.transcription.transcription import Transcription, transcribe
 
 # Rows are violated where they miss this, or ten times the solve's tolerance: as a solve itself judges.
 TRUSTED = 10.0
@@ -59,20 +56,79 @@ def diagnose(
         InputError: Where the problem is unknown, or has other joints or phases than the solution.
     """
     if isinstance(what, PreparedProblem):
-        return _diagnosed(at_guess(what), None, f"guess of {what.transcription.problem.name}")
+        return _diagnosed(
+            Snapshot(nlp=what.nlp, x=what.guess), None, f"guess of {what.transcription.problem.name}"
+        )
     solution = solution_of(what)
     source = str(what) if isinstance(what, str | Path) else "solution"
-    rebuilt = problem_of(solution) if problem is None else problem
+    rebuilt = _problem_of(solution) if problem is None else problem
     mesh = mesh_of(solution)
-    level = compile or cached_level(rebuilt, mesh, str(solution.meta.get("compile", "none")))
+    level = compile or _cached_level(rebuilt, mesh, str(solution.meta.get("compile", "none")))
     prepared = prepare(rebuilt, mesh=mesh, compile=level)
     return _diagnosed(at_solution(prepared, solution), solution, source)
+
+
+def _problem_of(solution: Solution) -> Problem:
+    """The problem of the catalogue that a solution names, with its parameters. Raises InputError."""
+    name, known = str(solution.meta["problem"]), families()
+    if name not in known:
+        raise InputError(
+            f"the file's problem '{name}' is not in the catalogue",
+            "allowed: trajopt.diagnose(solution, problem=...) in Python, or --problem NAME",
+        )
+    family = known[name]
+    own = {parameter.name: parameter for parameter in family.parameters}
+    given = solution.meta.get("parameters") or {}
+    values = {key: value for key, value in given.items() if key in own and value is not None}
+    try:
+        return family.load(values)
+    except InputError:  # a derived value need not be one that may be asked for
+        asked = {key: value for key, value in values.items() if own[key].default is not None}
+        return family.load(asked)
+
+
+def _cached_level(problem: Problem, mesh: Mesh, level: str) -> str:
+    """A few evaluations are no reason to compile: the file's level where it is in the cache, else none."""
+    if level not in LEVELS:
+        return "none"
+    points = {id(group.point): group.point for group in transcribe(problem, mesh=mesh).groups}
+    return level if in_cache(points.values(), level) else "none"
+
+
+def at_solution(prepared: PreparedProblem, solution: Solution) -> Snapshot:
+    """The solution's own unknowns, and its multipliers where they are of the same rows."""
+    t = prepared.transcription
+    found = warm_start(t, solution)
+    known = _same_rows(t, solution)
+    return Snapshot(
+        nlp=prepared.nlp,
+        x=found.x,
+        row_multiplier=solution.row_multiplier if known else None,
+        bound_multiplier=solution.bound_multiplier if known else None,
+        tolerance=float(solution.meta["tolerance"]),
+    )
+
+
+def _same_rows(t: Transcription, solution: Solution) -> bool:
+    """Whether a solution's multipliers are of this transcription's rows, one by one, and are not all zero."""
+    if solution.row_multiplier is None or solution.bound_multiplier is None or solution.row_place is None:
+        return False
+    if not (solution.row_multiplier.any() or solution.bound_multiplier.any()):
+        return False
+    places = np.column_stack([t.rows.block, t.rows.stage, t.rows.point])
+    return (
+        list(solution.meta.get("row_names", ())) == list(t.rows.names)
+        and np.array_equal(solution.row_place, places)
+        and len(solution.bound_multiplier) == t.layout.n_unknowns
+    )
 
 
 def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Diagnosis:
     t = snapshot.transcription
     finite = snapshot.finite
     near = bool(snapshot.violations.max(initial=0.0) <= STILL_FEASIBLE)
+    count = len(t.layout.schedule.phases)
+    phases = range(count) if count > 1 else ()
     judged = snapshot if near else snapshot.structure
     worst = _worst(snapshot, TRUSTED * snapshot.tolerance)
     largest = float(snapshot.violations.max(initial=0.0)) if np.isfinite(snapshot.violations).all() else None
@@ -90,9 +146,9 @@ def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Di
         stationarity=snapshot.stationarity if finite else None,
         worst=tuple(worst),
         nonfinite=None if finite else first_nonfinite(snapshot.nlp, snapshot.names, snapshot.x),
-        ranks=tuple(_ranks(judged)) if finite else (),
-        contacts=phase_contacts(t, motion),
-        curvature=_curvature(judged) if finite else None,
+        ranks=tuple(rank_report(judged, phase) for phase in (None, *phases)) if finite else (),
+        contacts=tuple(phase_contacts(t, motion)),
+        curvature=curvature_report(judged) if finite else None,
         scaling=scaling(snapshot) if finite else None,
         limits=tuple(active_limits(snapshot)) if finite else (),
         conflict=conflict(snapshot) if finite and worst else None,
@@ -105,41 +161,19 @@ def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Di
 
 def _worst(snapshot: Snapshot, limit: float) -> list[Violation]:
     """The worst violated rows and bounds, each block once."""
-    t, names = snapshot.transcription, snapshot.names
+    names = snapshot.names
     amounts = np.where(np.isfinite(snapshot.violations), snapshot.violations, np.inf)
     found: dict[str, Violation] = {}
-    for index in np.argsort(-amounts, kind="stable").tolist():
-        if not amounts[index] > limit or len(found) == WORST:
-            break
-        bound = index >= t.n_rows
-        block = "bounds" if bound else names.block(index)
-        if block in found:
-            continue
-        site = names.unknown_sites[index - t.n_rows] if bound else names.row_sites[index]
-        text = f"bounds [{names.unknown(index - t.n_rows)}]" if bound else names.row_text(index)
-        amount = float(amounts[index])
-        found[block] = Violation(
-            row=text,
-            block=block,
-            phase=names.phase(site.stage),
-            amount=amount if math.isfinite(amount) else None,
-        )
+    for index in np.argsort(-amounts, kind="stable")[: np.count_nonzero(amounts > limit)].tolist():
+        block = names.block(index)
+        if block not in found and len(found) < WORST:
+            found[block] = Violation(
+                row=names.row_text(index),
+                block=block,
+                phase=names.phase(names.sites[index].stage),
+                amount=finite_or_none(float(amounts[index])),
+            )
     return list(found.values())
-
-
-def _ranks(snapshot: Snapshot) -> Iterator[RankReport]:
-    """Of all rows, then of every phase where there are several."""
-    yield rank_report(snapshot, None)
-    count = len(snapshot.transcription.layout.schedule.phases)
-    if count > 1:
-        for phase in range(count):
-            yield rank_report(snapshot, phase)
-
-
-def _curvature(snapshot: Snapshot) -> CurvatureReport:
-    free, rows = snapshot.free, snapshot.active_rows
-    found = curvature(snapshot.hessian[free][:, free], snapshot.jacobian[rows][:, free])
-    return curvature_report(snapshot, found)
 
 
 def _local_errors(solution: Solution | None) -> dict[str, float] | None:

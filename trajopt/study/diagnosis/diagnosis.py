@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from trajopt.study.diagnosis.activity import BOUNDS, ActiveLimit
+from trajopt.study.diagnosis.activity import ActiveLimit
 from trajopt.study.diagnosis.conflict import Conflict
 from trajopt.study.diagnosis.contacts import PhaseContacts
 from trajopt.study.diagnosis.findings import CurvatureReport, DependentRows, RankReport
+from trajopt.study.diagnosis.names import BOUNDS
 from trajopt.study.diagnosis.nonfinite import NonFinite
 from trajopt.study.diagnosis.scaling import Scaling
 
+# Entries of long lists that are shown, the JSON has all; columns of titles.
+SHOWN, LABEL = 8, 10
 
-@dataclass(frozen=True, kw_only=True)
+
+@dataclass(frozen=True)
 class Advice:
     """``finding``: what was seen; ``remedy``: what to try."""
 
@@ -91,13 +96,6 @@ class Diagnosis:
         return "\n".join(_lines(self))
 
 
-# Entries of long lists that are shown; the JSON has all.
-SHOWN = 8
-
-
-LABEL = 10
-
-
 def _lines(found: Diagnosis) -> Iterator[str]:
     """Sections in the order in which to read them: what, why, what to try."""
     state = "guess" if found.status is None else found.status.replace("_", " ")
@@ -106,7 +104,8 @@ def _lines(found: Diagnosis) -> Iterator[str]:
     yield from _listed("note", found.notes)
     if found.nonfinite is not None:
         yield _line("not finite", str(found.nonfinite))
-    yield _line("violation", _violation(found))
+    steady = "" if found.stationarity is None else f"; gradient of the Lagrangian {found.stationarity:.1e}"
+    yield _line("violation", f"{_amount(found.max_violation)}{steady}")
     yield from _listed("worst", (f"{one.row}: {_amount(one.amount)}" for one in found.worst))
     yield from _rank_lines(found)
     yield from _listed("contacts", (f"phase '{one.phase}': {one}" for one in found.contacts))
@@ -118,7 +117,7 @@ def _lines(found: Diagnosis) -> Iterator[str]:
     yield from _scaling_lines(found)
     yield from _limit_lines(found)
     if found.conflict is not None:
-        yield from _conflict_lines(found)
+        yield from _conflict_lines(found.conflict)
     if found.local_error:
         worst = ", ".join(f"'{name}' {error:.1e} m" for name, error in found.local_error.items())
         yield _line("intervals", f"largest error of one interval, from its own start: {worst}")
@@ -139,11 +138,6 @@ def _listed(title: str, entries: Iterable[str], limit: int | None = SHOWN) -> It
         yield _line("" if index else title, entry)
     if len(every) > len(shown):
         yield _line("", f"and {len(every) - len(shown)} more (--json has all)")
-
-
-def _violation(found: Diagnosis) -> str:
-    steady = "" if found.stationarity is None else f"; gradient of the Lagrangian {found.stationarity:.1e}"
-    return f"{_amount(found.max_violation)}{steady}"
 
 
 def _amount(value: float | None) -> str:
@@ -177,20 +171,14 @@ def _scaling_lines(found: Diagnosis) -> Iterator[str]:
 def _limit_lines(found: Diagnosis) -> Iterator[str]:
     if not found.scaling:
         return
-    blocks: dict[str, int] = {}
-    for limit in found.limits:
-        blocks[limit.block] = blocks.get(limit.block, 0) + 1
+    blocks = Counter(limit.block for limit in found.limits)
     counts = ", ".join(f"{name if name != BOUNDS else 'bounds of nodes'} {n}" for name, n in blocks.items())
     yield _line("limits", f"active: {counts}" if counts else "none is active")
     yield from _listed("", map(str, found.limits))
 
 
-def _conflict_lines(found: Diagnosis) -> Iterator[str]:
-    clash = found.conflict
-    assert clash is not None
-    text = (
-        f"rows miss {clash.before:.2e} in sum; linearised, at least {clash.after:.2e} within a natural unit"
-    )
-    yield _line("conflict", text)
+def _conflict_lines(clash: Conflict) -> Iterator[str]:
+    least = f"linearised, at least {clash.after:.2e} within a natural unit"
+    yield _line("conflict", f"rows miss {clash.before:.2e} in sum; {least}")
     yield from _listed("  gives", map(str, clash.giving))
     yield from _listed("  against", map(str, clash.against))

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from trajopt.problem.problem import Problem
-from trajopt.study.diagnosis.curvature import Curvature
-from trajopt.study.diagnosis.names import Site
-from trajopt.study.diagnosis.rank import RowDependency, dependencies, spectrum
+from trajopt.study.diagnosis.curvature import curvature
+from trajopt.study.diagnosis.rank import dependencies, spectrum
 from trajopt.study.diagnosis.snapshot import Snapshot
 from trajopt.terms.limits import PositionLimits
 
-# Rows of one group of dependent rows that are named, and unknowns of a direction.
-NAMED_ROWS, NAMED_UNKNOWNS = 8, 3
+# Rows of one group of dependent rows that are named, unknowns of a direction, and directions.
+NAMED_ROWS, NAMED_UNKNOWNS, NAMED_DIRECTIONS = 8, 3, 4
 # Positions this close to a limit (rad, m) are on it.
 ON_LIMIT = 1e-9
 
@@ -96,11 +96,9 @@ def rank_report(snapshot: Snapshot, phase: int | None) -> RankReport:
     seeing = np.diff(matrix.indptr) > 0
     blind, seen = rows[~seeing], rows[seeing]
     found = spectrum(matrix[seeing])
-    groups = [(seen[group.rows], group) for group in dependencies(found.vectors)]
-    alone = RowDependency(rows=np.zeros(1, dtype=int), share=np.ones(1), excess=1)
-    merged = _merged(snapshot, groups, fixed=False) + _merged(
-        snapshot, [(np.array([row]), alone) for row in blind], fixed=True
-    )
+    groups = [(seen[group.rows], group.excess) for group in dependencies(found.vectors)]
+    merged = _merged(snapshot, groups, fixed=False)
+    merged += _merged(snapshot, [(np.array([row]), 1) for row in blind], fixed=True)
     return RankReport(
         phase=None if phase is None else names.layout.schedule.phases[phase].name,
         equations=snapshot.equations_only,
@@ -116,27 +114,24 @@ def rank_report(snapshot: Snapshot, phase: int | None) -> RankReport:
     )
 
 
-def _merged(
-    snapshot: Snapshot, groups: list[tuple[np.ndarray, RowDependency]], *, fixed: bool
-) -> list[DependentRows]:
-    """Groups of the same rows at different places are one finding."""
+def _merged(snapshot: Snapshot, groups: list[tuple[np.ndarray, int]], *, fixed: bool) -> list[DependentRows]:
+    """Groups (rows, how many are too many) of the same rows at different places are one finding."""
     names = snapshot.names
-    kinds: dict[tuple[tuple[str, ...], str], list[tuple[np.ndarray, RowDependency]]] = {}
-    for rows, group in groups:
+    kinds: defaultdict[tuple[str, ...], list[tuple[np.ndarray, int]]] = defaultdict(list)
+    for rows, excess in groups:
         what = sorted({names.row(int(row)).what for row in rows})
-        phase = names.phase(names.row_sites[int(rows[0])].stage)
-        kinds.setdefault((tuple(what), phase), []).append((rows, group))
+        kinds[*what, names.phase(names.sites[int(rows[0])].stage)].append((rows, excess))
     found = []
     for same in kinds.values():
         rows, _ = same[0]
         subjects = list(dict.fromkeys(names.row(int(row)).what for row in rows))
-        sites = sorted({names.row_sites[int(row)] for members, _ in same for row in members}, key=_in_time)
+        sites = sorted({names.sites[int(row)] for members, _ in same for row in members})
         found.append(
             DependentRows(
                 rows=tuple(subjects[:NAMED_ROWS]),
                 blocks=tuple(dict.fromkeys(names.block(int(row)) for row in rows)),
                 more=max(0, len(subjects) - NAMED_ROWS),
-                excess=sum(group.excess for _, group in same),
+                excess=sum(excess for _, excess in same),
                 times=len(same),
                 first=names.place(sites[0]),
                 last=names.place(sites[-1]),
@@ -145,10 +140,6 @@ def _merged(
             )
         )
     return sorted(found, key=lambda one: -one.excess)
-
-
-def _in_time(site: Site) -> tuple[int, int]:
-    return site.stage, site.point
 
 
 # Curvature
@@ -172,8 +163,8 @@ class CurvatureReport:
     """Curvature of the Lagrangian on the null space of the active rows, directions named, see `Curvature`.
 
     directions: number of free directions. holds: the second-order sufficient condition; negative: some
-    direction curves downwards. known: whether multipliers were known. smallest_along: directions of the least
-    curvature; flat_along: some of those without any.
+    direction has negative curvature. known: whether multipliers were known. smallest_along: directions of the
+    least curvature; flat_along: some of those without any.
     """
 
     directions: int
@@ -199,11 +190,16 @@ class CurvatureReport:
         )
 
 
-def curvature_report(snapshot: Snapshot, found: Curvature) -> CurvatureReport:
-    """Name the directions of least curvature; ``found`` is over the free unknowns."""
-    pairs = zip(found.values.tolist(), found.vectors.T, strict=True)
-    flat = np.abs(found.nearest) <= found.flat
-    flat_pairs = zip(found.nearest[flat].tolist(), found.nearest_vectors.T[flat], strict=True)
+def curvature_report(snapshot: Snapshot) -> CurvatureReport:
+    """Curvature along the motions that active rows leave free, the directions of the least one named."""
+    free, rows = snapshot.free, snapshot.active_rows
+    found = curvature(snapshot.hessian[free][:, free], snapshot.jacobian[rows][:, free])
+    directions = np.arange(found.vectors.shape[1])
+    nearest = np.argsort(np.abs(found.values[directions]), kind="stable")[:NAMED_DIRECTIONS]
+
+    def along(which: np.ndarray) -> tuple[Direction, ...]:
+        return tuple(_direction(snapshot, float(found.values[i]), found.vectors[:, i]) for i in which)
+
     return CurvatureReport(
         directions=found.directions,
         smallest=found.smallest,
@@ -213,20 +209,20 @@ def curvature_report(snapshot: Snapshot, found: Curvature) -> CurvatureReport:
         negative=found.negative,
         exact=found.exact,
         known=snapshot.row_multiplier is not None,
-        smallest_along=tuple(_direction(snapshot, value, vector) for value, vector in pairs),
-        flat_along=tuple(_direction(snapshot, value, vector) for value, vector in flat_pairs),
+        smallest_along=along(directions[:NAMED_DIRECTIONS]),
+        flat_along=along(nearest[np.abs(found.values[nearest]) <= found.flat]),
     )
 
 
 def _direction(snapshot: Snapshot, value: float, vector: np.ndarray) -> Direction:
     """Unknowns by their share of the squared length, added up over time."""
     names, free = snapshot.names, snapshot.free
-    share: dict[str, float] = {}
-    kinds: dict[str, float] = {}
+    share: defaultdict[str, float] = defaultdict(float)
+    kinds: defaultdict[str, float] = defaultdict(float)
     for index, part in zip(free.tolist(), (vector**2).tolist(), strict=True):
         label = names.unknown_labels[index]
-        share[str(label)] = share.get(str(label), 0.0) + part
-        kinds[label.kind] = kinds.get(label.kind, 0.0) + part
+        share[str(label)] += part
+        kinds[label.kind] += part
     largest = sorted(share, key=lambda name: -share[name])[:NAMED_UNKNOWNS]
     most = int(free[int(np.argmax(np.abs(vector)))])
     return Direction(

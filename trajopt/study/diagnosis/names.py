@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import itertools
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -15,12 +17,13 @@ from trajopt.robot.units import Units
 from trajopt.study.diagnosis.symbols import Label, SymbolNames, coordinate_labels, node_labels, wrench_labels
 from trajopt.terms.context_symbols import Place
 from trajopt.terms.dynamics import ImpactDynamics
-from trajopt.terms.interfaces import Rows
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.term_functions import TermFunctions
 from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
 
+# Block of the bounds of unknowns.
+BOUNDS = "bounds"
 # A row that is about many things is named by the one or two unknowns that weigh most in it.
 MOST_UNKNOWNS, MOSTLY = 2, 0.8
 
@@ -58,8 +61,7 @@ class NlpNames:
     transcription: Transcription
     times: np.ndarray
     slopes: Callable[[int], tuple[np.ndarray, np.ndarray]] | None = None
-    _subjects: dict[tuple[int, int], dict[str, list[str]]] = field(default_factory=dict, init=False)
-    _by_terms: dict[tuple[object, ...], dict[str, list[str]]] = field(default_factory=dict, init=False)
+    _known: dict[tuple[Place, int], dict[str, list[str]]] = field(default_factory=dict, init=False)
 
     # Places
 
@@ -71,13 +73,14 @@ class NlpNames:
         """Its name."""
         return self.layout.schedule.phases[self.phase_index(stage)].name
 
-    def time(self, site: Site) -> float:
-        """Time of a place, s."""
-        start = float(self.times[site.stage])
+    def time(self, site: Site, times: np.ndarray | None = None) -> float:
+        """Time of a place, s, where nodes are at ``times`` (n_stages + 1,); default: their own."""
+        nodes = self.times if times is None else times
+        start = float(nodes[site.stage])
         if site.point < 0:
             return start
         fraction = float(self.layout.scheme_of(self.phase_index(site.stage)).c[site.point])
-        return start + fraction * (float(self.times[site.stage + 1]) - start)
+        return start + fraction * (float(nodes[site.stage + 1]) - start)
 
     def place(self, site: Site) -> str:
         """``node 12, t = 0.310 s, phase 'flight'``, or ``interval 12, point 0, ...``."""
@@ -111,10 +114,6 @@ class NlpNames:
     def unknown_sites(self) -> list[Site]:
         """Place of every unknown."""
         return [site for _, site in self._unknowns]
-
-    def unknown(self, index: int) -> str:
-        """An unknown in words: ``FL_KFE rate, node 12, t = 0.310 s, phase 'flight'``."""
-        return f"{self.unknown_labels[index]}, {self.place(self.unknown_sites[index])}"
 
     @cached_property
     def _unknowns(self) -> list[tuple[Label, Site]]:
@@ -151,35 +150,32 @@ class NlpNames:
     # Rows
 
     @cached_property
-    def row_sites(self) -> list[Site]:
-        """Place of every row."""
+    def sites(self) -> list[Site]:
+        """Place of every row, then of every unknown."""
         rows = self.transcription.rows
         pairs = zip(rows.stage.tolist(), rows.point.tolist(), strict=True)
-        return [Site(stage=stage, point=point) for stage, point in pairs]
+        return [*(Site(stage=stage, point=point) for stage, point in pairs), *self.unknown_sites]
 
     @cached_property
-    def row_numbers(self) -> np.ndarray:
-        """Number of every row within its block at its place (n_rows,)."""
+    def row_numbers(self) -> list[int]:
+        """Number of every row within its block at its place."""
         rows = self.transcription.rows
-        keys = np.column_stack([rows.block, rows.stage, rows.point])
-        _, which = np.unique(keys, axis=0, return_inverse=True)
-        order = np.argsort(which, kind="stable")
-        sorted_keys = which.ravel()[order]
-        first = np.concatenate([[True], np.diff(sorted_keys) != 0]) if len(order) else np.zeros(0, bool)
-        start = np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))
-        numbers = np.zeros(len(order), dtype=int)
-        numbers[order] = np.arange(len(order)) - start
-        return numbers
+        numbers: defaultdict[tuple[int, int, int], Iterator[int]] = defaultdict(itertools.count)
+        keys = zip(rows.block.tolist(), rows.stage.tolist(), rows.point.tolist(), strict=True)
+        return [next(numbers[key]) for key in keys]
 
-    def block(self, row: int) -> str:
-        """Name of a row's block."""
+    def block(self, index: int) -> str:
+        """Name of a row's block; beyond the rows come the unknowns, whose bounds are one block."""
         rows = self.transcription.rows
-        return rows.names[int(rows.block[row])]
+        return rows.names[int(rows.block[index])] if index < len(rows.block) else BOUNDS
 
     def row(self, index: int) -> RowName:
-        """Name of a row."""
-        block, site, number = self.block(index), self.row_sites[index], int(self.row_numbers[index])
-        about = ""
+        """Name of a row, or of the bound of an unknown, numbered as in ``block``."""
+        block, site = self.block(index), self.sites[index]
+        if block == BOUNDS:
+            label = self.unknown_labels[index - self.transcription.n_rows]
+            return RowName(block=BOUNDS, about=str(label), site=site)
+        number, about = self.row_numbers[index], ""
         if block == "defect":
             about = str(node_labels(self.layout.forms[site.stage + 1], self.clocks)[number])
         else:
@@ -190,45 +186,38 @@ class NlpNames:
         return RowName(block=block, about=about, site=site)
 
     def row_text(self, index: int) -> str:
-        """A row in words, with its place."""
-        name = self.row(index)
-        return f"{name.what}, {self.place(name.site)}"
+        """A row in words, with its place, or a bound: ``bounds [FL_KFE rate, node 12, ...]``."""
+        name, place = self.row(index), self.place(self.sites[index])
+        return f"{BOUNDS} [{name.about}, {place}]" if name.block == BOUNDS else f"{name.what}, {place}"
 
     def _by_weight(self, index: int) -> str:
         """The unknowns that weigh most in a row, if one or two of them are most of it."""
         if self.slopes is None:
             return ""
-        weights: dict[str, float] = {}
+        weights: defaultdict[str, float] = defaultdict(float)
         for column, value in zip(*self.slopes(index), strict=True):
-            label = str(self.unknown_labels[int(column)])
-            weights[label] = weights.get(label, 0.0) + float(value) ** 2
-        largest = sorted(weights, key=lambda label: -weights[label])[:MOST_UNKNOWNS]
+            weights[str(self.unknown_labels[int(column)])] += float(value) ** 2
+        largest = sorted(weights, key=lambda label: -weights[label])
         total = sum(weights.values())
-        for count in range(1, len(largest) + 1):
+        for count in range(1, MOST_UNKNOWNS + 1):
             if sum(weights[label] for label in largest[:count]) >= MOSTLY * total > 0:
                 return "mostly " + "; ".join(largest[:count])
         return ""
 
     def _subjects_at(self, site: Site) -> dict[str, list[str]]:
-        key = (site.stage, site.point)
-        if key not in self._subjects:
-            found: dict[str, list[str]] = {}
-            for part in self._parts(site):
-                for name, subjects in part.items():
-                    found.setdefault(name, []).extend(subjects)
-            self._subjects[key] = found
-        return self._subjects[key]
-
-    def _parts(self, site: Site) -> Iterable[dict[str, list[str]]]:
         """Subjects by block of a point's rows, or of those of an impact and then of its node."""
         layout, k = self.layout, site.stage
         if site.point >= 0:
-            yield self._phase_subjects(int(layout.phase_of[k]), Place.POINT, k)
-            return
+            return self._subjects_of(int(layout.phase_of[k]), Place.POINT, k)
+        found: defaultdict[str, list[str]] = defaultdict(list)
+        parts = []
         if k < layout.n_stages and layout.stages[k].kind is StageKind.IMPACT:
-            yield self._phase_subjects(layout.stages[k].phase, Place.IMPACT, k)
+            parts.append(self._subjects_of(layout.stages[k].phase, Place.IMPACT, k))
         if layout.place(k) is not None:
-            yield self._subjects_of(layout.place_phase(k), Place.NODE, k)
+            parts.append(self._subjects_of(layout.place_phase(k), Place.NODE, k))
+        for name, subjects in itertools.chain.from_iterable(part.items() for part in parts):
+            found[name] += subjects
+        return found
 
     @cached_property
     def functions(self) -> TermFunctions:
@@ -253,18 +242,25 @@ class NlpNames:
         acting: list[Any] = [t for t in (*costs, *problem.point_constraints) if t.acts_in(name)]
         return [ImpactDynamics(), *(t for t in acting if t.acts_at_impacts)] if impact else acting
 
-    def _phase_subjects(self, phase: int, place: Place, k: int) -> dict[str, list[str]]:
-        key = (phase, place)
-        if key not in self._by_terms:
-            self._by_terms[key] = self._subjects_of(phase, place, k)
-        return self._by_terms[key]
-
     def _subjects_of(self, phase: int, place: Place, k: int) -> dict[str, list[str]]:
+        """Subjects by block: of every node, but of points and impacts once for a phase."""
+        key = (place, k if place is Place.NODE else phase)
+        if key not in self._known:
+            self._known[key] = self._read_subjects(phase, place, k)
+        return self._known[key]
+
+    def _read_subjects(self, phase: int, place: Place, k: int) -> dict[str, list[str]]:
+        """Subject of every row by block; rows of a block that share one are told apart by their numbers."""
         form, at = self.layout.forms[k], (self.layout.place(k),) if place is Place.NODE else ()
         context, units = self.functions.context(phase, form, place), self.units_at(place, k)
         constraints = [term for term in self.acting_terms(phase, place, k) if hasattr(term, "rows")]
-        rows = [(term.name, term.rows(context, units, *at)) for term in constraints]
-        return _subjects(SymbolNames(context, form, self.clocks), rows)
+        blocks = [(term.name, term.rows(context, units, *at)) for term in constraints]
+        names = SymbolNames(context, form, self.clocks)  # of all that the rows have used by now
+        found: defaultdict[str, list[str]] = defaultdict(list)
+        for block, rows in blocks:
+            if rows is not None and rows.expression.numel():
+                found[block] += [names.row(entry) for entry in ca.vertsplit(rows.expression)]
+        return {block: _told_apart(subjects) for block, subjects in found.items()}
 
 
 def _put(found: list[tuple[Label, Site]], indices: np.ndarray, labels: Iterable[Label], site: Site) -> None:
@@ -278,25 +274,7 @@ def _wrenches(contacts: Iterable[Contact], linear: str, angular: str) -> list[La
     ]
 
 
-def _subjects(names: SymbolNames, blocks: Iterable[tuple[str, Rows | None]]) -> dict[str, list[str]]:
-    """Subject of every row by block; rows of a block that share one are told apart by their numbers."""
-    found: dict[str, list[str]] = {}
-    for block, rows in blocks:
-        if rows is None:
-            continue
-        own = [names.row(entry) for entry in ca.vertsplit(rows.expression)] if rows.expression.numel() else []
-        found.setdefault(block, []).extend(own)
-    return {block: _told_apart(subjects) for block, subjects in found.items()}
-
-
 def _told_apart(subjects: list[str]) -> list[str]:
-    shared = {subject for subject in subjects if subject and subjects.count(subject) > 1}
-    counts = dict.fromkeys(shared, 0)
-    found = []
-    for subject in subjects:
-        if subject in shared:
-            counts[subject] += 1
-            found.append(f"{subject} ({counts[subject]})")
-        else:
-            found.append(subject)
-    return found
+    count = Counter(subjects)
+    numbers = {subject: itertools.count(1) for subject in count if subject and count[subject] > 1}
+    return [f"{one} ({next(numbers[one])})" if one in numbers else one for one in subjects]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -55,8 +56,8 @@ class NonFinite:
     """
 
     output: str
-    terms: tuple[str, ...]
-    row: str
+    terms: tuple[str, ...] = ()
+    row: str = ""
     phase: str
     node: int
     point: int | None
@@ -92,33 +93,35 @@ def first_nonfinite(nlp: Nlp, names: NlpNames, x: np.ndarray) -> NonFinite | Non
     number, position, output, index = first
     t = nlp.transcription
     where = _where(t, names, number, position)
-    inputs = _inputs(t, where, x)
-    row = ""
-    if output == "rows":
-        row = names.row(int(where.group.rows[position, index])).about
+    own = _own(t, where)
+    inputs = _inputs(where, x[own])
     guilty = []
     if where.place is not None:
         guilty = nonfinite_terms(names, where.site, where.form, where.place, inputs)
-    functions = [value for _, value in guilty] or _whole(where)
-    wrong = _wrong_unknowns(names, where, x)
-    causes, kinds = (wrong, ()) if wrong else _causes(functions, where, inputs)
-    terms = tuple(name for name, _ in guilty) or (() if where.place else ("defect",))
-    found = _at(names, where.site, output, causes)
-    return replace(found, terms=terms, row=row, kinds=kinds)
-
-
-def _at(names: NlpNames, site: Site, output: str, inputs: tuple[SuspectInput, ...]) -> NonFinite:
+    causes = _suspects(names.unknown_labels, x, own[~np.isfinite(x[own])])
+    kinds: tuple[str, ...] = ()
+    if not causes:
+        function, parameters = where.group.point, where.group.parameters[where.position]
+        whole = [value_function(function, parameters), derivative_function(function, parameters)]
+        causes, kinds = _causes([value for _, value in guilty] or whole, where, inputs)
     return NonFinite(
         output=output,
-        terms=(),
-        row="",
-        phase=names.phase(site.stage),
-        node=site.stage,
-        point=site.point if site.point >= 0 else None,
-        time=names.time(site),
-        place=names.place(site),
-        inputs=inputs,
+        terms=tuple(name for name, _ in guilty) or (() if where.place else ("defect",)),
+        row=names.row(int(where.group.rows[position, index])).about if output == "rows" else "",
+        inputs=causes,
+        kinds=kinds,
+        **_at(names, where.site),
     )
+
+
+def _at(names: NlpNames, site: Site) -> dict[str, Any]:
+    return {
+        "phase": names.phase(site.stage),
+        "node": site.stage,
+        "point": site.point if site.point >= 0 else None,
+        "time": names.time(site),
+        "place": names.place(site),
+    }
 
 
 def _unknown_itself(names: NlpNames, x: np.ndarray) -> NonFinite | None:
@@ -126,11 +129,14 @@ def _unknown_itself(names: NlpNames, x: np.ndarray) -> NonFinite | None:
     wrong = np.flatnonzero(~np.isfinite(x))
     if not len(wrong):
         return None
-    return _at(names, names.unknown_sites[int(wrong[0])], "unknown", _suspects(names, x, wrong[:1]))
+    inputs = _suspects(names.unknown_labels, x, wrong[:1])
+    return NonFinite(output="unknown", inputs=inputs, **_at(names, names.unknown_sites[int(wrong[0])]))
 
 
-def _suspects(names: NlpNames, x: np.ndarray, which: np.ndarray) -> tuple[SuspectInput, ...]:
-    return tuple(SuspectInput(name=str(names.unknown_labels[i]), value=float(x[i])) for i in which.tolist())
+def _suspects(labels: Sequence[Label], values: np.ndarray, which: np.ndarray) -> tuple[SuspectInput, ...]:
+    return tuple(
+        SuspectInput(name=str(labels[i]), value=float(values[i])) for i in which[:MOST_NAMED].tolist()
+    )
 
 
 def _where(t: Transcription, names: NlpNames, number: int, position: int) -> _Where:
@@ -177,35 +183,22 @@ def _labels(
         return input_labels(names.functions.context(phase, form, place), form, names.clocks)
     if group.point.name == "change":
         return node_labels(form, names.clocks)
-    turning = [form.coordinates.rotation_index] * (2 if form.order == 2 else 1)
-    kinds = ("position", "rate")
-    own = [coordinate_labels(form.robot, form.coordinates, kind) for kind in kinds]
-    ends = [own[i][int(j)] for i, entries in enumerate(turning) for j in entries]
-    return [*rotation_labels(form.robot, form.coordinates), *ends]
+    labels = rotation_labels(form.robot, form.coordinates)
+    for kind in ("position", "rate")[: form.order]:
+        own = coordinate_labels(form.robot, form.coordinates, kind)
+        labels += [own[int(index)] for index in form.coordinates.rotation_index]
+    return labels
 
 
-def _inputs(t: Transcription, where: _Where, x: np.ndarray) -> np.ndarray:
-    k = where.site.stage
-    own = slice(int(t.layout.node_offset[k]), int(t.layout.node_offset[k]) + where.group.gather.shape[1])
-    dense = where.group.gather.toarray()
+def _own(t: Transcription, where: _Where) -> np.ndarray:
+    """Indices of the unknowns that the function may see."""
+    return int(t.layout.node_offset[where.site.stage]) + np.arange(where.group.gather.shape[1])
+
+
+def _inputs(where: _Where, seen: np.ndarray) -> np.ndarray:
+    """Inputs of the function, from the unknowns that it may see."""
     with np.errstate(invalid="ignore"):  # NaN times a structural zero is no NaN
-        return np.array([row[row != 0] @ x[own][row != 0] for row in dense])
-
-
-# Inputs
-
-
-def _wrong_unknowns(names: NlpNames, where: _Where, x: np.ndarray) -> tuple[SuspectInput, ...]:
-    """Unknowns of the function that are not finite themselves."""
-    start = int(names.layout.node_offset[where.site.stage])
-    own = np.arange(start, start + where.group.gather.shape[1])
-    return _suspects(names, x, own[~np.isfinite(x[own])][:MOST_NAMED])
-
-
-def _whole(where: _Where) -> list[Evaluation]:
-    """Values and derivatives of the group's function, where no single term is to blame."""
-    parameters = where.group.parameters[where.position]
-    return [value_function(where.group.point, parameters), derivative_function(where.group.point, parameters)]
+        return np.array([row[row != 0] @ seen[row != 0] for row in where.group.gather.toarray()])
 
 
 def _causes(
@@ -216,18 +209,17 @@ def _causes(
     units[units == 0] = 1.0
     kinds = np.array([label.kind for label in where.labels])
     turning = np.array(["quaternion" in label.quantity for label in where.labels])
-    members = {kind: np.flatnonzero(kinds == kind).tolist() for kind in dict.fromkeys(kinds.tolist())}
     for change in CHANGES:
         steps = units * np.where(turning, min(change, MOST_TURN), change)
         alone = [j for j in range(len(inputs)) if _mended(functions, inputs, [j], steps)]
         if alone:
-            return _named(where, inputs, np.array(alone)), ()
-    found = [
+            return _suspects(where.labels, inputs, np.array(alone)), ()
+    members = {kind: np.flatnonzero(kinds == kind).tolist() for kind in dict.fromkeys(kinds.tolist())}
+    return (), tuple(
         kind
         for kind, own in members.items()
-        if any(_mended(functions, inputs, own, units * c) for c in CHANGES)
-    ]
-    return (), tuple(found)
+        if any(_mended(functions, inputs, own, units * change) for change in CHANGES)
+    )
 
 
 def _mended(functions: Sequence[Evaluation], inputs: np.ndarray, which: list[int], steps: np.ndarray) -> bool:
@@ -238,9 +230,3 @@ def _mended(functions: Sequence[Evaluation], inputs: np.ndarray, which: list[int
         if all(np.isfinite(function(trial)).all() for function in functions):
             return True
     return False
-
-
-def _named(where: _Where, inputs: np.ndarray, which: np.ndarray) -> tuple[SuspectInput, ...]:
-    return tuple(
-        SuspectInput(name=str(where.labels[int(j)]), value=float(inputs[int(j)])) for j in which[:MOST_NAMED]
-    )

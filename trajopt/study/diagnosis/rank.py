@@ -41,8 +41,7 @@ class Spectrum:
     """Singular values of a matrix with m rows.
 
     largest, smallest: of those that are not zero (None where all are). nullity: rows too many, of which
-    ``vectors`` (m, k) is an orthonormal basis; with ``complete`` False there are more. small: the smallest
-    non-zero ones that were found.
+    ``vectors`` (m, k) is an orthonormal basis; with ``complete`` False there are more.
     """
 
     rows: int
@@ -50,7 +49,6 @@ class Spectrum:
     smallest: float | None
     nullity: int
     vectors: np.ndarray
-    small: np.ndarray
     complete: bool = True
 
     @property
@@ -66,38 +64,35 @@ class Spectrum:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RowDependency:
-    """Rows that depend on each other: their indices, each one's share (0 to 1), and how many are too many."""
+    """Rows that depend on each other, those of the largest share first, and how many are too many."""
 
     rows: np.ndarray
-    share: np.ndarray
     excess: int
 
 
 def spectrum(matrix: sparse.spmatrix) -> Spectrum:
     """Smallest and largest singular values of the rows of a sparse matrix (m, n)."""
     csr = sparse.csr_matrix(matrix)
-    m, n = csr.shape
-    if m == 0:
-        return Spectrum(
-            rows=0, largest=0.0, smallest=None, nullity=0, vectors=np.zeros((0, 0)), small=np.zeros(0)
-        )
-    return _dense(csr) if min(m, n) <= DENSE else _sparse(csr)
+    return _dense(csr) if min(csr.shape) <= DENSE else _sparse(csr)
 
 
 def _dense(matrix: sparse.csr_matrix) -> Spectrum:
     m, n = matrix.shape
     left, values, _ = np.linalg.svd(matrix.toarray(), full_matrices=m > n)
     values = np.concatenate([values, np.zeros(max(0, m - n))])
-    largest = float(values[0])
-    kept = values > RANK_TOLERANCE * largest
-    small = values[kept][::-1][:FIRST]
+    return _found(values, left, float(values.max(initial=0.0)))
+
+
+def _found(values: np.ndarray, vectors: np.ndarray, largest: float, *, complete: bool = True) -> Spectrum:
+    """From singular values (k,), the smallest among them, and their left vectors (m, k)."""
+    zero = values <= RANK_TOLERANCE * largest
     return Spectrum(
-        rows=m,
+        rows=len(vectors),
         largest=largest,
-        smallest=float(small[0]) if len(small) else None,
-        nullity=int(np.sum(~kept)),
-        vectors=left[:, ~kept],
-        small=small,
+        smallest=None if zero.all() else float(values[~zero].min()),
+        nullity=int(zero.sum()),
+        vectors=vectors[:, zero],
+        complete=complete,
     )
 
 
@@ -111,28 +106,15 @@ def _sparse(matrix: sparse.csr_matrix) -> Spectrum:
     size, limit = min(m, max(FIRST, m - n + FIRST)), min(m, max(MOST, m - n + FIRST))
     basis = np.zeros((m, 0))
     while True:
-        basis = _extended(basis, size, m)
+        generator = np.random.default_rng(basis.shape[1])
+        fresh = generator.standard_normal((m, size - basis.shape[1]))
+        basis = np.linalg.qr(np.hstack([basis, fresh]))[0]
         values, basis = _iterated(factor, scaled, basis)
         zero = values <= RANK_TOLERANCE
         if not zero.all() or size >= limit:
             break
         size = min(2 * size, limit)
-    found = largest * values[~zero]
-    return Spectrum(
-        rows=m,
-        largest=largest,
-        smallest=float(found[0]) if len(found) else None,
-        nullity=int(zero.sum()),
-        vectors=basis[:, zero],
-        small=found[:FIRST],
-        complete=not zero.all() or size == m,
-    )
-
-
-def _extended(basis: np.ndarray, size: int, m: int) -> np.ndarray:
-    generator = np.random.default_rng(basis.shape[1])
-    fresh = generator.standard_normal((m, size - basis.shape[1]))
-    return np.linalg.qr(np.hstack([basis, fresh]))[0]
+    return _found(largest * values, basis, largest, complete=not zero.all() or size == m)
 
 
 def _iterated(
@@ -174,7 +156,7 @@ def dependencies(vectors: np.ndarray) -> list[RowDependency]:
         rows = members[which == group]
         order = np.lexsort((rows, -np.round(share[rows], SHARE_DIGITS)))
         excess = max(1, round(float(share[rows].sum())))
-        found.append(RowDependency(rows=rows[order], share=share[rows][order], excess=excess))
+        found.append(RowDependency(rows=rows[order], excess=excess))
     return found
 
 

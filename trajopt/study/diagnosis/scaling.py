@@ -28,14 +28,10 @@ class Range:
         """Range of an array."""
         magnitudes = np.abs(values)
         magnitudes = magnitudes[magnitudes > ROUNDING * max(1.0, magnitudes.max(initial=0.0))]
-        if not len(magnitudes):
-            return cls(smallest=0.0, largest=0.0)
-        return cls(smallest=float(magnitudes.min()), largest=float(magnitudes.max()))
-
-    @property
-    def spread(self) -> float:
-        """Largest over smallest."""
-        return self.largest / self.smallest if self.smallest > 0 else 1.0
+        return cls(
+            smallest=float(magnitudes.min()) if len(magnitudes) else 0.0,
+            largest=float(magnitudes.max(initial=0.0)),
+        )
 
     @property
     def far(self) -> float:
@@ -113,36 +109,34 @@ def scaling(snapshot: Snapshot) -> Scaling:
 
 def _blocks(snapshot: Snapshot, norms: np.ndarray) -> tuple[BlockScale, ...]:
     info, known = snapshot.transcription.rows, snapshot.row_multiplier
-    found = []
-    for index, name in enumerate(info.names):
-        members = np.flatnonzero(info.block == index)
-        found.append(
-            BlockScale(
-                block=name,
-                rows=len(members),
-                row_norm=Range.of(norms[members]),
-                entries=Range.of(snapshot.jacobian[members].data),
-                multiplier=None if known is None else Range.of(known[members]),
-            )
+    members = [np.flatnonzero(info.block == index) for index in range(len(info.names))]
+    found = [
+        BlockScale(
+            block=name,
+            rows=len(rows),
+            row_norm=Range.of(norms[rows]),
+            entries=Range.of(snapshot.jacobian[rows].data),
+            multiplier=None if known is None else Range.of(known[rows]),
         )
+        for name, rows in zip(info.names, members, strict=True)
+    ]
     return tuple(sorted(found, key=lambda block: -block.row_norm.far))
 
 
 def _kinds(snapshot: Snapshot, norms: np.ndarray, diagonal: np.ndarray) -> tuple[KindScale, ...]:
     labels = np.array([label.kind for label in snapshot.names.unknown_labels])
     free = ~snapshot.fixed
-    found = []
-    for kind in dict.fromkeys(labels.tolist()):
-        members = np.flatnonzero((labels == kind) & free)
-        if len(members):
-            found.append(
-                KindScale(
-                    kind=kind,
-                    unknowns=len(members),
-                    value=Range.of(snapshot.x[members]),
-                    unit=Range.of(snapshot.transcription.scale[members]),
-                    column_norm=Range.of(norms[members]),
-                    hessian=Range.of(diagonal[members]),
-                )
-            )
+    members = {kind: np.flatnonzero((labels == kind) & free) for kind in dict.fromkeys(labels.tolist())}
+    found = [
+        KindScale(
+            kind=kind,
+            unknowns=len(own),
+            value=Range.of(snapshot.x[own]),
+            unit=Range.of(snapshot.transcription.scale[own]),
+            column_norm=Range.of(norms[own]),
+            hessian=Range.of(diagonal[own]),
+        )
+        for kind, own in members.items()
+        if len(own)
+    ]
     return tuple(sorted(found, key=lambda one: -one.column_norm.far))

@@ -110,64 +110,72 @@ class Snapshot:
     # Activity
 
     @cached_property
+    def lower(self) -> np.ndarray:
+        """Lower bounds of rows, then of unknowns (n_rows + n_unknowns,), like what follows."""
+        return np.concatenate([self.transcription.lower_g, self.transcription.lower_x])
+
+    @cached_property
+    def upper(self) -> np.ndarray:
+        """Upper bounds."""
+        return np.concatenate([self.transcription.upper_g, self.transcription.upper_x])
+
+    @cached_property
+    def multiplier(self) -> np.ndarray | None:
+        """Multipliers; None where nothing is known of them."""
+        if self.row_multiplier is None or self.bound_multiplier is None:
+            return None
+        return np.concatenate([self.row_multiplier, self.bound_multiplier])
+
+    @cached_property
+    def margins(self) -> tuple[np.ndarray, np.ndarray]:
+        """How far above its lower bound and below its upper bound each is."""
+        values = np.concatenate([self.g, self.x])
+        return values - self.lower, self.upper - values
+
+    @property
     def equality(self) -> np.ndarray:
         """Rows that are equations (n_rows,)."""
-        t = self.transcription
-        return t.lower_g == t.upper_g
+        return (self.lower == self.upper)[: len(self.g)]
 
-    @cached_property
+    @property
     def fixed(self) -> np.ndarray:
         """Unknowns that are fixed (n_unknowns,)."""
-        t = self.transcription
-        return t.lower_x == t.upper_x
+        return (self.lower == self.upper)[len(self.g) :]
 
     @cached_property
-    def row_side(self) -> np.ndarray:
-        """Of every row: -1 at its lower bound, 1 at its upper one, 0 within; of equations 0 too."""
-        t = self.transcription
-        side = _side(self.g, t.lower_g, t.upper_g, self.row_multiplier, self.tolerance)
-        return np.where(self.equality, 0, side)
+    def side(self) -> np.ndarray:
+        """-1 at the lower bound, 1 at the upper one, 0 within; of equations and fixed unknowns 0 too.
 
-    @cached_property
-    def bound_side(self) -> np.ndarray:
-        """Of every unknown: at which bound it is; of fixed ones 0."""
-        t = self.transcription
-        side = _side(self.x, t.lower_x, t.upper_x, self.bound_multiplier, self.tolerance)
-        return np.where(self.fixed, 0, side)
+        A limit is active where it is reached, or where its multiplier outweighs its slack.
+        """
+        below, above = self.margins
+        at_lower, at_upper = below <= REACHED, above <= REACHED
+        if self.multiplier is not None:  # a row at its upper bound has a positive multiplier
+            at_lower |= (-self.multiplier > np.maximum(below, self.tolerance)) & np.isfinite(below)
+            at_upper |= (self.multiplier > np.maximum(above, self.tolerance)) & np.isfinite(above)
+        upper = at_upper & ((above <= below) | ~at_lower)
+        return np.where(self.lower == self.upper, 0, np.where(upper, 1, np.where(at_lower, -1, 0)))
+
+    @property
+    def strict(self) -> np.ndarray:
+        """Where a limit is strictly active; nowhere without multipliers."""
+        if self.multiplier is None:
+            return np.zeros(len(self.lower), dtype=bool)
+        slack = np.abs(np.minimum(*self.margins))
+        return np.abs(self.multiplier) > np.maximum(STRICT * slack, self.tolerance)
 
     @property
     def active_rows(self) -> np.ndarray:
         """Rows that are equations or at a bound, sorted."""
-        return np.flatnonzero(self.equality | ((self.row_side != 0) & (not self.equations_only)))
+        at_bound = (self.side[: len(self.g)] != 0) & (not self.equations_only)
+        return np.flatnonzero(self.equality | at_bound)
 
     @property
     def free(self) -> np.ndarray:
         """Unknowns that are neither fixed nor at a bound, sorted."""
-        return np.flatnonzero(~self.fixed & ((self.bound_side == 0) | self.equations_only))
+        return np.flatnonzero(~self.fixed & ((self.side[len(self.g) :] == 0) | self.equations_only))
 
     @property
     def structure(self) -> Snapshot:
         """The same iterate, judged by its equations and its objective alone."""
         return replace(self, row_multiplier=None, bound_multiplier=None, equations_only=True)
-
-    def strict(self, slack: np.ndarray, multiplier: np.ndarray | None) -> np.ndarray:
-        """Where a limit with that slack is strictly active; nowhere without multipliers."""
-        if multiplier is None:
-            return np.zeros(len(slack), dtype=bool)
-        return np.abs(multiplier) > np.maximum(STRICT * np.abs(slack), self.tolerance)
-
-
-def _side(
-    values: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    multiplier: np.ndarray | None,
-    tolerance: float,
-) -> np.ndarray:
-    """A limit is active where it is reached, or where its multiplier outweighs its slack."""
-    below, above = values - lower, upper - values
-    at_lower, at_upper = below <= REACHED, above <= REACHED
-    if multiplier is not None:  # a row at its upper bound has a positive multiplier
-        at_lower |= (-multiplier > np.maximum(below, tolerance)) & np.isfinite(below)
-        at_upper |= (multiplier > np.maximum(above, tolerance)) & np.isfinite(above)
-    return np.where(at_upper & (above <= below), 1, np.where(at_lower, -1, np.where(at_upper, 1, 0)))

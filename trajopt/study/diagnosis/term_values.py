@@ -73,13 +73,4 @@ def _terms(
             cost = term.value(context, units, *more)
         if rows or not cost.is_zero():
             function = point_function(term.name, context, cost, rows)
-            yield term.name, function, context.parameter_values_at(_nominal_time(names, site))
-
-
-def _nominal_time(names: NlpNames, site: Site) -> float:
-    layout = names.layout
-    time = float(layout.node_times[site.stage])
-    if site.point >= 0:
-        scheme = layout.scheme_of(names.phase_index(site.stage))
-        time += float(scheme.c[site.point] * layout.steps[site.stage])
-    return time
+            yield term.name, function, context.parameter_values_at(names.time(site, layout.node_times))

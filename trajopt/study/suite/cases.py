@@ -16,17 +16,23 @@ ROBOT_FILE = ".py"
 
 
 @dataclass(frozen=True, kw_only=True, order=True)
-class Case:
-    """One problem on one robot, with every other parameter at its default."""
+class Pair:
+    """One problem on one robot."""
 
     problem: str
     robot: str
-    takes_robot: bool
 
     @property
     def name(self) -> str:
         """The pair as one word, ``problem@robot``."""
         return f"{self.problem}@{self.robot}"
+
+
+@dataclass(frozen=True, kw_only=True, order=True)
+class Case(Pair):
+    """A pair to run, with every other parameter of the problem at its default."""
+
+    takes_robot: bool
 
     @property
     def values(self) -> dict[str, object]:

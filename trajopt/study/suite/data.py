@@ -3,9 +3,9 @@
 A comma-separated table, one line a pair, sorted, columns padded; above it, after ``#``, the versions of what
 solved. Bands:
 
-- objective: the own solution's, plus or minus `OBJECTIVE_BAND` of it. The solver's tolerance of 1e-6 leaves
-  far less, another optimum is further away.
-- iterations: from half to twice the own solve's (at least `LEAST_MARGIN` apart from it):
+- objective: that of the solution from the default guess, plus or minus `OBJECTIVE_BAND` of it. The solver's
+  tolerance of 1e-6 leaves far less, another optimum is further away.
+- iterations: from half to twice those of that solve (at least `LEAST_MARGIN` apart from it):
   rounding, which differs between processors and compilers, changes them that much. Where perturbed starts
   were run the band also holds the middle 80 % of theirs.
 - physics: what MuJoCo made of the plan (``tracked``, ``off``, ``fell``; empty where it was not asked, or no
@@ -16,15 +16,18 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TypeGuard
 
 from trajopt.errors import InputError
+from trajopt.study.suite.cases import Pair
 from trajopt.study.suite.outcome import Outcome, quantile
 from trajopt.study.suite.physics import WORDS, Physics, in_words
 from trajopt.study.suite.settings import SuiteSettings
+from trajopt.study.workers.records import refused_writing
 
 OBJECTIVE_BAND = 1e-3
 FEWEST, MOST = 0.5, 2.0
@@ -36,11 +39,9 @@ OBJECTIVE_FLOOR = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
-class PairBands:
+class PairBands(Pair):
     """One line: a pair, how it was solved, and its bands (both ends included)."""
 
-    problem: str
-    robot: str
     scheme: str
     intervals: int
     solver: str
@@ -49,11 +50,6 @@ class PairBands:
     iterations_low: int
     iterations_high: int
     physics: str = ""
-
-    @property
-    def name(self) -> str:
-        """The pair as one word."""
-        return f"{self.problem}@{self.robot}"
 
 
 def entry_of(outcome: Outcome, settings: SuiteSettings) -> PairBands:
@@ -164,12 +160,8 @@ def read(path: Path) -> tuple[dict[str, PairBands], dict[str, str]]:
         raise InputError(f"cannot read {path}: {reason}", "allowed: a file that --update wrote") from None
     heads = (line[1:].partition(":") for line in lines if line.startswith("#"))
     versions = {name.strip(): value.strip() for name, colon, value in heads if colon}
-    rows = csv.reader(line for line in lines if not line.startswith("#"))
-    cells = [[cell.strip() for cell in row] for row in rows]
-    titles = cells[0] if cells else []
-    entries = [
-        _entry(path, number, dict(zip(titles, row, strict=False))) for number, row in enumerate(cells[1:], 1)
-    ]
+    table = (re.sub(r"\s*,\s*", ",", line.strip()) for line in lines if not line.startswith("#"))
+    entries = [_entry(path, number, row) for number, row in enumerate(csv.DictReader(table), 1)]
     return {entry.name: entry for entry in entries}, versions
 
 
@@ -177,13 +169,13 @@ def _entry(path: Path, number: int, row: Mapping[str, str]) -> PairBands:
     kinds = {"int": int, "float": float, "str": str}
     try:
         row = {"physics": "", **row}
-        values = {field.name: kinds[str(field.type)](row[field.name]) for field in fields(PairBands)}
-        if values["physics"] not in ("", *WORDS):
-            raise ValueError(values["physics"])
-    except (KeyError, ValueError):
-        names = ", ".join(field.name for field in fields(PairBands))
+        entry = PairBands(**{own.name: kinds[str(own.type)](row[own.name]) for own in fields(PairBands)})
+        if entry.physics not in ("", *WORDS):
+            raise ValueError(entry.physics)
+    except (KeyError, TypeError, ValueError):
+        names = ", ".join(own.name for own in fields(PairBands))
         raise InputError(f"line {number} of the table in {path} is not one", f"columns: {names}") from None
-    return PairBands(**values)
+    return entry
 
 
 def write_bands(path: Path, entries: Mapping[str, PairBands], versions: Mapping[str, str]) -> None:
@@ -197,12 +189,8 @@ def write_bands(path: Path, entries: Mapping[str, PairBands], versions: Mapping[
     body = [
         ", ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows
     ]
-    try:
+    with refused_writing(path, "a file in an existing folder"):
         path.write_text("\n".join([*head, *body]) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(
-            f"cannot write {path}: {error.strerror or error}", "allowed: a file in an existing folder"
-        ) from None
 
 
 def _text(value: object) -> str:

@@ -73,11 +73,10 @@ def worst_condition(
     little. Otherwise the one that is most often its tolerance (``feasibility`` for the primal one). None is
     a figure that is not finite.
     """
-    figures = {PRIMAL: primal, DUAL: dual, COMPLEMENTARITY: complementarity}
-    if any(value is None or not math.isfinite(value) for value in figures.values()):
+    figures = [math.nan if value is None else value for value in (primal, dual, complementarity)]
+    if not all(math.isfinite(value) for value in figures):
         return NOT_FINITE
-    found = {name: float(value) for name, value in figures.items() if value is not None}
-    if found[PRIMAL] > STILL_FEASIBLE:
+    if figures[0] > STILL_FEASIBLE:
         return PRIMAL
-    limits = {PRIMAL: feasibility, DUAL: tolerance, COMPLEMENTARITY: tolerance}
-    return max(found, key=lambda name: found[name] / limits[name])
+    missed = zip(figures, (feasibility, tolerance, tolerance), (PRIMAL, DUAL, COMPLEMENTARITY), strict=True)
+    return max(missed, key=lambda entry: entry[0] / entry[1])[2]

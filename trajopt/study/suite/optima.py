@@ -19,6 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 from scipy import sparse
+from scipy.spatial.transform import Rotation
 
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.robot.building import reach
@@ -48,19 +49,14 @@ def embedded(model: pin.Model, q: np.ndarray) -> np.ndarray:
     for joint in Coordinates(model).joints:
         own = q[joint.q]
         if joint.kind == "freeflyer":
-            parts += [own[:3] / length, _rotation(own[3:])]
+            parts += [own[:3] / length, Rotation.from_quat(own[3:]).as_matrix().ravel()]
         elif joint.kind == "spherical":
-            parts.append(_rotation(own))
+            parts.append(Rotation.from_quat(own).as_matrix().ravel())
         elif joint.kind == "planar":
             parts += [own[:2] / length, own[2:]]
         else:
             parts.append(own)
     return np.concatenate(parts)
-
-
-def _rotation(quaternion: np.ndarray) -> np.ndarray:
-    x, y, z, w = quaternion / np.linalg.norm(quaternion)
-    return np.asarray(pin.Quaternion(w, x, y, z).toRotationMatrix()).ravel()
 
 
 def distances(motions: Sequence[str]) -> np.ndarray:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from trajopt.study.suite.cases import Case
+from trajopt.study.suite.cases import Case, Pair
 from trajopt.study.suite.failure import CHECK, ERROR, SOLVED
 from trajopt.study.suite.optima import counted
 from trajopt.study.suite.physics import Physics
@@ -16,7 +16,7 @@ from trajopt.study.suite.physics import Physics
 
 @dataclass(frozen=True, kw_only=True)
 class Attempt:
-    """One solve from one start; ``seed`` is None for the own guess, ``mode`` empty when solved.
+    """One solve from one start; ``seed`` is None for the default guess, ``mode`` empty when solved.
 
     wall_time: the solver's, s. detail: status, and the worst block of rows when not solved. motion: of a
     solved run, see `trajopt.study.suite.optima`.
@@ -89,14 +89,12 @@ class Starts:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class Outcome(Pair):
     """All that was found on one pair; what was not reached is None. ``error`` says what ended it early.
 
     physics: what became of the own solution in MuJoCo, where that was asked for.
     """
 
-    problem: str
-    robot: str
     grid: Grid | None = None
     own: Attempt | None = None
     check: Checked | None = None
@@ -107,13 +105,8 @@ class Outcome:
     total_time: float = 0.0
 
     @property
-    def name(self) -> str:
-        """The pair as one word."""
-        return f"{self.problem}@{self.robot}"
-
-    @property
     def solved(self) -> bool:
-        """Solved from the own guess, by the solver's verdict."""
+        """Solved from the default guess, by the solver's verdict."""
         return self.own is not None and self.own.solved
 
     @property
@@ -129,7 +122,7 @@ class Outcome:
 
     @property
     def ok(self) -> bool:
-        """Solved from the own guess and within every tolerance of a check."""
+        """Solved from the default guess and within every tolerance of a check."""
         return self.mode == SOLVED
 
     @property

@@ -32,7 +32,7 @@ LIMITS = {"build": 600.0, "check": 300.0, "physics": 300.0}
 MOST_LOST = 3
 STAGES = {
     "build": "building and compiling",
-    "own": "own guess",
+    "own": "default guess",
     "check": "checking",
     "physics": "simulating",
     "start": "start",
@@ -55,7 +55,7 @@ def run_all(
     limits: seconds by stage, see `LIMITS`. check: called several times a second; what it raises ends the run.
     """
     known = records.unfinished()
-    pairs = {case.name: _Pair(case, settings, known.get(case.name, ())) for case in _interleaved(cases)}
+    pairs = {case.name: _CaseRun(case, settings, known.get(case.name, ())) for case in _interleaved(cases)}
 
     def hear(told: tuple[str, Event]) -> None:
         name, event = told
@@ -65,7 +65,7 @@ def run_all(
 
     preload = (*problem_modules(), "trajopt.study.suite.run")
     with ProcessPerTaskExecutor(jobs, preload=preload, on_event=hear) as executor:
-        running: dict[Future[None], _Pair] = {}
+        running: dict[Future[None], _CaseRun] = {}
         waiting = list(pairs.values())
         while waiting or running:
             for pair in waiting:
@@ -103,7 +103,7 @@ def _show(display: TaskDisplay, name: str, event: Event, solves: int) -> None:
         display.show(name, "", advance=1)
 
 
-class _Pair:
+class _CaseRun:
     """One pair and the processes it takes: what is known of it, and what is left to run."""
 
     def __init__(self, case: Case, settings: SuiteSettings, known: Iterable[Mapping[str, Any]]) -> None:
@@ -112,7 +112,6 @@ class _Pair:
             self._ledger.add(event)
         needed = {"own", "check", "physics"} if settings.simulate else {"own", "check"}
         self._own = not needed <= self._ledger.found.keys()
-        self._seeds = self._unknown()
         self._stage: str = "build"
         self._seed: int | None = None
         self._begin: float | None = None
@@ -122,7 +121,9 @@ class _Pair:
     def is_done(self) -> bool:
         return not (self._own or self._seeds)
 
-    def _unknown(self) -> list[int]:
+    @property
+    def _seeds(self) -> list[int]:
+        """Perturbed starts that are left."""
         return [seed for seed in self._settings.seeds if seed not in self._ledger.starts]
 
     def task(self, limits: Mapping[str, float], folder: Path | None) -> tuple[Any, ...]:
@@ -142,7 +143,7 @@ class _Pair:
         """Its process has ended, with an error where it was lost; raises one that is none of a task."""
         now = time.perf_counter()
         self._seconds += now - (self._begin or now)
-        self._own, self._seeds = False, self._unknown()
+        self._own = False
         if error is None:
             return
         if not isinstance(error, TaskError):
@@ -157,9 +158,8 @@ class _Pair:
         else:
             self._fail(self._seed, mode, "lost", text)
         if self._stage == "build" or self._lost == MOST_LOST:
-            for seed in self._unknown():
+            for seed in self._seeds:
                 self._fail(seed, mode, "not_run", f"not run: {text}")
-        self._seeds = self._unknown()
 
     def _fail(self, seed: int, mode: str, status: str, detail: str) -> None:
         self._ledger.starts[seed] = Attempt(seed=seed, mode=mode, status=status, detail=detail)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+import contextlib
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -39,8 +40,12 @@ class SuiteRecords:
         entries = self._results.open(resume=resume)
         if not resume:
             self.close()
-        known = outcomes_of(entry for entry in entries if self._is_own(entry))
-        return {outcome.name: outcome for outcome in known if not outcome.error}
+        known = {}
+        for entry in filter(self._is_own, entries):
+            with contextlib.suppress(ValueError, KeyError, TypeError):  # what is no result is passed over
+                outcome = Outcome.from_dict(entry["outcome"])
+                known[outcome.name] = outcome
+        return {name: outcome for name, outcome in known.items() if not outcome.error}
 
     def told(self, pair: str, event: Mapping[str, Any]) -> None:
         """Append one event of a pair that is running; those without figures are passed over."""
@@ -55,12 +60,10 @@ class SuiteRecords:
         """Events of this suite's settings and versions by pair; what is no event is passed over."""
         found: dict[str, list[Mapping[str, Any]]] = {}
         for entry in filter(self._is_own, self._events.read()):
-            try:
+            with contextlib.suppress(ValueError, KeyError, TypeError):
                 pair, event = entry["pair"], entry["told"]
                 Ledger(Case(problem="", robot="", takes_robot=False)).add(event)
-            except (ValueError, KeyError, TypeError):
-                continue
-            found.setdefault(pair, []).append(event)
+                found.setdefault(pair, []).append(event)
         return found
 
     def add(self, outcome: Outcome) -> None:
@@ -69,12 +72,3 @@ class SuiteRecords:
 
     def _is_own(self, entry: Mapping[str, Any]) -> bool:
         return {key: entry.get(key) for key in self._head} == self._head
-
-
-def outcomes_of(entries: Iterable[Mapping[str, Any]]) -> Iterator[Outcome]:
-    """The results among the objects of a file of results; what is none is passed over."""
-    for entry in entries:
-        try:
-            yield Outcome.from_dict(entry["outcome"])
-        except (ValueError, KeyError, TypeError):
-            continue

@@ -1,4 +1,4 @@
-"""One pair: prepared once, solved from its own guess, checked, then solved from perturbed starts.
+"""One pair: prepared once, solved from its default guess, checked, then solved from perturbed starts.
 
 What happens is told as events, JSON-able dicts, because a pair runs in a process of its own that may be
 killed at any moment: what was told by then is not lost.
@@ -83,7 +83,7 @@ def run_stages(
 ) -> None:
     """Run one pair and tell its events: stages as they begin, figures as they are known.
 
-    own: solve from the own guess and check; not where a run goes on after a lost process.
+    own: solve from the default guess and check; not where a run goes on after a lost process.
     seeds: perturbed starts, default those of the settings. folder: where the solution file is written.
     Raises TrajoptError where the pair cannot be built.
     """

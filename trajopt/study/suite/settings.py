@@ -21,7 +21,7 @@ DEFAULT_MAX_TIME = 300.0
 class SuiteSettings:
     """One choice for all pairs; no pair has options of its own.
 
-    perturbed: number of perturbed starts besides the own guess, seeds 0 to perturbed - 1.
+    perturbed: number of perturbed starts besides the default guess, seeds 0 to perturbed - 1.
     sigma: standard deviation of their noise in scaled units. max_time: s for one solve. simulate: run what is
     solved of legged robots in MuJoCo, too.
     """

@@ -264,7 +264,7 @@ def _values(future: Future[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _start_text(job: Job) -> str:
-    start = "own guess" if job.start == 0 else f"start {job.start}"
+    start = "default guess" if job.start == 0 else f"start {job.start}"
     return start + (f", attempt {job.attempt + 1}" if job.attempt else "")
 
 

@@ -146,19 +146,16 @@ def _is_complete(row: Mapping[str, str]) -> bool:
 
 
 def _measured(path: Path, row: Mapping[str, str]) -> Measured:
-    values = {
-        "density": "intervals_per_natural_time",
-        "time": "time_s",
-        "relative_time": "relative_time",
-        "error": "error_m",
-        "relative_error": "relative_error",
-        "success_rate": "success_rate",
-        "variables": "variables",
-        "calibration": "calibration_s",
-    }
     return Measured(
         setting=Setting.from_dict(row),
-        **{name: _number(path, row, column) for name, column in values.items()},
+        density=_number(path, row, "intervals_per_natural_time"),
+        time=_number(path, row, "time_s"),
+        relative_time=_number(path, row, "relative_time"),
+        error=_number(path, row, "error_m"),
+        relative_error=_number(path, row, "relative_error"),
+        success_rate=_number(path, row, "success_rate"),
+        variables=_number(path, row, "variables"),
+        calibration=_number(path, row, "calibration_s"),
     )
 
 

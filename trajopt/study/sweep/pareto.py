@@ -51,8 +51,5 @@ def dominators(points: Sequence[Point], gain: float = 0.0) -> list[int | None]:
 
 def _lead(first: Point, second: Point) -> float:
     """Logarithm of the product of ratios; zero is ahead of any other number by infinity."""
-    return sum(_log(b) - _log(a) if a != b else 0.0 for a, b in zip(first, second, strict=True))
-
-
-def _log(value: float) -> float:
-    return math.log(value) if value > 0 else -math.inf
+    pairs = [(a, b) for a, b in zip(first, second, strict=True) if a != b]
+    return sum(math.inf if a <= 0 else math.log(b / a) for a, b in pairs)

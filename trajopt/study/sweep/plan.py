@@ -11,7 +11,7 @@ from typing import Any
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.study.sweep.setting import STARTS, WORDS, Setting
-from trajopt.study.sweep.variants import cone_of
+from trajopt.study.sweep.variants import cone_of, with_cone
 from trajopt.transcription.compilation import HESSIANS
 
 # Parts of the problem's own number of intervals that are tried.
@@ -170,10 +170,7 @@ def _alternatives(problem: Problem, base: Setting, notes: list[str]) -> dict[str
 def _require(problem: Problem, setting: Setting) -> None:
     """Refuse what the problem does not have; what a solver refuses is found when it is asked."""
     problem.schedule.intervals(setting.intervals)
-    if setting.cone != "own" and cone_of(problem) is None:
-        raise InputError(
-            f"problem '{problem.name}' has no friction term of point contacts", "allowed: no --cone"
-        )
+    with_cone(problem, setting.cone)
     if setting.model == "two-stage" and (problem.actuation != "torque" or problem.robot.base == "fixed"):
         raise InputError(
             f"problem '{problem.name}' has no base rows that could be solved before its torques",

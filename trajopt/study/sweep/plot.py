@@ -7,8 +7,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trajopt.errors import InputError
 from trajopt.study.sweep.summary import Summary
+from trajopt.study.workers.records import refused_writing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,12 +47,8 @@ def plot(summaries: Sequence[Summary], title: str, path: Path) -> Path | None:
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
     _labels(axes, rows, legend)
-    try:
+    with refused_writing(path):
         figure.savefig(path)
-    except OSError as error:
-        raise InputError(
-            f"cannot write {path}: {error.strerror or error}", "allowed: a folder that can be written"
-        ) from None
     return path
 
 

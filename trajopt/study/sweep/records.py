@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,7 @@ HEAD = {
 class SweepRequest:
     """What is swept: the problem by name with values of its parameters, and how its settings are run.
 
-    repeats: perturbed starts besides the own guess, with seeds 1 to repeats: the same ones for every setting.
+    repeats: perturbed starts besides the default guess, with seeds 1 to repeats, the same for every setting.
     sigma: their noise in scaled units. max_iterations, max_time (s): of one solve. build_time: s beyond that
     time, for graphs, transcription and the C compiler on a busy machine, after which a run is ended.
     reference_time: s that the reference may take, 0 for none. Raises InputError for values that are none.
@@ -69,7 +70,7 @@ class SweepRequest:
 
     @property
     def starts(self) -> tuple[int, ...]:
-        """Every setting's starts, 0 the own guess."""
+        """Every setting's starts, 0 the default guess."""
         return tuple(range(self.repeats + 1))
 
     def load(self) -> Problem:
@@ -152,10 +153,8 @@ class SweepRecords:
             return
         self._require(first.get("head"), head)
         for entry in entries:
-            try:
+            with suppress(ValueError, KeyError, TypeError):  # it is done again
                 self.found.add(entry)
-            except (ValueError, KeyError, TypeError):  # it is done again
-                continue
 
     def _require(self, known: Any, head: Mapping[str, Any]) -> None:
         for name, words in HEAD.items():

@@ -14,7 +14,7 @@ NOT_COMPILED = "not_compiled"
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """One run to be made: a setting's name, the start (0 the own guess, k that of seed k), which attempt."""
+    """One run to be made: a setting's name, the start (0 the default guess, k of seed k), which attempt."""
 
     setting: str
     start: int
@@ -22,10 +22,10 @@ class Job:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TimedRun:
+class TimedRun(Job):
     """One solve and its times in s; what is not known is None.
 
-    setting, start, attempt: see `Job`. wall_time, function_time: the solver's. start_time: of the solve that
+    wall_time, function_time: the solver's. start_time: of the solve that
     made a warm start. stage_two_time: torques after the motion. build_time, compile_time: graphs and
     transcription, the C compiler. iterations: of all solves. objective: the problem's own, whatever was
     solved in its place. calibration: time of the load beside the run (`calibration`), s. cpu_share: part of
@@ -33,9 +33,6 @@ class TimedRun:
     detail: why it was refused, lost or not solved.
     """
 
-    setting: str
-    start: int
-    attempt: int
     status: str
     success: bool = False
     iterations: int | None = None

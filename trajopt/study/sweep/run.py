@@ -29,27 +29,21 @@ COARSER = 0.5
 SHORT, TIMES = 0.1, 5
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class _Made:
-    """A solution and what it took besides its own solve, s."""
+    """All that was solved, in order, the last of it the solution, and s that stage two took."""
 
-    solution: Solution
-    coarse: Solution | None
+    parts: tuple[Solution, ...]
     stage_two_time: float = 0.0
+
+    def total(self, name: str) -> Any:
+        """A figure of all that was solved together."""
+        return sum(part.meta[name] for part in self.parts)
 
     @property
     def time(self) -> float:
         """Time of all that was solved, s."""
         return float(self.total("wall_time_s")) + self.stage_two_time
-
-    @property
-    def parts(self) -> list[Solution]:
-        """All that was solved, in order."""
-        return [part for part in (self.coarse, self.solution) if part is not None]
-
-    def total(self, name: str) -> Any:
-        """A figure of all that was solved together."""
-        return sum(part.meta[name] for part in self.parts)
 
 
 def run_job(request: SweepRequest, setting: Setting, job: Job, file: Path) -> TimedRun:
@@ -71,7 +65,7 @@ def run_setting(problem: Problem, setting: Setting, job: Job, request: SweepRequ
     elapsed, busy = time.perf_counter() - begin, time.process_time() - processor
     after = load.seconds()
     made, first = sorted(found, key=lambda made: made.time)[len(found) // 2], found[0]
-    solution, meta = made.solution, made.solution.meta
+    solution, meta = made.parts[-1], made.parts[-1].meta
     objective = meta["objective"]
     if setting.model == "two-stage" and solution.success:
         objective = objective_of(asked, setting, solution)
@@ -85,7 +79,7 @@ def run_setting(problem: Problem, setting: Setting, job: Job, request: SweepRequ
         success=meta["success"],
         iterations=made.total("iterations"),
         wall_time=meta["wall_time_s"],
-        start_time=0.0 if made.coarse is None else made.coarse.meta["wall_time_s"],
+        start_time=sum((part.meta["wall_time_s"] for part in made.parts[:-1]), 0.0),
         stage_two_time=made.stage_two_time,
         function_time=made.total("function_time_s"),
         build_time=first.total("build_time_s"),
@@ -152,18 +146,18 @@ def _solve(problem: Problem, setting: Setting, job: Job, request: SweepRequest) 
         "max_time": request.max_time,
     }
     noise: dict[str, Any] = {"seed": job.start, "perturb": request.sigma if job.start else 0.0}
-    coarse: Solution | None = None
+    parts: tuple[Solution, ...] = ()
     if setting.start == "warm":
         least = len(problem.schedule.phases)
         intervals = max(least, round(COARSER * setting.intervals))
         coarse = solve(first, intervals=intervals, **noise, **arguments)
-        noise = {"start": coarse} if coarse.success else noise
+        parts, noise = (coarse,), {"start": coarse} if coarse.success else noise
     solution = solve(first, intervals=setting.intervals, **noise, **arguments)
     if first is problem or not solution.success:
-        return _Made(solution=solution, coarse=coarse)
+        return _Made((*parts, solution))
     begin = time.perf_counter()
     solution = with_torques(problem, solution)
-    return _Made(solution=solution, coarse=coarse, stage_two_time=time.perf_counter() - begin)
+    return _Made((*parts, solution), stage_two_time=time.perf_counter() - begin)
 
 
 def with_torques(problem: Problem, solution: Solution) -> Solution:

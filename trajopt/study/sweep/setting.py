@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
+import numpy as np
+
 from trajopt.errors import InputError
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solving.solving import DEFAULT_SOLVER
@@ -80,7 +82,8 @@ class Setting:
         """Each axis in a word; the grid is one."""
         grid = f"{self.transcription}@{self.intervals}"
         words = {axis: getattr(self, axis) for axis in WORDS}
-        return {"grid": grid, "solver": words.pop("solver"), "tolerance": _short(self.tolerance), **words}
+        tolerance = np.format_float_scientific(self.tolerance, trim="-", exp_digits=1)
+        return {"grid": grid, "solver": words.pop("solver"), "tolerance": tolerance, **words}
 
     @property
     def name(self) -> str:
@@ -143,9 +146,3 @@ def _meaning(word: str) -> dict[str, Any]:
         return {"tolerance": float(word)}
     except ValueError:
         raise InputError(f"'{word}' is no word of a setting", WORD_FORM) from None
-
-
-def _short(value: float) -> str:
-    """``1e-6`` for 1e-06 and for 0.000001."""
-    digits, _, exponent = f"{value:.15e}".partition("e")
-    return f"{digits.rstrip('0').rstrip('.')}e{int(exponent)}"

@@ -13,7 +13,6 @@ from typing import Any
 
 from rich.table import Table
 
-from trajopt.errors import InputError
 from trajopt.problem import Problem
 from trajopt.robot.units import Units
 from trajopt.study.sweep.figures import COLUMNS
@@ -22,7 +21,10 @@ from trajopt.study.sweep.records import SweepResults
 from trajopt.study.sweep.result import TimedRun
 from trajopt.study.sweep.setting import Setting
 from trajopt.study.sweep.summary import Summary
+from trajopt.study.workers.display import plain_table
+from trajopt.study.workers.records import refused_writing
 
+FOLDED = "dominated by"
 RUNS, SETTINGS, FRONT = "runs.csv", "settings.csv", "front.csv"
 RUN_FIGURES = tuple(entry.name for entry in fields(TimedRun) if entry.name != "setting")
 SECONDS = ("wall_time", "start_time", "stage_two_time", "function_time", "build_time")
@@ -114,18 +116,14 @@ def write_tables(
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None) -> None:
     """Write a table at once or not at all; truth as 1 and 0, what is not known or not finite as nothing."""
     titles = list(columns or (rows[0] if rows else ()))
-    try:
+    with refused_writing(path):
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
         with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
-            writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(titles)
-            writer.writerows([_cell(row[title]) for title in titles] for row in rows)
+            writer = csv.DictWriter(stream, titles, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows({title: _cell(value) for title, value in row.items()} for row in rows)
         os.chmod(name, 0o644)
         os.replace(name, path)
-    except OSError as error:
-        raise InputError(
-            f"cannot write {path}: {error.strerror or error}", "allowed: a folder that can be written"
-        ) from None
 
 
 def _cell(value: Any) -> str:
@@ -140,16 +138,10 @@ def _cell(value: Any) -> str:
 
 def summary_table(summaries: Iterable[Summary]) -> Table:
     """The settings, those of the front first, fastest first; then by time, those that failed last."""
-    found = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    found.add_column("setting", no_wrap=True)
-    for title in ("solved", "iter", "time", "x default", "error", "objective gap"):
-        found.add_column(title, justify="right", no_wrap=True)
-    found.add_column("dominated by", overflow="fold")
     rows = list(summaries)
     default = next((row.time for row in rows if row.is_default), math.nan)
-    for row in sorted(rows, key=lambda row: (not row.on_front, not row.is_measured, _last(row.time))):
-        found.add_row(*_cells(row, default))
-    return found
+    ordered = sorted(rows, key=lambda row: (not row.on_front, not row.is_measured, _last(row.time)))
+    return plain_table([_cells(row, default) for row in ordered], ("setting", FOLDED), fold=(FOLDED,))
 
 
 def _last(time: float) -> float:
@@ -157,17 +149,17 @@ def _last(time: float) -> float:
     return time if math.isfinite(time) else math.inf
 
 
-def _cells(row: Summary, default: float) -> list[str]:
+def _cells(row: Summary, default: float) -> dict[str, str]:
     iterations = row.median_of("iterations")
     gap = row.accuracy.get("objective_gap")
     note = row.dominated_by or ("front" if row.on_front else row.failure or "error not known")
-    return [
-        f"{row.label}{' (default)' if row.is_default else ''}",
-        f"{len(row.solved)}/{len(row.runs)}",
-        "" if iterations is None else f"{iterations:g}",
-        f"{row.time:.3g} s" if math.isfinite(row.time) else "",
-        f"{row.time / default:.2f}" if math.isfinite(row.time / default) else "",
-        f"{row.error:.1e} m" if math.isfinite(row.error) else "",
-        "" if gap is None else f"{gap:+.1e}",
-        note,
-    ]
+    return {
+        "setting": f"{row.label}{' (default)' if row.is_default else ''}",
+        "solved": f"{len(row.solved)}/{len(row.runs)}",
+        "iter": "" if iterations is None else f"{iterations:g}",
+        "time": f"{row.time:.3g} s" if math.isfinite(row.time) else "",
+        "x default": f"{row.time / default:.2f}" if math.isfinite(row.time / default) else "",
+        "error": f"{row.error:.1e} m" if math.isfinite(row.error) else "",
+        "objective gap": "" if gap is None else f"{gap:+.1e}",
+        FOLDED: note,
+    }

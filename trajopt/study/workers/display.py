@@ -3,9 +3,36 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Collection, Mapping, Sequence
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+
+def plain_table(
+    rows: Sequence[Mapping[str, str]],
+    left: Collection[str],
+    *,
+    fold: Collection[str] = (),
+    whole: Collection[str] = (),
+) -> Table:
+    """A table without lines of rows by title; columns but those of ``left`` are of numbers.
+
+    fold: columns whose text may take several lines. whole: columns that are never cut short.
+    """
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for title in rows[0] if rows else ():
+        table.add_column(
+            title,
+            justify="left" if title in left else "right",
+            no_wrap=title not in fold,
+            overflow="fold" if title in fold else "ellipsis",
+            min_width=max(len(row[title]) for row in rows) if title in whole else None,
+        )
+    for row in rows:
+        table.add_row(*row.values())
+    return table
 
 
 class TaskDisplay:

@@ -4,11 +4,21 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from trajopt.errors import InputError
+
+
+@contextmanager
+def refused_writing(path: Path, allowed: str = "a folder that can be written") -> Iterator[None]:
+    """Raise InputError where ``path`` cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror or error}", f"allowed: {allowed}") from None
 
 
 class JsonLines:
@@ -25,18 +35,13 @@ class JsonLines:
         """Make the folder, and the file unless it is resumed; what it holds."""
         if self.path is None:
             return []
-        try:
+        with refused_writing(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with self.path.open("a+" if resume else "w+", encoding="utf-8") as stream:
                 stream.seek(0)
                 text = stream.read()
                 if text and not text.endswith("\n"):  # a line cut off by a crash
                     stream.write("\n")
-        except OSError as error:
-            raise InputError(
-                f"cannot write {self.path}: {error.strerror or error}",
-                "allowed: a folder that can be written",
-            ) from None
         return self.read()
 
     def read(self) -> list[dict[str, Any]]:
@@ -45,13 +50,9 @@ class JsonLines:
             return []
         found = []
         for line in self.path.read_text(encoding="utf-8").splitlines():
-            try:
-                entry = json.loads(line)
-            except ValueError:
-                continue
-            if isinstance(entry, dict):
-                found.append(entry)
-        return found
+            with suppress(ValueError):
+                found.append(json.loads(line))
+        return [entry for entry in found if isinstance(entry, dict)]
 
     def append(self, entry: Mapping[str, Any]) -> None:
         """Write one object."""
