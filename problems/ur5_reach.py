@@ -73,7 +73,7 @@ FAMILY = Family(
         *turns(" from its start orientation"),
         common.duration("duration", 1.5, "duration of the motion", (1e-3, 60.0)),
         common.EFFORT_SHARE,
-        common.choice("actuation", "what the joints' actuators are sources of", *ACTUATIONS),
+        common.choice("actuation", "control input of the joints", *ACTUATIONS),
     ),
     build=build,
 )

@@ -51,7 +51,7 @@ SWITCH = 2e-3
 
 
 def moving_start() -> Problem:
-    """The pushed hopper with a free duration: its start moves, whatever the clock."""
+    """The pushed hopper with a free duration: its start moves, whatever the time scale."""
     phase = Phase(name="stance", duration=0.1, contacts=(FOOT,), duration_bounds=(0.05, 0.3))
     return replace(lean(), schedule=Schedule((phase,)))
 
@@ -77,13 +77,13 @@ def test_derivatives_of_the_whole_nlp_equal_differences(name, scheme):
         scheme = "radau:2"  # statics at both ends of an interval say everything twice
     nlp = nlp_of(name, scheme)
     layout = nlp.transcription.layout
-    clocks = np.concatenate(
+    time_scales = np.concatenate(
         [
             np.arange(layout.node(k).start, layout.node(k).stop)[form.time_scales]
             for k, form in enumerate(layout.forms)
         ]
     )
-    assert_derivatives(nlp, seed=0, ones=clocks.astype(int))
+    assert_derivatives(nlp, seed=0, ones=time_scales.astype(int))
 
 
 @pytest.mark.long
@@ -286,7 +286,7 @@ def limited(schedule: Schedule, *phases: str) -> Problem:
 
 
 def test_limits_of_a_phase_hold_at_its_nodes_whatever_lies_between_phases():
-    """Two intervals a phase: nodes 2 and 4 end stance and flight; changes of clock add one each."""
+    """Two intervals a phase: nodes 2 and 4 end stance and flight; changes of time scale add one each."""
     both = (True, True)
     fixed, free = phases(free=False, impact=False), phases(free=True, impact=False)
     assert bounded(limited(fixed, "flight")) == {2: both, 3: both, 4: both}

@@ -33,7 +33,7 @@ def test_an_unknown_changes_what_its_name_says():
     seen = set()
     for index in range(0, len(snapshot.x), 7):
         label, site = names.unknown_labels[index], names.unknown_sites[index]
-        if label.owner in ("base", "") or label.kind == "clock":
+        if label.owner in ("base", "") or label.kind == "time scale":
             continue
         moved = snapshot.x.copy()
         moved[index] += 0.1
@@ -88,7 +88,7 @@ def test_rows_are_named_by_contact_axis_and_state():
     [
         ("hopper-hop", {"touchdown": "impact"}, {"jump", "impulse", "force"}),
         ("hopper-hop", {"coordinates": "minimal"}, {"position", "rate", "acceleration"}),
-        ("hopper-hop", {"goal": "time"}, {"clock"}),
+        ("hopper-hop", {"goal": "time"}, {"time scale"}),
         ("hopper-gait", {}, {"position", "rate"}),
         ("ur5-reach", {"actuation": "velocity"}, {"position", "rate"}),
         ("arm-pick-place", {}, {"position"}),

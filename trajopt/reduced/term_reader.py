@@ -101,8 +101,8 @@ class TermReader:
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
         self.coordinates, self.units = Coordinates(problem.robot.model), Units(problem.robot)
-        self.clocks = problem.schedule.clocks
-        self.n_clocks = sum(clock is not None for clock in self.clocks)
+        self.time_scales = problem.schedule.time_scales
+        self.n_time_scales = sum(index is not None for index in self.time_scales)
 
     def _context(self, phase: int, place: Place) -> Context:
         """A fresh context of the whole robot in a phase."""
@@ -113,7 +113,7 @@ class TermReader:
             self.coordinates,
             active,
             place=place,
-            clocks=(self.n_clocks, self.clocks[phase]),
+            time_scales=(self.n_time_scales, self.time_scales[phase]),
             actuation=self.problem.actuation,
             surfaces=self.problem.surfaces_of(phase),
         )

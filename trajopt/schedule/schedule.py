@@ -190,8 +190,8 @@ class Schedule:
         return sum(low for low, _ in bounds), sum(high for _, high in bounds)
 
     @property
-    def clocks(self) -> tuple[int | None, ...]:
-        """Number of the clock of every phase: free durations are counted, the others have None."""
+    def time_scales(self) -> tuple[int | None, ...]:
+        """Index of the time scale of every phase: free durations are counted, the others have None."""
         free = [phase.duration_bounds is not None for phase in self.phases]
         return tuple(sum(free[:i]) if own else None for i, own in enumerate(free))
 

@@ -34,13 +34,13 @@ def extract(transcription: Transcription, x: np.ndarray, meta: dict[str, Any]) -
     """
     layout, problem = transcription.layout, transcription.problem
     unknowns = x * transcription.scale
-    clocks = layout.time_scales(unknowns)
-    steps = layout.steps * clocks[layout.phase_of]
+    time_scales = layout.time_scales(unknowns)
+    steps = layout.steps * time_scales[layout.phase_of]
     times = layout.times(unknowns)
     columns: dict[str, list[np.ndarray]] = {name: [] for name in ("t", "q", "v", "a", "tau", "f")}
     for k in layout.interval_stages:
         interval = _interval(
-            problem, layout, unknowns, int(k), float(steps[k]), float(clocks[layout.phase_of[k]])
+            problem, layout, unknowns, int(k), float(steps[k]), float(time_scales[layout.phase_of[k]])
         )
         scheme = layout.scheme_of(int(layout.phase_of[k]))
         ends = scheme.interpolation(np.array([0.0, 1.0]))
@@ -57,7 +57,7 @@ def extract(transcription: Transcription, x: np.ndarray, meta: dict[str, Any]) -
     return Solution(
         meta={
             **_problem_meta(transcription),
-            "durations": [float(steps[layout.intervals_of(i)].sum()) for i in range(len(clocks))],
+            "durations": [float(steps[layout.intervals_of(i)].sum()) for i in range(len(time_scales))],
             "rotation_norm_error": error if math.isfinite(error) else None,
             **meta,
         },
@@ -115,12 +115,12 @@ def _widths(layout: Layout, stages: np.ndarray) -> np.ndarray:
 
 
 def _interval(
-    problem: Problem, layout: Layout, unknowns: np.ndarray, k: int, h: float, clock: float
+    problem: Problem, layout: Layout, unknowns: np.ndarray, k: int, h: float, time_scale: float
 ) -> dict[str, np.ndarray]:
     """Motion of the whole robot from the collocation map, torques from numeric Pinocchio.
 
     ``q``, ``v``, ``a`` are at the start, the points and the end; ``tau`` and ``f`` (s, nc, 6) at the points.
-    h: step, s. clock: duration over the nominal one.
+    h: step, s. time_scale: duration over the nominal one.
     """
     phase, form = int(layout.phase_of[k]), layout.forms[k]
     method = layout.scheme_of(phase)
@@ -134,7 +134,7 @@ def _interval(
     start[form.coordinates.additive_index] = nodes[0][form.additive]
     rotations = nodes[0][form.rotations]
     if layout.order == 2:
-        highest = y / clock**2
+        highest = y / time_scale**2
         xi = start + h * np.outer(method.c, rates) + h * h * method.A2 @ highest
         q, v, a = _in_pinocchio(form, rotations, xi, rates + h * method.A1 @ highest, highest)
         moved = form.coordinates.node_to_pinocchio(np.array(nodes))
@@ -143,9 +143,9 @@ def _interval(
     else:
         fractions = np.concatenate([[0.0], method.c, [1.0]])
         weights = np.vstack([np.zeros(method.s), method.A1, method.b1])
-        first = method.interpolation(fractions) @ y / clock
-        second = method.interpolation_rate(fractions) @ y / (clock * h)
-        every = _in_pinocchio(form, rotations, start + h * weights @ y / clock, first, second)
+        first = method.interpolation(fractions) @ y / time_scale
+        second = method.interpolation_rate(fractions) @ y / (time_scale * h)
+        every = _in_pinocchio(form, rotations, start + h * weights @ y / time_scale, first, second)
         q, v, a = (part[1:-1] for part in every)
         edge = (form.coordinates.node_to_pinocchio(np.array(nodes))[0], every[1][[0, -1]], every[2][[0, -1]])
     f = np.array(

@@ -42,13 +42,13 @@ class WarmStart:
 class _Source(MotionSource):
     """The solution's motion in the time of a layout.
 
-    ``clocks`` (n_phases,): duration over nominal duration; ``stretch`` (n_phases,): duration over the
+    ``time_scales`` (n_phases,): duration over nominal duration; ``stretch`` (n_phases,): duration over the
     solution's; ``columns``: the solution's column of a contact's frame; ``known_impulses`` (nc, 6) by phase.
     """
 
     layout: Layout
     motion: SolutionMotion
-    clocks: np.ndarray
+    time_scales: np.ndarray
     stretch: np.ndarray
     columns: dict[str, int]
     known_impulses: dict[int, np.ndarray]
@@ -71,7 +71,7 @@ class _Source(MotionSource):
         state = layout.in_coordinates_of(form, found.q, found.v, found.a)
         highest = local_state(form.robot.model, origin, *state)[layout.order]
         wrenches = [found.f[self.columns[c.frame], list(c.rows)] for c in layout.contacts[phase]]
-        scale = self.clocks[phase] ** layout.order
+        scale = self.time_scales[phase] ** layout.order
         return highest * scale, np.concatenate([np.zeros(0), *wrenches])
 
     @override
@@ -103,7 +103,7 @@ def warm_start(transcription: Transcription, solution: Solution) -> WarmStart:
     _require_same_robot(layout, solution)
     _require_same_phases(layout, solution)
     source = _source(transcription, solution)
-    scales = source.clocks[[clock is not None for clock in layout.schedule.clocks]]
+    scales = source.time_scales[[index is not None for index in layout.schedule.time_scales]]
     near = layout.coordinates.node_from_pinocchio(*start_of(transcription.problem, layout))
     x = unknowns_from_motion(layout, source, scales, near) / transcription.scale
     fixed = transcription.lower_x == transcription.upper_x
@@ -149,11 +149,11 @@ def _source(transcription: Transcription, solution: Solution) -> _Source:
     phases = layout.schedule.phases
     spans = np.array([motion.span(i) for i in range(len(phases))])
     old = spans[:, 1] - spans[:, 0]
-    clocks = np.ones(len(phases))
+    time_scales = np.ones(len(phases))
     for i, phase in enumerate(phases):
         if phase.duration_bounds is not None:
-            clocks[i] = np.clip(old[i], *phase.duration_bounds) / phase.duration
-    new = clocks * [phase.duration for phase in phases]
+            time_scales[i] = np.clip(old[i], *phase.duration_bounds) / phase.duration
+    new = time_scales * [phase.duration for phase in phases]
     impulses = {}
     if solution.impulse is not None and solution.impact_index is not None:
         impulses = dict(zip(solution.phase[solution.impact_index].tolist(), solution.impulse, strict=True))
@@ -161,7 +161,7 @@ def _source(transcription: Transcription, solution: Solution) -> _Source:
     return _Source(
         layout=layout,
         motion=motion,
-        clocks=clocks,
+        time_scales=time_scales,
         stretch=new / old,
         columns=columns,
         known_impulses=impulses,

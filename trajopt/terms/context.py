@@ -30,9 +30,10 @@ from trajopt.terrain.terrain import Ground
 class Context(Parameters):
     """Symbols of one collocation point, node or impact.
 
-    At a collocation point the inputs ``z`` are (rotations, xi, xi', xi'', wrenches, clock); at a node they
-    are its variables; at an impact (rotations, xi, rates before, jump of the rates, impulses, clock). Entries
-    that a problem does not have (the clock of a fixed duration, xi'' of a velocity source) are left out.
+    At a collocation point the inputs ``z`` are (rotations, xi, xi', xi'', wrenches, time scale); at a node
+    they are its variables; at an impact (rotations, xi, rates before, jump of the rates, impulses,
+    time scale). Entries that a problem does not have (the time scale of a fixed duration, xi'' of a velocity
+    source) are left out.
     ``xi`` (nv) are local coordinates (see `trajopt.dynamics.manifold`), ``dxi``, ``ddxi`` their derivatives
     in true time; ``q``, ``v``, ``a`` are Pinocchio's. Wrenches act on the robot, in world axes at the contact
     frame's origin, N and N m (impulses N s and N m s).
@@ -43,7 +44,7 @@ class Context(Parameters):
         contacts: active ones with unknown wrenches.
         node: short for ``place=Place.NODE``.
         place: what the symbols are of, default a collocation point.
-        clocks: number of clocks in a node, and the index of this phase's (None in nominal time).
+        time_scales: number of time scales in a node, and the index of this phase's (None in nominal time).
         actuation: the control input.
         surfaces: what every active contact touches, by its name.
         mode: minimal coordinates of the phase, None for the whole robot's.
@@ -60,7 +61,7 @@ class Context(Parameters):
         *,
         node: bool = False,
         place: Place | None = None,
-        clocks: tuple[int, int | None] = (0, None),
+        time_scales: tuple[int, int | None] = (0, None),
         actuation: Actuation = "torque",
         surfaces: Mapping[str, Ground] = MappingProxyType({}),
         mode: StanceMode | None = None,
@@ -71,16 +72,16 @@ class Context(Parameters):
         self.robot, self.coordinates, self.contacts, self.near = robot, coordinates, contacts, near
         self.place = place or (Place.NODE if node else Place.POINT)
         self.actuation, self._surfaces, self._kept_rows = actuation, surfaces, kept_rows
-        own = ca.SX.sym("clock", 0 if clocks[1] is None else 1)
-        self.clock = own if own.numel() else ca.SX(1)
+        own = ca.SX.sym("time_scale", 0 if time_scales[1] is None else 1)
+        self.time_scale = own if own.numel() else ca.SX(1)
         nv, order = coordinates.nv, 1 if actuation == "velocity" else 2
         names = () if self.place is Place.NODE else tuple((c.name, c.dimension) for c in contacts)
         self.unknown_wrenches: dict[str, ca.SX] = {name: ca.SX.sym(f"w_{name}", n) for name, n in names}
         self._mode = mode if mode is not None and mode.robot is robot else None
         if self.place is Place.NODE:
             state = ca.SX.sym("x", coordinates.n_node if order == 2 else coordinates.n_node - nv)
-            every = ca.SX.sym("clocks", clocks[0])
-            self.clock = self.clock if clocks[1] is None else every[clocks[1]]
+            every = ca.SX.sym("time_scales", time_scales[0])
+            self.time_scale = self.time_scale if time_scales[1] is None else every[time_scales[1]]
             self.z = ca.vertcat(state, every)
             full = state if order == 2 else ca.vertcat(state, ca.SX.zeros(nv))
             self.rotations, self.xi, rates = coordinates.split_node(full)
@@ -90,9 +91,9 @@ class Context(Parameters):
             self.xi, rates = ca.SX.sym("xi", nv), ca.SX.sym("dxi", nv)
             highest = ca.SX.sym("ddxi", nv if order == 2 else 0)
             self.z = ca.vertcat(self.rotations, self.xi, rates, highest, *self.unknown_wrenches.values(), own)
-        self._rates = rates / self.clock
+        self._rates = rates / self.time_scale
         power = 1 if self.place is Place.IMPACT else 2
-        self._highest = highest / self.clock**power if highest.numel() else ca.SX.zeros(nv)
+        self._highest = highest / self.time_scale**power if highest.numel() else ca.SX.zeros(nv)
         self._generalized_forces: ca.SX | None = None
         self._accelerations: dict[Contact, ca.SX] = {}
         self._frames: dict[str, FrameSymbols] = {}
@@ -272,7 +273,7 @@ class Context(Parameters):
     @property
     def squares(self) -> tuple[ca.SX, ca.SX]:
         """Residuals (n,) and weights (n,) of all costs here; at a point, of the rate in nominal time."""
-        rate = self.clock if self.place is Place.POINT else ca.SX(1)
+        rate = self.time_scale if self.place is Place.POINT else ca.SX(1)
         residuals = ca.vertcat(ca.SX(0, 1), *[residual for residual, _ in self._squares])
         return residuals, rate * ca.vertcat(ca.SX(0, 1), *[weight for _, weight in self._squares])
 

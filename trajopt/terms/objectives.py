@@ -112,7 +112,7 @@ def _main_term(
     if goal == "smooth":
         return AccelerationCost(weight=1.0)
     if goal == "time":
-        free = any(clock is not None for clock in schedule.clocks)
+        free = any(index is not None for index in schedule.time_scales)
         _require(free, goal, "a schedule with duration_bounds in some phase")
         return TimeCost(weight=1.0)
     if goal == "height":

@@ -67,7 +67,7 @@ class SlidingFriction(PointConstraint):
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
-        law, pressing = [], []
+        law, normal_forces = [], []
         for contact in context.contacts:
             surface = context.slides_on(contact)
             if surface is None:
@@ -79,9 +79,9 @@ class SlidingFriction(PointConstraint):
             constants = context.parameter(np.array([surface.friction, float(surface.slip_speed or 0.0)]))
             speed = ca.sqrt(ca.sumsqr(velocity[:2]) + constants[1] ** 2)
             law.append(force[:2] + constants[0] * force[2] * velocity[:2] / speed)
-            pressing.append(force[2])
+            normal_forces.append(force[2])
         if not law:
             return None
-        rows = ca.vertcat(*law, *pressing)
-        upper = np.concatenate([np.zeros(2 * len(law)), np.full(len(pressing), np.inf)])
+        rows = ca.vertcat(*law, *normal_forces)
+        upper = np.concatenate([np.zeros(2 * len(law)), np.full(len(normal_forces), np.inf)])
         return Rows.create(rows, 0.0, upper, units.force)

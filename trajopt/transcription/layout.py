@@ -247,4 +247,4 @@ class Layout:
     def time_scales(self, unknowns: np.ndarray) -> np.ndarray:
         """Duration over nominal duration of every phase, (n_phases,), from unscaled unknowns."""
         values = unknowns[self.node(0)][self.forms[0].time_scales]
-        return np.array([1.0 if index is None else values[index] for index in self.schedule.clocks])
+        return np.array([1.0 if index is None else values[index] for index in self.schedule.time_scales])

@@ -56,7 +56,7 @@ class TermFunctions:
         costs = [_of(t, name, t.value, context, own) for t in problem.costs if t.acts_in(name)]
         acting = [term for term in problem.point_constraints if term.acts_in(name)]
         rows = [(t.name, _of(t, name, t.rows, context, own)) for t in acting]
-        return _stage_terms(name, context, context.clock * sum(costs, ca.SX(0)), rows)
+        return _stage_terms(name, context, context.time_scale * sum(costs, ca.SX(0)), rows)
 
     def impact(self, k: int) -> StageTerms:
         """Function of the impact that is stage k: its dynamics, and terms on contact forces."""
@@ -196,7 +196,7 @@ class TermFunctions:
             form.coordinates,
             contacts[place][phase] if place in contacts else (),
             place=place,
-            clocks=(form.n_time_scales, form.time_scale),
+            time_scales=(form.n_time_scales, form.time_scale),
             actuation=self.problem.actuation,
             surfaces=self.problem.surfaces_of(phase),
             kept_rows=self.kept_rows(phase),

@@ -122,7 +122,7 @@ class _Builder:
         self.modes = [modes.get(phase.name) for phase in schedule.phases]
         made = {id(mode): (mode.robot, Coordinates(mode.robot.model)) for mode in self.modes if mode}
         self.of_phase = [made[id(mode)] if mode else self.whole for mode in self.modes]
-        self.time_scales = schedule.clocks
+        self.time_scales = schedule.time_scales
         self.n_time_scales = sum(index is not None for index in self.time_scales)
         self.known: dict[tuple[int, int | None], NodeLayout] = {}
         self.stages: list[Stage] = []

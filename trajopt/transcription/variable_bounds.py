@@ -55,7 +55,7 @@ def _fix_start(
     """The start is fixed, but for moving rates in a free time scale; time scales are within their bounds."""
     form = layout.forms[0]
     own_lower, own_upper = lower[layout.node(0)], upper[layout.node(0)]
-    for phase, time_scale in zip(layout.schedule.phases, layout.schedule.clocks, strict=True):
+    for phase, time_scale in zip(layout.schedule.phases, layout.schedule.time_scales, strict=True):
         if time_scale is not None and phase.duration_bounds is not None:
             own_lower[form.time_scales[time_scale]] = phase.duration_bounds[0] / phase.duration
             own_upper[form.time_scales[time_scale]] = phase.duration_bounds[1] / phase.duration

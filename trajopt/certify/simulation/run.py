@@ -192,25 +192,25 @@ class _Run:
     def _contacts(self, force: np.ndarray, feet: np.ndarray) -> tuple[bool, bool]:
         """Add this step's contacts to ``force`` (nc, 6); whether a link touches ground, or an obstacle."""
         touching, world = self.data.contact, self.world
-        pressing = touching.efc_address >= 0
-        geoms = touching.geom[pressing]
+        loaded = touching.efc_address >= 0
+        geoms = touching.geom[loaded]
         if len(geoms):
-            push, owner = self._pushes(pressing), world.contact_of[geoms].max(axis=1, initial=-1)
+            push, owner = self._pushes(loaded), world.contact_of[geoms].max(axis=1, initial=-1)
             # MuJoCo's forces are on the second geom of a pair.
             push *= np.where(world.contact_of[geoms[:, 0]] >= 0, -1.0, 1.0)[:, None]
-            arm = touching.pos[pressing] - feet[owner] if len(feet) else np.zeros_like(push)
+            arm = touching.pos[loaded] - feet[owner] if len(feet) else np.zeros_like(push)
             wrench = np.column_stack([push, _cross(arm, push)])[owner >= 0]
             np.add.at(force, owner[owner >= 0], wrench)
         self._grasped(force)
         return bool(world.links[geoms].any()), bool(world.obstacles[geoms].any())
 
-    def _pushes(self, pressing: np.ndarray) -> np.ndarray:
+    def _pushes(self, loaded: np.ndarray) -> np.ndarray:
         """Forces (n, 3) of contacts in world axes; one without friction has a normal force alone."""
         touching = self.data.contact
-        rows = touching.efc_address[pressing][:, None] + np.arange(3)
+        rows = touching.efc_address[loaded][:, None] + np.arange(3)
         own = self.data.efc_force[np.minimum(rows, self.data.nefc - 1)]
-        own = np.where(np.arange(3) < touching.dim[pressing][:, None], own, 0.0)
-        return np.einsum("ni,nij->nj", own, touching.frame[pressing].reshape(-1, 3, 3))
+        own = np.where(np.arange(3) < touching.dim[loaded][:, None], own, 0.0)
+        return np.einsum("ni,nij->nj", own, touching.frame[loaded].reshape(-1, 3, 3))
 
     def _grasped(self, force: np.ndarray) -> None:
         """Add the wrenches of constraints that hold contacts: those that do the same to the joints."""

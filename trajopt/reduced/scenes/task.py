@@ -169,8 +169,10 @@ def _mirrored_inputs(
         wrenches = {c.name: generator.uniform(-1, 1, c.dimension) for c in context.contacts}
         parts += [wrenches[c.name] * robot.weight for c in context.contacts]
         mirrored += [_image_of(c, problem, images, wrenches) * robot.weight for c in context.contacts]
-    clocks = context.z.numel() - sum(len(part) for part in parts)
-    return np.concatenate([*parts, np.ones(clocks)]), np.concatenate([*mirrored, np.ones(clocks)])
+    n_time_scales = context.z.numel() - sum(len(part) for part in parts)
+    return np.concatenate([*parts, np.ones(n_time_scales)]), np.concatenate(
+        [*mirrored, np.ones(n_time_scales)]
+    )
 
 
 def _as_local(additive: np.ndarray, n_rotations: int, nv: int, parts: list[np.ndarray]) -> None:

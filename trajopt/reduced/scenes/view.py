@@ -41,7 +41,7 @@ class WholeView(Context):
             actuation=context.actuation,
             surfaces={name: context.surface(reduction.small.contact(f)) for name, f in followed.items()},
         )
-        self.clock = context.clock
+        self.time_scale = context.time_scale
         self.rotations, self.xi = self._configuration_of_start()
         matrix = ca.DM(reduction.rates)
         self._rates, self._highest = ca.mtimes(matrix, context._rates), ca.mtimes(matrix, context._highest)

@@ -175,7 +175,7 @@ def _values_and_gradients(expression: ca.SX, context: Context) -> ca.Function:
 
 
 def _random_inputs(context: Context, generator: np.random.Generator) -> np.ndarray:
-    """Inputs of a point with unit rotations and positive clocks."""
+    """Inputs of a point with unit rotations and positive time scales."""
     z = generator.uniform(0.1, 1.0, context.z.numel())
     for i in range(context.coordinates.n_rotations):
         z[4 * i : 4 * i + 4] /= np.linalg.norm(z[4 * i : 4 * i + 4])

@@ -56,7 +56,7 @@ CURVING = {
     "jump": "VelocityCost",
     "rate": "VelocityCost or AccelerationCost",
     "position": "PostureCost",
-    "clock": "TimeCost, or bounds on the duration",
+    "time scale": "TimeCost, or bounds on the duration",
 }
 
 
@@ -229,8 +229,8 @@ def _of_limits(found: Diagnosis) -> Iterator[Advice]:
     saturated = 0
     for limit in found.limits:
         decides = limit.of > 1 and limit.places >= SATURATED * limit.of and not limit.weak
-        clock = limit.about.endswith("duration") or limit.block == "duration"
-        if clock and not limit.weak:
+        duration = limit.about.endswith("duration") or limit.block == "duration"
+        if duration and not limit.weak:
             yield Advice(
                 f"{limit.about} is at its {limit.side} bound",
                 "widen that bound if the motion should choose its time",

@@ -97,11 +97,11 @@ class NlpNames:
         return self.transcription.layout
 
     @cached_property
-    def clocks(self) -> tuple[str, ...]:
-        """Phases of free duration, in the order of the clocks."""
+    def free_phases(self) -> tuple[str, ...]:
+        """Phases of free duration, in the order of their time scales."""
         schedule = self.layout.schedule
-        pairs = zip(schedule.phases, schedule.clocks, strict=True)
-        return tuple(phase.name for phase, clock in pairs if clock is not None)
+        pairs = zip(schedule.phases, schedule.time_scales, strict=True)
+        return tuple(phase.name for phase, index in pairs if index is not None)
 
     # Unknowns
 
@@ -123,7 +123,7 @@ class NlpNames:
         every = np.arange(layout.n_unknowns)
         for k, form in enumerate(layout.forms):
             site = Site(stage=k, point=-1)
-            _put(found, every[layout.node(k)], node_labels(form, self.clocks), site)
+            _put(found, every[layout.node(k)], node_labels(form, self.free_phases), site)
             if k == layout.n_stages:
                 break
             window, stage = every[layout.window(k)], layout.stages[k]
@@ -177,7 +177,7 @@ class NlpNames:
             return RowName(block=BOUNDS, about=str(label), site=site)
         number, about = self.row_numbers[index], ""
         if block == "defect":
-            about = str(node_labels(self.layout.forms[site.stage + 1], self.clocks)[number])
+            about = str(node_labels(self.layout.forms[site.stage + 1], self.free_phases)[number])
         else:
             subjects = self._subjects_at(site).get(block, [])
             about = subjects[number] if number < len(subjects) else ""
@@ -255,7 +255,7 @@ class NlpNames:
         context, units = self.functions.context(phase, form, place), self.units_at(place, k)
         constraints = [term for term in self.acting_terms(phase, place, k) if hasattr(term, "rows")]
         blocks = [(term.name, term.rows(context, units, *at)) for term in constraints]
-        names = SymbolNames(context, form, self.clocks)  # of all that the rows have used by now
+        names = SymbolNames(context, form, self.free_phases)  # of all that the rows have used by now
         found: defaultdict[str, list[str]] = defaultdict(list)
         for block, rows in blocks:
             if rows is not None and rows.expression.numel():

@@ -180,9 +180,9 @@ def _labels(
     layout, form = t.layout, t.layout.forms[k]
     if place is not None:
         phase = layout.place_phase(k) if place is Place.NODE else layout.stages[k].phase
-        return input_labels(names.functions.context(phase, form, place), form, names.clocks)
+        return input_labels(names.functions.context(phase, form, place), form, names.free_phases)
     if group.point.name == "change":
-        return node_labels(form, names.clocks)
+        return node_labels(form, names.free_phases)
     labels = rotation_labels(form.robot, form.coordinates)
     for kind in ("position", "rate")[: form.order]:
         own = coordinate_labels(form.robot, form.coordinates, kind)

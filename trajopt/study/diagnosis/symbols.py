@@ -27,7 +27,7 @@ MOST_OWNERS = 4
 class Label:
     """``owner``: a joint, the base, a contact, a frame or a phase; ``quantity``: which of its quantities.
 
-    ``kind``: position, rate, acceleration, force, moment, impulse, jump, torque, clock or frame.
+    ``kind``: position, rate, acceleration, force, moment, impulse, jump, torque, time scale or frame.
     """
 
     owner: str
@@ -85,20 +85,20 @@ def wrench_labels(name: str, rows: Sequence[int], linear: str, angular: str) -> 
     ]
 
 
-def node_labels(form: NodeLayout, clocks: Sequence[str]) -> list[Label]:
-    """Labels of a node's entries; ``clocks`` are the phases of free duration."""
+def node_labels(form: NodeLayout, free_phases: Sequence[str]) -> list[Label]:
+    """Labels of a node's entries; ``free_phases`` are those of free duration."""
     positions = coordinate_labels(form.robot, form.coordinates, "position")
     rates = coordinate_labels(form.robot, form.coordinates, "rate")
     additive = [positions[int(index)] for index in form.coordinates.additive_index]
-    own = [Label(owner=f"phase {name}", kind="clock", quantity="duration") for name in clocks]
+    own = [Label(owner=f"phase {name}", kind="time scale", quantity="duration") for name in free_phases]
     rotations = rotation_labels(form.robot, form.coordinates)
     return [*rotations, *additive, *(rates if form.order == 2 else []), *own]
 
 
-def input_labels(context: Context, form: NodeLayout, clocks: Sequence[str]) -> list[Label]:
+def input_labels(context: Context, form: NodeLayout, free_phases: Sequence[str]) -> list[Label]:
     """Labels of the inputs z of a context, in its order."""
     if context.place is Place.NODE:
-        return node_labels(form, clocks)
+        return node_labels(form, free_phases)
     robot, coordinates = form.robot, context.coordinates
     impact = context.place is Place.IMPACT
     labels = rotation_labels(robot, coordinates)
@@ -110,16 +110,18 @@ def input_labels(context: Context, form: NodeLayout, clocks: Sequence[str]) -> l
     for contact in context.contacts:
         labels += wrench_labels(contact.name, contact.rows, *names)
     if form.time_scale is not None:
-        labels.append(Label(owner=f"phase {clocks[form.time_scale]}", kind="clock", quantity="duration"))
+        labels.append(
+            Label(owner=f"phase {free_phases[form.time_scale]}", kind="time scale", quantity="duration")
+        )
     return labels
 
 
 class SymbolNames:
     """Labels of the symbols of one context, by identity."""
 
-    def __init__(self, context: Context, form: NodeLayout, clocks: Sequence[str]) -> None:
+    def __init__(self, context: Context, form: NodeLayout, free_phases: Sequence[str]) -> None:
         self._labels: dict[int, Label] = {}
-        self._add(context.z, input_labels(context, form, clocks))
+        self._add(context.z, input_labels(context, form, free_phases))
         if context.uses_dynamics:
             torques = coordinate_labels(form.robot, context.coordinates, "torque")
             forces = [
