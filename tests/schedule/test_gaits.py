@@ -131,15 +131,6 @@ def test_free_durations_are_bounded_by_parts_of_the_nominal_ones() -> None:
         assert_allclose(phase.duration_bounds, [0.5 * phase.duration, 2.0 * phase.duration])
 
 
-def test_diagrams_have_a_row_for_every_foot() -> None:
-    assert QUADRUPED["trot"].diagram(8).splitlines() == [
-        "front_left   ....####",
-        "front_right  ####....",
-        "hind_left    ####....",
-        "hind_right   ....####",
-    ]
-
-
 def test_gaits_that_are_none_are_refused() -> None:
     for duty, offsets in (
         (0.5, {}),

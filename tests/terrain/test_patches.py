@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
@@ -116,8 +118,8 @@ BAD = {
     "hollow corner": (lambda: polygon((0, 0, 0), (2, 0, 0), (0.5, 0.5, 0), (0, 2, 0)), "same way"),
     "star": (lambda: polygon(*[(np.cos(a), np.sin(a), 0) for a in 4 * np.pi / 5 * np.arange(5)]), "same way"),
     "corner twice": (lambda: polygon((0, 0, 0), (0, 0, 0), (1, 0, 0), (0, 1, 0)), "differ"),
-    "margin of all": (lambda: SQUARE.with_margin(0.11), "half of its width"),
-    "negative margin": (lambda: SQUARE.with_margin(-0.01), ">= 0"),
+    "margin of all": (lambda: replace(SQUARE, margin=0.11), "half of its width"),
+    "negative margin": (lambda: replace(SQUARE, margin=-0.01), ">= 0"),
     "plane that is none": (lambda: Patch(surface=0.5, vertices=np.zeros((3, 3))), "a Surface"),
     "size of one number": (lambda: Patch.rectangle((0, 0, 0), (0.1,)), "two lengths"),
     "incomplete description": (lambda: Patch.from_description({"name": "face"}), "vertices"),
@@ -135,7 +137,10 @@ BAD = {
     "another patch in mid stance": (
         lambda: hop(
             schedule=Schedule(
-                (stance(patches={FOOT: SQUARE}), stance(name="next", patches={FOOT: SQUARE.with_margin(0.0)}))
+                (
+                    stance(patches={FOOT: SQUARE}),
+                    stance(name="next", patches={FOOT: replace(SQUARE, margin=0.0)}),
+                )
             )
         ),
         "the patch on which it landed",

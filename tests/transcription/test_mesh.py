@@ -13,7 +13,6 @@ from trajopt.solution.grid import interpolated, mesh_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import prepare, solve
 from trajopt.terms import NodePlace
-from trajopt.terms.node_interfaces import nearest_node
 from trajopt.transcription.mesh import Mesh, PhaseMesh, equal_fractions
 from trajopt.transcription.transcription import transcribe
 
@@ -124,9 +123,9 @@ def test_velocity_source_takes_an_uneven_mesh():
 def test_node_nearest_to_a_fraction_goes_by_time():
     phase = Phase(name="flight", duration=0.2)
     place = NodePlace(phase, 0, (0.0, 0.1, 0.2, 0.45, 1.0), last=False)
-    assert nearest_node(place, 0.5) == 3
-    assert nearest_node(NodePlace(phase, 0, equal_fractions(5), last=False), 0.5) == 2
-    assert nearest_node(NodePlace(phase, 0, equal_fractions(4), last=False, ends_schedule=False), 1.0) == 3
+    assert place.nearest(0.5) == 3
+    assert NodePlace(phase, 0, equal_fractions(5), last=False).nearest(0.5) == 2
+    assert NodePlace(phase, 0, equal_fractions(4), last=False, ends_schedule=False).nearest(1.0) == 3
 
 
 def test_step_at_a_node_is_the_wider_of_its_intervals():

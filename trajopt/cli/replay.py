@@ -9,7 +9,7 @@ from typing import Literal
 import click
 
 from trajopt.cli.input import default_option, layout_options
-from trajopt.solution.output import check_apart, check_output
+from trajopt.solution.output import check_apart
 from trajopt.solving.interruption import interruptible
 
 
@@ -28,14 +28,11 @@ def replay_command(
     labels: tuple[str, ...],
 ) -> None:
     """Show FILE, or several in one picture, in Meshcat until Ctrl-C, or write them to a page."""
-    from trajopt.solution.solution import Solution
     from trajopt.view.replay.show import replay, serve
 
     check_apart([html], files)
-    if html is not None:
-        check_output(html)
     shown = replay(
-        [Solution.load(file) for file in files],
+        files,
         html=html,
         open_browser=not no_open,
         speed=speed,

@@ -15,8 +15,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
 
-import numpy as np
-
 from trajopt.errors import InputError, require_finite, require_positive
 from trajopt.schedule.schedule import Phase
 
@@ -217,16 +215,6 @@ class Gait:
             )
         supports = [support for support in self.supports(start) if support.begin < 0.5 - SIMULTANEOUS]
         return phases_of(supports, period, duration_bounds)
-
-    def diagram(self, columns: int = 40) -> str:
-        """One row a foot over one period from time 0: # where it stands, . where it swings."""
-        width = max(len(foot) for foot in self.feet)
-        times = (np.arange(columns) + 0.5) / columns
-        rows = [
-            f"{foot:<{width}}  " + "".join("#" if self.stands(foot, t) else "." for t in times)
-            for foot in self.feet
-        ]
-        return "\n".join(rows)
 
 
 def phases_of(

@@ -100,10 +100,11 @@ def _ipopt(
     warm: WarmMultipliers | None,
 ) -> Result:
     t = nlp.transcription
-    multipliers = (None, None) if warm is None else (warm.lam_g, warm.lam_x)
+    lam_g, lam_x = (None, None) if warm is None else (warm.lam_g, warm.lam_x)
+    restart = IPOPT_WARM_WITHOUT_MULTIPLIERS if lam_g is None else IPOPT_WARM
     chosen = {
         **IPOPT_OPTIONS,
-        **_ipopt_warm(warm),
+        **({} if warm is None else restart),
         **({"hessian_approximation": LIMITED_MEMORY} if nlp.hessian == LIMITED_MEMORY else {}),
         "tol": stop.tolerance,
         "constr_viol_tol": FEASIBILITY_SHARE * stop.tolerance,
@@ -112,19 +113,13 @@ def _ipopt(
         **options,
     }
     raw = _engine.solve_ipopt(
-        nlp.engine, x0, t.lower_x, t.upper_x, t.lower_g, t.upper_g, chosen, callback, *multipliers
+        nlp.engine, x0, t.lower_x, t.upper_x, t.lower_g, t.upper_g, chosen, callback, lam_g, lam_x
     )
     if raw["status"] == "Invalid_Option":
         raise ValueError(
             "an option has a value that is not available here, such as a linear_solver that is not installed"
         )
     return _result(raw, _IPOPT_STATUS.get(raw["status"], Status.FAILED))
-
-
-def _ipopt_warm(warm: WarmMultipliers | None) -> Mapping[str, Option]:
-    if warm is None:
-        return {}
-    return IPOPT_WARM_WITHOUT_MULTIPLIERS if warm.lam_g is None else IPOPT_WARM
 
 
 _FATROP_STATUS = {

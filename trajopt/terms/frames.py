@@ -16,31 +16,24 @@ from trajopt.robot.validation import UNIT_SLACK
 from trajopt.schedule.targets import Target
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Rows
-from trajopt.terms.node_interfaces import NodeConstraint, NodePlace, nearest_node
+from trajopt.terms.node_interfaces import AtMoment, NodeConstraint, NodePlace
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameHeight(NodeConstraint):
+class FrameHeight(AtMoment, NodeConstraint):
     """A frame is at least ``height`` high at one moment of a phase.
 
     Args:
         frame: name of the frame.
         height: height of its origin in the world, m.
         phase: name of the phase.
-        fraction: of the phase's duration; the row is at the nearest of the phase's own nodes. The last node
-            of a phase belongs to the next one, except at the end of the schedule.
+        fraction: of the phase's duration, see `AtMoment`.
         below: whether the frame is at most that high instead.
     """
 
     frame: str
     height: float
-    phase: str
-    fraction: float = 0.5
     below: bool = False
-
-    @override
-    def acts_at(self, place: NodePlace) -> bool:
-        return place.phase.name == self.phase and place.index == nearest_node(place, self.fraction)
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
@@ -164,7 +157,7 @@ class FramesAbove(NodeConstraint):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameDirection(NodeConstraint):
+class FrameDirection(AtMoment, NodeConstraint):
     """An axis of a frame points near a direction at one moment; the row is the cosine of the angle.
 
     For example, halfway through a somersault the base's z axis points down.
@@ -175,7 +168,7 @@ class FrameDirection(NodeConstraint):
         direction: direction in the world (3,), normalised.
         angle: largest angle between them, rad, between 0 and pi.
         phase: name of the phase.
-        fraction: of the phase's duration, as of `FrameHeight`.
+        fraction: of the phase's duration, see `AtMoment`.
 
     Raises:
         InputError: for vectors without direction, and numbers out of range.
@@ -185,22 +178,14 @@ class FrameDirection(NodeConstraint):
     axis: tuple[float, float, float]
     direction: tuple[float, float, float]
     angle: float
-    phase: str
-    fraction: float = 0.5
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("axis", "direction"):
             vector = unit_vector(f"{name} of {self.name}", getattr(self, name))
             object.__setattr__(self, name, tuple(vector.tolist()))
         if not 0 < self.angle < math.pi:
             raise InputError(f"angle of {self.name} is {self.angle:g} rad", "allowed: between 0 and pi")
-        if not 0 <= self.fraction <= 1:
-            raise InputError(f"fraction of {self.name} is {self.fraction:g}", "allowed: 0 to 1")
-        object.__setattr__(self, "phases", (self.phase,))
-
-    @override
-    def acts_at(self, place: NodePlace) -> bool:
-        return place.phase.name == self.phase and place.index == nearest_node(place, self.fraction)
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:

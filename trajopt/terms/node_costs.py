@@ -14,11 +14,11 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.errors import InputError, require_not_negative, unit_vector
+from trajopt.errors import require_not_negative, unit_vector
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Term
-from trajopt.terms.node_interfaces import NodePlace, nearest_node
+from trajopt.terms.node_interfaces import AtMoment, NodePlace
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,32 +46,24 @@ class NodeCost(Term, ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameHeightCost(NodeCost):
+class FrameHeightCost(AtMoment, NodeCost):
     """Minus the height of a frame over the robot's length at one moment: as high as possible.
 
     Args:
         weight: dimensionless.
         frame: name of the frame.
         phase: name of the phase.
-        fraction: of the phase's duration, as of `FrameHeight`; the middle is the apex of a ballistic flight.
+        fraction: of the phase's duration, see `AtMoment`; the middle is the apex of a ballistic flight.
 
     Raises:
         InputError: for a fraction outside 0 to 1.
     """
 
     frame: str
-    phase: str
-    fraction: float = 0.5
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0 <= self.fraction <= 1:
-            raise InputError(f"fraction of {self.name} is {self.fraction:g}", "allowed: 0 to 1")
-        object.__setattr__(self, "phases", (self.phase,))
-
-    @override
-    def acts_at(self, place: NodePlace) -> bool:
-        return place.phase.name == self.phase and place.index == nearest_node(place, self.fraction)
+        NodeCost.__post_init__(self)
+        AtMoment.__post_init__(self)
 
     @override
     def quantity(self, context: Context, units: Units, place: NodePlace) -> ca.SX:

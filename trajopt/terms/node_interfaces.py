@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trajopt.errors import InputError
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Phase
 from trajopt.terms.context import Context
@@ -44,6 +45,12 @@ class NodePlace:
         """Number of the phase's intervals."""
         return len(self.fractions) - 1
 
+    def nearest(self, fraction: float) -> int:
+        """Index of the phase's own node nearest to a fraction of it; its last node is the next phase's."""
+        distances = np.abs(np.array(self.fractions) - fraction)
+        found = int(np.flatnonzero(distances <= distances.min() + SAME_FRACTION)[0])
+        return found if self.ends_schedule else min(found, self.count - 1)
+
     @property
     def step(self) -> float:
         """Width of the wider interval at this node, as a fraction of the phase's duration."""
@@ -64,8 +71,28 @@ class NodeConstraint(Term, ABC):
         """Rows at the node; only bounds and parameter values may depend on ``place``."""
 
 
-def nearest_node(place: NodePlace, fraction: float) -> int:
-    """Index of the phase's own node nearest to a fraction of it; its last node is the next phase's."""
-    distances = np.abs(np.array(place.fractions) - fraction)
-    nearest = int(np.flatnonzero(distances <= distances.min() + SAME_FRACTION)[0])
-    return nearest if place.ends_schedule else min(nearest, place.count - 1)
+@dataclass(frozen=True, kw_only=True)
+class AtMoment(Term):
+    """A term at the node of a phase that is nearest to a fraction of its duration.
+
+    The last node of a phase belongs to the next one, except at the end of the schedule.
+
+    Args:
+        phase: name of the phase.
+        fraction: of the phase's duration.
+
+    Raises:
+        InputError: for a fraction outside 0 to 1.
+    """
+
+    phase: str
+    fraction: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.fraction <= 1:
+            raise InputError(f"fraction of {self.name} is {self.fraction:g}", "allowed: 0 to 1")
+        object.__setattr__(self, "phases", (self.phase,))
+
+    def acts_at(self, place: NodePlace) -> bool:
+        """Whether this is the node."""
+        return place.phase.name == self.phase and place.index == place.nearest(self.fraction)

@@ -127,10 +127,6 @@ class Patch:
         best = [_on_segment(onto, a, b) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
         return min(best, key=lambda found: float(np.linalg.norm(found - onto)))
 
-    def with_margin(self, margin: float) -> Patch:
-        """The same patch with another margin, m."""
-        return Patch(surface=self.surface, vertices=self.vertices, margin=margin, name=self.name)
-
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
         return {

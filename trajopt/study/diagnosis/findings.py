@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -194,22 +194,17 @@ def curvature_report(snapshot: Snapshot) -> CurvatureReport:
     """Curvature along the motions that active rows leave free, the directions of the least one named."""
     free, rows = snapshot.free, snapshot.active_rows
     found = curvature(snapshot.hessian[free][:, free], snapshot.jacobian[rows][:, free])
-    directions = np.arange(found.vectors.shape[1])
-    nearest = np.argsort(np.abs(found.values[directions]), kind="stable")[:NAMED_DIRECTIONS]
+    named = range(found.vectors.shape[1])
+    nearest = np.argsort(np.abs(found.values[named]), kind="stable")[:NAMED_DIRECTIONS]
 
-    def along(which: np.ndarray) -> tuple[Direction, ...]:
+    def along(which: Iterable[int]) -> tuple[Direction, ...]:
         return tuple(_direction(snapshot, float(found.values[i]), found.vectors[:, i]) for i in which)
 
+    shared = ("directions", "smallest", "largest", "flat", "holds", "negative", "exact")
     return CurvatureReport(
-        directions=found.directions,
-        smallest=found.smallest,
-        largest=found.largest,
-        flat=found.flat,
-        holds=found.holds,
-        negative=found.negative,
-        exact=found.exact,
+        **{name: getattr(found, name) for name in shared},
         known=snapshot.row_multiplier is not None,
-        smallest_along=along(directions[:NAMED_DIRECTIONS]),
+        smallest_along=along(named[:NAMED_DIRECTIONS]),
         flat_along=along(nearest[np.abs(found.values[nearest]) <= found.flat]),
     )
 
