@@ -43,9 +43,9 @@ PICTURES, WIDTH, HEIGHT, LARGER, MOST_BYTES = 5, 200, 200, 2, 30_000
 AROUND = 0.25
 # Qualities of WebP, tried in this order until the strip is small enough.
 QUALITIES = (80, 70, 60, 50, 40, 30, 20)
-# What would hide a small robot.
+# Layers that would hide a small robot.
 HIDDEN = ("com", "zmp", "support", "cones", "ghosts")
-# What hangs lower than this part of its extent under the ground is shown without it.
+# The ground is hidden under a robot without contacts that hangs below it by more than this, over its extent.
 UNDER = 0.1
 
 
@@ -64,7 +64,7 @@ class Entry:
 
 
 def chosen(folder: Path) -> tuple[Path, ...]:
-    """One solution file for each problem: of the robot taken least so far; problems with fewest choose first.
+    """One solution file per problem: of the robot used least so far; problems with fewest robots first.
 
     Raises `InputError` for a folder without files ``PROBLEM@ROBOT.npz``, those of ``trajopt suite``.
     """
@@ -83,7 +83,7 @@ def chosen(folder: Path) -> tuple[Path, ...]:
 
 
 def entry_of(name: str, solution: Solution) -> Entry:
-    """What the gallery says of a solution."""
+    """The gallery's entry for a solution."""
     meta, problem = solution.meta, name.split("@")[0]
     family = families().get(problem)
     return Entry(
@@ -228,7 +228,7 @@ def make(solutions: Path, target: Path, pages: bool) -> tuple[Entry, ...]:
 
 
 def main() -> None:
-    """Make the gallery, or what is asked of it."""
+    """Write the gallery from the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

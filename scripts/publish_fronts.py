@@ -31,7 +31,7 @@ from trajopt.study.sweep.tables import SETTINGS
 DOCUMENT = Path(__file__).parent.parent / "docs" / "front.md"
 DOCS = DOCUMENT.parent / "front"
 WORK = Path("build") / "fronts"
-# What the front of every problem is asked for: so much faster, and so much more accurate, than the default.
+# Factors for which every front is queried: faster, and more accurate, than the default.
 FASTER, MORE_ACCURATE = 5, 100
 # Runs of one solve alone and on all cores.
 REPEATS = 15
@@ -40,7 +40,7 @@ WIDTH = 120
 
 @dataclass(frozen=True)
 class Published:
-    """A front: its name, what it is, and the arguments of its sweep."""
+    """A front: its name, a description, and the arguments of its sweep."""
 
     name: str
     what: str
@@ -79,7 +79,7 @@ PUBLISHED = (
 @click.option("--resume", is_flag=True, help="Go on where an interrupted sweep ended.")
 @click.option("--only-document", is_flag=True, help="Run nothing: write the section from the tables.")
 def main(names: tuple[str, ...], resume: bool, only_document: bool) -> None:
-    """Run the sweeps and put their tables and plots where they are read."""
+    """Run the sweeps and copy their tables and plots to the package and the docs."""
     unknown = set(names) - {front.name for front in PUBLISHED}
     if unknown:
         raise click.BadParameter(f"allowed: {', '.join(front.name for front in PUBLISHED)}")
@@ -122,7 +122,7 @@ def publish(front: Published, resume: bool) -> None:
 
 
 def section(front: Published) -> str:
-    """What the document says of a front: the settings on it, and what it offers beside the default."""
+    """The section about a front: the settings on it, and what they gain over the default."""
     with front.table.open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
     best = sorted((row for row in rows if row["on_front"] == "1"), key=lambda row: float(row["time_s"]))
@@ -160,7 +160,7 @@ def _row(row: dict[str, str]) -> str:
 
 
 def _offer(front: Published) -> str:
-    """What the front has that is much faster, and much more accurate, than the default."""
+    """The settings of the front that are much faster, and much more accurate, than the default."""
     known = load_front(front.table)
     best, default = known.best(), known.default
     fast = max((default.time / point.time for point in best), default=math.nan)

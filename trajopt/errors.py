@@ -46,12 +46,12 @@ class VersionMismatchError(TrajoptError):
 
 
 def first_line(error: Exception) -> str:
-    """What a library's exception says first, or its kind where it says nothing."""
+    """The first line of a library's exception, or its type if it has no text."""
     return next(iter(str(error).strip().splitlines()), type(error).__name__)
 
 
 def is_number(value: Any) -> TypeGuard[float]:
-    """Whether a value is a finite number, Python's or NumPy's; True and False are none."""
+    """Whether a value is a finite number, Python's or NumPy's; True and False are not."""
     return _is_real(value) and math.isfinite(value)
 
 
@@ -82,7 +82,7 @@ def _shown(value: Any, unit: str) -> str:
 
 
 def numbers_of(value: Any) -> np.ndarray:
-    """A copy of ``value`` as an array of numbers, without entries where it is none."""
+    """A copy of ``value`` as an array of numbers, empty if it is not one."""
     import numpy as np  # here as below: errors are loaded with the command line, before arrays are needed
 
     try:

@@ -1,4 +1,4 @@
-"""Iterations of full problems from guesses of reduced models and of none."""
+"""Iterations of full problems from guesses with and without reduced models."""
 
 from __future__ import annotations
 

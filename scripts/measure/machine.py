@@ -1,4 +1,4 @@
-"""What compiling gains, and how much timed processes on cores of their own disturb each other."""
+"""The gain of compiling, and how much timed processes on separate cores disturb each other."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from trajopt.transcription.compilation import CACHE_VARIABLE, LEVELS
 from trajopt_library import problems
 
 REPETITIONS = 60
-# A step that makes each evaluation point new to the engine, and changes nothing else.
+# A step that makes each evaluation point new to the engine, and is otherwise negligible.
 NUDGE = 1e-10
 LIMIT = 600.0
 FIGURES = ("wall_time", "function_time", "calibration")

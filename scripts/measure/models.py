@@ -23,7 +23,7 @@ from trajopt.terms.objectives import REST_OF_LINEAR
 from trajopt_library import problems
 
 ORDERS = ("ZYX", "YXZ")
-# What is compared, which model of it, and what builds its problem when its turn comes.
+# What is compared, which model of it, and a function that builds its problem.
 Model = tuple[str, str, Callable[[], Problem]]
 PASSES = "passes"
 SEEDS = (0, 1, 2)
@@ -144,7 +144,7 @@ def base_path(solution: Solution) -> np.ndarray:
 
 @click.command()
 def goals() -> None:
-    """What the rest of effort and the rounding of power cost and give, on the hopper."""
+    """The effect of the remaining effort cost and of the rounding of power, on the hopper."""
     head("goal", "rest of effort", "reached", "root mean square torque, N m", "check", "iterations")
     for goal in ("height", "distance", "time"):
         for rest in RESTS:
@@ -189,7 +189,7 @@ def _counts(found: Sequence[Solution]) -> str:
 
 
 def reached(goal: str, solution: Solution) -> str:
-    """What a hop reached: the base's rise, the way, m; or the time, s."""
+    """The result of a hop: the base's rise or the distance, m; or the time, s."""
     rise, way = solution.q[:, 1].max() - solution.q[0, 1], solution.q[-1, 0] - solution.q[0, 0]
     return {"height": f"{rise:.2f} m", "distance": f"{way:.2f} m", "time": f"{solution.t[-1]:.2f} s"}[goal]
 

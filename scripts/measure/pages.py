@@ -1,6 +1,6 @@
-"""What a replay's page costs: seconds in a new process and again, bytes by what they are made of, key frames.
+"""Cost of a replay's page: seconds in a new process and again, bytes by content, key frames.
 
-The library is imported late: its imports are a part of what is measured.
+The library is imported late: its imports are part of the measurement.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def pages(files: tuple[str, ...]) -> None:
 
 
 def measured(file: Path) -> dict[str, float]:
-    """Seconds of the wall and of the processor, with the solution loaded, as after a solve; bytes by part."""
+    """Wall and processor time in s, with the solution loaded, as after a solve; bytes by part."""
     from trajopt.solution.solution import Solution
 
     solution = Solution.load(file)
@@ -58,7 +58,7 @@ def measured(file: Path) -> dict[str, float]:
 
 
 def _parts(text: str, frames: int) -> dict[str, float]:
-    """Bytes of the page that hold the viewer, shares of the packed scene by what is in it, key frames."""
+    """Bytes of the page that hold the viewer, shares of the packed scene by content, key frames."""
     import umsgpack
 
     held = dict(re.findall(r'<script id="(viewer|scene)"[^>]*>([^<]*)</script>', text))

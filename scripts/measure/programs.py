@@ -39,7 +39,7 @@ HPIPM_STATUS = {0: "solved", 1: "iteration limit", 2: "smallest step", 3: "not a
 
 
 class Answer(NamedTuple):
-    """What a solver found: step, iterations, its word for it."""
+    """A solver's result: step, iterations, status."""
 
     d: np.ndarray
     iterations: int
@@ -66,7 +66,7 @@ class Program:
         return float(max(part.max(initial=0.0) for part in worst))
 
 
-# What solves a program, its pattern set up before; None where the solver cannot take it.
+# Solves a program, with its pattern set up before; None where the solver cannot take it.
 Ready = Callable[[], Answer] | None
 
 

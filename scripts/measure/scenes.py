@@ -63,7 +63,7 @@ def hips(robot: Robot) -> list[str]:
 
 
 def panda_reach() -> Scene:
-    """Panda brings its hand to a place: its fingers have nothing to do."""
+    """Panda brings its hand to a position: its fingers are not needed."""
     path = robot_file("panda_description/urdf/panda.urdf")
     robot = Robot.from_urdf(path, base="fixed", name="panda", reference=PANDA)
     schedule = Schedule((Phase(name="reach", duration=REACH_TIME),))
@@ -93,7 +93,7 @@ def sideways() -> list[str]:
 
 
 def variants() -> Iterator[tuple[str, int, list[Variant]]]:
-    """Scenes by name, with the grid and the problems to compare."""
+    """Scenes by name, each with the grid and the problems to compare."""
     jump = problems.load("solo12-jump")
     yield "solo12-jump", JUMP_INTERVALS, [_built(jump), _made("half", smallest(jump))]
     made = upright_jump()

@@ -43,7 +43,7 @@ def timed(
     solver: str = "ipopt",
     stop: StoppingCriteria | None = None,
 ) -> Timed:
-    """Solve from scaled unknowns (n_unknowns,), by default from the guess."""
+    """Solve from scaled variables (n_unknowns,), by default from the guess."""
     seen: list[tuple[int, float]] = []
     begun = time.process_time()
 

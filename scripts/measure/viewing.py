@@ -1,4 +1,4 @@
-"""What pictures of a replay cost, and what watching a solve does."""
+"""Cost of pictures of a replay, and of watching a solve."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ RENDERER = """(() => {
 @click.argument("file")
 @click.option("--count", default=20, show_default=True, help="Pictures of each size.")
 def pictures(file: str, count: int) -> None:
-    """Seconds on the clock and of all processors for a picture of FILE's replay, by size."""
+    """Wall and processor time in s for a picture of FILE's replay, by size."""
     head("size", "open s", "picture s", "processors s")
     with tempfile.TemporaryDirectory() as folder, chromium() as browser:
         page = Path(folder, "page.html")

@@ -31,7 +31,7 @@ class Case:
 
     @property
     def title(self) -> str:
-        """What changes, in words."""
+        """The changes, in words."""
         changes = [f"{name} {value}" for name, value in self.after.items()]
         if self.coarse != self.grid:
             changes.append(f"{_grid(self.coarse)} to {_grid(self.grid)}")

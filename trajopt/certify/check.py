@@ -39,7 +39,7 @@ def check(solution: SolutionOrFile) -> CheckReport:
         InputError: for such a solution.
     """
     given = consistent_solution(solution)
-    plan = given.normalized()  # the rotations' error is a figure of its own and shall not disturb others
+    plan = given.normalized()  # the norm error of rotations has its own figure and must not affect others
     samples = sample_quantities(plan)
     surfaces = touched_surfaces(plan, samples.position)
     gaps = interval_gaps(plan)

@@ -14,7 +14,7 @@ import numpy as np
 from trajopt.solution.local_states import local_state
 from trajopt.solution.solution import Solution
 
-# Samples closer than this part of the interval are one point of the quadrature.
+# Samples closer than this fraction of the interval count as one point of the quadrature.
 SAME_POINT = 1e-9
 
 

@@ -1,4 +1,4 @@
-"""Figures of a check about contacts: friction, pressure, soles, places and motion on their surfaces."""
+"""Figures of a check about contacts: friction, pressure, soles, positions and motion on their surfaces."""
 
 from __future__ import annotations
 
@@ -77,8 +77,8 @@ def _sole_margin(
 def place_figures(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> _Figures:
     """Where contacts are, and whether they stay: over all samples, and from the start of each phase.
 
-    ``stance_drift`` is from a touchdown to the lift-off, whatever phases that spans. Contacts that slide stay
-    on their surface.
+    ``stance_drift`` is from a touchdown to the lift-off, whatever phases that spans. Of sliding contacts,
+    only motion along the normal counts.
     """
     drift, turn, landing = [], [], []
     distance, moved = surfaces.distance(samples.position), held_part(samples.position, surfaces)
@@ -105,7 +105,7 @@ def place_figures(plan: Solution, samples: SampleQuantities, surfaces: TouchedSu
 
 
 def _way(places: np.ndarray) -> float:
-    """Largest distance (m) of places (n, 3) from the first."""
+    """Largest distance (m) of positions (n, 3) from the first."""
     return float(np.linalg.norm(places - places[0], axis=1).max())
 
 
@@ -124,7 +124,7 @@ def _stances(plan: Solution) -> Iterator[tuple[int, int, int]]:
 
 
 def _patch_margin(plan: Solution, samples: SampleQuantities) -> float | None:
-    """Least distance (m) inside the edges of their patches of active contacts, of a sole its corners'."""
+    """Least distance (m) of active contacts (of a sole: its corners) inside the edges of their patches."""
     frames, sizes, found = list(plan.contact_frames), plan.meta.get("contact_sizes") or [], []
     for phase, patches in enumerate(patches_of(plan.meta.get("patches"))):
         for frame, patch in patches.items():

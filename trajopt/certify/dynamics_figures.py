@@ -1,4 +1,4 @@
-"""Rows of the dynamics and of the contacts' motion at samples of a solution, and their figures in a check."""
+"""Residuals of the dynamics and of contact motion at samples of a solution, and their figures in a check."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from trajopt.solution.touched import TouchedSurfaces
 
 @dataclass(frozen=True, kw_only=True)
 class DynamicsRows:
-    """What is left of the rows that hold at the collocation points, at K samples, in SI units.
+    """Residuals of the rows that hold at the collocation points, at K samples, in SI units.
 
     base (K, n_unactuated), actuated (K, nu): N and N m. contact (K, nc, 6), linear rows first: classical
-    acceleration of active contacts, of a velocity source their velocity; zero where there is no such row.
+    acceleration of active contacts, with velocity sources, their velocity; zero where there is no such row.
     """
 
     base: np.ndarray
@@ -28,7 +28,7 @@ class DynamicsRows:
 
 
 def dynamics_rows(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> DynamicsRows:
-    """Rows at every sample; of a velocity source the base rows are its statics, RNEA(q, 0, 0) - sum J^T f."""
+    """Residuals at every sample; base rows of velocity sources are statics, RNEA(q, 0, 0) - sum J^T f."""
     base, force = plan.n_unactuated, samples.generalized_force
     balance, held = force[:, :base], samples.acceleration
     if plan.meta.get("actuation") == "velocity":  # rows of statics and of velocities, not of motion
@@ -44,9 +44,9 @@ def dynamics_rows(plan: Solution, samples: SampleQuantities, surfaces: TouchedSu
 def dynamics_figures(
     plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces
 ) -> dict[str, float | None]:
-    """Largest rows at the collocation points, over the weight (moments: times 1 m) and over g.
+    """Largest residuals at the collocation points, over the weight (moments: times 1 m) and over g.
 
-    Of a velocity source the contacts' velocities are over sqrt(g 1 m).
+    With velocity sources, the contacts' velocities are over sqrt(g 1 m).
     """
     rows, points = dynamics_rows(plan, samples, surfaces), plan.collocation
     gravity = gravity_of(plan.model)

@@ -20,10 +20,10 @@ def energy(solution: Solution, *, recovered: float = -1.0) -> float:
 
     Args:
         solution: the motion.
-        recovered: part of negative mechanical power that returns, -1 to 1.
+        recovered: fraction of negative mechanical power that is recovered, -1 to 1.
 
     Raises:
-        InputError: for another ``recovered``.
+        InputError: for ``recovered`` outside that range.
     """
     require_recovered(recovered)
     torque = solution.drive_torque
@@ -34,7 +34,7 @@ def energy(solution: Solution, *, recovered: float = -1.0) -> float:
 
 
 def _quadrature(solution: Solution) -> np.ndarray:
-    """Weight of every sample (K,), s: zero at those that are no collocation points."""
+    """Weight of every sample (K,), s: zero at samples that are not collocation points."""
     weights = np.zeros(solution.n_samples)
     schemes = interval_schemes(solution)
     for rows, (start, end), method in zip(solution.intervals, solution.interval_t, schemes, strict=True):
@@ -45,8 +45,8 @@ def _quadrature(solution: Solution) -> np.ndarray:
 def cost_of_transport(solution: Solution, *, recovered: float = -1.0) -> float:
     """Return energy over weight times horizontal displacement of the centre of mass, dimensionless.
 
-    The displacement is the straight line from the first sample to the last. The result is infinite on the
-    spot, with a fixed base, and without contacts.
+    The displacement is the straight line from the first sample to the last. The result is infinite without
+    displacement, with a fixed base, and without contacts.
 
     Args:
         solution: the motion.

@@ -9,10 +9,10 @@ from trajopt.dynamics.base_joint import base_of
 from trajopt.robot.building import reach
 from trajopt.solution.solution import Solution
 
-# A body that hardly turns has no momentum to compare with: then this part of m l sqrt(g l), the
-# momentum of the robot's mass at its reach l falling over l, is the scale.
+# The scale for a body that hardly turns: this fraction of m l sqrt(g l), the momentum of the robot's mass at
+# its reach l falling over l.
 QUIET_MOMENTUM = 1e-2
-# Shorter travels of the centre of mass (m) than this are not a flight one can measure against.
+# Flights in which the centre of mass travels less than this (m) are too short to measure against.
 LEAST_TRAVEL = 1e-6
 
 
@@ -24,8 +24,8 @@ def flight_errors(solution: Solution, phase: range) -> dict[str, float | None]:
 
     Ballistic: max |c - c_0 - c'_0 t - g t^2 / 2| over the phase's max |c - c_0|.
     Momentum: max |h - h_0| over max(|h|, ``QUIET_MOMENTUM`` m l sqrt(g l)), with h the angular
-    momentum about the centre of mass, l the reach. For a planar base only what its plane leaves free.
-    At nodes, where a scheme has its full order, and at the collocation points between them.
+    momentum about the centre of mass, l the reach. For a planar base only the components that its plane
+    leaves free. At nodes, where a scheme has its full order, and at the collocation points between them.
     """
     model = solution.model
     base = base_of(model)

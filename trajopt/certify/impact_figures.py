@@ -74,7 +74,7 @@ def _momentum_error(
 ) -> float | None:
     """Change of linear and angular momentum about the centre of mass against the impulses'.
 
-    None for a fixed base, whose root gives an impulse of its own; in a plane only what it leaves free.
+    None for a fixed base, whose root transmits an impulse; for a planar base only its free components.
     """
     q = plan.q[row]
     base = base_of(plan.model)

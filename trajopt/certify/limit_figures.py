@@ -14,7 +14,7 @@ _Figures = dict[str, float | None]
 def limit_figures(plan: Solution) -> _Figures:
     """Torques and velocities over their limits minus one, positions beyond theirs over the range."""
     effort = _beyond(plan.tau, plan.meta["effort_limit"])
-    # Rates that are inputs have values at points; those of motions have them everywhere.
+    # Rates that are control inputs have values at collocation points only, others everywhere.
     moving = plan.collocation if plan.meta.get("actuation") == "velocity" else slice(None)
     velocity = _beyond(plan.v[moving], plan.meta["velocity_limit"])
     lower, upper = position_limits(plan.model)
@@ -30,7 +30,7 @@ def limit_figures(plan: Solution) -> _Figures:
 
 
 def _beyond(values: np.ndarray, limit: list[float | None] | None) -> np.ndarray:
-    """|x| / limit - 1 of the limited columns; a limit of zero counts in units of x itself."""
+    """|x| / limit - 1 of the limited columns; where the limit is zero, |x| itself."""
     if limit is None:
         return np.zeros((len(values), 0))
     bound = np.array([np.inf if entry is None else entry for entry in limit], dtype=float)

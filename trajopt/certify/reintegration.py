@@ -1,14 +1,14 @@
-"""Open-loop re-integration: what the planned torques really do, by numeric Pinocchio alone.
+"""Open-loop re-integration: the motion that the planned torques produce, by numeric Pinocchio alone.
 
 Within an interval the torque is the Lagrange polynomial through its collocation points. With the
 active contacts of the interval the acceleration solves
 
     M a + h = S^T tau + J^T f,      J a + Jdot v = 0                                    (KKT)
 
-(Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8) without any stabilisation, so that a
-plan which is inconsistent between its points drifts away here. States are integrated on the
-manifold, q = q_k (+) delta, with the eighth-order method of Dormand and Prince. Impacts follow the law of
-`contact.impact`, M (v+ - v-) = J^T Lambda, J v+ = 0.
+(Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8) without any stabilisation, so that a plan that
+is inconsistent between its points drifts away here. States are integrated on the manifold, q = q_k (+) delta,
+with the eighth-order method of Dormand and Prince. Impacts follow the law of `contact.impact`, M (v+ - v-) =
+J^T Lambda, J v+ = 0.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ RobotState = tuple[np.ndarray, np.ndarray]
 # Far below what is measured (1e-6 at best), far above rounding.
 RELATIVE_ERROR = 1e-10
 ABSOLUTE_ERROR = 1e-12
-# An interval of a sane plan takes about five steps of a dozen evaluations; one that needs so many has run
-# away, or its accelerations are rounding: those of joints that move nothing.
+# An interval of a sane plan takes about five steps of a dozen evaluations. One that needs this many has
+# diverged, or its accelerations are rounding noise: those of joints that move no mass.
 MAX_EVALUATIONS = 3600
 
 
@@ -58,8 +58,8 @@ class OpenLoopError:
 def open_loop(plan: Solution) -> tuple[OpenLoopError, ...]:
     """Integrate every phase from its first sample with the planned torques; errors at its nodes.
 
-    Of a velocity source the planned rates are integrated instead. An error is inf where the integration
-    ran away before the phase's end.
+    With velocity sources the planned rates are integrated instead. An error is inf where the integration
+    diverged before the phase's end.
     """
     return tuple(_phase_error(plan, plan.intervals_of(phase)) for phase in range(len(plan.phases)))
 
@@ -81,7 +81,7 @@ def integrated_states(plan: Solution, numbers: range) -> Iterator[RobotState | N
     """Yield the states (q, v) at the ends of intervals, integrated from the planned start of the first.
 
     Impacts follow their law at the state that is reached. The last state is None where the integration
-    runs away.
+    diverges.
     """
     first = plan.intervals[numbers.start].start
     q, v = plan.q[first].copy(), plan.v[first].copy()
@@ -108,7 +108,7 @@ def _after_impact(plan: Solution, row: int, q: np.ndarray, v: np.ndarray) -> np.
     model = carrying_model(plan, int(plan.phase[row]))
     try:
         return impact(model, q, v, active_contacts(plan, model, row)).velocity
-    except (InputError, np.linalg.LinAlgError):  # a state that has run away
+    except (InputError, np.linalg.LinAlgError):  # a state that has diverged
         return None
 
 
@@ -139,9 +139,9 @@ def _base_rotation(model: pin.Model, q: np.ndarray) -> np.ndarray:
 def integrate_interval(
     plan: Solution, dynamics: PhaseDynamics, number: int, q: np.ndarray, v: np.ndarray
 ) -> RobotState | None:
-    """Integrate one interval from ``q``, ``v`` with its torques and contacts; None where it runs away.
+    """Integrate one interval from ``q``, ``v`` with its torques and contacts; None where it diverges.
 
-    Of a velocity source its rates are integrated, polynomials through the points, whatever ``v``.
+    With velocity sources the planned rates are integrated, polynomials through the points, whatever ``v``.
     """
     model, nv = plan.model, plan.model.nv
     points, fractions = collocation_fractions(plan, number)
@@ -177,7 +177,7 @@ def _run(rate: Callable[[float, np.ndarray], np.ndarray], state: np.ndarray) -> 
     left = itertools.count(MAX_EVALUATIONS, -1)
 
     def counted(fraction: float, state: np.ndarray) -> np.ndarray:
-        if not next(left):  # not between steps: one that is rejected again and again has no end of its own
+        if not next(left):  # counted by evaluation: a step that is always rejected never ends
             raise _RunAwayError
         return rate(fraction, state)
 

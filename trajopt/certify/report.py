@@ -8,14 +8,14 @@ from typing import Any
 from trajopt.dynamics.virtual_base import LEAST_MARGIN
 from trajopt.solution.descriptions import jsonable
 
-# Residuals, contact accelerations and forces of inactive contacts, as parts of the weight (of
-# gravity): what a solver leaves that stops at 1e-6 in units of weight and length.
+# Residuals, contact accelerations and forces of inactive contacts over the weight (over gravity): what a
+# solver with tolerance 1e-6 leaves, in units of weight and length.
 RESIDUAL = 1e-6
-# Friction, unilateral and sole margins may be negative by this part of the weight, for the same reason.
+# Friction, unilateral and sole margins may be negative by this fraction of the weight, for the same reason.
 FRICTION = 1e-6
-# Limits may be exceeded by this part of themselves, for the same reason.
+# Limits may be exceeded by this fraction, for the same reason.
 LIMIT = 1e-6
-# A foot that creeps or hovers a millimetre within a phase is below what legs are positioned to.
+# A foot that creeps or hovers by a millimetre within a phase is within the positioning accuracy of legs.
 FOOT_DRIFT = 1e-3
 # A sole of 10 cm half length that is tilted by this lifts its edge by a millimetre.
 SOLE_TILT = 1e-2
@@ -24,7 +24,7 @@ PENETRATION = 1e-3
 # Norm error of quaternions and (cos, sin) pairs: rounding over thousands of steps is 1e-12.
 QUATERNION = 1e-8
 # A virtual base must keep this margin to gimbal lock: below it the angles' rates are over twenty times the
-# angular velocity, and the plan between its samples means little.
+# angular velocity, and the plan is unreliable between its samples.
 GIMBAL = LEAST_MARGIN
 
 
@@ -71,7 +71,7 @@ class Figure:
     unit: str
     tolerance: str | None = None
     margin: bool = False  # a margin must not be less than minus the tolerance
-    least: bool = False  # the tolerance is the least that is allowed
+    least: bool = False  # the tolerance is the smallest value allowed
 
 
 def _figure(
@@ -84,13 +84,13 @@ def _figure(
 
 @dataclass(frozen=True, kw_only=True)
 class CheckReport:
-    """Worst figures of a solution, see ``FIGURES`` for their units; None where there is nothing to measure.
+    """Worst figures of a solution, see ``FIGURES`` for their units; None where the figure does not apply.
 
     base_residual, actuated_residual: RNEA(q, v, a) - sum J^T f (minus tau) at collocation points;
-        force rows over the weight m g, moment rows over the weight times one metre. The base rows of a
-        velocity source are its statics, RNEA(q, 0, 0) - sum J^T f.
+        force rows over the weight m g, moment rows over the weight times one metre. With velocity sources the
+        base rows are statics, RNEA(q, 0, 0) - sum J^T f.
     contact_acceleration: classical acceleration of active contacts at collocation points over g
-        (angular rows of soles in rad/s^2 over g per metre); of a velocity source their velocity at points
+        (angular rows of soles in rad/s^2 over g per metre); with velocity sources, their velocity at points
         over sqrt(g 1 m).
     friction_margin: least mu f_n - |f_t| at collocation points, ``..._between`` at other samples.
     unilateral_margin: least f_n. sole_margin: least distance of moments from the sole's limits. Each on
@@ -100,7 +100,7 @@ class CheckReport:
     effort_excess, velocity_excess: largest |x| / limit - 1; negative is reserve.
     drive_torque_excess: largest |tau_m| / torque_limit - 1 of the drives, with joint friction.
     drive_voltage_excess: largest |tau_m / stall_torque + omega_m / no_load_speed| - 1.
-    position_excess: largest part of the joint's range beyond its limit; negative is reserve.
+    position_excess: largest excess over a limit, over the joint's range; negative is reserve.
     impact_residual: M (v+ - v-) - J^T Lambda over mass times sqrt(g 1 m) (moments: times 1 m),
         impact_velocity: J v+ over sqrt(g 1 m), impact_friction_margin: least mu Lambda_n - |Lambda_t|,
         impact_momentum_error: change of linear and angular momentum minus the impulses (floating bases),

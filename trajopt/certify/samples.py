@@ -67,5 +67,5 @@ def least(values: np.ndarray) -> float | None:
 
 
 def largest_known(values: Iterable[float | None]) -> float | None:
-    """Return the largest of the values that are known, None where none is."""
+    """Return the largest of the values that are not None, None without any."""
     return max((value for value in values if value is not None), default=None)

@@ -1,4 +1,4 @@
-"""Sliding contacts in the check: what of their motion is held, their law of friction, their open loop."""
+"""Sliding contacts in the check: their constrained motion, friction law and open-loop dynamics."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from trajopt.terrain.surface import Surface
 
 
 def held_part(vectors: np.ndarray, surfaces: TouchedSurfaces) -> np.ndarray:
-    """Vectors (K, nc, 3) of motion, of sliding contacts their part along the normal alone."""
+    """Motion vectors (K, nc, 3); of sliding contacts only the normal component."""
     normal = surfaces.along_normal(vectors)[..., None] * surfaces.normal
     return np.where(surfaces.slides[..., None], normal, vectors)
 
@@ -37,12 +37,12 @@ def sliding_error(plan: Solution, samples: SampleQuantities, surfaces: TouchedSu
 
 
 class SlidingDynamics:
-    """Forward dynamics with contacts of which some slide: the acceleration alone.
+    """Forward dynamics with contacts of which some slide: only the acceleration.
 
         M a + h = tau + J_h^T f_h + D^T f_n        J_h a + .. = 0        n^T (J_s a + ..) = 0
 
     with held contacts h, and sliding ones s whose force per unit of normal force, D = (n - mu t)^T J_s with t
-    the regularised direction of sliding, is no multiplier of their row: the matrix is not symmetric.
+    the regularised direction of sliding, is not the multiplier of their row: the matrix is not symmetric.
     """
 
     def __init__(self, model: pin.Model, contacts: ContactSet, surfaces: dict[int, Surface]) -> None:

@@ -1,4 +1,4 @@
-"""Smaller models: two stages, one rigid body, the pendulum; the guesses and the scenes made of them."""
+"""Smaller models: two stages, one rigid body, the pendulum; guesses and scenes made from them."""
 
 import lazy_loader
 

@@ -1,9 +1,9 @@
 """A problem of a free-flyer robot as the same problem on virtual joints.
 
-What differs is the base alone: its angles are additive coordinates instead of a rotation. Configurations in
+Only the base differs: its angles are additive coordinates instead of a rotation. Configurations in
 the problem are mapped, with the angles that continue those of the guess. Velocity and acceleration costs
-keep their meaning, the base's velocity in world axes and its angular velocity in its own, and not the rates
-of the angles: so both problems have the same optimum up to what the schemes leave of it.
+keep their meaning, the base's velocity in world axes and its angular velocity in its own axes, not the rates
+of the angles: so both problems have the same optimum up to discretisation error.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from trajopt.terms.context import Context
 from trajopt.terms.costs import AccelerationCost, VelocityCost
 from trajopt.terms.interfaces import Term
 
-# Samples of the guess's angles that continue one another: a base turning once in the whole motion turns
-# by three degrees from one to the next.
+# Samples at which the guess's angles are made continuous: a base turning once in the whole motion turns by
+# three degrees from one to the next.
 SAMPLES = 120
 
 

@@ -13,10 +13,10 @@ from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.errors import InputError, finite_array, require_finite
 from trajopt.schedule.schedule import Schedule
 
-# Times of waypoints and of phases that differ by less than this part of the schedule are one.
+# Times of waypoints and of phases that differ by less than this fraction of the schedule are the same.
 SAME_TIME = 1e-9
-# A turn between two waypoints of a supported stretch stays below this, rad: at a whole turn the rate of
-# its rotation vector has no limit.
+# A turn between two waypoints of a supported stretch stays below this, rad: at a whole turn the rate of its
+# rotation vector is unbounded.
 MOST_SUPPORTED_TURN = 2 * math.pi - 0.1
 
 
@@ -45,8 +45,9 @@ def hermite(
 class BaseWaypoint:
     """A pose through which the base passes.
 
-    Velocity and rate of None are derived: from the ballistics beside a flight, rest at both ends of the path,
-    and in between slopes that do not overshoot. Beside a flight the ballistics hold, whatever is given.
+    Velocity and rate of None are derived: from the ballistics next to a flight, rest at both ends of the
+    path, and in between slopes that do not overshoot. Next to a flight the ballistics hold, whatever is
+    given.
 
     Args:
         time: s.
@@ -108,7 +109,7 @@ class WaypointPath:
         self._spins = self._rates_of("turn")
 
     def _flights(self, schedule: Schedule, tolerance: float) -> list[bool]:
-        """Which stretches between waypoints are flights; all others touch none."""
+        """Which stretches between waypoints are flights; the others do not overlap any."""
         flying = [False] * (len(self._points) - 1)
         for begin, end in flights(schedule):
             first, last = (int(np.argmin(np.abs(self._times - t))) for t in (begin, end))
@@ -155,7 +156,7 @@ class WaypointPath:
         return rates
 
     def _pull(self, what: str, stretch: int) -> np.ndarray:
-        """What gravity adds to the mean velocity of a flight at its beginning (3,)."""
+        """The start velocity of a flight minus its mean velocity (3,), from gravity."""
         if what == "turn":
             return np.zeros(3)
         return np.array([0.0, 0.0, self._gravity * float(np.diff(self._times)[stretch]) / 2])
@@ -197,7 +198,7 @@ class WaypointPath:
 
 
 def _gentle_slope(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Slope (3,) between two mean slopes that makes no new extremum: their harmonic mean, or 0.
+    """Slope (3,) between two mean slopes that creates no new extremum: their harmonic mean, or 0.
 
     F. N. Fritsch, J. Butland, SIAM J. Sci. Stat. Comput. 5 (1984), for equal steps.
     """
@@ -217,7 +218,7 @@ def turn_to_heading(rotation: np.ndarray) -> np.ndarray:
 
 
 def flights(schedule: Schedule) -> list[tuple[float, float]]:
-    """Begin and end in s of every stretch without any contact; phases that follow each other are one."""
+    """Begin and end in s of every stretch without any contact; consecutive phases are joined."""
     found: list[tuple[float, float]] = []
     t, flew = 0.0, False
     for phase in schedule.phases:

@@ -13,7 +13,7 @@ from trajopt.reduced.footsteps import FootstepPlan, StepPhase, support_vertices
 from trajopt.reduced.lip import Pendulum, PendulumMotion, first_zmp_for
 from trajopt.robot.robot import Robot
 
-# Residual of the least squares that says whether a point is in a polygon, m: rounding of feet's places.
+# Least-squares residual below which a point is in a polygon, m: rounding of foot positions.
 INSIDE = 1e-9
 
 
@@ -78,10 +78,10 @@ def analytic_motion(
 ) -> PendulumMotion:
     """Closed-form walk from rest at ``com_start`` (2,) m, captured at its end: at rest but for exp(-omega T).
 
-    The ZMP is linear in each support, from the middle of the feet it shares with the one before to the middle
-    of those it shares with the next: it stands still in single support. In the last support it reaches the
-    middle after half the time. Where it begins follows from the start at rest. Raises InputError if that is
-    outside the first support: then the first support is too short.
+    The ZMP is linear in each support, from the middle of the feet shared with the previous support to the
+    middle of those shared with the next: it is constant in single support. In the last support it reaches the
+    middle after half the time. Its start follows from the start at rest. Raises InputError if that is outside
+    the first support, which is then too short.
     """
     times, zmp = [0.0], []
     middles = [support_vertices(robot, support).mean(axis=0) for support in plan.supports]
@@ -111,9 +111,9 @@ def _shared_middle(robot: Robot, support: StepPhase, other: StepPhase) -> np.nda
 
 
 def distance_outside(point: np.ndarray, vertices: np.ndarray) -> float:
-    """How far (m, about) a point (2,) is from the convex hull of ``vertices`` (n, 2); 0 inside.
+    """Approximate distance (m) of a point (2,) from the convex hull of ``vertices`` (n, 2); 0 inside.
 
-    Non-negative least squares over the vertices' weights, which is right for points and segments too.
+    Non-negative least squares over the vertices' weights, which holds for points and segments too.
     """
     from scipy.optimize import nnls  # takes a quarter of a second to load
 

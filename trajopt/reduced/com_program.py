@@ -1,17 +1,17 @@
 """CoM trajectories from footsteps as a quadratic program with the ZMP inside the feet, solved by OSQP.
 
-Unknowns are, for each of N intervals of length h, a state x_k and an input u_k of the linear inverted
+Variables are, for each of N intervals of length h, a state x_k and an input u_k of the linear inverted
 pendulum c'' = omega^2 (c - p) of ``lip``, x_(k+1) = A x_k + B u_k exactly, for both axes:
 
 - control "zmp_rate": x = (c, c', p), u = p'. The ZMP is linear in an interval and the CoM hyperbolic, the
-  closed form; a ZMP inside a convex polygon at both ends of an interval is inside all along.
+  closed form; a ZMP inside a convex polygon at both ends of an interval stays inside.
 - control "jerk": x = (c, c', c''), u the jerk (Kajita et al. 2003; Wieber 2006). The CoM is cubic and so is
-  the ZMP p = c - c'' / omega^2; its four Bernstein coefficients are held in the polygon, and their hull holds
-  the curve. A ZMP that must stand still (point feet) is beyond it.
+  the ZMP p = c - c'' / omega^2; its four Bernstein coefficients are held in the polygon, and their hull
+  contains the curve. A ZMP that must be constant (point feet) is not possible.
 
 The polygon is the convex hull of support vertices s_i: each ZMP value is sum_i w_i s_i with w >= 0,
-sum w = 1, which is right for points and segments (point feet) too. Where two consecutive supports share no
-foot the third state may jump.
+sum w = 1, which holds for points and segments (point feet) too. Where two consecutive supports share no foot,
+the third state may jump.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from trajopt.robot.robot import Robot
 PendulumInput = Literal["zmp_rate", "jerk"]
 EndCondition = Literal["rest", "captured"]
 
-# OSQP's tolerance in m: far below what a foot is placed to. Its iterations are cheap.
+# OSQP's tolerance in m: far below the accuracy of foot placement. Its iterations are cheap.
 QP_TOLERANCE = 1e-9
 QP_ITERATIONS = 100_000
-# Rows that tie a ZMP to a polygon may be off by this much after OSQP, m; more is no solution.
+# Largest violation by OSQP of rows that hold the ZMP in a polygon, m; more is not a solution.
 TRUSTED = 1e-6
-# Part of an interval by which rounding may exceed a whole number of them.
+# Rounding error allowed in a number of intervals.
 COUNT_SLACK = 1e-9
 
 
@@ -50,7 +50,7 @@ class CenterOfMassProgram:
     """The quadratic program of a walk; ``solve()`` gives the motion.
 
     Args:
-        robot: whose feet stand on the plan's footholds.
+        robot: the robot, whose feet stand on the plan's footholds.
         plan: the supports.
         pendulum: the centre of mass at its height.
         com_start: horizontal position of the centre of mass (2,), m, world.
@@ -61,7 +61,7 @@ class CenterOfMassProgram:
         step: longest interval, s.
         smoothing: time tau in s that weighs the input in the cost, the mean over time of
             |p - middle of the support|^2 + tau^2 |p'|^2 (with control "jerk", the jerk over omega^2 for p').
-        shrink: part of a sole's size kept as a margin, in [0, 1).
+        shrink: fraction of a sole's size kept as a margin, in [0, 1).
 
     Raises:
         InputError: for an unknown word, and numbers out of range.
@@ -111,7 +111,7 @@ class CenterOfMassProgram:
 
 @dataclass(frozen=True, kw_only=True)
 class _Model:
-    """One interval: x_next = A x + B u; coefficients of the ZMP Zx x + Zu u, whose hull holds it."""
+    """One interval: x_next = A x + B u; coefficients of the ZMP Zx x + Zu u, whose hull contains it."""
 
     A: np.ndarray  # (3, 3)
     B: np.ndarray  # (3, 1)
@@ -198,7 +198,7 @@ class _Assembly:
         )
 
     def _zmp(self, k: int) -> sparse.csr_array:
-        """ZMP coefficients of interval k, (2 n, unknowns)."""
+        """ZMP coefficients of interval k, (2 n, variables)."""
         model, pick = self.models[k], self.unknowns.pick
         return _both(model.Zx) @ pick("x", k) + _both(model.Zu) @ pick("u", k)
 
@@ -242,7 +242,7 @@ class _Assembly:
         return sparse.csc_matrix(sparse.triu(hessian)), np.asarray(gradient)
 
     def motion(self, z: np.ndarray) -> ComMotion:
-        """The motion of the unknowns z."""
+        """The motion of the variables z."""
         times = np.concatenate([[0.0], np.cumsum(self.steps)])
         states = np.array([self.unknowns.pick("x", k) @ z for k in range(self.n + 1)]).reshape(-1, 3, 2)
         inputs = np.array([self.unknowns.pick("u", k) @ z for k in range(self.n)])

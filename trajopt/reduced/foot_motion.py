@@ -21,10 +21,10 @@ from trajopt.terrain.swing_profile import require_clearance, smooth_step, swing_
 
 # Height in m of a swing over the straight line between its footholds, unless the caller says otherwise.
 DEFAULT_CLEARANCE = 0.05
-# Fixed-point steps that bring the CoM to its place: each leaves the part of the mass that does not follow
-# the base. A fixed number from one start keeps the posture a smooth function of time, to be differenced.
+# Fixed-point steps that bring the CoM to its target: each leaves the share of mass that does not follow the
+# base. A fixed number from one start keeps the posture a smooth function of time, for finite differences.
 COM_STEPS = 4
-# Configurations kept of a guess that is asked three times for every point.
+# Cached configurations: a guess is evaluated three times at every point.
 CACHED_POSTURES = 4096
 
 
@@ -32,7 +32,7 @@ CACHED_POSTURES = 4096
 class FootSwing:
     """A foot in the air from ``start`` to ``end``, between two ``times`` in s, now at a ``fraction`` of them.
 
-    ``airborne``: for some of it no other foot is on the ground.
+    ``airborne``: no other foot is on the ground for part of the swing.
     """
 
     start: Foothold
@@ -46,8 +46,8 @@ class FootSwing:
 class FootMotion:
     """Where each foot of a plan is at a time: on its foothold, or on its way to the next.
 
-    ``initial`` are the feet at the start by contact name: where a foot is before its first support. A
-    foot that does not land again ends where it was lifted. ``clearance`` m.
+    ``initial``: the feet at the start by contact name, where a foot is before its first support. A foot that
+    does not land again stays where it was lifted. ``clearance`` m.
     """
 
     plan: FootstepPlan
@@ -63,7 +63,7 @@ class FootMotion:
         return [0.0, *accumulate(support.duration for support in self.plan.supports)]
 
     def support_at(self, t: float) -> int:
-        """Index of the support at ``t``; of two the later one; times are clipped."""
+        """Index of the support at ``t``, the later one at a change; times are clipped."""
         last = len(self.plan.supports) - 1
         return int(np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, last))
 
@@ -82,7 +82,7 @@ class FootMotion:
         return FootSwing(start, end, (begin, over), fraction, airborne)
 
     def foothold(self, name: str, t: float) -> Foothold:
-        """Place of the foot in the world; a swing is lifted by ``clearance`` in its middle."""
+        """Position of the foot in the world; a swing is lifted by ``clearance`` at its middle."""
         found = self.at(name, t)
         if isinstance(found, Foothold):
             return found
@@ -109,7 +109,7 @@ def foot_targets(robot: Robot, feet: Callable[[str], Foothold]) -> dict[str, pin
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WalkPosture:
-    """Postures of a walk: base level and along the feet's heading, feet on their paths, CoM on its own.
+    """Postures of a walk: base level with the feet's heading, feet and CoM on their paths.
 
     The CoM keeps the height of ``q`` (nq,), the posture at the start.
     """

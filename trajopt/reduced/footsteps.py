@@ -1,4 +1,4 @@
-"""Footsteps: where feet stand and for how long, the plan of a walk, and the schedule that follows."""
+"""Footsteps: where feet stand and for how long, the plan of a walk, and its schedule."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Foothold:
 
 @dataclass(frozen=True)
 class StepPhase:
-    """A stretch of time, s, with a constant set of feet on the ground by contact name; none in flight."""
+    """A period of time, s, with a constant set of feet on the ground by contact name; none in flight."""
 
     name: str
     duration: float
@@ -44,7 +44,7 @@ class StepPhase:
 
 @dataclass(frozen=True)
 class FootstepPlan:
-    """Supports in time order; a foot that is in two consecutive ones stays where it is."""
+    """Supports in time order; a foot in two consecutive supports stays where it is."""
 
     supports: tuple[StepPhase, ...]
 
@@ -96,7 +96,7 @@ def landing_place(phase: Phase, name: str, terrain: Terrain, point: np.ndarray) 
 def support_vertices(robot: Robot, support: StepPhase, shrink: float = 0.0) -> np.ndarray:
     """Points (n, 2) in m whose convex hull is the support polygon: contact points, corners of soles.
 
-    ``shrink`` in [0, 1) is the part of a sole's half sizes kept as a margin. Raises InputError in flight.
+    ``shrink`` in [0, 1) is the fraction of a sole's half sizes kept as a margin. Raises InputError in flight.
     """
     if not support.feet:
         raise InputError(f"support '{support.name}' has no foot", "allowed: at least one, to hold the ZMP")
@@ -126,7 +126,7 @@ def feet_of(robot: Robot, q: np.ndarray) -> dict[str, Foothold]:
 
 @dataclass(frozen=True, kw_only=True)
 class Walk:
-    """A walk of a biped from a stance with its feet side by side, which ends so too, at rest.
+    """A walk of a biped that starts and ends at rest with its feet side by side.
 
     Args:
         steps: number of steps, two at least; the last brings the feet side by side, so that the walk
@@ -138,7 +138,7 @@ class Walk:
         double_support: duration of double support between steps, s.
         shift_time: duration of the double support before the first step, s.
         settle_time: duration of the double support after the last step, s.
-        first: contact that steps first; None takes the robot's first.
+        first: contact that steps first; default: the robot's first.
 
     Raises:
         InputError: for numbers out of range.
@@ -193,13 +193,13 @@ class Walk:
 
 
 class _Path:
-    """A path on the ground that starts between the feet; each foot keeps to its side of it."""
+    """A path on the ground that starts between the feet; each foot stays on its side of it."""
 
     def __init__(self, feet: Mapping[str, Foothold], width: float | None) -> None:
         points = {name: foot.position for name, foot in feet.items()}
         first, second = points.values()
         self.middle, across = (first + second) / 2, first - second
-        # Forward is across the line of the feet, on the side of the feet's own heading.
+        # Forward is perpendicular to the line of the feet, on the side of their heading.
         heading = math.atan2(-across[0], across[1])
         mean = np.mean([foot.yaw for foot in feet.values()])
         self.heading = heading + math.pi * (math.cos(heading - mean) < 0)

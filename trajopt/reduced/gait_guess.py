@@ -1,7 +1,7 @@
 """Guesses of gaits: the base at a commanded pace, ballistic in flights, feet under it in mid stance.
 
-A foot's place is that under its hip when half of its stance is over, so that it acts symmetrically before
-and behind (Raibert, "Legged robots that balance", 1986, ch. 2: the neutral point).
+A foot stands where its hip is at mid-stance, so that it acts symmetrically before and behind (Raibert,
+"Legged robots that balance", 1986, ch. 2: the neutral point).
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.terrain.swing_profile import smooth_step
 
-# Step of the differences that give a state's rates, s; contacts are brought to rest exactly afterwards.
+# Step of the finite differences for a state's rates, s; contacts are brought to rest exactly afterwards.
 DIFFERENCE_STEP = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pace:
-    """A commanded motion of the base over level ground: along an arc, at rest at first or at last if wanted.
+    """A commanded motion of the base over level ground: along an arc, optionally from or to rest.
 
     velocity: (forward, left) m/s in axes of the base; turn_rate: rad/s to the left. starts, stops: times
-    (begin, end) in s between which the pace grows from rest, and falls to rest; None does not.
+    (begin, end) in s between which the pace rises from zero, and falls to zero; None: it does not.
     Raises `InputError`.
     """
 
@@ -59,13 +59,13 @@ class Pace:
                 )
 
     def part(self, t: float) -> float:
-        """Part of the full pace at ``t`` s, 0 to 1."""
+        """Fraction of the full pace at ``t`` s, 0 to 1."""
         rise = 1.0 if self.starts is None else smooth_step(_fraction(t, self.starts))
         fall = 0.0 if self.stops is None else smooth_step(_fraction(t, self.stops))
         return rise - fall
 
     def progress(self, t: float) -> float:
-        """Time in s in which the full pace comes as far as this one from 0 to ``t`` s."""
+        """Time in s in which the full pace covers the same distance as this one from 0 to ``t`` s."""
         return self._travelled(t) - self._travelled(0.0)
 
     def _travelled(self, t: float) -> float:
@@ -105,7 +105,7 @@ def base_pose(robot: Robot, pace: Pace, t: float) -> pin.SE3:
 
 
 def commanded_motion(robot: Robot, pace: Pace) -> Motion:
-    """The reference posture carried along by the pace, ``t -> q`` (nq,): what a gait should stay near."""
+    """The reference posture carried along by the pace, ``t -> q`` (nq,): the reference motion of a gait."""
 
     def motion(t: float) -> np.ndarray:
         q = robot.reference.copy()
@@ -118,7 +118,7 @@ def commanded_motion(robot: Robot, pace: Pace) -> Motion:
 def gait_path(robot: Robot, schedule: Schedule, pace: Pace, *, begin: float = 0.0) -> WaypointPath:
     """The base at a pace through a schedule that begins at ``begin`` s of it.
 
-    At every change of supports, and of a stretch on feet between two flights only at its ends, so that it
+    At every change of supports; for a stretch on feet between two flights only at its ends, so that the base
     sinks and rises in one smooth bounce. Raises `InputError`.
     """
     waypoints: list[BaseWaypoint] = []
@@ -168,7 +168,7 @@ def _velocity(robot: Robot, pace: Pace, t: float) -> tuple[np.ndarray, np.ndarra
 class GaitPlan:
     """A schedule with the footholds of all contacts that land, and its guess ``t -> q`` (nq,).
 
-    Contacts that land at the beginning, after what goes before, have footholds in the first phase.
+    Contacts that land at the beginning, after the preceding cycle, have footholds in the first phase.
     """
 
     schedule: Schedule
@@ -177,7 +177,7 @@ class GaitPlan:
     def state(self, robot: Robot, t: float, resting: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
         """Configuration (nq,) and velocity (nv,) of the guess at ``t`` s, these contacts exactly at rest.
 
-        Rates by differences; the joints' are corrected by the least change that stops the contacts.
+        Rates by differences; joint rates get the least correction that stops the contacts.
         """
         q, step = self.guess(t), DIFFERENCE_STEP
         v = pin.difference(robot.model, self.guess(t - step), self.guess(t + step)) / (2 * step)
@@ -205,9 +205,9 @@ def plan_of_part(
 ) -> GaitPlan:
     """The plan of a ``part`` of a longer schedule, whose phases ``first`` and on it repeats.
 
-    The whole says how feet move that are in the air at the part's ends, and where stances that go on behind
-    them have their middle. ``pace`` is over time from the part's beginning, where the base is over the
-    reference's place. clearance: height of swings, m. Raises `InputError`.
+    The whole determines how feet in the air at the part's ends move, and the middle of stances that go on
+    beyond them. ``pace`` is over time from the part's beginning, where the base is at the reference's
+    position. clearance: height of swings, m. Raises `InputError`.
     """
     begin = sum(phase.duration for phase in whole.phases[:first])
     path = gait_path(robot, whole, pace, begin=-begin)
@@ -220,7 +220,7 @@ def plan_of_part(
 
 
 def _repeated(cycle: Schedule, mirror: Mapping[str, str] | None) -> tuple[Schedule, int]:
-    """Two cycles before and two after this one, or as many halves in turn; which of them it is.
+    """Two cycles before and two after this one, or as many alternating halves; the index of this one.
 
     Two, since a foot that swings at the beginning left a stance of the cycle before, where the base
     already moved as it does in every cycle.

@@ -1,4 +1,4 @@
-"""One guess for all legged motions: the base on a path, feet on their places, legs by inverse kinematics."""
+"""One guess for all legged motions: base on a path, feet on their footholds, legs by inverse kinematics."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ from trajopt.terrain.surface import Surface, frame_of_normal
 from trajopt.terrain.swing_profile import require_clearance, smooth_step, swing_profile
 from trajopt.terrain.terrain import Terrain
 
-# Height of a swing over the straight line between its footholds, as a part of the robot's length.
+# Height of a swing over the straight line between its footholds, over the robot's length.
 CLEARANCE_PART = 0.1
 
-# A joint that inverse kinematics moves this far from the reference, rad, may be on another branch, or wound
-# around: then the feet go there in this many steps.
+# A joint that inverse kinematics moves this far from the reference, rad, may be on another branch, or have
+# wound around: then the feet move there in this many steps.
 FAR, STEPS = 1.5, 12
 
-# Place (3,) in m, world, of a swinging contact: its name, where it left, where it lands, the part done.
+# Position (3,) in m, world, of a swinging contact, from its name, lift-off and touchdown positions, and the
+# fraction done.
 SwingTrajectory = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
 
 
@@ -66,8 +67,8 @@ class LeggedPosture:
     def _legs(self, q: np.ndarray, feet: Mapping[str, pin.SE3]) -> np.ndarray:
         """Legs that bring the contacts to ``feet``, on the branch that is continuous with the reference.
 
-        From the reference posture at once; where that takes a joint far, by small steps of the feet in the
-        base's axes from their reference places.
+        From the reference posture in one step; where that moves a joint far, by small steps of the feet in
+        the base's axes from their reference positions.
         """
         joints = slice(self.robot.nq - self.robot.nu, None)
         found = inverse_kinematics(self.robot, q, contact_targets(self.robot, feet)).q
@@ -93,7 +94,7 @@ class LeggedPosture:
         after = next((stance for stance in stances if stance.begin > t), None)
         lifted = self._in_the_air_at_first[name] if before is None else before.place
         begin = 0.0 if before is None else before.end
-        if after is None:  # it does not land: carried as it left
+        if after is None:  # it does not land: carried as at lift-off
             return placement * self.base(begin).inverse() * lifted
         s = min(max((t - begin) / (after.begin - begin), 0.0), 1.0)
         if self._flies(begin, after.begin):
@@ -101,7 +102,7 @@ class LeggedPosture:
         return self._swung(name, lifted, after.place, s)
 
     def _flies(self, begin: float, end: float) -> bool:
-        """Whether the robot flies for some of the time from ``begin`` to ``end``."""
+        """Whether the robot is in flight at some time from ``begin`` to ``end``."""
         shared = (min(end, last) - max(begin, first) for first, last in self._flights)
         return any(overlap > self._rounding for overlap in shared)
 
@@ -131,7 +132,7 @@ class LeggedPosture:
 
     @cached_property
     def _rounding(self) -> float:
-        """Times closer than this are one, s."""
+        """Times closer than this count as equal, s."""
         return SAME_TIME * self.schedule.duration
 
     @cached_property
@@ -144,7 +145,7 @@ class LeggedPosture:
 
     @cached_property
     def stances(self) -> dict[str, list[FootStance]]:
-        """Stances of every contact in time order: at the start's places, then where they land."""
+        """Stances of every contact in time order: at the start's positions, then where they land."""
         ends = np.cumsum([phase.duration for phase in self.schedule.phases])
         found: dict[str, list[FootStance]] = {contact.name: [] for contact in self.robot.contacts}
         for name, stances in found.items():
@@ -162,7 +163,7 @@ class LeggedPosture:
         return found
 
     def _landing(self, name: str, phase: Phase, middle: float) -> pin.SE3:
-        """Where a contact lands: its foothold, or its nominal place at the base's pose in mid stance."""
+        """Where a contact lands: its foothold, or its nominal position at the base's pose in mid-stance."""
         nominal = self._nominal(name, self.base(middle))
         surface = phase.surface(name, self.terrain).plane_at(nominal.translation)
         foothold, patch = phase.footholds.get(name), phase.patches.get(name)
@@ -196,10 +197,10 @@ def legged_guess(
 ) -> Motion:
     """Return a guess ``t -> q`` (nq,) of a legged motion: base on ``path``, feet where the schedule has them.
 
-    A contact that lands stands on its foothold, or where none is given on its surface or patch at its nominal
-    place under the base in the middle of its stance. While other contacts stand it swings in a smooth arc;
-    where the robot flies the base carries it, at least as high as that arc. Inverse kinematics of the legs
-    start from the reference posture at every time: the guess is a function of time alone.
+    A contact that lands stands on its foothold, or if there is none, on its surface or patch at its nominal
+    position under the base in mid-stance. While other contacts stand it swings in a smooth arc; where the
+    robot flies the base carries it, at least as high as that arc. Inverse kinematics of the legs start from
+    the reference posture at every time: the guess is a function of time alone.
 
     Args:
         robot: A robot on a free-flyer in world axes.

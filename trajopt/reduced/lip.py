@@ -57,7 +57,7 @@ class Pendulum:
         )
 
     def capture_point(self, com: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Where to put the ZMP to come to rest over it: c + c' / omega, (2,)."""
+        """ZMP over which the pendulum comes to rest: c + c' / omega, (2,)."""
         return np.asarray(com) + np.asarray(velocity) / self.omega
 
     def dcm_after(self, dcm: np.ndarray, zmp: np.ndarray, time: float) -> np.ndarray:
@@ -104,10 +104,10 @@ class PendulumMotion:
     times: (n + 1,) s. zmp: (n, 2, 2) ZMP at the start and the end of each piece, m; it may jump between
     pieces. com_start, dcm_end: (2,) CoM at the start, divergent component at the end, m.
 
-    The divergent component is followed backwards, the CoM forwards: the direction in which each is stable, so
-    that a walk of any length keeps its digits. With the slope r of a piece,
-    xi_k = p_k + r / omega + exp(-omega T) (xi_(k+1) - p_(k+1) - r / omega) (Englsberger et al. 2015).
-    The velocity at the start follows: c'(0) = omega (xi(0) - c(0)).
+    The divergent component is computed backwards, the CoM forwards: the direction in which each is stable, so
+    that walks of any length are accurate. With the slope r of a piece, xi_k = p_k + r / omega + exp(-omega T)
+    (xi_(k+1) - p_(k+1) - r / omega) (Englsberger et al. 2015). The velocity at the start follows: c'(0) =
+    omega (xi(0) - c(0)).
     """
 
     pendulum: Pendulum
@@ -157,7 +157,7 @@ class PendulumMotion:
         return float(self.times[-1] - self.times[0])
 
     def zmp_at(self, t: float) -> np.ndarray:
-        """Zero moment point (2,), m; the later piece counts where it jumps. Times are clipped."""
+        """Zero moment point (2,), m; where it jumps, that of the later piece. Times are clipped."""
         return self._at(t)[0]
 
     def com(self, t: float) -> np.ndarray:
@@ -185,7 +185,7 @@ def first_zmp_for(
 ) -> np.ndarray:
     """ZMP (2,) at the start for which xi(0) is ``dcm_start`` (2,), captured at the end; ``zmp`` (n, 2, 2).
 
-    xi(0) is affine in it, so one division replaces a search. To start at rest at c, ask for xi(0) = c.
+    xi(0) is affine in it, so one division replaces a search. To start at rest at c, set xi(0) = c.
     """
     found = []
     for value in (0.0, 1.0):

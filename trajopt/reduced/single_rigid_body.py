@@ -6,8 +6,9 @@ without their linearisation),
 
     m (c'' - g) = sum f_i,      I omega' + omega x I omega = R^T sum ((p_i - c) x f_i + m_i)
 
-Legs have no mass of their own and no joints: each active foot is kept within reach of its hip instead. What
-it gives is the motion of the base and the forces; ``body_guess`` makes a guess for the full problem of it.
+Legs have no mass of their own and no joints: each active foot is kept within reach of its hip instead. Its
+solution is the motion of the base and the forces, from which ``body_guess`` makes a guess for the full
+problem.
 """
 
 from __future__ import annotations
@@ -38,12 +39,13 @@ from trajopt.terms.terminal import TerminalRest, TerminalState
 
 # Frame at the origin of the free-flyer, in its axes.
 BODY = "single_rigid_body"
-# Distance of an active foot from its hip over what the leg reaches when straight. A straight leg has no
-# authority and two ways to bend, so a guess keeps well away from it (docs/modelling/reduced-models.md).
+# Distance of an active foot from its hip over the straight leg's length. A straight leg is singular and can
+# bend two ways, so a guess keeps well away from it (docs/modelling/reduced-models.md).
 SHORTEST, LONGEST = 0.2, 0.85
-# A target this many times further than the foot is beyond any leg: reaching for it straightens the leg.
+# A target this many times further than the foot is beyond any leg's reach: inverse kinematics straightens the
+# leg.
 BEYOND = 4.0
-# Terms that mean the same on one body: motion of the base, contact wrenches, time.
+# Terms with the same meaning for one body: motion of the base, contact wrenches, time.
 KEPT = (ContactConstraint, NormalForce, AccelerationCost, VelocityCost, WrenchCost, TimeCost)
 
 
@@ -63,7 +65,7 @@ class RigidBody:
 
 
 def rigid_body(robot: Robot) -> RigidBody:
-    """Mass properties and legs of a robot welded at its reference; rotor inertias (armature) do not count.
+    """Mass properties and legs of a robot welded at its reference; rotor inertias (armature) are ignored.
 
     Raises InputError unless its root is a free-flyer in world axes.
     """
@@ -144,7 +146,7 @@ class BodyDynamics(PointConstraint):
     """Newton-Euler equations of one body on known ``footholds``, 6 rows.
 
     Forces are in world axes, moments about the centre of mass in base axes. Mass properties are parameters:
-    no robot needs a compilation of its own.
+    all robots share one compilation.
     """
 
     body: RigidBody
@@ -252,7 +254,7 @@ def body_problem(
 
 
 def _kept(problem: Problem, robot: Robot) -> list[Term]:
-    """The terms that mean something on one body."""
+    """The terms that apply to one body."""
     terms: list[Term] = []
     for term in problem.terms:
         if isinstance(term, KEPT) or (isinstance(term, FrameHeight) and robot.model.existFrame(term.frame)):

@@ -25,7 +25,7 @@ from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
 from trajopt.transcription.mesh import equal_fractions
 from trajopt.transcription.robot_layers import robot_layers
 
-# Nodes of a phase at which node terms are read: its ends, and three between.
+# Nodes of a phase at which node terms are evaluated: its ends, and three between.
 NODE_INTERVALS = 4
 
 
@@ -59,7 +59,7 @@ class TermInstance:
         return tuple(name for name, frame in self.context.frames.items() if self.uses(frame.stacked()))
 
     def rates(self) -> np.ndarray:
-        """Which coordinates, rates or accelerations (nv,) the term uses themselves."""
+        """Which coordinates, rates or accelerations (nv,) the term uses directly."""
         context, nv = self.context, self.context.coordinates.nv
         second = self._second()
         return np.array(
@@ -72,12 +72,12 @@ class TermInstance:
 
     @property
     def uses_dynamics(self) -> bool:
-        """Whether generalised forces are in it."""
+        """Whether it uses generalised forces."""
         return self.context.uses_dynamics and self.uses(self.context.generalized_forces)
 
     @property
     def uses_torques(self) -> bool:
-        """Whether generalised forces of actuated joints are in it."""
+        """Whether it uses generalised forces of actuated joints."""
         unactuated = self.context.robot.n_unactuated
         return self.uses_dynamics and self.uses(self.context.generalized_forces[unactuated:])
 
@@ -96,7 +96,7 @@ class TermInstance:
 
 
 class TermReader:
-    """Reads the terms of a problem without modes, as its transcription will."""
+    """Evaluates the terms of a problem without modes, as its transcription will."""
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem

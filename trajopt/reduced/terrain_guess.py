@@ -27,7 +27,7 @@ from trajopt.terrain.surface import frame_of_normal
 from trajopt.terrain.swing_path import swing_path
 from trajopt.terrain.terrain import Terrain
 
-# Feet farther from their places at the start than this part of the robot's length do not reach them.
+# Feet farther than this from their places at the start, over the robot's length, do not reach them.
 REACHED = 1e-6
 
 
@@ -45,12 +45,11 @@ def plan_over_terrain(
 ) -> TerrainPlan:
     """The plan of a gait that starts from standing and goes over ``terrain`` at ``pace``.
 
-    Feet that land do so under their hips in mid stance (`gait_guess`), moved to the nearest place of the
-    terrain that keeps its margin from edges. ``free`` leaves them the choice on the face found so, or on
-    ground without faces everywhere; only where each lands last is planned, so that the posture at the end is
-    that of the guess. The feet start under the reference's, vertically.
-    clearance: least height of swings, m, also over edges; those of the guess are higher (`swing_path`).
-    Raises `InputError` for a gait with flights.
+    Feet land under their hips in mid-stance (`gait_guess`), moved to the nearest point of the terrain that
+    keeps the margin from edges. With ``free`` they may land anywhere on that face, or anywhere on ground
+    without faces; only each foot's last landing is planned, so that the posture at the end is that of the
+    guess. The feet start under the reference's, vertically. clearance: least height of swings, m, also over
+    edges; those of the guess are higher (`swing_path`). Raises `InputError` for a gait with flights.
     """
     require_free_flyer(robot)
     if flights(schedule):
@@ -87,7 +86,7 @@ def _freed(schedule: Schedule) -> Schedule:
 
 
 def standing_on(robot: Robot, terrain: Terrain) -> np.ndarray:
-    """Posture (nq,) in which every contact is on the terrain right under or over its place in the reference.
+    """Posture (nq,) with every contact on the terrain vertically under or over its position in the reference.
 
     Raises `InputError` where that is a hole, and where a leg does not reach.
     """
@@ -108,7 +107,7 @@ def standing_on(robot: Robot, terrain: Terrain) -> np.ndarray:
 
 
 def _over_ground(phase: Phase, terrain: Terrain) -> Phase:
-    """The phase with every foothold over a face: over a hole it goes to the nearest face."""
+    """The phase with every foothold over a face; one over a hole is moved to the nearest face."""
     if not isinstance(terrain, PiecewiseTerrain):
         return phase
     return replace(
@@ -138,7 +137,7 @@ def _path_over(
 
 
 def _ground_under(stances: list[FootStance], time: float) -> np.ndarray:
-    """Place (3,) of a foot at a time; in a swing the part of the straight way between its ends."""
+    """Position (3,) of a foot at a time; in a swing along the straight line between its ends."""
     times, places = [], []
     for stance in stances:
         times += [stance.begin, stance.end]

@@ -1,14 +1,14 @@
 """Locomotion in two stages: motion and contact wrenches from the base rows alone, then torques.
 
-Torques act on joint coordinates only: the base rows, Newton-Euler of the whole body, know motion and contact
-wrenches (Del Prete, Focchi: modelling of legged robots). So
+Torques act on joint coordinates only: the base rows, Newton-Euler of the whole body, contain only motion and
+contact wrenches (Del Prete, Focchi: modelling of legged robots). So
 
 1. find motion and wrenches with  RNEA_base(q, v, a) - sum J_base^T f = 0, feet that do not slip, friction;
 2. read off the torques          tau = RNEA_joints(q, v, a) - sum J_joints^T f.
 
-Stage one is the problem without what asks for torques, `base_rows_problem`; the compiled graph holds the base
-rows only. Stage two is `recover_torques`, numeric. No limit on a torque is known to stage one: stage two can
-only report that it is exceeded, or share the wrenches anew (``wrench_distribution``).
+Stage one is the problem without terms on torques, `base_rows_problem`; the compiled graph has the base rows
+only. Stage two is `recover_torques`, numeric. Stage one ignores torque limits: stage two can only report
+violations, or redistribute the wrenches (``wrench_distribution``).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from trajopt.terms.interfaces import Cost, Term
 
 # Weight of the accelerations relative to the torque cost's where nothing else makes the motion unique.
 LEAST_ACCELERATION_SHARE = 1e-2
-# Torques beyond a limit by this part of it are what a solver's tolerance leaves (as in ``report``).
+# Excess over a limit, as a fraction of it, within a solver's tolerance (as in ``report``).
 ROUNDING = 1e-6
 
 
@@ -49,13 +49,13 @@ def torque_terms(problem: Problem) -> list[Term]:
 
 
 def base_rows_problem(problem: Problem, *, replacement: tuple[Cost, ...] | None = None) -> Problem:
-    """Stage one of a problem: its terms without those that ask for torques, and costs in their place.
+    """Stage one of a problem: its terms without those on torques, and costs in their place.
 
-    replacement: costs in place of those left out; None chooses. Then for a `TorqueCost` comes a
-    `WrenchCost` that costs the same for standing still at the reference (`standing_share`); and an
-    `AccelerationCost`, if there is none left, for the motion to be unique.
+    replacement: costs in place of those left out. Default: for a `TorqueCost`, a `WrenchCost` with the same
+    cost for standing still at the reference (`standing_share`); and an `AccelerationCost`, if none is left,
+    to make the motion unique.
 
-    Raises InputError unless torques are what the actuators give.
+    Raises InputError unless the control input is torque.
     """
     if problem.actuation != "torque":
         raise InputError(f"actuation of problem '{problem.name}' is {problem.actuation}", "allowed: torque")
@@ -79,7 +79,7 @@ def _replacement(robot: Robot, kept: tuple[Term, ...], dropped: list[Term]) -> t
 def standing_share(robot: Robot) -> float:
     """Mean square of torques over that of wrenches, natural units, of standing still at the reference.
 
-    With the least wrenches, each over its unit, that carry the weight; 0 without contacts or joints.
+    With the minimum-norm wrenches, each over its unit, that carry the weight; 0 without contacts or joints.
     """
     if not robot.contacts or not robot.nu:
         return 0.0
@@ -98,7 +98,7 @@ def standing_share(robot: Robot) -> float:
 class TorqueBounds:
     """Least and largest actuated row at every sample, (K, nu) N m, infinite where unlimited.
 
-    ``scale`` (nu,) N m is what an excess is measured in: the largest torque of the joint.
+    ``scale`` (nu,) N m is the unit of an excess: the largest torque of the joint.
     """
 
     lower: np.ndarray
@@ -145,7 +145,7 @@ class JointTorque:
     """One actuated row: largest torque (N m), and where it comes closest to its limit or exceeds it most.
 
     ``excess`` beyond the bound over the joint's largest torque, negative inside; -inf where unlimited; at
-    ``time`` s in phase ``phase``. ``share_beyond`` is the part of the points that are beyond.
+    ``time`` s in phase ``phase``. ``share_beyond`` is the fraction of the points beyond the bound.
     """
 
     joint: str
@@ -160,9 +160,9 @@ class JointTorque:
 class TorqueReport:
     """Torques of a motion against their limits, at its collocation points.
 
-    ``joints`` in the order of the actuated rows. ``base_residual``: largest base row over the weight; the
-    robot cannot make the motion where it is not small. ``excess_between``: the largest at other samples,
-    where torques follow interpolated wrenches.
+    ``joints`` in the order of the actuated rows. ``base_residual``: largest base row over the weight; if it
+    is not small, the robot cannot make the motion. ``excess_between``: the largest at other samples, where
+    torques follow interpolated wrenches.
     """
 
     joints: tuple[JointTorque, ...]
@@ -176,7 +176,7 @@ class TorqueReport:
 
     @property
     def within_limits(self) -> bool:
-        """Whether no torque is beyond its limit by more than rounding of a solver."""
+        """Whether no torque exceeds its limit by more than a solver's tolerance."""
         return self.worst.excess <= ROUNDING
 
     def __str__(self) -> str:

@@ -1,17 +1,17 @@
-"""Contact wrenches shared anew at every point: least torques, within their limits; the motion is kept.
+"""Contact wrenches redistributed at every point: least torques within their limits; the motion is kept.
 
-Let w_0 be the wrenches of the active contacts, N an orthonormal basis of the changes that no base row
-feels, J_base^T N = 0 (internal forces), w = w_0 + N y and tau(y) = tau_0 - J_joints^T N y. OSQP solves at
+Let w_0 be the wrenches of the active contacts, N an orthonormal basis of the changes that leave the base rows
+unchanged, J_base^T N = 0 (internal forces), w = w_0 + N y and tau(y) = tau_0 - J_joints^T N y. OSQP solves at
 every point
 
     min  sum (tau(y) / (m g l))^2 + eps |y|^2 + rho s
     s.t. the problem's contact terms                 friction, pressure, soles
          lower - s tau_max <= tau(y) <= upper + s tau_max,   s >= 0
 
-so that torques are beyond their limits only where no sharing keeps them within (an exact penalty on the
+so that torques exceed their limits only where no distribution keeps them within (an exact penalty on the
 largest excess s). Contact terms are the problem's own, affine in the wrenches; the smooth friction cone
-enters as its inscribed pyramid, widened to hold w_0, and the step is shortened where the cone itself would
-be left.
+enters as its inscribed pyramid, widened to contain w_0, and the step is shortened where it would leave the
+cone itself.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ from trajopt.terms.context import Context
 from trajopt.terms.friction import ContactConstraint, FrictionCone, FrictionPyramid, NormalForce
 from trajopt.terms.interfaces import PointConstraint
 
-# Weight of leaving the wrenches as they are where torques do not care, natural units.
+# Weight that keeps the wrenches where torques do not depend on them, natural units.
 KEEPING = 1e-6
-# Weight of the largest excess: above the multipliers of the limits, which costs of order one keep at a few,
-# so that limits come first; a hundred would cost OSQP its convergence at some points.
+# Weight of the largest excess: above the multipliers of the limits, which are of order one, so that limits
+# come first; with a hundred, OSQP does not converge at some points.
 PENALTY = 10.0
-# OSQP's tolerance, natural units: below what the solver of the motion leaves.
+# OSQP's tolerance, natural units: below that of the motion's solver.
 QP_TOLERANCE = 1e-9
 QP_ITERATIONS = 20_000
-# Contact rows may be worse than before by this part of their unit, half of what ``check`` allows: OSQP's
-# polishing fails now and then. More shortens the step, by bisection.
+# Contact rows may worsen by this fraction of their unit, half of what ``check`` allows: OSQP's polishing
+# sometimes fails. Beyond it the step is shortened by bisection.
 TRUSTED = 5e-7
 BISECTIONS = 20
 
@@ -201,7 +201,7 @@ def _program(
         [slope, ones], [slope, -ones], [jacobian @ basis, still], [np.zeros((1, k)), np.ones((1, 1))],
     ])  # fmt: skip
     free = np.full(len(torque), np.inf)
-    # What the motion's solver left in the rows is allowed to stay: y = 0 is always feasible.
+    # Residuals of the motion's solver are allowed to stay: y = 0 is always feasible.
     lower = np.concatenate([low / scale - use, -free, np.minimum(contact[0].lower - values, 0.0), [0.0]])
     upper = np.concatenate([free, high / scale - use, np.maximum(contact[0].upper - values, 0.0), [np.inf]])
     hessian = np.zeros((k + 1, k + 1))
@@ -226,7 +226,7 @@ def _program(
 
 
 def _longest_step(contact: tuple[_Rows, np.ndarray], w: np.ndarray, step: np.ndarray) -> float:
-    """Largest part of the step, at most all, with which the exact contact terms are no worse than before."""
+    """Largest fraction of the step, at most 1, at which the exact contact terms are no worse than before."""
     rows, frames = contact
 
     def violation(at: np.ndarray) -> float:

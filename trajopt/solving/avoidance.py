@@ -22,10 +22,10 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.solving import solve
 from trajopt.terms.clearance import Clearance, collision_scene
 
-# Pairs nearer than this along the guess become rows, over the robot's length. A motion that leaves its
-# guess by more than this part of the reach brings in pairs that `solve_clear` finds.
+# Pairs nearer than this along the guess become rows, over the robot's length. A motion that leaves its guess
+# by more comes near other pairs, which `solve_clear` adds.
 BAND = 0.2
-# The guess is sampled this often: a tool that crosses the robot's length moves a twentieth of it between.
+# Samples of the guess: a tool that crosses the robot's length moves a twentieth of it between two.
 LOOKS = 40
 # `solve_clear` gives up after this many solves: each adds a pair or halves the steps.
 MOST_SOLVES = 5
@@ -77,7 +77,7 @@ def with_obstacles(
 
 def _frame(model: pin.Model, name: str) -> int:
     if not model.existFrame(name):
-        raise InputError(f"a capsule is on frame '{name}', which the robot has not", "allowed: its frames")
+        raise InputError(f"a capsule is on frame '{name}', which does not exist", "allowed: its frames")
     return int(model.getFrameId(name))
 
 
@@ -109,9 +109,9 @@ def missed_pairs(problem: Problem, solution: Solution) -> dict[str, tuple[ShapeP
 def solve_clear(problem: Problem, **options: Any) -> tuple[Solution, Problem]:
     """Solve, and solve again where Coal finds the motion too near to something; options as for `solve`.
 
-    Pairs that came too near without a row get one, and the motion found is the next guess. Where rows are
-    kept at the points but not between, as by a link that slips past a post in one step, the grid is made
-    twice as fine, from the guess as it was. Returns the last solution and the problem it solves.
+    Pairs that came too near without a row get one, and the motion found is the next guess. Where rows hold at
+    the points but not between them, e.g. for a link that passes a post within one step, the number of
+    intervals is doubled, and the guess stays. Returns the last solution and the problem it solves.
     """
     solution = solve(problem, **options)
     for _ in range(MOST_SOLVES - 1):

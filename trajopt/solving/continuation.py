@@ -21,8 +21,8 @@ MAX_HALVINGS = 4
 class ContinuationStep:
     """One solve: at ``value``, started from the solution at ``origin`` (None: from the default guess).
 
-    ``asked``: the value is one of the sequence, not one put between two. ``cold``: the same problem from its
-    default guess, where that is compared.
+    ``asked``: the value is one of the sequence, not an intermediate one. ``cold``: the same problem from its
+    default guess, for comparison.
     """
 
     value: float

@@ -1,4 +1,4 @@
-"""From solved unknowns to a Solution: samples of motion, torques and contact wrenches."""
+"""From solved variables to a Solution: samples of motion, torques and contact wrenches."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from trajopt.versions import VERSIONED, installed_version
 
 
 def extract(transcription: Transcription, x: np.ndarray, meta: dict[str, Any]) -> Solution:
-    """Solution of scaled unknowns ``x``; ``meta`` adds what the solver knows to what the problem says.
+    """Solution of scaled variables ``x``; ``meta`` is added to what the problem provides.
 
-    Rotations are normalised: they leave the manifold only by what the solver's tolerance leaves in the
-    defects, which ``rotation_norm_error`` in meta keeps on record.
+    Rotations are normalised: they leave the manifold only by the residual of the defects, which
+    ``rotation_norm_error`` in meta records.
     """
     layout, problem = transcription.layout, transcription.problem
     unknowns = x * transcription.scale
@@ -224,7 +224,7 @@ def _problem_meta(transcription: Transcription) -> dict[str, Any]:
 
 
 def robot_meta(problem: Problem) -> dict[str, Any]:
-    """What a solution's meta says of the problem's robot: contacts and what they touch, limits, drives."""
+    """Meta entries about the problem's robot: contacts and what they touch, limits, drives."""
     robot = problem.robot
     limits = {"effort_limit": robot.effort_limit, "velocity_limit": robot.velocity_limit}
     for term in problem.point_constraints:

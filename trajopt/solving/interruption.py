@@ -1,4 +1,4 @@
-"""Ctrl-C: every press takes effect, whatever the program does when it comes."""
+"""Ctrl-C: every press takes effect, whatever the program is doing."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from types import FrameType, TracebackType
 
 # What a shell reports for a program ended by Ctrl-C: 128 + SIGINT.
 CANCELLED = 130
-# Seconds until a press that has had no effect is brought up again.
+# Seconds after which a press without effect is raised again.
 AGAIN = 0.2
-# Seconds between two looks of a wait that asks whether Ctrl-C was pressed.
+# Seconds between two checks for Ctrl-C during a wait.
 LOOK = 0.1
-# Seconds that the last words of a program wait at most for a terminal that does not take them.
+# Most seconds that the last line of a program waits for a blocked terminal.
 LAST_WORDS = 1.0
 # Undoes what a live line does to the terminal's cursor, on a line of its own.
 SHOW_CURSOR = "\x1b[?25h\n"
@@ -30,17 +30,17 @@ WAKE = signal.SIGURG
 class Interruption:
     """Ctrl-C from the first line of a command to its last.
 
-    A press raises KeyboardInterrupt, except within `recording`, where waits are short and ask ``pressed``.
+    A press raises KeyboardInterrupt, except within `recording`, where waits are short and check ``pressed``.
     Python's own handler may lose one: the exception disappears in a destructor, or where bindings try
     conversions; and a signal that comes just before a system call that blocks waits as long as the call.
     So the C handler notes each press in a pipe (`signal.set_wakeup_fd`), and a thread that reads the pipe
     wakes the main thread, which raises again, every `AGAIN` s until `answer` is called. Nothing is raised
-    where a KeyboardInterrupt is being handled: what is cleaned up then is cleaned up whole.
+    where a KeyboardInterrupt is being handled: clean-up is not interrupted.
 
     A second press ends the program at once if the first has raised nothing yet, a third one in any case.
     Where Ctrl-C is ignored (nohup), or outside the main thread, nothing is changed.
 
-    note: what the line of a program that is ended at once says beside "cancelled".
+    note: text after "cancelled" in the last line of a program that is ended at once.
     stops: whether a press has asked a solver to stop, which may have ended just before.
     """
 
@@ -91,7 +91,7 @@ class Interruption:
             raise KeyboardInterrupt
 
     def answer(self) -> None:
-        """Take all presses so far as answered: what they ask for is done, and the next is a first one."""
+        """Count all presses so far as answered: their request is done, the next press is a first one."""
         before, self._raises = self._raises, False
         with self._lock:
             self._take()
@@ -171,7 +171,7 @@ def interruptible() -> Iterator[Interruption]:
 
 
 def _being_handled() -> bool:
-    """Whether the code that a signal interrupts is what an except or finally does on a KeyboardInterrupt."""
+    """Whether a signal interrupts the except or finally block that handles a KeyboardInterrupt."""
     error = sys.exc_info()[1]
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__context__

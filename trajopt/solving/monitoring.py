@@ -31,7 +31,7 @@ class Iterate:
 
     stage: ``guess`` before the solver starts, ``iteration``, or ``end`` where it has returned.
     figures: iteration, objective (in the problem's weights), primal and dual infeasibility (scaled), barrier,
-    step, regularization, line_search (trials), restoration; none of a guess, the first four of an end.
+    step, regularization, line_search (trials), restoration; empty for a guess, the first four for an end.
     label: which of several solves this is, or empty. status: how it ended, in words, or empty.
     """
 
@@ -45,7 +45,7 @@ class Iterate:
 
     @cached_property
     def unknowns(self) -> np.ndarray | None:
-        """Scaled unknowns (n,), None where the solver cannot tell them.
+        """Scaled variables (n,), None where the solver does not provide them.
 
         First read while the watch is called; a copy is kept for later. Raises RuntimeError when it is first
         read afterwards: the solver has gone on.
@@ -62,10 +62,10 @@ class Iterate:
     def solution(self) -> Solution:
         """The iterate as a solution: motion, torques, wrenches; some 40 ms of numeric Pinocchio on a jump.
 
-        Raises as ``unknowns``, and RuntimeError where the solver cannot tell them.
+        Raises as ``unknowns``, and RuntimeError where the solver does not provide them.
         """
         if self.unknowns is None:
-            raise RuntimeError(f"{self.solver} cannot tell the unknowns of this iteration")
+            raise RuntimeError(f"{self.solver} does not provide the variables of this iteration")
         meta = {"solver": self.solver, "status": self.status or self.stage, "success": False, **self.figures}
         return extract(self.transcription, self.unknowns, meta)
 
@@ -87,7 +87,7 @@ Watch = Callable[[Iterate], None]
 def combine_watches(*watches: Watch | None) -> Watch:
     """One watch that calls several, each guarded: one that fails is left out, with one warning.
 
-    What a watch does must not end a solve; an interrupt from the keyboard goes through.
+    An exception in a watch must not end a solve; an interrupt from the keyboard passes through.
     """
     left = [watch for watch in watches if watch is not None]
 
@@ -126,7 +126,7 @@ class ProgressReporter:
         return go_on
 
     def end(self, result: Result, status: str) -> None:
-        """Show the watch the solver's result."""
+        """Call the watch with the solver's result."""
         figures = {
             "iteration": result.iterations,
             "objective": self.transcription.objective_unit * result.objective,
@@ -142,7 +142,7 @@ class ProgressReporter:
         figures: Mapping[str, float] | None = None,
         status: str = "",
     ) -> None:
-        """Show the watch an iterate."""
+        """Call the watch with an iterate."""
         if self.watch is not None:
             self.watch(
                 Iterate(
@@ -160,14 +160,14 @@ class ProgressReporter:
 def configurations(transcription: Transcription, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times (n,) in s, configurations (n, nq) of the whole robot, and phases (n,) at the nodes of intervals.
 
-    x: scaled unknowns. Nodes that are not finite are left out; rotations are normalised.
+    x: scaled variables. Nodes that are not finite are left out; rotations are normalised.
     """
     layout, unknowns = transcription.layout, x * transcription.scale
     with np.errstate(all="ignore"):
         times = layout.times(unknowns)
         starts = [(int(k), int(layout.phase_of[k])) for k in layout.interval_stages]
         nodes = [*starts, (starts[-1][0] + 1, starts[-1][1])]
-        # a rotation of no length stays what it is: not finite
+        # a rotation of length zero becomes NaN
         raw = _by_phase(layout, unknowns, nodes)
         q = np.array([pin.normalize(layout.robot.model, row) for row in raw])
     t, phases = times[[node for node, _ in nodes]], np.array([phase for _, phase in nodes])

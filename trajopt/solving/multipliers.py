@@ -4,8 +4,8 @@ A multiplier of a row at a collocation point is the integral's weight times a fu
 lambda_i = h b_i lambda(t_i); of a defect a costate, a function of time itself; of a row or a bound at all
 nodes of a phase the spacing of nodes times a function of time (Hager, "Runge-Kutta methods in optimal
 control and the transformed adjoint system", Numerische Mathematik, 2000). These functions are interpolated
-linearly in the fraction of their phase. Rows are matched by name, phase, place and number; what finds no
-match starts at zero, as without a warm start.
+linearly in the fraction of their phase. Rows are matched by name, phase, place and number; rows without a
+match start at zero, as without a warm start.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def _resample(old: Iterable[_Block], known: np.ndarray, new: Iterable[_Block], f
 
 
 def _layout_of(layout: Layout, solution: Solution, bounds: np.ndarray) -> Layout | None:
-    """The solution's own layout, if its unknowns are those of this problem on its grid."""
+    """The solution's own layout, if its variables are those of this problem on its grid."""
     mesh = mesh_of(solution)
     if len(mesh.phases) != len(layout.mesh.phases):
         return None
@@ -151,7 +151,7 @@ def _at_node(layout: Layout, name: str, k: int, rows: np.ndarray) -> _Block:
 
 
 def _nodes(layout: Layout) -> Iterator[_Block]:
-    """The unknowns of every node; nothing else has bounds."""
+    """The variables of every node; nothing else has bounds."""
     for k in range(layout.n_stages + 1):
         node = layout.node(k)
         yield _at_node(layout, "node", k, np.arange(node.start, node.stop))

@@ -2,7 +2,8 @@
 
 The first mesh is the problem's. The second keeps its intervals and raises the degree, every further one
 doubles the intervals; each solve starts from the last. Two solutions agree when objective, durations and the
-whole motion do. The first two are not compared: what holds at nodes alone looks the same on both meshes.
+whole motion do. The first two are not compared: an error that vanishes at the nodes is the same on both
+meshes.
 """
 
 from __future__ import annotations
@@ -23,21 +24,22 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.solving import DEFAULT_SOLVER, solve
 from trajopt.transcription.compilation import DEFAULT_LEVEL
 
-# Degree three: order six where controls are smooth; where limits begin or end to act, within an interval, no
-# degree helps and intervals do.
+# Degree three: order six where controls are smooth; where a limit becomes active or inactive within an
+# interval, only more intervals help.
 SCHEME = "legendre:3"
-# Stops the solver far below what is compared: an optimum that is flat in some direction moves along it by the
-# root of what is left in the objective.
+# Far below the compared differences: along a flat direction an optimum moves by the root of the error in the
+# objective.
 TOLERANCE = 1e-9
-# An objective that changes by less between two meshes is known to more digits than weights mean anything.
+# Relative change of the objective between two meshes: weights are not meaningful to more digits.
 OBJECTIVE = 1e-5
-# Part of the robot's reach by which no point of it moves any more: half a millimetre for a dog.
+# Largest distance between two motions, over the robot's reach: half a millimetre for a dog-sized robot.
 DISTANCE = 1e-3
-# Motions further apart than this part of the reach are tested for being different optima.
+# Motions further apart than this, over the reach, are tested for being different optima.
 APART = 0.02
-# So are those that are this many times as far apart as the two before them, which meshes alone make smaller.
+# So are those this many times as far apart as the two before them: finer meshes alone reduce the distance.
 GREW = 2.0
-# A solution on the coarser mesh that is nearer to the finer one than this part of the gap is in its optimum.
+# A solution on the coarser mesh belongs to the finer one's optimum if it is nearer to it than this fraction
+# of the gap.
 SAME_SIDE = 0.25
 MAX_UNKNOWNS = 200_000
 MAX_TIME = 600.0
@@ -268,7 +270,7 @@ class _Climb:
             raise self._failure("the time is up")
         last, finer = self.rungs[-1], 1 if len(self.rungs) == 1 else 2
         if finer * last.unknowns > self.max_unknowns:
-            raise self._failure(f"the next mesh has more than {self.max_unknowns} unknowns")
+            raise self._failure(f"the next mesh has more than {self.max_unknowns} variables")
         return self.scheme, finer * last.intervals
 
     def _is_other(self, coarse: Solution, fine: Solution, apart: Comparison) -> bool:
@@ -285,7 +287,7 @@ class _Climb:
         if self.rungs and self.rungs[-1].apart is not None:
             text += f"; the last two meshes agree to {_in_words(self.rungs[-1].apart)}"
             if self.rungs[-1].other_optimum:
-                text += " and sit in different optima: one mesh has both"
+                text += " and are different optima: one mesh has both"
         return NoReferenceError(text, tuple(self.rungs))
 
 

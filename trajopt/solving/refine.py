@@ -31,7 +31,8 @@ COARSE = 0.2
 LEAST_INTERVALS = 2
 MAX_ROUNDS = 8
 MAX_VARIABLES = 100_000
-# Part of the target over the robot's length that is the solver's tolerance: what that leaves grows later.
+# The solver's tolerance, as a fraction of the target over the robot's length: its error grows along the
+# motion.
 TOLERANCE_SHARE = 1e-3
 TOLERANCES = (1e-10, 1e-6)
 
@@ -124,7 +125,7 @@ def phase_errors(accuracy: Accuracy) -> tuple[float, ...]:
 
 
 def require_positive(value: float, name: str, unit: str) -> None:
-    """Raise `InputError` for a goal that is no positive number."""
+    """Raise `InputError` unless a goal is a positive number."""
     if not (isinstance(value, int | float) and math.isfinite(value) and value > 0):
         raise InputError(f"{name} is {value!r} {unit}", "allowed: finite and > 0")
 
@@ -154,7 +155,7 @@ def refine(
     tolerance: float | None = None,
     **settings: Any,
 ) -> Refinement:
-    """Solve a problem to an accuracy of ``target`` m in every phase, with as few unknowns as that takes.
+    """Solve a problem to an accuracy of ``target`` m in every phase, with as few variables as possible.
 
     Args:
         problem: What to solve.
@@ -164,12 +165,12 @@ def refine(
             itself, and its mesh is refined.
         raise_degree: False only splits intervals.
         max_rounds: Limit of solves.
-        max_variables: Limit of a mesh's unknowns, about.
+        max_variables: Approximate limit of a mesh's variables.
         tolerance: The solver's; default: by the target.
         **settings: Those of `trajopt.solve`.
 
     Returns:
-        What was reached: `Refinement.reached`, and in ``why`` what ended the refinement.
+        The refinement: `Refinement.reached` tells success, ``why`` what ended it.
 
     Raises:
         InputError: For a target that is no length, and as `trajopt.solve` does.
@@ -215,7 +216,7 @@ class _Loop:
                 return "the target is met"
             mesh = self._remeshed(mesh, accuracy)
             if unknowns_on_mesh(self.problem, mesh) > max_variables:
-                return f"the next mesh would have more than {max_variables} unknowns"
+                return f"the next mesh would have more than {max_variables} variables"
             start, found = solution, None
         return f"{rounds} rounds were not enough"
 
@@ -260,7 +261,7 @@ class _Loop:
 
 
 def _unknowns_by_phase(problem: Problem) -> list[tuple[int, int]]:
-    """Unknowns of each phase per node and per point, about: states, accelerations and wrenches."""
+    """Approximate number of variables of each phase per node and per point: states, inputs, wrenches."""
     robot = problem.robot
     wrenches = [
         sum(robot.contact(name).dimension for name in phase.contacts) for phase in problem.schedule.phases
@@ -269,7 +270,7 @@ def _unknowns_by_phase(problem: Problem) -> list[tuple[int, int]]:
 
 
 def unknowns_on_mesh(problem: Problem, mesh: Mesh) -> int:
-    """Number of unknowns of a problem on a mesh, about."""
+    """Approximate number of variables of a problem on a mesh."""
     return sum(
         phase.count * (node + phase.method.s * point)
         for phase, (node, point) in zip(mesh.phases, _unknowns_by_phase(problem), strict=True)

@@ -8,7 +8,7 @@ The local error of an interval of width h with s points is that of its quadratur
 (Davis and Rabinowitz, "Methods of Numerical Integration", 1984, ch. 2.7), with L the robot's length and l
 the time scale of the motion there, which follows from a measured e. Cut into k parts with s' points each it
 makes k L c_s' (x / k)^(p' + 1). The error of a phase is the sum of its local errors times the growth that was
-measured. Of all degrees and cuts that meet the target by this model, the one with fewest unknowns is
+measured. Of all degrees and cuts that meet the target by this model, the one with fewest variables is
 taken; parts grow with e^(1 / (p + 1)), which spreads the error evenly (de Boor, "Good approximation
 by splines with variable knots", 1973).
 """
@@ -24,13 +24,13 @@ import numpy as np
 from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt.transcription.schemes import MAX_DEGREE
 
-# Part of the target that the model aims at: it knows neither growth nor time scale exactly.
+# Fraction of the target that the model aims at: its growth and time scale are estimates.
 AIM = 0.5
 # Most parts of an interval in one round: errors on a coarse mesh predict those on a fine one only roughly.
 MOST_PARTS = 4
-# Where a phase diverges, growth is unknown: its local errors are to be reduced to this part.
+# Where a phase diverges, growth is unknown: its local errors are reduced to this fraction.
 RUN_AWAY = 1e-2
-# Smallest local error that is told from rounding, as a part of the robot's length.
+# Smallest local error above rounding, over the robot's length.
 ROUNDING = 1e-15
 
 
@@ -111,7 +111,7 @@ def _raised(local: np.ndarray, old: str, new: str, length: float) -> np.ndarray:
 
 
 def _parts(local: np.ndarray, order: int, allowed: float) -> np.ndarray:
-    """Parts (n,) of each interval, at most `MOST_PARTS`, with which the sum of local errors is allowed."""
+    """Parts (n,) of each interval, at most `MOST_PARTS`, that keep the sum of local errors within bounds."""
     shape = local ** (1 / (order + 1))
 
     def total(scale: float) -> tuple[np.ndarray, float]:

@@ -12,9 +12,9 @@ from trajopt.terms.costs import AccelerationCost, WrenchCost
 from trajopt.terms.friction import FrictionPyramid, SoleCone
 from trajopt.terrain.flat import FlatGround
 
-# Long enough to look at, s; what rests needs no grid.
+# Long enough to look at, s; a motion at rest needs no fine grid.
 DURATION, INTERVALS = 1.0, 4
-# Weight of wrenches beside that of accelerations: forces in balance are spread, and move nothing for it.
+# Weight of wrenches beside that of accelerations: balanced forces are shared out without changing the motion.
 SPREAD = 1e-6
 # Rubber on a dry floor.
 FRICTION = 0.7

@@ -192,7 +192,7 @@ def solve_prepared(
 
     Args:
         prepared: The problem's NLP.
-        start: Scaled unknowns (n_unknowns,).
+        start: Scaled variables (n_unknowns,).
         origin: Where the start comes from, for ``meta``: ``seed`` and ``perturb`` at least.
         solver: As in `solve`, like what follows.
         stop: Tolerance, and limits of iterations and time.

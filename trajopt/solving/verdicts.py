@@ -15,9 +15,9 @@ from trajopt.solvers.status import Status
 
 # A solver's "solved" is believed up to this multiple of its tolerance, measured anew on all rows.
 TRUSTED_VIOLATION = 10.0
-# A solver that stops for want of a step this far from feasible (natural units) has found no feasible point.
+# A solver that finds no step this far from feasible (natural units) has found no feasible point.
 STILL_FEASIBLE = 1e-3
-# Why a solver does not end at a point that meets all rows: where they lose rank there are no multipliers.
+# Why a solver may not converge at a feasible point: where rows lose rank there are no multipliers.
 DEPENDENT = (
     "; all rows hold at this iterate, so they may depend on each other there, as of a goal at a singular"
     " posture or the same goal stated twice: trajopt diagnose names them"
@@ -61,7 +61,7 @@ def fail_on_gimbal_lock(solution: Solution) -> Solution:
 
 
 def fail_on_contact_drift(solution: Solution, length: float) -> Solution:
-    """Mark a solution as failed whose contacts drift by a large part of the robot's ``length`` in m."""
+    """Mark a solution as failed if its contacts drift by a large fraction of the robot's ``length`` in m."""
     if not solution.success:
         return solution
     samples = sample_quantities(solution)

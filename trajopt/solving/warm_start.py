@@ -5,7 +5,7 @@ duration T, states at equal fractions of the phase are taken as equal configurat
 
     q(t) = q_old(t T_old / T),    v = v_old T_old / T,    a = a_old (T_old / T)^2
 
-Wrenches are those of the solution, impulses go with the rates. A free duration starts as the solution's,
+Wrenches are those of the solution, impulses scale with the rates. A free duration starts as the solution's,
 within its bounds. The state at the start is the problem's own where that is fixed.
 """
 
@@ -32,7 +32,7 @@ from trajopt.transcription.variable_bounds import start_of
 
 @dataclass(frozen=True, kw_only=True)
 class WarmStart:
-    """Scaled unknowns ``x`` (n_unknowns,) and multipliers, None where the solution has none that fit."""
+    """Scaled variables ``x`` (n_unknowns,) and multipliers, None where the solution has none that fit."""
 
     x: np.ndarray
     multipliers: WarmMultipliers | None
@@ -93,9 +93,9 @@ class _Source(MotionSource):
 
 
 def warm_start(transcription: Transcription, solution: Solution) -> WarmStart:
-    """Resample ``solution`` onto the unknowns of ``transcription``.
+    """Resample ``solution`` onto the variables of ``transcription``.
 
-    On the grid, scheme and durations of the solution these are the solver's own unknowns, up to rounding and
+    On the grid, scheme and durations of the solution these are the solver's own variables, up to rounding and
     to the norm of quaternions, which a solution normalises. Raises InputError where the solution is of other
     joints, phases or contacts.
     """
@@ -123,7 +123,7 @@ def _require_same_robot(layout: Layout, solution: Solution) -> None:
 
 
 def _require_same_phases(layout: Layout, solution: Solution) -> None:
-    """As many phases, each with the same contacts; names are free."""
+    """As many phases, each with the same contacts; names may differ."""
     frames = np.array(solution.contact_frames)
     found = [set(frames[solution.active[rows.start]].tolist()) for rows in solution.phases]
     wanted = [{contact.frame for contact in contacts} for contacts in layout.touching]
@@ -135,7 +135,7 @@ def _require_same_phases(layout: Layout, solution: Solution) -> None:
     velocity = solution.meta.get("actuation") == "velocity"
     if velocity != (layout.order == 1):
         raise InputError(
-            "one of solution and problem has velocity sources, whose nodes have no rates",
+            "only one of solution and problem has velocity sources, whose nodes have no rates",
             "allowed: both or none",
         )
 

@@ -1,6 +1,6 @@
-"""What a solution does between its collocation points: rows left of the dynamics, and constraints broken.
+"""Residuals of the dynamics and constraint violations of a solution between its collocation points.
 
-Every figure is that of the check, evaluated on the interpolated motion (`solution.interpolation`) at
+Every figure is the check's, evaluated on the interpolated motion (`solution.interpolation`) at
 ``FRACTIONS`` of every interval, its ends among them.
 """
 
@@ -62,10 +62,10 @@ VIOLATIONS = {
 
 @dataclass(frozen=True, kw_only=True)
 class IntervalResiduals:
-    """Largest rows left by the interpolated motion in each interval (I,), in natural units.
+    """Largest residuals of the interpolated motion in each interval (I,), in natural units.
 
-    base, actuated: RNEA(q, v, a) - sum J^T f - S^T tau over m g (rows that turn: m g l). contact:
-    acceleration of active contacts over g (angular: g / l); of a velocity source velocities over sqrt(g l),
+    base, actuated: RNEA(q, v, a) - sum J^T f - S^T tau over m g (rotational rows: m g l). contact:
+    acceleration of active contacts over g (angular: g / l); with velocity sources, velocities over sqrt(g l),
     sqrt(g / l). Zero where there is no such row.
     """
 
@@ -81,9 +81,9 @@ class IntervalResiduals:
 
 @dataclass(frozen=True, kw_only=True)
 class BetweenPoints:
-    """Residuals by interval, and by phase the violations (0 where kept) and the drift of active contacts, m.
+    """Residuals by interval; by phase, violations (0 where satisfied) and the drift of active contacts, m.
 
-    A violation or drift is None where the phase has nothing of that kind.
+    A violation or drift is None where the phase has no such constraint or contact.
     """
 
     residuals: IntervalResiduals

@@ -20,7 +20,7 @@ from trajopt.solution.solution import Solution
 
 # Times of each phase at which motions are compared, from its start to its end.
 COMPARED = 101
-# An objective below this, in natural units, is none that one could give a part of.
+# Relative differences are taken over at least this objective, in natural units.
 LEAST_OBJECTIVE = 1e-9
 
 
@@ -28,7 +28,7 @@ LEAST_OBJECTIVE = 1e-9
 class Comparison:
     """A solution against a reference.
 
-    objective_gap: (J - J_ref) / |J_ref|, negative where the solution's is lower; None where a file has none.
+    objective_gap: (J - J_ref) / |J_ref|, negative where the solution's is lower; None where a file lacks one.
     distance: m, largest of the base position, with a fixed base of the farthest-off named point.
     farthest: m, of the farthest-off named point. orientation: rad, of the base; None for a fixed one. joints:
     rad or m.

@@ -44,17 +44,17 @@ class Accuracy:
     open_loop: m, worst phase, each integrated from its planned start with the planned torques;
         ``..._orientation`` rad and ``..._joints`` rad or m of the same integrations. Positions are of the
         base, with a fixed base of the farthest-off point that the model names; ``..._farthest`` m is of that
-        point for every robot. inf where a motion ran away.
+        point for every robot. inf where a motion diverged.
     open_loop_motion: m, the whole motion in one integration, through its impacts.
     interval_error: m, largest of ``interval_errors``, the local errors (I,), see `open_loop.interval_drifts`.
-    collocation_error: largest row that the interpolated motion leaves in dynamics and contacts between
-        points, natural units (weight, weight times reach, g), ``base_error``, ``actuated_error`` and
+    collocation_error: largest residual of the interpolated motion in dynamics and contacts between points,
+    natural units (weight, weight times reach, g), ``base_error``, ``actuated_error`` and
         ``contact_error`` its kinds, ``collocation_errors`` (I,) by interval. position_gap (m, rad) and
         velocity_gap (m/s, rad/s): q against the integral of v, v against that of a, see
         `certify.consistency.interval_gaps`.
     foot_drift: m, of active contacts from where they are at their phase's start; None without contacts.
     violation_between: largest of ``violations``, by name in natural units (`between.BOUNDS`): 0 where the
-        constraint holds between the points too, None where there is nothing of the kind.
+        constraint holds between the points too, None without such a constraint.
     comparison: against a reference, or None.
     """
 
@@ -85,7 +85,7 @@ class Accuracy:
 
     @property
     def collocation_error(self) -> float:
-        """Largest row left between points, natural units."""
+        """Largest residual between points, natural units."""
         return float(self.collocation_errors.max())
 
     @property

@@ -10,7 +10,7 @@ import pinocchio as pin
 
 @dataclass(frozen=True, kw_only=True)
 class NamedPoints:
-    """Points that move with a model: places (n, 3) m in the axes of each of its joints."""
+    """Points that move with a model: positions (n, 3) m in the axes of each of its joints."""
 
     model: pin.Model
     by_joint: dict[int, np.ndarray]
@@ -28,7 +28,7 @@ class NamedPoints:
         )
 
     def positions(self, q: np.ndarray) -> np.ndarray:
-        """Places (n, 3) m in the world at q (nq,)."""
+        """Positions (n, 3) m in the world at q (nq,)."""
         data = self.model.createData()
         pin.forwardKinematics(self.model, data, q)
         found = []

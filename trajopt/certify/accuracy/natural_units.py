@@ -11,7 +11,8 @@ import pinocchio as pin
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.robot.building import reach
 
-# A column of a joint's motion that turns by less than this part of its length is a translation.
+# A column of a joint's motion subspace is a translation if its angular part is below this fraction of its
+# norm.
 TRANSLATION = 1e-9
 
 
@@ -35,7 +36,7 @@ class NaturalUnits:
         return math.sqrt(self.length / self.gravity)
 
     def generalized_force(self, model: pin.Model) -> np.ndarray:
-        """Units (nv,) of the rows of the dynamics: m g of those that push, m g l of those that turn."""
+        """Units (nv,) of the rows of the dynamics: m g for forces, m g l for moments."""
         data = model.createData()
         columns = pin.computeJointJacobians(model, data, pin.neutral(model)).reshape(6, model.nv)
         turning = np.linalg.norm(columns[3:], axis=0) > TRANSLATION * np.linalg.norm(columns, axis=0)

@@ -1,4 +1,4 @@
-"""What the planned torques do, integrated: over an interval, a phase, or the whole motion.
+"""Open-loop integration of the planned torques over an interval, a phase, or the whole motion.
 
 All integrations are those of `certify.reintegration`: contact-constrained forward dynamics by numeric
 Pinocchio, without stabilisation, under the torque polynomials of the file.
@@ -27,7 +27,7 @@ from trajopt.solution.solution import Solution
 
 @dataclass(frozen=True, kw_only=True)
 class OpenLoopDrift:
-    """Largest distance of an integrated motion from the planned one, at nodes; inf where it ran away.
+    """Largest distance of an integrated motion from the planned one, at nodes; inf where it diverged.
 
     position: m, of the base, or with a fixed base of the farthest-off named point. orientation: rad, of the
     base; None for a fixed one. joints: rad or m. farthest: m, of the farthest-off named point of the robot.
@@ -64,7 +64,7 @@ def interval_drifts(plan: Solution) -> np.ndarray:
 
     The largest over the robot's named points of |p - p_plan| + T |p' - p'_plan| at the interval's end, with
     the natural time T = sqrt(reach / g): an error of the velocity counts by the displacement within T.
-    Of a velocity source positions alone count. inf where the integration runs away.
+    With velocity sources only positions count. inf where the integration diverges.
     """
     points = NamedPoints.of(plan.model)
     seconds = NaturalUnits.of(plan.model).time

@@ -36,7 +36,7 @@ COMPARED = {
 
 
 def accuracy_table(accuracy: Accuracy) -> str:
-    """Figures with units; None is left out, and of violations those that are not zero are named."""
+    """Figures with units; those that are None are left out, nonzero violations are named."""
     lines = [_line(text, getattr(accuracy, name), unit) for name, (text, unit) in FIGURES.items()]
     broken = {name: value for name, value in accuracy.violations.items() if value}
     lines += [_line(f"  {name.replace('_', ' ')}", value, "1") for name, value in broken.items()]

@@ -2,11 +2,11 @@
 
     M a + h = tau + J^T f,      J a + Jdot v = 0                                        (KKT)
 
-tau (nv,) holds all generalised forces but those of the contacts; f are wrenches of the surroundings on
-the robot, world axes, at the frames' origins (Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8).
-With M = L L^T, y = L^T a, B = L^-1 (D J)^T and D the scale of the rows this is the projection of y onto
-B^T y = const (Gauss's principle; Udwadia and Kalaba 1992). So a is unique however dependent the rows are:
-if they contradict each other it is the one of least contact acceleration. f is then the least one.
+tau (nv,) holds all generalised forces but those of the contacts; f are the contact wrenches on the robot,
+world axes, at the frames' origins (Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8). With M = L
+L^T, y = L^T a, B = L^-1 (D J)^T and D the scale of the rows this is the projection of y onto B^T y = const
+(Gauss's principle; Udwadia and Kalaba 1992). So a is unique even if rows are dependent; if they contradict
+each other, it has the least contact acceleration. f then has minimum norm.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class ContactMotion:
     """Solution of the forward dynamics with contacts.
 
     acceleration: (nv,). wrenches: (n, 6) N and N m, on the robot, world axes, frame origins; zero moments
-    for points. rank: which rows depend on each other; if it is redundant the wrenches are the least ones.
+    for points. rank: which rows depend on each other; if it is redundant, the wrenches have minimum norm.
     dynamics_residual: (nv,) RNEA(q, v, a) - tau - J^T f, N and N m. contact_acceleration: (n, 6) classical
     acceleration of the contacts, m/s^2 and rad/s^2, from forward kinematics; rows of points that do not
     hold rotation are zero. It vanishes unless the rows contradict each other: redundant contacts that move.
@@ -87,7 +87,7 @@ def inverse_dynamics(
 ) -> InverseDynamics:
     """Return torques and base rows of ``RNEA(q, v, a) - J^T f`` for a motion (q, v, a).
 
-    wrenches (n, 6) N and N m, world axes, at the frames' origins. ``n_unactuated`` first rows have no
+    wrenches (n, 6) N and N m, world axes, at the frames' origins. The first ``n_unactuated`` rows have no
     actuator; default those of the model's base. Raises `InputError` for wrong shapes or values.
     """
     q, v, a = motion
@@ -110,7 +110,7 @@ def count_unactuated(model: pin.Model, given: int | None = None) -> int:
 
 
 def actuated_force(model: pin.Model, torque: np.ndarray, n_unactuated: int | None = None) -> np.ndarray:
-    """Return ``S^T torque`` (nv,): torques (nu,) behind rows of zeros for the base."""
+    """Return ``S^T torque`` (nv,): zeros for the base rows, then torques (nu,)."""
     base = count_unactuated(model, n_unactuated)
     require_arrays({"torque": (torque, model.nv - base)})
     return np.concatenate([np.zeros(base), torque])
@@ -138,7 +138,7 @@ def _contact_acceleration(
 
 
 class ContactDynamics:
-    """Forward dynamics that is called many times with the same contacts: the acceleration alone.
+    """Forward dynamics for many calls with the same contacts: only the acceleration.
 
     The same equations as `forward_dynamics`, without its report; well-conditioned contacts take a
     Cholesky factor instead of singular values. NaN where the mass matrix is not positive definite.

@@ -86,11 +86,11 @@ def projected_forward_dynamics(
 def projected_inverse_dynamics(
     model: pin.Model, motion: _Motion, contacts: ContactSet, *, n_unactuated: int | None = None
 ) -> ContactTorques:
-    """Return the least torques of a motion (q, v, a), ``tau = (P S^T)^+ P (M a + h)``, and their wrenches.
+    """Return minimum-norm torques of a motion (q, v, a), ``tau = (P S^T)^+ P (M a + h)``, and their wrenches.
 
-    Among all torques that give the motion these have the least norm; it does not depend on the metric of
-    P where the motion is possible. The wrenches are ``(J^T)^+ (M a + h - S^T tau)``. ``n_unactuated``
-    first rows have no actuator; default those of the model's base. Raises `InputError`.
+    They have the least norm of all torques that give the motion; this does not depend on the metric of P
+    where the motion is possible. The wrenches are ``(J^T)^+ (M a + h - S^T tau)``. The first ``n_unactuated``
+    rows have no actuator; default those of the model's base. Raises `InputError`.
     """
     needed, rows, scaled, base = _needed(model, motion, contacts, n_unactuated)
     projector = null_space_projector(scaled, contacts.moment_arm)
@@ -109,7 +109,7 @@ def least_norm_inverse_dynamics(
     n_unactuated: int | None = None,
     torque_scale: float | np.ndarray | None = None,
 ) -> ContactTorques:
-    """Return the torques and wrenches of a motion of least common norm, ``[f; tau] = [J^T S^T]^+ (M a + h)``.
+    """Return the torques and wrenches of least combined norm, ``[f; tau] = [J^T S^T]^+ (M a + h)``.
 
     The norm is ``|f|^2 + |m|^2 / arm^2 + |tau / torque_scale|^2``; ``torque_scale`` (a number or (nu,)), in
     m for a rotation and without unit for a translation, defaults to the moment arm of ``contacts``. The

@@ -1,9 +1,9 @@
-"""How contacts respond to wrenches: the metric of the mass matrix, ranks, least solutions.
+"""Response of contacts to wrenches in the metric of the mass matrix: ranks and minimum-norm solutions.
 
 With M = L L^T, D the scale of the rows and B = L^-1 (D J)^T, a change x of velocity or acceleration by
 wrenches D phi is x = L^-T B phi, and changes the contacts' motion by D J x = B^T B phi. The singular values
-of B are the square roots of the eigenvalues of D J M^-1 J^T D; they tell independent from dependent rows
-twice as many digits down.
+of B are the square roots of the eigenvalues of D J M^-1 J^T D; they separate independent from dependent rows
+with twice as many digits.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 from trajopt.certify.contact.contact_set import ContactSet
 from trajopt.errors import InputError
 
-# Singular values below this part of the largest are zero: the square root of rounding, far above
-# the error of exactly dependent rows (1e-15), far below what a useful lever arm makes.
+# Singular values below this fraction of the largest count as zero: the square root of rounding, far above the
+# error of exactly dependent rows (1e-15), far below the effect of a useful lever arm.
 RANK_TOLERANCE = 1e-8
 # Entries of a projector on dependent rows; coupled rows have entries of order one.
 COUPLED = 1e-6
@@ -29,7 +29,7 @@ WELL_CONDITIONED = 1e-8
 
 @dataclass(frozen=True, kw_only=True)
 class DependentContactRow:
-    """Rows that depend on each other, the ``contacts`` they belong to, and how many are too many."""
+    """Rows that depend on each other, the ``contacts`` they belong to, and how many are redundant."""
 
     rows: tuple[str, ...]
     contacts: tuple[str, ...]
@@ -53,7 +53,7 @@ class ContactRank:
 
     @property
     def redundant(self) -> bool:
-        """Whether wrenches are not unique, so that those reported are the least ones."""
+        """Whether wrenches are not unique, so that those reported have minimum norm."""
         return self.delassus < self.rows
 
     def __str__(self) -> str:
@@ -67,8 +67,8 @@ class ContactRank:
 class ContactResponse:
     """``lower`` L (nv, nv) and ``whitened`` B (nv, n_rows) of contacts at a configuration.
 
-    ``unit`` is what entries of B are like where a contact moves at all: a turn at the moment arm over the
-    root of the largest inertia. A set whose rows all vanish to rounding is of rank zero by it.
+    ``unit`` is the size of B's entries where a contact can move at all: a rotation at the moment arm over the
+    root of the largest inertia. Relative to it, a set whose rows all vanish to rounding has rank zero.
     """
 
     lower: np.ndarray
@@ -78,7 +78,7 @@ class ContactResponse:
     def least(self, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the least x (nv,), in the metric of M, with D J x = ``wanted`` (n_rows,), and the least phi.
 
-        In least squares, if no x does.
+        If there is none, the least-squares solution.
         """
         left, singular, right = np.linalg.svd(self.whitened, full_matrices=False)
         rank = numeric_rank(singular, self.unit)

@@ -32,7 +32,7 @@ class ContactSet:
 
     ``moment_arm`` (m) makes moments and forces, angles and lengths comparable: wrenches are measured
     by |f|^2 + |m|^2 / arm^2, accelerations by |linear|^2 + arm^2 |angular|^2. Both are the same in
-    any axes. They decide where equations leave a choice (redundant contacts), and nothing else.
+    any axes. They matter only where the equations leave a choice (redundant contacts).
     """
 
     names: tuple[str, ...]

@@ -3,7 +3,7 @@
     M (v+ - v-) = J^T Lambda,      J v+ = 0
 
 for the contacts that hold after the impact: those that land and those that stay. q does not change, and
-forces that are not impulsive do not take part (Featherstone 2008, sec. 11.7; Hurmuzlu and Marghitu
+non-impulsive forces have no effect (Featherstone 2008, sec. 11.7; Hurmuzlu and Marghitu
 1994). v+ is the projection of v- onto J v = 0 in the metric of M, so kinetic energy falls by
 1/2 (v+ - v-)^T M (v+ - v-). The contacts are bilateral in it: an impulse that pulls, or leaves its
 friction cone (`cone_margins`), says that the contact lifts or slides instead.
@@ -22,7 +22,7 @@ from trajopt.certify.contact.contact_response import ContactRank, contact_rank, 
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
 from trajopt.errors import InputError
 
-# Length of a unit normal of user input: written with this many digits at least.
+# Error allowed in the length of a unit normal that the user gives.
 UNIT_SLACK = 1e-6
 
 
@@ -55,11 +55,11 @@ class Impact:
     """What an impact does.
 
     velocity: v+ (nv,). impulses: (n, 6) N s and N m s, of the surroundings on the robot, world axes,
-    at the frames' origins. rank: which rows depend on each other; if it is redundant the impulses are
-    the least ones (`ContactSet.moment_arm`). energy_before, energy_after, energy_loss: 1/2 v^T M v in J,
-    the loss from the velocity jump. jump: change of momentum, about the centre of mass. impulse: sum of
-    the contacts' impulses as a momentum about the centre of mass. dynamics_residual: (nv,) of the first
-    row; contact_velocity: (n, 6) J v+, m/s and rad/s.
+    at the frames' origins. rank: which rows depend on each other; if it is redundant, the impulses have
+    minimum norm (`ContactSet.moment_arm`). energy_before, energy_after, energy_loss: 1/2 v^T M v in J, the
+    loss from the velocity jump. jump: change of momentum, about the centre of mass. impulse: sum of the
+    contacts' impulses as a momentum about the centre of mass. dynamics_residual: (nv,) of the first row;
+    contact_velocity: (n, 6) J v+, m/s and rad/s.
     """
 
     velocity: np.ndarray
@@ -133,7 +133,7 @@ def total_wrench(
 def cone_margins(wrenches: ArrayLike, normals: ArrayLike, friction: ArrayLike) -> np.ndarray:
     """Return ``mu f_n - |f_t|`` (n,) of forces or impulses: negative outside Coulomb's cone.
 
-    wrenches: (n, 3) or (n, 6), world axes, of the surface on the robot; moments take no part.
+    wrenches: (n, 3) or (n, 6), world axes, of the surface on the robot; moments are ignored.
     normals: (3,) or (n, 3) unit vectors out of the surface. friction: number or (n,). A force that pulls
     without friction counts as f_n. Raises `InputError` for wrong shapes, normals that are not unit, or
     friction that is negative.

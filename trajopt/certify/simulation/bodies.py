@@ -22,7 +22,7 @@ from trajopt.errors import InputError
 PACKAGE_MISSING = "pip install 'trajopt-contacts[mujoco]'"
 # A column of a joint's motion that turns by less than this is a translation.
 TRANSLATION = 1e-9
-# Of bodies while they are compiled: off its frame and not diagonal, so that no special case is compiled in.
+# Stand-in inertia for compilation: off its frame and not diagonal, so that no special case is compiled in.
 STAND_IN = {"mass": 1.0, "ipos": [0.1, 0.2, 0.3], "fullinertia": [1.0, 1.1, 1.2, 0.1, 0.1, 0.1]}
 
 
@@ -39,7 +39,7 @@ def mujoco_package() -> Any:
 def muted_mujoco() -> Iterator[None]:
     """Suppress MuJoCo's warnings, which go to stderr and into a file in the working directory.
 
-    A simulation that diverges is found by its numbers.
+    Divergence is detected from the state instead.
     """
     mujoco = mujoco_package()
     before = mujoco.get_mju_user_warning()
@@ -126,7 +126,7 @@ def _joint_name(index: int, number: int) -> str:
 
 
 def _axis(model: pin.Model, index: int) -> tuple[np.ndarray, bool]:
-    """Axis (3,) of a joint of one degree of freedom in its own frame, and whether it turns about it."""
+    """Axis (3,) of a joint of one degree of freedom in its own frame, and whether the joint is revolute."""
     data = model.createData()
     columns = pin.computeJointJacobians(model, data, pin.neutral(model)).reshape(6, model.nv)
     own = data.oMi[index].actInv(pin.Motion(columns[:, model.joints[index].idx_v]))

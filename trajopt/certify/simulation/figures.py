@@ -17,15 +17,15 @@ from trajopt.solution.arrays import rows_of
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
 
-# A contact carries load from this part of the weight on: far above rounding, far below a leg's share.
+# A contact is loaded above this fraction of the weight: far above rounding, far below a leg's share.
 LOADED = 0.02
-# Travel of a loaded contact within a stance that counts as a slip, part of the reach.
+# Travel of a loaded contact within a stance that counts as a slip, over the reach.
 SLIP = 0.01
-# Of a contact that slides fast MuJoCo's contact force comes in pulses: gaps shorter than this part of the
-# natural time are none.
+# MuJoCo's force on a fast-sliding contact is pulsed: gaps shorter than this fraction of the natural time are
+# ignored.
 PULSES = 0.1
-# A base lower than planned by this part of its mean height over the feet has fallen; so has one that is
-# turned from the planned attitude by more than this, rad.
+# A base has fallen if it is lower than planned by this fraction of its mean height over the feet, or turned
+# from the planned attitude by more than this, rad.
 SUNK, TURNED = 0.5, np.pi / 3
 
 
@@ -96,7 +96,7 @@ def simulated_stances(
         for number, (first, end) in enumerate(runs):
             before = runs[number - 1][1] if number else 0
             window = (before + first) // 2 if first else 0
-            # Until the middle of the stance: what comes later is no touchdown.
+            # Up to mid-stance: a later load is not a touchdown.
             touch = np.flatnonzero(loaded[window : (first + end) // 2 + 1, contact])
             phase = reference.source[first]
             own = np.unique(reference.source[first:end])
@@ -128,7 +128,7 @@ def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _without_gaps(loaded: np.ndarray, gap: int) -> np.ndarray:
-    """Flags (n,) with false stretches of at most ``gap`` between true ones made true."""
+    """Flags (n,) with gaps of at most ``gap`` between true stretches filled."""
     closed = loaded.copy()
     for first, end in _runs(~loaded):
         if first and end < len(loaded) and end - first <= gap:
@@ -149,7 +149,7 @@ def farthest_travel(places: np.ndarray, loaded: np.ndarray, normal: np.ndarray) 
 def swing_load(reference: ReferenceTrajectory, record: SimulationRecord, world: World) -> float:
     """Longest time (s) for which a contact carries load in the middle half of a planned swing.
 
-    Around lift-off and touchdown the contact only is late or early.
+    Around lift-off and touchdown the contact is merely late or early.
     """
     n = min(len(record.feet), reference.planned)
     loaded, longest = loaded_contacts(record, world)[:n], 0
@@ -170,10 +170,10 @@ def force_error(reference: ReferenceTrajectory, record: SimulationRecord) -> flo
 def fall_of(
     plan: Solution, reference: ReferenceTrajectory, record: SimulationRecord, q: np.ndarray
 ) -> Fall | None:
-    """The first fall; a robot on a fixed base falls only where its simulation runs away."""
+    """The first fall; a robot on a fixed base falls only if its simulation diverges."""
     found = []
     if len(record.feet) < len(reference.t):
-        found.append(Fall(time=float(reference.t[len(record.feet)]), why="the simulation ran away"))
+        found.append(Fall(time=float(reference.t[len(record.feet)]), why="the simulation diverged"))
     if base_of(plan.model) != "fixed":
         n = len(record.feet)
         own, wanted = _bases(plan.model, q[:n]), _bases(plan.model, reference.q[:n])
@@ -185,8 +185,8 @@ def fall_of(
         turned = np.arccos(np.clip((cosine - 1) / 2, -1, 1)) > TURNED
         for flags, why in (
             (record.touched, "a link touches the ground"),
-            (sunk & (over > 0), "the base is down"),
-            (turned, "the base is turned over"),
+            (sunk & (over > 0), "the base has dropped"),
+            (turned, "the base has turned over"),
         ):
             if flags.any():
                 found.append(Fall(time=float(reference.t[int(flags.argmax())]), why=why))

@@ -5,10 +5,10 @@ With w the feedback's rate, m g l the robot's weight times its reach and n the c
     K_p = max(w^2 M_ii, 4 m g l / n)      in legs that the plan has on the ground, else w^2 M_ii
     K_d = 2 sqrt(K_p M_ii)
 
-(4 m g / (l n) of joints that slide) so that every joint alone takes out an error without overshoot, in the
-same time whatever it carries. The joints of a stance leg have to hold the body up, an inverted pendulum that
-falls where they are softer than m g l / n together. Dampers that would be unstable in discrete time on the
-free leg are weaker, with their springs: where a foot is late, its joints are as free as in the swing.
+(4 m g / (l n) for prismatic joints) so that each joint on its own removes an error without overshoot, in the
+same time whatever its inertia. The joints of a stance leg hold the body up, an inverted pendulum that falls
+if their stiffness is below m g l / n. Dampers that would be unstable in discrete time on the free leg are
+weaker, with their springs: where a foot is late, its joints are as free as in the swing.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from trajopt.certify.simulation.world import World
 from trajopt.dynamics.base_joint import base_of
 from trajopt.solution.solution import Solution
 
-# Gains are made for every so manyeth period of the controller, and hold until the next.
+# Gains are recomputed after this many periods of the controller, and held in between.
 EVERY = 5
 # A discrete damper is stable while its rate times the period stays below 2; half of it leaves room for delay.
 FASTEST = 1.0
-# Stiffness of stance legs over that at which the body just falls.
+# Stiffness of stance legs over the stiffness at which the body just falls.
 STIFFER = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """Feedback of the actuated rows in n periods, (n, nu); ``rate``: 1/s, of joints that hold nothing."""
+    """Feedback of the actuated rows in n periods, (n, nu); ``rate``: 1/s, of joints that bear no load."""
 
     kp: np.ndarray
     kd: np.ndarray

@@ -1,7 +1,8 @@
-"""What a robot may touch in a simulation, as MuJoCo's geometry: terrain, boards of single phases, obstacles.
+"""What a robot may touch in a simulation, as MuJoCo geometry: terrain, boards of single phases, obstacles.
 
-A point contact is a ball around its frame, so small that it rolls by nothing (`BALL` of the reach), a sole
-has one at each corner. The plan's heights are those of the frames, so all ground lies lower by the radius.
+A point contact is a ball around its frame, so small (`BALL` of the reach) that its rolling is negligible; a
+sole has one at each corner. The plan's heights are those of the frames, so all ground is lowered by the
+radius.
 """
 
 from __future__ import annotations
@@ -92,7 +93,7 @@ def add_ground(spec: Any, plan: Solution, place: Surroundings) -> GroundGeometry
 
 
 def _by_phase(plan: Solution, planes: Sequence[Surface | None], usual: np.ndarray) -> np.ndarray:
-    """Friction (phases, geoms, nc): ``usual`` (geoms, nc) but where a phase has its own on a geom's plane.
+    """Friction (phases, geoms, nc): ``usual`` (geoms, nc) unless a phase sets it for a geom's plane.
 
     A contact in the air has that of its next stance, for which it may be early.
     """
@@ -140,7 +141,7 @@ def _standing(plan: Solution, own: Sequence[tuple[int, int, Surface]]) -> tuple[
 def _boards(
     plan: Solution, own: Sequence[tuple[int, int, Surface]], place: Surroundings
 ) -> list[tuple[Surface, tuple[int, ...], np.ndarray]]:
-    """Planes that push, each with the contacts on it and where they touch it (n, 3), soles at the corners."""
+    """Unilateral planes, each with its contacts and where they touch it (n, 3), soles at the corners."""
     groups: list[tuple[Surface, list[tuple[int, int]]]] = []
     for phase, contact, surface in own:
         if surface.bilateral:
@@ -161,7 +162,7 @@ def _boards(
 
 
 def _under(plan: Solution, surface: Surface, place: Surroundings, phase: int, contact: int) -> np.ndarray:
-    """Places (n, 3) of a contact in a phase; of a sole those of a square on the plane around its corners."""
+    """Positions (n, 3) of a contact in a phase; for a sole a square on the plane around its corners."""
     places = place.feet[plan.phase == phase, contact]
     sizes = plan.meta.get("contact_sizes") or [None] * len(plan.contact_frames)
     if plan.meta["contact_kinds"][contact] != "surface" or not sizes[contact]:
@@ -221,7 +222,7 @@ def _field(spec: Any, terrain: SmoothTerrain, place: Surroundings) -> str:
 
 
 def _board(spec: Any, name: str, surface: Surface, points: np.ndarray, place: Surroundings) -> str:
-    """A box whose front is the plane, around the places (n, 3) where it is touched."""
+    """A box whose front is the plane, around the points (n, 3) where it is touched."""
     turn = frame_of_normal(surface.normal)
     local = (points - surface.point) @ turn[:, :2]
     low, high = local.min(axis=0) - BOARD * place.reach, local.max(axis=0) + BOARD * place.reach

@@ -170,7 +170,7 @@ def _repeated(
 
 
 def image_of_contacts(plan: Solution, described: dict[str, Any]) -> list[int]:
-    """For each contact the one whose image it is: the rows of v that move it are those of its image."""
+    """For each contact, the one whose image it is: the rows of v that move it map to the rows of that one."""
     index = np.array(described["index"], dtype=int)
     moved = [moving_rows(plan.model, frame) for frame in plan.contact_frames]
     return [moved.index({int(index[row]) for row in rows}) for rows in moved]
@@ -186,7 +186,7 @@ def moving_rows(model: pin.Model, frame: str) -> set[int]:
 
 
 def _at_rest(plan: Solution, reference: ReferenceTrajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Torques (nu,) and contact forces (nc, 6) that hold the plan's end: the forces nearest to its last ones.
+    """Torques (nu,) and contact forces (nc, 6) that hold the plan's end; the forces are nearest to its last.
 
     A plan that has come to rest may still accelerate: its last torques would move it away again.
     """

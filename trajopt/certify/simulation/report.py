@@ -7,8 +7,8 @@ from typing import Any
 
 from trajopt.solution.descriptions import jsonable
 
-# A plan is tracked that ends with its base within this part of the robot's reach and within this angle, rad;
-# on a fixed base, that never has a joint off by more than this, rad or m.
+# A plan is tracked if its base ends within this fraction of the robot's reach and within this angle, rad; on
+# a fixed base, if no joint error ever exceeds this, rad or m.
 BASE_PASSED, TURN_PASSED, JOINT_PASSED = 0.05, 0.2, 0.1
 
 
@@ -28,7 +28,7 @@ class SimulationReport:
 
     reach: m. duration: s of the plan; held: s after it. fell: within both; fall_time s, fall_reason.
     base_error_* m and base_turn_* rad (None on a fixed base), base_error_held after the hold.
-    joint_error_* rad or m. saturated: share of torques that were cut off. touchdown_error: largest, s;
+    joint_error_* rad or m. saturated: share of torques that were clipped. touchdown_error: largest, s;
     missed: touchdowns that never came; swing_load: s of load in the middle of a swing. slips: stances with a
     travel beyond `figures.SLIP`; slip_travel: largest, m. force_error: rms, over the weight. obstacle_hit:
     a capsule touched an obstacle.

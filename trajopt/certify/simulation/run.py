@@ -23,9 +23,9 @@ from trajopt.errors import InputError
 from trajopt.robot.actuators.drive import Drive
 from trajopt.solution.solution import Solution
 
-# A base whose nose points up or down is pushed by less: it has no side.
+# Level part of the forward axis below which the push is reduced: a base with its nose up or down has no side.
 LEAST_LEVEL = 0.1
-# A push lasts this part of the motion, around its middle.
+# A push lasts this fraction of the motion, around its middle.
 PUSHED = 0.1
 # Steps of the physics in one simulation: minutes.
 MOST_STEPS = 20_000_000
@@ -116,7 +116,7 @@ class _Run:
             self._push(k)
             found.qpos[k], found.qvel[k] = data.qpos, data.qvel
             found.torque[k], found.saturated[k] = self._drive(k)
-            self.mujoco.mj_forward(model, data)  # forces of this state: stages of a step leave others behind
+            self.mujoco.mj_forward(model, data)  # forces of this state: a step's stages leave others
             if not self._is_sane():
                 return _until(found, k)
             found.qacc[k], found.friction[k] = data.qacc, self._friction()
@@ -128,7 +128,7 @@ class _Run:
         return found
 
     def _is_sane(self) -> bool:
-        """Whether the state is finite and MuJoCo has not warned that it is running away."""
+        """Whether the state is finite and MuJoCo has not warned of divergence."""
         warned = self.mujoco.mjtWarning
         bad = (warned.mjWARN_BADQPOS, warned.mjWARN_BADQVEL, warned.mjWARN_BADQACC)
         warnings = sum(self.data.warning[kind].number for kind in bad)
@@ -213,7 +213,7 @@ class _Run:
         return np.einsum("ni,nij->nj", own, touching.frame[loaded].reshape(-1, 3, 3))
 
     def _grasped(self, force: np.ndarray) -> None:
-        """Add the wrenches of constraints that hold contacts: those that do the same to the joints."""
+        """Add the wrenches of constraints that hold contacts: those with the same effect on the joints."""
         for grasp in self.world.grasps:
             number = self.model.equality(grasp.name).id
             if self.data.eq_active[number]:
@@ -230,9 +230,9 @@ class _Run:
 
 
 def _until(record: SimulationRecord, count: int) -> SimulationRecord:
-    """The periods of a record before the one, ``count``, in whose state MuJoCo has run away.
+    """The periods of a record before period ``count``, in whose state MuJoCo has diverged.
 
-    That state and the step to it are left out; of a record that ends at once one period at rest is left.
+    That state and the step to it are left out; a record that ends at once keeps one period at rest.
     """
     rows = max(count - 1, 1)
     if count <= 1:
@@ -252,7 +252,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _sizes(world: World) -> np.ndarray:
-    """Units (nv,) of positions: the reach of those that slide, a radian of those that turn."""
+    """Units (nv,) of positions: the reach for translations, a radian for rotations."""
     sizes = np.ones(world.compiled.nv)
     kinds = mujoco_package().mjtJoint
     slide, free = int(kinds.mjJNT_SLIDE), int(kinds.mjJNT_FREE)  # NumPy's numbers are not `in` enums

@@ -138,7 +138,7 @@ def _contacts(plan: Solution, stances: tuple[figures.SimulatedStance, ...], worl
 
 
 def _notes(plan: Solution, world: World) -> tuple[str, ...]:
-    """What the simulation takes from the plan that no physics gives."""
+    """Notes on what is prescribed by the plan instead of simulated."""
     notes = []
     for grasp in world.grasps:
         phases = plan.meta["phase_names"][grasp.phases[0] : grasp.phases[-1] + 1]
@@ -148,5 +148,5 @@ def _notes(plan: Solution, world: World) -> tuple[str, ...]:
     if plan.meta.get("payloads"):
         notes.append("what is carried is part of the link that holds it while the plan carries it")
     if plan.meta.get("actuation", "torque") != "torque":
-        notes.append(f"a source of {plan.meta['actuation']}: its drives have no torque limits here")
+        notes.append(f"actuation by {plan.meta['actuation']}: the drives have no torque limits here")
     return tuple(notes)

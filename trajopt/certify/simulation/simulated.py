@@ -1,4 +1,4 @@
-"""A simulated motion as a solution: what replay, plot and the file format take like any other.
+"""A simulated motion as a solution, for replay, plot and the file format.
 
 Phases are the planned ones, by time, with the posture held after the plan as one more. A contact is active
 in an interval where it carries load; in the first interval of a phase also where the plan says so, since a
@@ -25,7 +25,7 @@ from trajopt.solution.solution import Solution
 from trajopt.solution.touched import held_samples
 from trajopt.versions import VERSIONED, installed_version
 
-# Periods of the controller in an interval: 4 ms by default, finer than a screen's picture.
+# Periods of the controller in an interval: 4 ms by default, finer than a video frame.
 PERIODS = 4
 # Keys of the plan's meta that do not apply to a simulation.
 LEFT_OUT = (

@@ -38,12 +38,12 @@ from trajopt.solution.descriptions import scene_of_meta, terrain_of
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import held_samples
 
-# A penetration is stopped from the first touch on with nearly the whole stiffness: d0, dmax, width in radii
+# A penetration meets nearly the whole stiffness from the first touch on: d0, dmax, width in radii
 # of the balls, midpoint and power of MuJoCo's impedance.
 IMPEDANCE = (0.95, 0.99, 0.5, 2.0)
 # Of friction against pressure: how much harder a contact resists creeping than penetrating.
 FRICTION_STIFFNESS = 10.0
-# Friction of links on the ground and on obstacles: of no account but in a fall.
+# Friction of links on the ground and on obstacles: matters only in a fall.
 LINK_FRICTION = 0.7
 # A contact's time is at least so many steps: MuJoCo's own bound is two.
 LEAST_STEPS = 2.0
@@ -61,7 +61,7 @@ class Grasp:
 
 @dataclass(frozen=True, kw_only=True)
 class World:
-    """A compiled model with what the simulation asks of it.
+    """A compiled model with the indices that the simulation needs.
 
     sites: id of each contact frame's site (nc,). contact_of: for each geom the contact it belongs to, or -1.
     links: whether a geom is a link's. obstacles: whether it is an obstacle. models: the `pin.Model` of each

@@ -1,4 +1,4 @@
-"""Only what the scene requires: the smallest problem with the same task, and what was left out and why.
+"""Only what the scene requires: the smallest problem with the same task, what was left out, and why.
 
 made = smallest(problem)                    from a problem
 made = scene(robot, schedule, goals)        from robot, schedule and goals

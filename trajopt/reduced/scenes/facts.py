@@ -1,4 +1,4 @@
-"""What a problem models, what it never had rows for, and what could be simpler still: lines of a report."""
+"""What a problem models, what it has no rows for, and what could be simplified further: lines of a report."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def modelled(problem: Problem, whole: Problem, needs: Mapping[str, str]) -> tupl
 
 
 def remarks(problem: Problem, whole: Problem, grid: _Grid) -> Iterator[Decision]:
-    """Rows and unknowns that were never there, with the reason; and what could go if the caller wants.
+    """Rows and variables that are never built, with the reason, and what could be left out on request.
 
     Numbers are for a ``grid`` (transcription, intervals) that defaults to the problem's.
     """
@@ -61,7 +61,7 @@ def _never_modelled(problem: Problem, whole: Problem, points: list[int]) -> Iter
     )
     if count:
         yield (
-            f"forces of contacts in the air, {count} unknowns and their complementarity rows",
+            f"forces of contacts in the air, {count} variables and their complementarity rows",
             "the schedule says who is in contact: a contact that is not has neither force nor row",
         )
     for term in problem.terms:
@@ -83,7 +83,7 @@ def _never_modelled(problem: Problem, whole: Problem, points: list[int]) -> Iter
 
 
 def _beyond(term: EffortLimits | VelocityLimits | PositionLimits, robot: Robot) -> tuple[int, str]:
-    """How many finite limits a term leaves out, and by which measure."""
+    """Number of finite limits that a term leaves out, and the threshold."""
     units, first = Units(robot), robot.n_unactuated
     if isinstance(term, EffortLimits):
         limit = robot.effort_limit if term.limit is None else np.asarray(term.limit)
@@ -108,13 +108,13 @@ def _offered_points(problem: Problem, points: list[int]) -> Iterator[_Remark]:
     )
     if fewer and len(soles) > 1:
         yield (
-            f"soles {', '.join(c.name for c in soles)} as points: {fewer} unknowns less",
-            "only where a sole's moment does not matter, two or more being apart: it may tilt",
+            f"soles {', '.join(c.name for c in soles)} as points: {fewer} fewer variables",
+            "only where a sole's moment does not matter, with two or more soles apart: a sole may tilt",
         )
 
 
 def _offered_velocity(problem: Problem) -> Iterator[_Remark]:
-    """A velocity source, where nothing asks for accelerations or for rates at nodes."""
+    """A velocity source, if no term uses accelerations or rates at nodes."""
     if problem.actuation != "acceleration" or problem.robot.n_unactuated or problem.initial_v.any():
         return
     if any(phase.contacts for phase in problem.schedule.phases):

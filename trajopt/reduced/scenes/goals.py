@@ -30,7 +30,7 @@ from trajopt.terrain.surface import SAME_PLANE
 
 Goals = Mapping[str, pin.SE3 | ArrayLike] | ArrayLike
 
-# Swings of a foot rise by this part of the robot's length: a few centimetres for a leg of half a metre.
+# Height of a foot's swing over the robot's length: a few centimetres for a leg of half a metre.
 CLEARANCE = 0.1
 
 
@@ -52,7 +52,7 @@ def scene(
 ) -> Scene:
     """Return the smallest problem that takes ``robot`` through ``schedule`` to its ``goals``.
 
-    Always there are effort, velocity and position limits of the robot (of its drives, if it has any),
+    The problem always has effort, velocity and position limits of the robot (of its drives, if it has any),
     friction at every contact (the cone of the whole sole at surfaces), landings from the schedule, and a
     clearance of swings of a tenth of the robot's length.
 
@@ -109,7 +109,7 @@ def scene(
 
 
 def _targets(robot: Robot, goals: Goals | None) -> dict[str, pin.SE3 | np.ndarray]:
-    """Poses and positions of frames, checked; empty where a configuration or nothing is asked for."""
+    """Poses and positions of frames, checked; empty for a configuration, or without goals."""
     if not isinstance(goals, Mapping):
         return {}
     found: dict[str, pin.SE3 | np.ndarray] = {}
@@ -123,7 +123,7 @@ def _targets(robot: Robot, goals: Goals | None) -> dict[str, pin.SE3 | np.ndarra
 def _landing_on(robot: Robot, schedule: Schedule, ground: FlatGround, posture: np.ndarray) -> Schedule:
     """Footholds, where none are given, for the last landing of contacts that hold at the end.
 
-    A goal asks only for what contacts leave free: they must land where the goal configuration has them.
+    A goal constrains only what contacts leave free: they must land where the goal configuration has them.
     """
     places, phases = contact_poses(robot, posture), list(schedule.phases)
     for name in phases[-1].contacts:

@@ -19,7 +19,7 @@ from trajopt.schedule.schedule import Schedule
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.swing_profile import smooth_step
 
-# Swings rise by this part of the robot's length in the guess, more than they must.
+# Height of swings in the guess over the robot's length, more than required.
 SWING = 0.15
 _Target: TypeAlias = pin.SE3 | np.ndarray
 
@@ -56,7 +56,7 @@ def end_posture(
 
 
 def _target(robot: Robot, name: str, place: np.ndarray, start: np.ndarray) -> _Target:
-    """A point's place, or a sole's pose turned as at the start."""
+    """A point's position, or a sole's pose with the orientation at the start."""
     if robot.contact(name).kind == "point":
         return place
     return pin.SE3(contact_poses(robot, start)[name].rotation, place)

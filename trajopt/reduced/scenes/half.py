@@ -2,8 +2,8 @@
 
 A motion that is its own mirror image moves the base in its x-z plane and the limbs of a pair alike. So its
 kinetic and potential energy are those of the base in the plane and of one limb of the pair with twice the
-mass, inertia and armature; the limb may leave the plane, an abducted leg does. Its joints have twice the
-torque, its contacts twice the force. Joints on the plane that would leave it (yaw, roll) are locked before.
+mass, inertia and armature; the limb may leave the plane, as an abducted leg does. Its joints have twice the
+torque, its contacts twice the force. Joints on the plane that would leave it (yaw, roll) are locked first.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from trajopt.robot.robot import Robot
 
 
 def turned_by_mirror(robot: Robot, mirror: Mirror) -> tuple[str, ...]:
-    """Joints on the plane that a mirrored motion holds at zero: yaw and roll of a waist, say."""
+    """Joints on the plane that a mirrored motion holds at zero, such as yaw and roll of a waist."""
     model = robot.model
     return tuple(
         model.names[j] for j in range(2, model.njoints) if mirror.partner[j] == j and mirror.sign[j] < 0
@@ -59,7 +59,7 @@ def _follower(robot: Robot, mirror: Mirror, kept: Sequence[int], joint: int) -> 
 
 
 def _contact_follower(robot: Robot, kept: Sequence[int], contact: Contact, image: Contact) -> Follower:
-    """A contact on a kept limb is itself; of a pair on the plane's own bodies, the first of both."""
+    """Maps a contact on a kept limb to itself, and a pair on bodies of the plane to its first contact."""
     joint = int(robot.model.frames[robot.model.getFrameId(contact.frame)].parentJoint)
     names = [entry.name for entry in robot.contacts]
     image_joint = int(robot.model.frames[robot.model.getFrameId(image.frame)].parentJoint)
@@ -94,7 +94,7 @@ def _half_model(
 def _add_frames(
     model: pin.Model, new: pin.Model, mirror: Mirror, numbers: Mapping[int, int]
 ) -> frozenset[str]:
-    """Frames of kept bodies; those on the other side where their mirror images are, named all the same."""
+    """Frames of kept bodies; those of the other side are placed at their mirror images, under their names."""
     mirrored = set()
     holders = {0: 0} | {joint: new.addJointFrame(joint, 0) for joint in numbers.values()}
     for frame in list(model.frames)[1:]:
@@ -115,7 +115,7 @@ def _add_frames(
 
 
 def _merge_rows(model: pin.Model, new: pin.Model, mirror: Mirror, kept: Sequence[int]) -> None:
-    """Armature of both joints of a pair; the other rows of the joint that is kept."""
+    """Armature of both joints of a pair; other rows as of the joint that is kept."""
     for joint in kept[1:]:
         name, image = model.names[joint], mirror.partner[joint]
         v, own = joint_slices(new, name)[1], joint_slices(model, name)[1]

@@ -1,4 +1,4 @@
-"""The solution of a reduced problem as one of the whole robot: every sample, forces and torques anew."""
+"""The solution of a reduced problem as one of the whole robot: samples, forces and torques recomputed."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def lift_solution(solution: Solution, problem: Problem, reduction: Reduction) ->
     """Return the motion of the whole robot of ``problem`` that a small robot's ``solution`` stands for.
 
     Configurations, rates and contact wrenches follow from the reduction. The halves of a real robot differ a
-    little: wrenches of active contacts are corrected by the least, in natural units, that makes the whole
-    robot's base rows hold. What contacts cannot take (all of it in flight) is left for the check to see.
-    Torques are the actuated rows of numeric RNEA - J^T f, locked joints' too.
+    little: wrenches of active contacts get the least correction, in natural units, with which the whole
+    robot's base rows hold. What contacts cannot provide (all of it in flight) remains as a residual in the
+    check. Torques are the actuated rows of numeric RNEA - J^T f, locked joints' too.
     """
     whole = reduction.whole
     q = np.array([reduction.lift_q(row) for row in solution.q])
@@ -44,7 +44,7 @@ def lift_solution(solution: Solution, problem: Problem, reduction: Reduction) ->
         tau=_torques(solution, whole, motion, f),
         active=every,
         impulse=None if solution.impulse is None else reduction.lift_forces(solution.impulse),
-        row_multiplier=None,  # of the small problem's rows
+        row_multiplier=None,  # those of the small problem do not apply
         row_place=None,
         bound_multiplier=None,
     )

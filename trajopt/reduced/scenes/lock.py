@@ -17,7 +17,8 @@ def lock_joints(
 ) -> Reduction:
     """Return the reduction to ``robot`` with joints ``names`` welded at q (nq,), on these or all contacts.
 
-    The small robot keeps the reference posture and the length of the whole: what units and costs refer to.
+    The small robot keeps the reference posture and the length of the whole robot, to which units and costs
+    refer.
     """
     kept = tuple(c for c in robot.contacts if contacts is None or c.name in contacts)
     fewer = replace(robot, contacts=kept)
@@ -33,6 +34,6 @@ def lock_joints(
 
 
 def behind_base(robot: Robot) -> tuple[str, ...]:
-    """Names of all joints that are no part of the base."""
+    """Names of all joints that are not part of the base."""
     first = BASE_COORDINATES[robot.base]
     return tuple(robot.model.names[j.id] for j in list(robot.model.joints)[1:] if j.idx_q >= first)

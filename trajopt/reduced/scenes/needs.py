@@ -1,4 +1,4 @@
-"""Which joints a task needs, each with its reason; the others may be locked."""
+"""The joints that a task needs, each with its reason; the others may be locked."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from trajopt.terms.limits import EffortLimits, PositionLimits, VelocityLimits
 from trajopt.terms.swing import SwingClearance
 from trajopt.terms.terminal import TerminalRest, TerminalState
 
-# Costs that only smooth or economise, and limits: a joint that rests at its start meets them.
+# Regularising costs and limits: a joint that rests at its start satisfies them.
 NO_NEED = (
     TorqueCost, AccelerationCost, VelocityCost, WrenchCost, TimeCost, ImpulseCost, MotorTorqueCost,
     EffortLimits, VelocityLimits, PositionLimits, DriveLimits, TerminalRest,
 )  # fmt: skip
-# A joint whose goal is this near its start, rad or m, stays: rounding of postures in files.
+# A joint whose goal is this near its start, rad or m, may stay: rounding of postures in files.
 SAME_PLACE = 1e-9
 
 Needs = dict[str, str]
@@ -66,7 +66,7 @@ def needed_joints(problem: Problem, keep: Sequence[str]) -> Needs:
 
 
 def cleared_contacts(problem: Problem) -> set[str]:
-    """Contacts that a term about swings keeps off the ground in some phase."""
+    """Contacts that a clearance term keeps off the ground in some phase."""
     frames = {
         frame
         for instance in TermReader(problem).every()
@@ -112,7 +112,7 @@ def _chain(robot: Robot, frame: str, reason: str, found: Needs) -> None:
 
 
 def _own_joints(problem: Problem, instance: TermInstance) -> list[str]:
-    """Joints whose coordinates themselves a term of an unknown kind uses."""
+    """Joints whose coordinates a term of an unknown kind uses directly."""
     if (
         isinstance(instance.term, (*NO_NEED, PostureCost, TerminalState))
         or instance.context.place is Place.IMPACT

@@ -29,10 +29,10 @@ from trajopt.terms.landing import ContactLanding
 from trajopt.terms.swing import SwingClearance
 from trajopt.terms.terminal import TerminalState
 
-# A robot may differ from its mirror image by this, parts of its mass and length: what descriptions made
-# by hand from CAD leave (Solo12 8e-6, Talos 2e-3, A1 1.1e-2), less than masses are usually known to.
+# Largest difference of a robot from its mirror image, over its mass and length: errors of descriptions made
+# by hand from CAD (Solo12 8e-6, Talos 2e-3, A1 1.1e-2), less than masses are usually known to.
 ASYMMETRY = 2e-2
-# Below this robot and task are symmetric up to rounding of descriptions and of kinematics.
+# Below this, robot and task are symmetric up to rounding in descriptions and kinematics.
 ROUNDING = 1e-9
 # Terms about frames that constrain nothing across the plane; footholds are checked separately.
 ALONG_PLANE = (ContactLanding, FrameHeight, SwingClearance)
@@ -87,9 +87,9 @@ def _why(mirror: Mirror, found: Asymmetry, limits: list[str]) -> str:
 def in_plane(problem: Problem, keep: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the joints of a half's limbs that leave the plane: those to lock, and those that cannot be.
 
-    Locked where they are, they must leave their limb joints that move in the plane, and these only: an
-    abducted leg moves in a plane of its own. Limbs with a joint in ``keep``, or of which the task asks for
-    something across the plane, stay as they are.
+    With these joints locked at the start, the others of the limb must move in the plane: an abducted leg
+    moves in a different plane. Limbs with a joint in ``keep``, or for which the task requires motion across
+    the plane, stay as they are.
     """
     model, wanted = problem.robot.model, {*keep, *_across(problem)}
     leaving = leaving_plane(model, 1, problem.initial_q)
@@ -104,7 +104,7 @@ def in_plane(problem: Problem, keep: Sequence[str]) -> tuple[tuple[str, ...], tu
 
 
 def _across(problem: Problem) -> set[str]:
-    """Joints of limbs of which the task asks for something across the plane."""
+    """Joints of limbs for which the task requires motion across the plane."""
     robot, model = problem.robot, problem.robot.model
     data = model.createData()
     pin.framesForwardKinematics(model, data, problem.initial_q)
@@ -125,7 +125,7 @@ def _across(problem: Problem) -> set[str]:
 
 
 def _goals(problem: Problem) -> set[str]:
-    """Joints that a goal wants elsewhere than at their start."""
+    """Joints whose goal differs from their start."""
     found: set[str] = set()
     for term in problem.terms:
         if isinstance(term, HalfEnd) and isinstance(term.term, TerminalState):

@@ -36,14 +36,14 @@ _Slices = tuple[slice, slice]
 
 @dataclass(frozen=True)
 class Follower:
-    """What a joint or contact of the whole robot follows in the small one, and whether as its image."""
+    """The joint or contact of the small robot that one of the whole follows, and whether mirrored."""
 
     name: str
     sign: float = 1.0
     mirrored: bool = False
 
     def behind(self, other: Follower) -> Follower:
-        """Return what is followed where the followed one follows another."""
+        """Return the composition, where the followed one follows another."""
         return Follower(other.name, self.sign * other.sign, self.mirrored != other.mirrored)
 
 
@@ -52,7 +52,8 @@ class Reduction:
     """``small`` robot of a ``whole`` one, whose locked joints rest at ``start`` (nq of the whole).
 
     joints: joint behind the base -> what it follows; those not named are locked. contacts: likewise;
-    those not named are never active. mirrored_frames: frames on limbs that the small robot has as images.
+    those not named are never active. mirrored_frames: frames on limbs that exist in the small robot as mirror
+    images.
     """
 
     whole: Robot
@@ -69,7 +70,7 @@ class Reduction:
 
     @property
     def y0(self) -> float:
-        """Where the plane of a half is, m."""
+        """The y coordinate of a half's plane, m."""
         return float(self.start[1])
 
     def then(self, second: Reduction) -> Reduction:
@@ -83,11 +84,11 @@ class Reduction:
         )
 
     def members(self, name: str) -> int:
-        """How many joints of the whole robot follow the small one's joint of that name."""
+        """Number of joints of the whole robot that follow the small one's joint of that name."""
         return sum(follower.name == name for follower in self.joints.values())
 
     def contact_members(self, name: str) -> int:
-        """How many contacts of the whole robot follow the small one's of that name."""
+        """Number of contacts of the whole robot that follow the small one's of that name."""
         return sum(follower.name == name for follower in self.contacts.values())
 
     @cached_property
@@ -115,7 +116,7 @@ class Reduction:
     def shares(self) -> np.ndarray:
         """Torques of the whole robot's actuated rows from the small one's, (nu, nu of the small).
 
-        Zero for a locked joint: what it takes to hold it is not known to the small robot.
+        Zero for a locked joint: the small robot does not determine its holding torque.
         """
         matrix = self.rates[self.whole.n_unactuated :, self.small.n_unactuated :].copy()
         members = np.abs(matrix).sum(axis=0)
@@ -151,7 +152,7 @@ class Reduction:
         return np.array(pin.normalize(self.small.model, small))
 
     def drop_v(self, v: np.ndarray) -> np.ndarray:
-        """Rates or accelerations of the small robot from those of the whole, in the mean of images."""
+        """Rates or accelerations of the small robot from those of the whole, images averaged."""
         return np.asarray(np.linalg.lstsq(self.rates, v, rcond=None)[0])
 
     def drop_effort(self, limit: np.ndarray) -> np.ndarray:
@@ -181,17 +182,17 @@ class Reduction:
 
 
 def _followed(first: Mapping[str, Follower], second: Mapping[str, Follower]) -> dict[str, Follower]:
-    """What follows through both reductions."""
+    """The composition of both reductions."""
     return {name: f.behind(second[f.name]) for name, f in first.items() if f.name in second}
 
 
 def whole_place(place: NodePlace, reduction: Reduction) -> NodePlace:
-    """The node's place with the whole robot's contacts, their footholds and surfaces."""
+    """The node with the whole robot's contacts, their footholds and surfaces."""
     return replace(place, phase=whole_phase(place.phase, reduction))
 
 
 def whole_phase(phase: Phase, reduction: Reduction) -> Phase:
-    """The phase of the whole robot that a reduced phase stands for."""
+    """The whole robot's phase for a reduced phase."""
     active = {name: f for name, f in reduction.contacts.items() if f.name in phase.contacts}
     footholds, surfaces, patches = {}, {}, {}
     for name, follower in active.items():
@@ -201,7 +202,7 @@ def whole_phase(phase: Phase, reduction: Reduction) -> Phase:
         if follower.name in phase.surfaces:
             surface = phase.surfaces[follower.name]
             surfaces[name] = _reflected(surface, reduction) if follower.mirrored else surface
-        if follower.name in phase.patches and not follower.mirrored:  # a task with patches is not halved
+        if follower.name in phase.patches and not follower.mirrored:  # tasks with patches are not halved
             patches[name] = phase.patches[follower.name]
     return replace(phase, contacts=tuple(active), footholds=footholds, surfaces=surfaces, patches=patches)
 

@@ -1,4 +1,4 @@
-"""What a scene models and what it leaves out, decision by decision: exact or a choice, and what it saves."""
+"""What a scene models and leaves out, by decision: whether exact or a choice, and what it saves."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ EXACT, CHOICE, KEPT, OFFER = "exact", "choice", "kept", "offer"
 
 @dataclass(frozen=True, kw_only=True)
 class ProblemSize:
-    """Unknowns and rows of a transcription."""
+    """Variables and rows of a transcription."""
 
     variables: int
     rows: int
@@ -24,9 +24,9 @@ class ProblemSize:
 class Decision:
     """One decision: ``what`` was left out (or kept, or offered) and ``why``.
 
-    kind: "exact", the optimum is the same; "choice", it is another, by how much is to be measured; "kept",
-    modelled because it is needed; "offer", could be left out if asked. saved: unknowns and rows, 0 where the
-    problem as built had none of them either.
+    kind: "exact", the optimum is the same; "choice", it may differ, by an amount to be measured; "kept",
+    modelled because it is needed; "offer", could be left out on request. saved: variables and rows, 0 where
+    the problem as built had none.
     """
 
     kind: str
@@ -50,7 +50,7 @@ class SceneReport:
 
     @property
     def is_exact(self) -> bool:
-        """Whether the reduced problem has the same optimum: no decision was a choice."""
+        """Whether the reduced problem has the same optimum, i.e. no decision was a choice."""
         return not any(decision.kind == CHOICE for decision in self.decisions)
 
     def of_kind(self, kind: str) -> tuple[Decision, ...]:

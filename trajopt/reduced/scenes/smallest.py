@@ -1,6 +1,6 @@
 """The pipeline from a problem to the smallest one with the same task.
 
-Decisions are taken in this order, each on what the one before left:
+Decisions are taken in this order, each on the result of the one before:
 
 - costs of weight zero; four corner points of a foot as one sole (`soles`);
 - contacts that are never active, joints that nothing needs (`needs`, `lock`);
@@ -49,7 +49,7 @@ class Scene:
     soles: Soles | None = None
 
     def lift(self, solution: Solution) -> Solution:
-        """Return a solution of ``problem`` as one of the whole robot: what ``check`` and ``replay`` take.
+        """Return a solution of ``problem`` as one of the whole robot, for ``check`` and ``replay``.
 
         Its torques are those of the whole robot on this motion, locked joints' too, by inverse dynamics.
         """
@@ -92,7 +92,7 @@ def smallest(
 
 
 def size_of(problem: Problem, transcription: str | None = None, intervals: int | None = None) -> ProblemSize:
-    """Unknowns and rows of a problem's transcription."""
+    """Variables and rows of a problem's transcription."""
     made = transcribe(problem, transcription, intervals)
     return ProblemSize(variables=made.layout.n_unknowns, rows=made.n_rows)
 
@@ -131,7 +131,7 @@ class _Smallest:
         )
 
     def note(self, kind: str, what: str, why: str) -> None:
-        """Record a decision with what it saved since the last."""
+        """Record a decision with what it saved."""
         size = size_of(self.problem, *self.grid)
         self.decisions.append(Decision(kind=kind, what=what, why=why, saved=self.size.less(size)))
         self.size = size
@@ -142,7 +142,7 @@ class _Smallest:
             raise InputError(f"problem '{self.original.name}' cannot be halved: {self.refuses()}")
 
     def refuses(self) -> str:
-        """Why no robot but the whole one fits the problem, or an empty text."""
+        """Why the problem cannot be reduced, or an empty text."""
         if self.whole.dynamics is not None:
             return "the problem brings its own dynamics"
         if self.whole.periodicity is not None or self.whole.payloads:
@@ -154,7 +154,7 @@ class _Smallest:
         if idle:
             terms = tuple(t for t in self.whole.terms if t not in idle)
             self.whole = self.problem = replace(self.whole, terms=terms)
-            self.note(EXACT, ", ".join(t.name for t in idle), "a cost of weight zero asks for nothing")
+            self.note(EXACT, ", ".join(t.name for t in idle), "a cost of weight zero has no effect")
 
     def merge_corners(self) -> Soles | None:
         merged = with_soles(self.whole)
@@ -163,7 +163,7 @@ class _Smallest:
             self.reduction = lock_joints(self.whole.robot, (), self.whole.initial_q)
             corners = [f"{', '.join(sole.corners)} as sole '{sole.contact.name}'" for sole in merged.soles]
             what = f"12 rows of four corners as 6 of a sole: {'; '.join(corners)}"
-            why = "coplanar points of one rigid link: 12 rows of rank 6; exact but for the friction model"
+            why = "coplanar points of one rigid link: 12 rows of rank 6; exact except for the friction model"
             self.note(CHOICE, what, why)
         return merged
 
@@ -188,7 +188,7 @@ class _Smallest:
             self.note(CHOICE, f"{len(wanted)} joints locked: {', '.join(wanted)}", "at their start, as asked")
         idle = [name for name in idle if name not in wanted]
         if len(idle) + len(wanted) == robot.model.njoints - 1:
-            why = "no joint is asked for anything, and a robot must have a joint"
+            why = "no joint is needed, and a robot must have a joint"
             self.decisions.append(Decision(kind=KEPT, what="all other joints", why=why))
         elif idle:
             self.reduce(lock_joints(robot, [*wanted, *idle], self.whole.initial_q, contacts))
@@ -222,12 +222,12 @@ class _Smallest:
             why = "the limbs' other joints move in planes without them, feet do not slide"
             self.note(CHOICE, what, f"at their start, in pairs: {why}")
         if stay:
-            why = "their limbs' other joints leave it too, or a goal or the caller wants them"
+            why = "their limbs' other joints leave it too, or a goal or the caller needs them"
             what, why = "joints that leave the plane", f"{', '.join(stay)}: {why}"
             self.decisions.append(Decision(kind=KEPT, what=what, why=why))
 
     def _kept(self) -> tuple[str, ...]:
-        """Joints to keep by the names that they have now."""
+        """Joints to keep, by their present names."""
         followers = self.reduction.joints
         return tuple(followers[name].name for name in self.keep if name in followers)
 

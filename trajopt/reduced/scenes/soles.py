@@ -1,7 +1,7 @@
 """Four point contacts at the corners of a rectangle on one link, as one surface contact.
 
-Their 12 rows have rank 6: the link is rigid. A surface contact has 6, and its centre of pressure inside the
-rectangle is what four unilateral corners can do; friction is that of `SoleCone`, the cone that corners with
+Their 12 rows have rank 6: the link is rigid. A surface contact has 6; its centre of pressure inside the
+rectangle is equivalent to four unilateral corners; friction is that of `SoleCone`, the cone that corners with
 friction pyramids along the rectangle's sides span (Caron, Pham, Nakamura, ICRA 2015).
 """
 
@@ -23,13 +23,13 @@ from trajopt.solving.extraction import contact_activity, robot_meta
 from trajopt.terms.friction import ContactConstraint, FrictionCone, FrictionPyramid, SoleCone
 from trajopt.terms.interfaces import Term
 
-# Corners may be off a rectangle by this part of its diagonal: rounding of descriptions.
+# Corners may be off a rectangle by this fraction of its diagonal: rounding of descriptions.
 RECTANGLE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sole:
-    """A rectangle: its surface contact, the corners' names, their places (4, 3) in the sole's frame, m."""
+    """A rectangle: its surface contact, the corners' names and positions (4, 3) in the sole's frame, m."""
 
     contact: Contact
     corners: tuple[str, ...]
@@ -40,7 +40,7 @@ class Sole:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Soles:
-    """The problem with soles in place of corners, and the way back for its solutions."""
+    """The problem with soles in place of corners, and the inverse map for its solutions."""
 
     problem: Problem
     soles: tuple[Sole, ...]
@@ -90,7 +90,7 @@ def _corner_forces(
 def with_soles(problem: Problem) -> Soles | None:
     """Return the problem with a sole for every four corners that are always in contact together, or None.
 
-    Terms that name a corner keep it as it is; so do surfaces of a corner's own.
+    A corner that a term names, or that has its own surface, stays as it is.
     """
     if problem.dynamics is not None or problem.modes or any(p.impact for p in problem.schedule.phases):
         return None
@@ -164,7 +164,7 @@ def _named(problem: Problem, name: str) -> bool:
 
 
 def _together(problem: Problem, names: list[str]) -> bool:
-    """In contact in some phase, all four or none in each, and on footholds all or none."""
+    """In contact in some phase; in each phase all four or none, and all or none with footholds."""
     counts = [sum(name in phase.contacts for name in names) for phase in problem.schedule.phases]
     places = [sum(name in phase.footholds for name in names) for phase in problem.schedule.phases]
     return set(counts) <= {0, 4} and 4 in counts and set(places) <= {0, 4}

@@ -25,7 +25,7 @@ TASK = 1e-3
 PASSED_ON = 20.0
 # Rows and costs are compared at this many random states of order one in natural units.
 STATES = 2
-# The base may head this far from the world's x axis, rad, for rounding alone.
+# Rounding error of the base's heading, rad, from the world's x axis.
 HEADING = 1e-6
 
 
@@ -38,7 +38,7 @@ class Asymmetry:
 
 
 def require_symmetric(problem: Problem, mirror: Mirror, images: Sequence[int]) -> Asymmetry:
-    """Return how far a task is from its mirror image; raises `InputError` that says what is asymmetric.
+    """Return how far a task is from its mirror image; raises `InputError` that names what is asymmetric.
 
     ``images`` are those of the contacts. The plane is y = initial_q[1], the heading the world's x.
     """
@@ -97,7 +97,7 @@ def _contacts(problem: Problem, phase: Phase, images: Sequence[int]) -> Asymmetr
         ]
         apart.append(abs(float(other.distance(point))) / robot.length)
         if own.bilateral != other.bilateral or not max(apart) <= TASK:
-            raise _refuse(f"what '{name}' touches in phase '{phase.name}'", max(apart))
+            raise _refuse(f"the surface under '{name}' in phase '{phase.name}'", max(apart))
         worst = max(worst, *apart)
     return Asymmetry(worst, f"surfaces of phase '{phase.name}'")
 
@@ -122,7 +122,7 @@ def _terms(problem: Problem, group: list[TermInstance], mirror: Mirror, images: 
 
 
 def _comparable(group: list[TermInstance], values: list[np.ndarray]) -> np.ndarray:
-    """What does not depend on the order of rows: the cost; sorted slacks; the norm of equations."""
+    """Values independent of the order of rows: the cost; sorted slacks; the norm of equations."""
     costs, slacks, equations = 0.0, [np.zeros(0)], [np.zeros(0)]
     for instance, value in zip(group, values, strict=True):
         if instance.rows is None:

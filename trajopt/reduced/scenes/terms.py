@@ -1,8 +1,8 @@
-"""Terms of a whole robot's problem as those of a small one's, each kind with what becomes of it.
+"""Terms of a whole robot's problem as terms of a small one's, by kind.
 
-Limits and goals are stated anew for the small robot, so that no row comes twice; costs, and constraints of a
-kind that is not known here, are evaluated on the whole robot's motion (`whole_terms`). A user's term may say
-better what becomes of it, by a method ``reduced(reduction) -> Term | None``.
+Limits and goals are restated for the small robot, without duplicate rows; costs, and constraints of other
+kinds, are evaluated on the whole robot's motion (`whole_terms`). A user's term may define its reduction by a
+method ``reduced(reduction) -> Term | None``.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def _guess(guess: Motion, reduction: Reduction) -> Motion:
 
 
 def _phase(phase: Phase, reduction: Reduction) -> Phase:
-    """Contacts that the small robot has itself; their places are those of the start's plane."""
+    """Contacts of the small robot; their positions are in the plane of the start."""
     own = [name for name in phase.contacts if not reduction.contacts[name].mirrored]
     kept = {name: reduction.contacts[name].name for name in own}
     return replace(
@@ -81,7 +81,7 @@ def _renamed(given: Mapping[str, _Value], kept: Mapping[str, str]) -> Mapping[st
 
 
 def reduced_term(term: Term, reduction: Reduction) -> Term | None:
-    """Return what becomes of a term, or None if nothing is left of it."""
+    """Return the reduced term, or None if nothing is left of it."""
     if hasattr(term, "reduced"):
         made: Term | None = term.reduced(reduction)
         return made
@@ -90,7 +90,7 @@ def reduced_term(term: Term, reduction: Reduction) -> Term | None:
 
 @singledispatch
 def _reduced(term: Term, reduction: Reduction) -> Term | None:
-    """A kind that is not known here: on the whole robot's motion."""
+    """A term of another kind, on the whole robot's motion."""
     if isinstance(term, UNCHANGED):
         return term
     if isinstance(term, Cost):

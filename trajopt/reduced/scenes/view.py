@@ -1,4 +1,4 @@
-"""The whole robot as a function of the small one's symbols: what terms written for the whole see.
+"""The whole robot as a function of the small one's symbols: the context of terms written for the whole.
 
 A cost keeps its meaning, its unit and its mean over all joints when it is evaluated on the whole robot's
 motion, which follows from the small one's (see `reduction`). Torques that hold locked joints are left

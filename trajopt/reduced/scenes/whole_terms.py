@@ -1,7 +1,7 @@
 """Terms of a whole robot on the motion of its reduced robot.
 
-`TerminalState` asks N^T D^-1 e = 0 of the error e, N the directions that contacts leave free. Where the
-goal's contacts are not where the motion's are, what that means depends on N. So a half asks the same of the
+`TerminalState` requires N^T D^-1 e = 0 of the error e, N the directions that contacts leave free. If the
+goal's contacts are not where the motion's are, its meaning depends on N. So a half requires the same of the
 whole robot's error: of its rows A = N^T D^-1 E, with E from the half's rates to the whole's, the left
 singular vectors of the r largest singular values, r the number of directions that the half's own contacts
 leave free (`HalfEnd`).
@@ -27,7 +27,7 @@ from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
 from trajopt.terms.terminal import TerminalRest, TerminalState, free_directions
 from trajopt.transcription.robot_layers import robot_layers
 
-# Random points at which rows are compared, and what rounding leaves of rows that are equal, natural units.
+# Random points at which rows are compared, and the rounding difference of equal rows, natural units.
 SAMPLES = 3
 SAME = 1e-9
 
@@ -66,7 +66,7 @@ class WholeCost(_WholeTerm, Cost):
 
 @dataclass(frozen=True, kw_only=True)
 class WholeImpactCost(WholeCost):
-    """The same of a cost of impacts."""
+    """The same for a cost of impacts."""
 
     acts_at_points: ClassVar[bool] = False
     acts_at_impacts: ClassVar[bool] = True

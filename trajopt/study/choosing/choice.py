@@ -1,7 +1,7 @@
 """Which setting to solve a problem with, from the measured fronts of problems like it.
 
 A front was measured on one problem and machine. To another it carries over in natural units: intervals
-by natural time sqrt(l / g), errors over the robot's length, time per unknown, and the time of an unchanging
+by natural time sqrt(l / g), errors over the robot's length, time per variable, and the time of an unchanging
 load (`sweep.calibration`) for the machine. What that predicts is a guess to begin with: the solution is
 measured (``solve_to``).
 """

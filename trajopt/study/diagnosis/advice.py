@@ -46,7 +46,7 @@ SATURATED, MOST_SATURATED = 0.5, 3
 COARSE = 1e-3
 # Condition of active rows beyond which solvers lose half of their digits.
 ILL = 1e8
-# Costs that give a kind of unknown curvature.
+# Costs that give a kind of variable curvature.
 CURVING = {
     "force": "WrenchCost",
     "moment": "WrenchCost",
@@ -209,7 +209,7 @@ def _of_scaling(found: Diagnosis) -> Iterator[Advice]:
         )
     for kind in found.scaling.worst_kinds[:1]:
         yield Advice(
-            f"unknowns of kind {kind.kind} are far from scale one: values {kind.value}, "
+            f"variables of kind {kind.kind} are far from scale one: values {kind.value}, "
             f"columns {kind.column_norm}",
             "measure from a nearer origin, or look at masses and lengths of the robot",
         )

@@ -2,7 +2,7 @@
 
 About an iterate, within a box of natural units, the least sum of violations of the linearised rows,
 
-    min sum w (s+ + s-)    lower <= g + J p + s+ - s- <= upper,    |p| <= box,  bounds of unknowns
+    min sum w (s+ + s-)    lower <= g + J p + s+ - s- <= upper,    |p| <= box,  bounds of variables
 
 w is 1, and large for the motion itself (defects and dynamics): goals and limits are relaxed first.
 Rows with s > 0 have to give way. Its multipliers y, at most w in magnitude, are a certificate of Farkas'
@@ -21,7 +21,7 @@ from scipy import sparse
 from trajopt.study.diagnosis.names import Site
 from trajopt.study.diagnosis.snapshot import Snapshot
 
-# How far unknowns may move, scaled units: what the linearisation can be trusted for.
+# How far variables may move, scaled units: what the linearisation can be trusted for.
 BOX = 1.0
 # Price of moving at all: among equal minima the nearest, and a well-posed program.
 NEAREST = 1e-6
@@ -66,7 +66,7 @@ class Conflict:
     """before, after: sum of violations at the iterate, and what of it has to give way within the box.
 
     giving: rows that have to give way; against: limits, bounds and goals that stand against them; edge: part
-    of the unknowns that would move further than the box allows.
+    of the variables that would move further than the box allows.
     """
 
     before: float
@@ -111,7 +111,7 @@ def conflict(snapshot: Snapshot) -> Conflict | None:
 def _elastic(
     snapshot: Snapshot, jacobian: sparse.csc_matrix, free: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Unknowns of the elastic program; multipliers of rows, then of bounds that are not the box's."""
+    """Variables of the elastic program; multipliers of rows, then of bounds that are not the box's."""
     t = snapshot.transcription
     m, n = jacobian.shape
     eye = sparse.eye(m, format="csc")

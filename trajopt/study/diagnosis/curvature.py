@@ -1,6 +1,6 @@
 """Curvature of the Lagrangian along the motions that active constraints leave free.
 
-With H the Hessian of the Lagrangian and A the active rows over the free unknowns, the second-order condition
+With H the Hessian of the Lagrangian and A the active rows over the free variables, the second-order condition
 asks p^T H p > 0 for all p with A p = 0. Eigenvalues of H on that null space near zero come from Lanczos on
 
     p -> first block of [H - s I   A^T   ]^-1 [p]        (shift and invert)
@@ -40,10 +40,10 @@ BETWEEN = -1e-2
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Curvature:
-    """Eigenvalues of the reduced Hessian, per unit of scaled unknowns squared.
+    """Eigenvalues of the reduced Hessian, per unit of scaled variables squared.
 
     directions: number of free directions. values (k,), vectors (n, k): those found, ascending, with unit
-    directions over the free unknowns; where nothing could be found, a NaN without a direction. exact: all of
+    directions over the free variables; where nothing could be found, a NaN without a direction. exact: all of
     them, by a dense decomposition.
     """
 

@@ -96,7 +96,7 @@ def _cached_level(problem: Problem, mesh: Mesh, level: str) -> str:
 
 
 def at_solution(prepared: PreparedProblem, solution: Solution) -> Snapshot:
-    """The solution's own unknowns, and its multipliers where they are of the same rows."""
+    """The solution's own variables, and its multipliers where they are of the same rows."""
     t = prepared.transcription
     found = warm_start(t, solution)
     known = _same_rows(t, solution)

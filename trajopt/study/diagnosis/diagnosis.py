@@ -44,7 +44,7 @@ class Violation:
 class Diagnosis:
     """All that was found at one iterate; parts that need finite values are None where they are not.
 
-    source: what was diagnosed. status: the solver's, None for a guess. free: number of free unknowns at the
+    source: what was diagnosed. status: the solver's, None for a guess. free: number of free variables at the
     iterate. local_error: per phase the largest error in m that one interval makes, of a solved motion.
     """
 
@@ -100,7 +100,7 @@ def _lines(found: Diagnosis) -> Iterator[str]:
     """Sections in the order in which to read them: what, why, what to try."""
     state = "guess" if found.status is None else found.status.replace("_", " ")
     yield f"{found.problem} on {found.robot}: {state} ({found.source})"
-    yield _line("size", f"{found.variables} unknowns, {found.constraints} rows")
+    yield _line("size", f"{found.variables} variables, {found.constraints} rows")
     yield from _listed("note", found.notes)
     if found.nonfinite is not None:
         yield _line("not finite", str(found.nonfinite))

@@ -14,7 +14,7 @@ from trajopt.study.diagnosis.rank import dependencies, spectrum
 from trajopt.study.diagnosis.snapshot import Snapshot
 from trajopt.terms.limits import PositionLimits
 
-# Rows of one group of dependent rows that are named, unknowns of a direction, and directions.
+# Rows of one group of dependent rows that are named, variables of a direction, and directions.
 NAMED_ROWS, NAMED_UNKNOWNS, NAMED_DIRECTIONS = 8, 3, 4
 # Positions this close to a limit (rad, m) are on it.
 ON_LIMIT = 1e-9
@@ -25,7 +25,7 @@ class DependentRows:
     """Rows that depend on each other, the same ones ``times`` times between the places first and last.
 
     rows: blocks and subjects, largest share first; more: how many beyond those. excess: rows too many in all.
-    fixed: they see fixed unknowns alone. equations: none of them is an active limit.
+    fixed: they see fixed variables alone. equations: none of them is an active limit.
     """
 
     rows: tuple[str, ...]
@@ -42,13 +42,13 @@ class DependentRows:
         more = f" and {self.more} more" if self.more else ""
         where = self.first if self.first == self.last else f"{self.first}, to {self.last}"
         where = where if self.times == 1 else f"{self.times} times, {where}"
-        why = "see fixed unknowns alone" if self.fixed else "depend on each other"
+        why = "see fixed variables alone" if self.fixed else "depend on each other"
         return f"{', '.join(self.rows)}{more} {why} ({self.excess} too many): {where}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class RankReport:
-    """Active rows over the free unknowns that they touch: of one phase, or (``phase`` None) of all.
+    """Active rows over the free variables that they touch: of one phase, or (``phase`` None) of all.
 
     equations: limits are left out, because the iterate is far from feasible. nullity: rows too many; with
     ``complete`` False there are more. condition: largest over smallest singular value that is not zero, None
@@ -75,15 +75,15 @@ class RankReport:
     def __str__(self) -> str:
         least = "" if self.complete else "at most "
         kind = "equations" if self.equations else "active rows"
-        text = f"{self.rows} {kind} over {self.unknowns} free unknowns, rank {least}{self.rank}"
+        text = f"{self.rows} {kind} over {self.unknowns} free variables, rank {least}{self.rank}"
         return text if self.condition is None else f"{text}, condition {self.condition:.1e}"
 
 
 def rank_report(snapshot: Snapshot, phase: int | None) -> RankReport:
-    """Rank of the active rows of a phase, or of all; bounds that are active fix their unknowns.
+    """Rank of the active rows of a phase, or of all; bounds that are active fix their variables.
 
     Rows of a phase: those of its intervals and nodes, with the defects that lead out of it, over all free
-    unknowns that they touch. Dependence of rows of several phases is seen in the report over all alone.
+    variables that they touch. Dependence of rows of several phases is seen in the report over all alone.
     """
     names, rows = snapshot.names, snapshot.active_rows
     if phase is not None:
@@ -147,7 +147,7 @@ def _merged(snapshot: Snapshot, groups: list[tuple[np.ndarray, int]], *, fixed: 
 
 @dataclass(frozen=True, kw_only=True)
 class Direction:
-    """A free direction: its curvature, its largest unknowns with their share, and where these are largest."""
+    """A free direction: its curvature, its largest variables with their share, and where they are."""
 
     curvature: float
     unknowns: tuple[str, ...]
@@ -210,7 +210,7 @@ def curvature_report(snapshot: Snapshot) -> CurvatureReport:
 
 
 def _direction(snapshot: Snapshot, value: float, vector: np.ndarray) -> Direction:
-    """Unknowns by their share of the squared length, added up over time."""
+    """Variables by their share of the squared length, added up over time."""
     names, free = snapshot.names, snapshot.free
     share: defaultdict[str, float] = defaultdict(float)
     kinds: defaultdict[str, float] = defaultdict(float)

@@ -1,4 +1,4 @@
-"""Every unknown and every row of an NLP in words: whose, which quantity, where, when, in which phase."""
+"""Every variable and every row of an NLP in words: whose, which quantity, where, when, in which phase."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from trajopt.transcription.term_functions import TermFunctions
 from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
 
-# Block of the bounds of unknowns.
+# Block of the bounds of variables.
 BOUNDS = "bounds"
-# A row that is about many things is named by the one or two unknowns that weigh most in it.
+# A row that is about many things is named by the one or two variables that weigh most in it.
 MOST_UNKNOWNS, MOSTLY = 2, 0.8
 
 
@@ -66,7 +66,7 @@ class NlpNames:
     # Places
 
     def phase_index(self, stage: int) -> int:
-        """Phase of a stage's rows and unknowns; of the last node the last phase."""
+        """Phase of a stage's rows and variables; of the last node the last phase."""
         return self.layout.phase_at(stage)
 
     def phase(self, stage: int) -> str:
@@ -93,7 +93,7 @@ class NlpNames:
 
     @property
     def layout(self) -> Layout:
-        """Layout of the unknowns."""
+        """Layout of the variables."""
         return self.transcription.layout
 
     @cached_property
@@ -103,16 +103,16 @@ class NlpNames:
         pairs = zip(schedule.phases, schedule.time_scales, strict=True)
         return tuple(phase.name for phase, index in pairs if index is not None)
 
-    # Unknowns
+    # Variables
 
     @cached_property
     def unknown_labels(self) -> list[Label]:
-        """Label of every unknown."""
+        """Label of every variable."""
         return [label for label, _ in self._unknowns]
 
     @cached_property
     def unknown_sites(self) -> list[Site]:
-        """Place of every unknown."""
+        """Place of every variable."""
         return [site for _, site in self._unknowns]
 
     @cached_property
@@ -151,7 +151,7 @@ class NlpNames:
 
     @cached_property
     def sites(self) -> list[Site]:
-        """Place of every row, then of every unknown."""
+        """Place of every row, then of every variable."""
         rows = self.transcription.rows
         pairs = zip(rows.stage.tolist(), rows.point.tolist(), strict=True)
         return [*(Site(stage=stage, point=point) for stage, point in pairs), *self.unknown_sites]
@@ -165,12 +165,12 @@ class NlpNames:
         return [next(numbers[key]) for key in keys]
 
     def block(self, index: int) -> str:
-        """Name of a row's block; beyond the rows come the unknowns, whose bounds are one block."""
+        """Name of a row's block; beyond the rows come the variables, whose bounds are one block."""
         rows = self.transcription.rows
         return rows.names[int(rows.block[index])] if index < len(rows.block) else BOUNDS
 
     def row(self, index: int) -> RowName:
-        """Name of a row, or of the bound of an unknown, numbered as in ``block``."""
+        """Name of a row, or of the bound of a variable, numbered as in ``block``."""
         block, site = self.block(index), self.sites[index]
         if block == BOUNDS:
             label = self.unknown_labels[index - self.transcription.n_rows]
@@ -191,7 +191,7 @@ class NlpNames:
         return f"{BOUNDS} [{name.about}, {place}]" if name.block == BOUNDS else f"{name.what}, {place}"
 
     def _by_weight(self, index: int) -> str:
-        """The unknowns that weigh most in a row, if one or two of them are most of it."""
+        """The variables that weigh most in a row, if one or two of them are most of it."""
         if self.slopes is None:
             return ""
         weights: defaultdict[str, float] = defaultdict(float)

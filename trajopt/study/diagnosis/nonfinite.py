@@ -38,7 +38,7 @@ MOST_NAMED = 6
 
 @dataclass(frozen=True, kw_only=True)
 class SuspectInput:
-    """An input of the function: name, value (SI units, true or nominal time as the unknown is)."""
+    """An input of the function: name, value (SI units, true or nominal time as the variable is)."""
 
     name: str
     value: float
@@ -86,7 +86,7 @@ class _Where:
 
 
 def first_nonfinite(nlp: Nlp, names: NlpNames, x: np.ndarray) -> NonFinite | None:
-    """The first function of the NLP that is not finite at scaled unknowns x (n_unknowns,), or None."""
+    """The first function of the NLP that is not finite at scaled variables x (n_unknowns,), or None."""
     first = nlp.engine.first_nonfinite(x)
     if first is None:
         return _unknown_itself(names, x)
@@ -125,7 +125,7 @@ def _at(names: NlpNames, site: Site) -> dict[str, Any]:
 
 
 def _unknown_itself(names: NlpNames, x: np.ndarray) -> NonFinite | None:
-    """An unknown that is not finite and that no function sees."""
+    """A variable that is not finite and that no function sees."""
     wrong = np.flatnonzero(~np.isfinite(x))
     if not len(wrong):
         return None
@@ -191,12 +191,12 @@ def _labels(
 
 
 def _own(t: Transcription, where: _Where) -> np.ndarray:
-    """Indices of the unknowns that the function may see."""
+    """Indices of the variables that the function may see."""
     return int(t.layout.node_offset[where.site.stage]) + np.arange(where.group.gather.shape[1])
 
 
 def _inputs(where: _Where, seen: np.ndarray) -> np.ndarray:
-    """Inputs of the function, from the unknowns that it may see."""
+    """Inputs of the function, from the variables that it may see."""
     with np.errstate(invalid="ignore"):  # NaN times a structural zero is no NaN
         return np.array([row[row != 0] @ seen[row != 0] for row in where.group.gather.toarray()])
 

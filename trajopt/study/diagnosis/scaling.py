@@ -1,4 +1,4 @@
-"""Ranges of unknowns, rows, derivatives and multipliers in the units that the solver sees."""
+"""Ranges of variables, rows, derivatives and multipliers in the units that the solver sees."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class BlockScale:
 
 @dataclass(frozen=True, kw_only=True)
 class KindScale:
-    """Unknowns of one kind, by ranges.
+    """Variables of one kind, by ranges.
 
     value: scaled values. unit: SI value of a scaled unit. column_norm: of the Jacobian. hessian: diagonal
     entries of the Lagrangian's Hessian.
@@ -90,7 +90,7 @@ class Scaling:
 
     @property
     def worst_kinds(self) -> tuple[KindScale, ...]:
-        """Kinds of unknowns with values or column norms beyond `FAR`."""
+        """Kinds of variables with values or column norms beyond `FAR`."""
         return tuple(k for k in self.kinds if k.column_norm.far > FAR or k.value.largest > FAR)
 
 

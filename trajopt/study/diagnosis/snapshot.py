@@ -23,7 +23,7 @@ STRICT = 10.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Snapshot:
-    """An NLP at scaled unknowns ``x`` (n_unknowns,).
+    """An NLP at scaled variables ``x`` (n_unknowns,).
 
     ``row_multiplier`` (n_rows,), ``bound_multiplier`` (n_unknowns,): of the Lagrangian
     f + row . g + bound . x; None where nothing is known of them. ``tolerance``: of the solve.
@@ -45,7 +45,7 @@ class Snapshot:
 
     @cached_property
     def names(self) -> NlpNames:
-        """Unknowns and rows in words."""
+        """Variables and rows in words."""
         t = self.transcription
         return NlpNames(t, t.layout.times(self.x * t.scale), self._slopes)
 
@@ -111,7 +111,7 @@ class Snapshot:
 
     @cached_property
     def lower(self) -> np.ndarray:
-        """Lower bounds of rows, then of unknowns (n_rows + n_unknowns,), like what follows."""
+        """Lower bounds of rows, then of variables (n_rows + n_unknowns,), like what follows."""
         return np.concatenate([self.transcription.lower_g, self.transcription.lower_x])
 
     @cached_property
@@ -139,12 +139,12 @@ class Snapshot:
 
     @property
     def fixed(self) -> np.ndarray:
-        """Unknowns that are fixed (n_unknowns,)."""
+        """Variables that are fixed (n_unknowns,)."""
         return (self.lower == self.upper)[len(self.g) :]
 
     @cached_property
     def side(self) -> np.ndarray:
-        """-1 at the lower bound, 1 at the upper one, 0 within; of equations and fixed unknowns 0 too.
+        """-1 at the lower bound, 1 at the upper one, 0 within; of equations and fixed variables 0 too.
 
         A limit is active where it is reached, or where its multiplier outweighs its slack.
         """
@@ -172,7 +172,7 @@ class Snapshot:
 
     @property
     def free(self) -> np.ndarray:
-        """Unknowns that are neither fixed nor at a bound, sorted."""
+        """Variables that are neither fixed nor at a bound, sorted."""
         return np.flatnonzero(~self.fixed & ((self.side[len(self.g) :] == 0) | self.equations_only))
 
     @property

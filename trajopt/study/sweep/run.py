@@ -170,7 +170,7 @@ def with_torques(problem: Problem, solution: Solution) -> Solution:
 
 
 def objective_of(problem: Problem, setting: Setting, solution: Solution) -> float:
-    """The problem's objective at a solution of another one with the same unknowns."""
+    """The problem's objective at a solution of another one with the same variables."""
     prepared = prepare(
         problem, transcription=setting.transcription, intervals=setting.intervals, compile="none"
     )

@@ -157,7 +157,7 @@ def _animation(vis: Any, motion: IterateMotion) -> ViewerCommand:
 
 
 def _times(iterate: Iterate, motion: IterateMotion) -> dict[str, Any]:
-    """Start, duration and phases of a motion, whose times may be unknowns."""
+    """Start, duration and phases of a motion, whose times may be variables."""
     starts = [0, *(np.flatnonzero(np.diff(motion.phase)) + 1).tolist()]
     edges = [*motion.t[starts].tolist(), float(motion.t[-1])]
     names = [phase.name for phase in iterate.transcription.layout.schedule.phases]

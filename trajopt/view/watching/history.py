@@ -39,7 +39,7 @@ class History:
         now = time.perf_counter()
         if iterate.stage == "guess":
             unknowns = iterate.transcription.layout.n_unknowns
-            parts = (iterate.label, iterate.grid, f"{unknowns} unknowns", iterate.solver)
+            parts = (iterate.label, iterate.grid, f"{unknowns} variables", iterate.solver)
             self.number, self.title = self.number + 1, ", ".join(part for part in parts if part)
             self.begun, self.rows, self.status = now, [], ""
         elif iterate.stage == "iteration":
