@@ -170,7 +170,7 @@ def test_a_fixed_axis_holds_in_the_default_plan():
         ({"intervals": [0, 5]}, "intervals is 0"),
         ({"cone": ["smooth"]}, "problem 'reach' has no friction term of point contacts"),
         ({"model": ["two-stage"]}, "problem 'reach' has no base rows"),
-        ({"intervals": list(range(1, 3000))}, "the product of all that is named is too large"),
+        ({"intervals": list(range(1, 3000))}, "the product of all named values is too large"),
     ],
 )
 def test_a_plan_that_cannot_be_is_refused(named: dict[str, list], words: str):

@@ -85,7 +85,7 @@ def _converted(term: Term, robot: Robot, mapped: Callable[[np.ndarray], np.ndarr
 
 @dataclass(frozen=True)
 class _ContinuedGuess:
-    """The motion of a guess with angles that do not jump by half turns where the middle one passes a lock."""
+    """The motion of a guess, its angles without jumps of half a turn where they pass gimbal lock."""
 
     order: str
     motion: Callable[[float], np.ndarray]

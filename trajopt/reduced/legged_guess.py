@@ -117,9 +117,9 @@ class LeggedPosture:
     def _carried(
         self, placement: pin.SE3, times: tuple[float, float], places: tuple[pin.SE3, pin.SE3], s: float
     ) -> pin.SE3:
-        """In the base's axes from one stance to the next, drawn up, and over the line between the two.
+        """From one stance to the next in the base's axes, drawn up, and above the line between the two.
 
-        The height over that line is the root of the squares of the carried one and of a swing's.
+        The height over that line is the root of the sum of squares of the carried height and of a swing's.
         """
         before, after = (self.base(t).actInv(place) for t, place in zip(times, places, strict=True))
         part = smooth_step(s)

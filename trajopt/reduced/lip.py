@@ -87,7 +87,7 @@ class Pendulum:
 def dcm_at_steps(
     pendulum: Pendulum, zmps: Sequence[np.ndarray], durations: Sequence[float], final: np.ndarray
 ) -> np.ndarray:
-    """Divergent component (n + 1, 2) at the ends of steps over constant ZMPs, from the last backwards.
+    """Divergent component (n + 1, 2) at the ends of steps over constant ZMPs, backwards from the last.
 
     xi_k = p_k + exp(-omega T_k) (xi_(k+1) - p_k), with xi_n = ``final`` (2,): the only bounded one.
     """

@@ -1,7 +1,7 @@
-"""What terms use of a robot: their expressions in every phase, read by their symbols.
+"""What terms use of a robot, found from the symbols in their expressions in every phase.
 
-Nothing is known about a term but what it does: it is written over a context in each phase, at points, nodes
-and impacts, and the symbols in what it returns say which frames, joints, torques and contacts it uses.
+A term of any kind is evaluated on a context in each phase, at points, nodes and impacts; the symbols in the
+result tell which frames, joints, torques and contacts it uses.
 """
 
 from __future__ import annotations

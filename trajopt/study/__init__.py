@@ -1,1 +1,1 @@
-"""Measuring: suites of problems, sweeps over settings, choices from them, diagnosis."""
+"""Measurements: suites of problems, sweeps over settings, choices from them, diagnosis."""

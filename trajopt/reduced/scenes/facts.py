@@ -53,7 +53,7 @@ def remarks(problem: Problem, whole: Problem, grid: _Grid) -> Iterator[Decision]
 
 
 def _never_modelled(problem: Problem, whole: Problem, points: list[int]) -> Iterator[_Remark]:
-    """Forces in the air, limits out of reach, friction of grasps, clearance of feet that stay down."""
+    """Forces in the air, limits out of reach, friction of grasps, clearance of standing feet."""
     robot, phases = problem.robot, problem.schedule.phases
     count = sum(
         number * sum(c.dimension for c in robot.contacts if c.name not in phase.contacts)

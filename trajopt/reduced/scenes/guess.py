@@ -31,9 +31,9 @@ def end_posture(
     start: np.ndarray,
     targets: Mapping[str, _Target],
 ) -> np.ndarray:
-    """Posture at the end (nq,): goals reached, contacts of the last phase on their places.
+    """Posture at the end (nq,): goals reached, contacts of the last phase on their footholds.
 
-    What cannot be reached is approached in the least-squares sense.
+    Goals out of reach are approached in the least-squares sense.
     """
     places = _places(robot, schedule, ground, start, start)[-1]
     moved = np.mean(
@@ -65,9 +65,9 @@ def _target(robot: Robot, name: str, place: np.ndarray, start: np.ndarray) -> _T
 def _places(
     robot: Robot, schedule: Schedule, ground: FlatGround, start: np.ndarray, end: np.ndarray
 ) -> list[dict[str, np.ndarray]]:
-    """Where each contact is, at the start and after every phase: held, on its foothold, or on its way.
+    """Where each contact is, at the start and after every phase: held, on its foothold, or swinging.
 
-    A contact that lands without a foothold lands on its surface below where it is on the way to the end.
+    A contact that lands without a foothold lands on its surface below its position on the way to the end.
     """
     first = contact_positions(robot, start)
     last = contact_positions(robot, end)

@@ -39,9 +39,9 @@ ALONG_PLANE = (ContactLanding, FrameHeight, SwingClearance)
 
 
 def halve_robot(problem: Problem, keep: Sequence[str]) -> tuple[Reduction, Decision]:
-    """Return the reduction to the half of a problem's robot, and the decision that it is.
+    """Return the reduction to the half of a problem's robot, and the decision for the report.
 
-    ``keep`` are joints that must not be locked. Raises `InputError` that says what is not symmetric.
+    ``keep`` are joints that must not be locked. Raises `InputError` that names what is not symmetric.
     """
     mirror = _mirror(problem)
     turned = turned_by_mirror(problem.robot, mirror)

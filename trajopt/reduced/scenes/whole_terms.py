@@ -74,7 +74,7 @@ class WholeImpactCost(WholeCost):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WholePointRows(_WholeTerm, PointConstraint):
-    """A point constraint of the whole robot on the small one's motion, without rows that bind nothing."""
+    """A point constraint of the whole robot on the small one's motion, without redundant rows."""
 
     term: PointConstraint
 
@@ -102,7 +102,7 @@ class WholeNodeCost(_WholeTerm, NodeCost):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WholeNodeRows(_WholeTerm, NodeConstraint):
-    """A node constraint of the whole robot on the small one's motion, without rows that bind nothing."""
+    """A node constraint of the whole robot on the small one's motion, without redundant rows."""
 
     term: NodeConstraint
 
@@ -140,10 +140,10 @@ class HalfEnd(WholeNodeRows):
 
 
 def binding_rows(rows: Rows, context: Context) -> Rows:
-    """Return the rows without those that the small robot meets whatever it does, and without repetitions.
+    """Return the rows without duplicates and without those that the small robot always satisfies.
 
-    Found by values and gradients at random points: what is the same at all of them, up to rounding, is the
-    same everywhere, since the functions are analytic.
+    Found from values and gradients at random points: rows that agree at all of them, up to rounding, agree
+    everywhere, since the functions are analytic.
     """
     function = _values_and_gradients(ca.SX(rows.expression) / ca.DM(rows.unit), context)
     generator = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""Settings chosen from measured fronts for an accuracy or a time, verified, refined where they fall short."""
+"""Settings chosen from measured fronts for an accuracy or a time, verified, and refined if they miss it."""
 
 import lazy_loader
 

@@ -1,9 +1,9 @@
 """Which setting to solve a problem with, from the measured fronts of problems like it.
 
-A front was measured on one problem and machine. To another it carries over in natural units: intervals
-by natural time sqrt(l / g), errors over the robot's length, time per variable, and the time of an unchanging
-load (`sweep.calibration`) for the machine. What that predicts is a guess to begin with: the solution is
-measured (``solve_to``).
+A front was measured on one problem and machine. It carries over to others in natural units: intervals per
+natural time sqrt(l / g), errors over the robot's length, time per variable, and the time of an unchanging
+load (`sweep.calibration`) for the machine. The prediction is only a first guess: the solution is measured
+(``solve_to``).
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from trajopt.study.sweep.likeness import motion_kind
 from trajopt.study.sweep.setting import Setting
 from trajopt.transcription.mesh import Mesh
 
-# Solves fail from some starts on coarse grids: a setting that was solved less often than this is not chosen.
+# On coarse grids some starts fail: a setting with a lower success rate than this is not chosen.
 LEAST_SUCCESS = 0.9
-# The machine's speed is that of the fastest of ``TRIES`` medians of ``LOADS`` loads, some 30 ms in all: what
-# else runs at this moment may end before the solve begins.
+# The machine's speed is that of the fastest of ``TRIES`` medians of ``LOADS`` loads, some 30 ms in all: other
+# load at this moment may end before the solve begins.
 TRIES, LOADS = 5, 5
 
 
@@ -41,7 +41,7 @@ class ChosenSetting:
 
     @property
     def solver(self) -> dict[str, Any]:
-        """What `trajopt.solve` takes besides the mesh."""
+        """Arguments of `trajopt.solve` besides the mesh."""
         setting = self.measured.setting
         return {"solver": setting.solver, "hessian": setting.hessian, "tolerance": setting.tolerance}
 
@@ -60,7 +60,7 @@ class ChosenSetting:
 def front_for(problem: Problem, front: str | Path | None = None) -> tuple[str, Front]:
     """The front of that name or file; default: of the problem itself, or of one of its kind and size.
 
-    Raises InputError for a front that is none.
+    Raises InputError for an invalid front.
     """
     if front is not None:
         return str(front), load_front(front)
@@ -93,7 +93,7 @@ def choose_for_accuracy(
 def choices_by_time(
     problem: Problem, *, front: str | Path | None = None, where: SettingFilter | None = None
 ) -> tuple[ChosenSetting, ...]:
-    """The front's settings with what they are predicted to take, fastest first."""
+    """The front's settings with their predicted times and errors, fastest first."""
     name, known = front_for(problem, front)
     speed = machine_speed(known)
     points = _points(known, _allowed(problem, known, where))
@@ -110,7 +110,7 @@ def machine_speed(front: Front) -> float:
 def _allowed(problem: Problem, front: Front, where: SettingFilter | None) -> SettingFilter:
     """Settings that the problem can take: its own terms, the whole model, a cold start.
 
-    How functions are compiled is the caller's to say, at every solve alike.
+    The compile level is the caller's choice for all solves.
     """
     own = front.default.setting
     plain = (own.cone, "full", "cold", own.compile)
@@ -124,7 +124,7 @@ def _allowed(problem: Problem, front: Front, where: SettingFilter | None) -> Set
 
 
 def _points(front: Front, allowed: SettingFilter) -> tuple[Measured, ...]:
-    """The front among the settings that are allowed, fastest first; the default at least."""
+    """The front among the settings that are allowed, fastest first; at least the default."""
     return front.best(allowed, LEAST_SUCCESS) or (front.default,)
 
 

@@ -1,4 +1,4 @@
-"""Solve to an accuracy or within a time: choose, solve, measure, and refine what falls short."""
+"""Solve to an accuracy or within a time: choose, solve, measure, and refine if needed."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ from trajopt.solving.verdicts import is_usable_start
 from trajopt.study.choosing.choice import ChosenSetting, choices_by_time, choose_for_accuracy
 from trajopt.study.sweep.front import SettingFilter
 
-# What is predicted for a setting may be this part of what is left: predictions err.
+# A setting is tried if its predicted time is below this fraction of the time left: predictions err.
 MOST_SHARE = 0.8
-# Another, more accurate setting is tried while its time, as measured so far, fits into what is left.
+# Another, more accurate setting is tried while its time, corrected by those measured, fits into the time
+# left.
 MOST_SETTINGS = 4
-# A solver that is left less than this, s, makes no iteration of use.
+# With less than this, s, a solver makes no useful iteration.
 LEAST_TIME = 1e-3
 
 
 @dataclass(frozen=True)
 class TargetSolve:
-    """What was chosen, solved and measured.
+    """The settings chosen, the solves, and the measured accuracy.
 
     choices: settings in the order in which they were tried. rounds: all solves. spent: s, of the solver.
-    accuracy: of ``solution``, None where it is none. goal: ``accuracy`` m, or ``budget`` s of the solver.
+    accuracy: of ``solution``, None if it was not solved. goal: ``accuracy`` m, or ``budget`` s of the solver.
     """
 
     goal: str
@@ -85,7 +86,7 @@ def solve_to_accuracy(
     The error is `refinement.phase_errors`: open loop by numeric Pinocchio, or drift of contacts. front: a
     measured front to choose from; default: the packaged one that is most like the problem. where: settings
     that may be chosen. ``settings`` are those of `trajopt.solve` but its grid, solver and tolerance.
-    Raises InputError for an accuracy that is no length, and as `trajopt.solve` does.
+    Raises InputError for an invalid accuracy, and as `trajopt.solve` does.
     """
     require_positive(accuracy, "accuracy", "m")
     wanted = float(accuracy)
@@ -97,7 +98,7 @@ def solve_to_accuracy(
     own = {name: value for name, value in choice.solver.items() if name != "tolerance"}
     if is_usable_start(first):
         made = refine(problem, accuracy, start=first, **own, **settings)
-        begun = ()  # refinement has taken it for its own first round
+        begun = ()  # it is the first round of the refinement
     else:
         made = refine(problem, accuracy, mesh=choice.mesh, start=start, **own, **settings)
     rounds = (*begun, *made.rounds)
@@ -117,8 +118,8 @@ def solve_within(
 ) -> TargetSolve:
     """The most accurate solution that ``budget`` s of the solver give: a fast one first, then better ones.
 
-    Building and compiling, which happen once, do not count; `Solution.meta` has their times. Arguments as of
-    `solve_to_accuracy`. Raises InputError for a budget that is no time, and as `trajopt.solve` does.
+    Building and compiling, which happen once, do not count; `Solution.meta` has their times. Arguments as in
+    `solve_to_accuracy`. Raises InputError for an invalid budget, and as `trajopt.solve` does.
     """
     require_positive(budget, "budget", "s")
     settings.pop("max_time", None)
@@ -137,7 +138,7 @@ def solve_within(
         if found.meta["status"] == INTERRUPTED:
             why = "interrupted"
             break
-        # What it took corrects what is predicted of the others.
+        # The measured time corrects the predictions for the others.
         ratio = max(rounds[-1].wall_time / pick.predicted_time, ratio if best is None else 0.0)
         left -= rounds[-1].wall_time
         remaining = remaining[remaining.index(pick) + 1 :]
@@ -146,7 +147,7 @@ def solve_within(
         if not remaining:
             why = "the most accurate measured setting is reached"
         elif not fitting:
-            why = "no better setting is predicted to fit into what is left"
+            why = "no better setting is predicted to fit into the time left"
     if best is None:
         why = "nothing was solved in that time"
     accuracy = None if best is None else measure(best)
@@ -156,6 +157,6 @@ def solve_within(
 
 
 def _recorded(found: TargetSolve) -> TargetSolve:
-    """The goal and what was reached, in the solution's meta too."""
+    """The goal and what was reached, also in the solution's meta."""
     meta = {name: value for name, value in found.solution.meta.items() if name != "refinement"}
     return replace(found, solution=replace(found.solution, meta={**meta, "aimed": found.to_dict()}))

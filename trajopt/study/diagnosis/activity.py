@@ -18,8 +18,8 @@ class ActiveLimit:
     """One limit in one phase: ``block`` and ``about`` name it, ``side`` is lower or upper.
 
     places: number of points or nodes at which it is active, of ``of`` at which it is stated; strict: at how
-    many of them its multiplier says so. duration: s, of those at points. first, last: s. multiplier: the
-    largest, scaled units, at the time ``at``; None without multipliers.
+    many of them it is strictly active by its multiplier. duration: s, of those at points. first, last: s.
+    multiplier: the largest, scaled units, at the time ``at``; None without multipliers.
     """
 
     block: str
@@ -37,7 +37,7 @@ class ActiveLimit:
 
     @property
     def weak(self) -> bool:
-        """Whether nowhere a multiplier says that it matters."""
+        """Whether it is nowhere strictly active."""
         return self.multiplier is not None and self.strict == 0
 
     def __str__(self) -> str:
@@ -94,7 +94,7 @@ def _limit(
 
 
 def _share(names: NlpNames, site: Site) -> float:
-    """Time that a point stands for, s: its weight in the integral; none for a node."""
+    """Time that a point represents, s: its weight in the integral; 0 for a node."""
     if site.point < 0:
         return 0.0
     step = float(names.times[site.stage + 1] - names.times[site.stage])

@@ -1,4 +1,4 @@
-"""What to try: one sentence for each finding, nothing without one."""
+"""What to try: one sentence for each finding."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from trajopt.study.diagnosis.diagnosis import Diagnosis
     from trajopt.study.diagnosis.findings import DependentRows
 
-# Goals: rows that the motion is to reach at some place.
+# Blocks of rows that are goals.
 GOALS = (
     "frame_pose",
     "frame_velocity",
@@ -27,7 +27,7 @@ GOALS = (
     "periodicity",
 )
 CONTACTS = ("contact_acceleration", "contact_velocity", "contact_landing", "impact_dynamics")
-# What stands against a goal, and the remedy.
+# Limits that conflict with a goal, and the remedy.
 REMEDIES = {
     "velocity_limits": "lengthen the phase, or raise the velocity limit",
     "effort_limits": "lengthen the phase, raise the effort limit, or carry less",
@@ -40,9 +40,9 @@ REMEDIES = {
     BOUNDS: "widen that bound",
 }
 BOUND_OF = {"rate": "velocity_limits", "position": "position_limits"}
-# A limit active at this part of its places determines the motion; most of them that are named.
+# A limit active at this fraction of its places determines the motion; most of them that are named.
 SATURATED, MOST_SATURATED = 0.5, 3
-# An interval that errs by more than this (m) is too wide: the tolerance of a check on drift.
+# An interval with a larger error than this (m) is too wide: the tolerance of a check on drift.
 COARSE = 1e-3
 # Condition of active rows beyond which solvers lose half of their digits.
 ILL = 1e8
@@ -61,7 +61,7 @@ CURVING = {
 
 
 def advice(found: Diagnosis) -> Iterator[Advice]:
-    """All that follows from a diagnosis, the most urgent first."""
+    """All advice from a diagnosis, the most urgent first."""
     yield from _of_values(found)
     yield from _of_conflict(found)
     yield from _of_rows(found)
@@ -116,11 +116,11 @@ def _untangled(group: DependentRows) -> str:
             "contacts fix each other: hold fewer of their rows (redundancy elimination leaves such rows out)"
         )
     if goals and not others and any(block in CONTACTS for block in group.blocks):
-        return f"{' and '.join(goals)} constrain what contacts fix: keep only directions they leave free"
+        return f"{' and '.join(goals)} constrain what contacts fix: keep only directions that they leave free"
     if goals and not others and len(group.rows) > 1:
         return f"goals repeat each other ({', '.join(goals)}): remove one of them"
     if not group.equations:
-        return "limits at their bounds leave too little: raise one of them, or ask for less"
+        return "active limits leave too little freedom: raise one of them, or relax the goal"
     return "the same constraint is stated twice: remove one of these rows"
 
 
@@ -137,14 +137,14 @@ def _of_conflict(found: Diagnosis) -> Iterator[Advice]:
     if clash.mended:
         yield Advice(
             misses,
-            "the iterate is early, no conflict: more iterations, another solver or another start",
+            "the iterate is early and shows no conflict: more iterations, another solver or another start",
         )
         return
     goal = any(party.block in GOALS for party in clash.giving)
     kind = "goal out of reach" if goal else "rows contradict each other"
     against = (_remedy(one.block, one.what, f"ask less of {one.block}") for one in clash.against[:3])
     remedies = list(dict.fromkeys(against))
-    if not clash.stuck or found.status is None:  # of a guess the linearisation says little
+    if not clash.stuck or found.status is None:  # at a guess the linearisation says little
         kind = f"{misses}; left are"
         remedies = ["more iterations, or an easier goal first and its solution as the start", *remedies]
     finding = f"{kind}: {_parties(clash)}"
@@ -159,7 +159,7 @@ def _parties(clash: Conflict) -> str:
 
 
 def _remedy(block: str, what: str, otherwise: str) -> str:
-    """A bound of a node's rate or position is what the limits at points are."""
+    """A bound on a node's rate or position counts as the corresponding limit at points."""
     if block == BOUNDS:
         block = next((limits for word, limits in BOUND_OF.items() if word in what), block)
     return REMEDIES.get(block, otherwise)
@@ -198,7 +198,7 @@ def _of_scaling(found: Diagnosis) -> Iterator[Advice]:
         return
     for block in found.scaling.worst_blocks[:2]:
         much = block.multiplier is not None and block.multiplier.largest > max(1.0, block.row_norm.far)
-        if much and not found.feasible:  # then they only say how far the rows are from being met
+        if much and not found.feasible:  # then they only tell how far the rows are from feasible
             continue
         what = f"multipliers {block.multiplier}" if much else f"row norms {block.row_norm}"
         yield Advice(
@@ -219,13 +219,13 @@ def _of_mesh(found: Diagnosis) -> Iterator[Advice]:
     for phase, error in (found.local_error or {}).items():
         if not error <= COARSE:
             yield Advice(
-                f"one interval of phase '{phase}' errs by {error:.1e} m",
+                f"one interval of phase '{phase}' has an error of {error:.1e} m",
                 "the mesh is too coarse there: more intervals, or a scheme of higher order",
             )
 
 
 def _of_limits(found: Diagnosis) -> Iterator[Advice]:
-    tried = found.status is not None and not found.solved  # limits at a guess say nothing
+    tried = found.status is not None and not found.solved  # limits at a guess mean nothing
     saturated = 0
     for limit in found.limits:
         decides = limit.of > 1 and limit.places >= SATURATED * limit.of and not limit.weak
@@ -233,7 +233,7 @@ def _of_limits(found: Diagnosis) -> Iterator[Advice]:
         if duration and not limit.weak:
             yield Advice(
                 f"{limit.about} is at its {limit.side} bound",
-                "widen that bound if the motion should choose its time",
+                "widen that bound if the optimum may choose its time",
             )
         elif saturated < MOST_SATURATED and decides and tried:
             saturated += 1

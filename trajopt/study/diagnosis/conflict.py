@@ -5,9 +5,9 @@ About an iterate, within a box of natural units, the least sum of violations of 
     min sum w (s+ + s-)    lower <= g + J p + s+ - s- <= upper,    |p| <= box,  bounds of variables
 
 w is 1, and large for the motion itself (defects and dynamics): goals and limits are relaxed first.
-Rows with s > 0 have to give way. Its multipliers y, at most w in magnitude, are a certificate of Farkas'
-kind: rows weighted with y add up to a contradiction, so that the rows and bounds with large ones are those
-that stand against the rows that give way. (Gill, Murray, Saunders, "SNOPT", SIAM Review 2005, elastic mode.)
+Rows with s > 0 have to give way. The multipliers y, at most w in magnitude, are a Farkas certificate: rows
+weighted with y add up to a contradiction, so the rows and bounds with large ones are in conflict with those
+that give way. (Gill, Murray, Saunders, "SNOPT", SIAM Review 2005, elastic mode.)
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from scipy import sparse
 from trajopt.study.diagnosis.names import Site
 from trajopt.study.diagnosis.snapshot import Snapshot
 
-# How far variables may move, scaled units: what the linearisation can be trusted for.
+# How far variables may move, scaled units: the range in which the linearisation is trusted.
 BOX = 1.0
-# Price of moving at all: among equal minima the nearest, and a well-posed program.
+# Weight of the step: selects the nearest of equal minima, and makes the program well-posed.
 NEAREST = 1e-6
-# Multipliers below the noise are an interior-point method's; sums of them below this part of the largest take
-# no part, and violations below that part of the largest need no give.
+# Multipliers below the first are noise of the interior-point method; sums of multipliers, and violations,
+# below these fractions of the largest are ignored.
 NOISE, PART, GIVES = 1e-4, 0.1, 1e-3
-# Rows that make it a motion: they pass a conflict on from place to place, and give way last.
+# Rows of the dynamics: they pass a conflict on from place to place, and give way last.
 TRANSMITTING = ("defect", "base_dynamics", "contact_acceleration", "contact_velocity", "impact_dynamics")
 LAST = 1e3
-# Parts of the violation that are left after the best small motion: of a conflict, and of an early iterate.
+# Fractions of the violation left after the best small step: in a conflict, and at an early iterate.
 STUCK, MENDED = 0.5, 0.01
 NAMED = 6
 
@@ -40,7 +40,7 @@ NAMED = 6
 class ConflictMember:
     """Rows or bounds of one block and subject in one phase.
 
-    amount: the violation that they cannot do without, natural units; 0 for those that stand against it.
+    amount: the unavoidable violation, natural units; 0 for rows in conflict with it.
     weight: multipliers, added up over the phase. place: of the largest.
     """
 
@@ -63,10 +63,10 @@ class ConflictMember:
 
 @dataclass(frozen=True, kw_only=True)
 class Conflict:
-    """before, after: sum of violations at the iterate, and what of it has to give way within the box.
+    """before, after: sum of violations at the iterate, and its least value within the box.
 
-    giving: rows that have to give way; against: limits, bounds and goals that stand against them; edge: part
-    of the variables that would move further than the box allows.
+    giving: rows that have to give way; against: limits, bounds and goals in conflict with them; edge:
+    fraction of the variables at the edge of the box.
     """
 
     before: float
@@ -77,12 +77,12 @@ class Conflict:
 
     @property
     def stuck(self) -> bool:
-        """Whether no small motion mends half of what is violated: a conflict, not merely an early iterate."""
+        """Whether no small step removes half of the violation: a conflict, not merely an early iterate."""
         return self.after > STUCK * self.before
 
     @property
     def mended(self) -> bool:
-        """Whether a small motion mends all but little of what is violated: an early iterate."""
+        """Whether a small step removes nearly all of the violation: an early iterate."""
         return self.after <= MENDED * self.before
 
 

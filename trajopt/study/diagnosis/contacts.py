@@ -1,7 +1,7 @@
-"""Rank of the contacts' own Jacobian along the motion: what physics says of redundant contacts.
+"""Rank of the contacts' own Jacobian along the motion: redundant contacts by physics alone.
 
 The wrenches of contacts whose rows depend on each other are not unique, whatever the transcription does. A
-rank that changes along a phase belongs to a posture: a straight leg, or an axis through two contacts.
+rank that changes along a phase is due to a posture: a straight leg, or an axis through two contacts.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from trajopt.robot.contact import Contact
 from trajopt.solution.solution import Solution
 from trajopt.transcription.transcription import Transcription
 
-# Condition of the contacts beyond which a posture is next to singular: a leg straight to a thousandth.
+# Condition of the contacts beyond which a posture is nearly singular: a leg straight to a thousandth.
 NEARLY_SINGULAR = 1e3
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactDependency:
-    """Rows (contact and axis) that depend on each other, and how many are too many."""
+    """Rows (contact and axis) that depend on each other, and how many are redundant."""
 
     rows: tuple[str, ...]
     excess: int
@@ -53,12 +53,12 @@ class PhaseContacts:
 
     @property
     def redundant(self) -> bool:
-        """Whether rows depend on each other all along the phase."""
+        """Whether rows depend on each other throughout the phase."""
         return self.most < self.rows
 
     @property
     def singular(self) -> bool:
-        """Whether postures of the phase are singular, or next to it."""
+        """Whether postures of the phase are singular, or nearly so."""
         return self.least < self.most or self.condition > NEARLY_SINGULAR
 
     def __str__(self) -> str:
@@ -74,7 +74,7 @@ class PhaseContacts:
 def phase_contacts(transcription: Transcription, solution: Solution) -> Iterator[PhaseContacts]:
     """Contact ranks of every phase at the collocation points of its motion.
 
-    Samples that are not finite, and phases without any other, are passed over.
+    Samples that are not finite, and phases without finite ones, are skipped.
     """
     layout, model = transcription.layout, solution.model
     finite = np.isfinite(solution.q).all(axis=1) & solution.collocation

@@ -1,4 +1,4 @@
-"""Curvature of the Lagrangian along the motions that active constraints leave free.
+"""Curvature of the Lagrangian on the null space of the active constraints.
 
 With H the Hessian of the Lagrangian and A the active rows over the free variables, the second-order condition
 asks p^T H p > 0 for all p with A p = 0. Eigenvalues of H on that null space near zero come from Lanczos on
@@ -8,10 +8,9 @@ asks p^T H p > 0 for all p with A p = 0. Eigenvalues of H on that null space nea
 
 whose eigenvalues are 1 / (lambda - s), and those far from it from Lanczos on P H P, P the projector on the
 null space by the same system with H - s I replaced by I. Ritz values are quotients p^T H p / p^T p of vectors
-that are in the null space to rounding: a negative one proves negative curvature. That none is found proves
-its absence only as far as Lanczos goes; small problems take a dense decomposition, which is a proof.
-(Nocedal, Wright, "Numerical Optimization", 2006, ch. 12.5 and 16; Parlett, "The Symmetric Eigenvalue
-Problem", ch. 13.)
+that are in the null space to rounding: a negative one proves negative curvature. Finding none proves its
+absence only as far as Lanczos goes; small problems take a dense decomposition, which is a proof. (Nocedal,
+Wright, "Numerical Optimization", 2006, ch. 12.5 and 16; Parlett, "The Symmetric Eigenvalue Problem", ch. 13.)
 """
 
 from __future__ import annotations
@@ -32,9 +31,9 @@ BETA = 1e-14
 # Lanczos vectors, relative error at which an eigenvalue has converged, restarts; eigenvalues sought.
 STEPS, CONVERGED, RESTARTS = 40, 1e-8, 30
 SOUGHT = 16
-# Ritz vectors of different runs that differ by less than this are one: their difference is rounding.
+# Ritz vectors of different runs that differ by less than this are the same up to rounding.
 DISTINCT = 1e-5
-# Between the flat and the largest curvature one more shift looks for what both ends miss.
+# One more shift, between flat and largest curvature, finds what runs at both ends miss.
 BETWEEN = -1e-2
 
 
@@ -106,7 +105,7 @@ def _sparse(hessian: sparse.csc_matrix, active: sparse.csc_matrix) -> Curvature:
     unit = float(sparse.linalg.norm(hessian, np.inf)) or 1.0
     scaled = hessian / unit
     project = _operator(sparse.eye(n, format="csc"), active)
-    if project is None:  # the rows' own factor fails: nothing can be said
+    if project is None:  # the factorisation of the rows fails: no result
         return replace(_none(n, exact=False), directions=max(0, n - m), values=np.array([np.nan]))
     start = project(np.random.default_rng(0).standard_normal(n))
     if np.linalg.norm(start) < np.sqrt(np.finfo(float).eps) * np.sqrt(n):
@@ -148,7 +147,7 @@ def _from_vectors(
     project: Operator,
     unit: float,
 ) -> Curvature:
-    """Rayleigh-Ritz on the span of all vectors found, put into the null space again."""
+    """Rayleigh-Ritz on the span of all vectors found, projected onto the null space again."""
     m, n = active.shape
     basis = _orthonormal(_orthonormal(vectors, project), project)
     small = basis.T @ (hessian @ basis)
@@ -157,7 +156,7 @@ def _from_vectors(
 
 
 def _orthonormal(vectors: np.ndarray, project: Operator) -> np.ndarray:
-    """Orthonormal basis of the projected vectors, without what is there to rounding alone."""
+    """Orthonormal basis of the projected vectors, without vectors that are only rounding."""
     inside = np.column_stack([project(column) for column in vectors.T])
     basis, values, _ = np.linalg.svd(inside, full_matrices=False)
     return basis[:, values > DISTINCT * values[0]]

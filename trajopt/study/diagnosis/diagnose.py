@@ -32,10 +32,10 @@ from trajopt.transcription.compilation import LEVELS, in_cache
 from trajopt.transcription.mesh import Mesh
 from trajopt.transcription.transcription import Transcription, transcribe
 
-# Rows are violated where they miss this, or ten times the solve's tolerance: as a solve itself judges.
+# Rows count as violated beyond this, or ten times the solve's tolerance, as in a solve.
 TRUSTED = 10.0
 WORST = 5
-# Objective and violation of a file are those of the problem rebuilt from it, up to this.
+# Largest difference of objective and violation between a file and the problem rebuilt from it.
 SAME = 1e-4
 
 
@@ -45,11 +45,11 @@ def diagnose(
     *,
     compile: str | None = None,
 ) -> Diagnosis:
-    """Say what is wrong, or well, with an NLP at an iterate.
+    """Diagnose an NLP at an iterate.
 
     Args:
         what: A solution or its file, solved or not; or a prepared problem, which is diagnosed at its guess.
-        problem: Of the solution; default: that of the catalogue which the file names, with its parameters.
+        problem: Of the solution; default: the one in the catalogue that the file names, with its parameters.
         compile: Level of compilation; default: the file's if that is in the cache, else ``none``.
 
     Raises:
@@ -82,13 +82,13 @@ def _problem_of(solution: Solution) -> Problem:
     values = {key: value for key, value in given.items() if key in own and value is not None}
     try:
         return family.load(values)
-    except InputError:  # a derived value need not be one that may be asked for
+    except InputError:  # a derived value may be outside the parameter's range
         asked = {key: value for key, value in values.items() if own[key].default is not None}
         return family.load(asked)
 
 
 def _cached_level(problem: Problem, mesh: Mesh, level: str) -> str:
-    """A few evaluations are no reason to compile: the file's level where it is in the cache, else none."""
+    """The file's level if that is in the cache, else none: a few evaluations do not justify compiling."""
     if level not in LEVELS:
         return "none"
     points = {id(group.point): group.point for group in transcribe(problem, mesh=mesh).groups}
@@ -96,7 +96,7 @@ def _cached_level(problem: Problem, mesh: Mesh, level: str) -> str:
 
 
 def at_solution(prepared: PreparedProblem, solution: Solution) -> Snapshot:
-    """The solution's own variables, and its multipliers where they are of the same rows."""
+    """The solution's own variables, and its multipliers if they belong to the same rows."""
     t = prepared.transcription
     found = warm_start(t, solution)
     known = _same_rows(t, solution)
@@ -110,7 +110,7 @@ def at_solution(prepared: PreparedProblem, solution: Solution) -> Snapshot:
 
 
 def _same_rows(t: Transcription, solution: Solution) -> bool:
-    """Whether a solution's multipliers are of this transcription's rows, one by one, and are not all zero."""
+    """Whether a solution's multipliers belong to this transcription's rows, and are not all zero."""
     if solution.row_multiplier is None or solution.bound_multiplier is None or solution.row_place is None:
         return False
     if not (solution.row_multiplier.any() or solution.bound_multiplier.any()):
@@ -195,7 +195,7 @@ def _local_errors(solution: Solution | None) -> dict[str, float] | None:
 
 
 def _notes(snapshot: Snapshot, solution: Solution | None, largest: float | None) -> Iterator[str]:
-    """Where the rebuilt problem is not the one that the file was made from."""
+    """Signs that the rebuilt problem is not the one that the file was made from."""
     if solution is None:
         return
     unit = snapshot.transcription.objective_unit
@@ -211,4 +211,4 @@ def _notes(snapshot: Snapshot, solution: Solution | None, largest: float | None)
             f"({snapshot.complementarity:.1e}): the problem has changed since the file was made"
         )
     if solution.success and snapshot.row_multiplier is None:
-        yield "the file has no multipliers of these rows: limits and curvature are judged without"
+        yield "the file has no multipliers of these rows: limits and curvature are judged without them"

@@ -42,7 +42,7 @@ class Violation:
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis:
-    """All that was found at one iterate; parts that need finite values are None where they are not.
+    """The findings at one iterate; those that need finite values are None if values are not finite.
 
     source: what was diagnosed. status: the solver's, None for a guess. free: number of free variables at the
     iterate. local_error: per phase the largest error in m that one interval makes, of a solved motion.
@@ -72,12 +72,12 @@ class Diagnosis:
 
     @property
     def clean(self) -> bool:
-        """Whether nothing was found that should be changed."""
+        """Whether there is no advice."""
         return not self.advice
 
     @property
     def dependent(self) -> tuple[DependentRows, ...]:
-        """Groups of dependent rows: those of single phases, then those that phases have together."""
+        """Groups of dependent rows: of single phases, then across phases."""
         own = [group for report in self.ranks[1:] for group in report.dependent]
         known = {group.rows for group in own}
         across = [group for report in self.ranks[:1] for group in report.dependent]
@@ -85,11 +85,11 @@ class Diagnosis:
 
     @property
     def feasible(self) -> bool:
-        """Whether all rows and bounds hold as a solve would judge."""
+        """Whether all rows and bounds hold by the criterion of a solve."""
         return self.max_violation is not None and not self.worst
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able; numbers that are not finite are left to the writer."""
+        """JSON-able; non-finite numbers are left to the writer."""
         return {**asdict(self), "clean": self.clean, "feasible": self.feasible}
 
     def __str__(self) -> str:
@@ -97,7 +97,7 @@ class Diagnosis:
 
 
 def _lines(found: Diagnosis) -> Iterator[str]:
-    """Sections in the order in which to read them: what, why, what to try."""
+    """Sections in reading order: what, why, what to try."""
     state = "guess" if found.status is None else found.status.replace("_", " ")
     yield f"{found.problem} on {found.robot}: {state} ({found.source})"
     yield _line("size", f"{found.variables} variables, {found.constraints} rows")

@@ -1,4 +1,4 @@
-"""What a diagnosis says of rank, curvature and the start, in names instead of numbers."""
+"""Findings of a diagnosis about rank, curvature and the start, by names instead of indices."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from trajopt.terms.limits import PositionLimits
 
 # Rows of one group of dependent rows that are named, variables of a direction, and directions.
 NAMED_ROWS, NAMED_UNKNOWNS, NAMED_DIRECTIONS = 8, 3, 4
-# Positions this close to a limit (rad, m) are on it.
+# Positions this close to a limit (rad, m) count as on it.
 ON_LIMIT = 1e-9
 
 
@@ -24,8 +24,8 @@ ON_LIMIT = 1e-9
 class DependentRows:
     """Rows that depend on each other, the same ones ``times`` times between the places first and last.
 
-    rows: blocks and subjects, largest share first; more: how many beyond those. excess: rows too many in all.
-    fixed: they see fixed variables alone. equations: none of them is an active limit.
+    rows: blocks and subjects, largest share first; more: how many beyond those. excess: redundant rows in
+    all. fixed: they depend on fixed variables alone. equations: none of them is an active limit.
     """
 
     rows: tuple[str, ...]
@@ -42,7 +42,7 @@ class DependentRows:
         more = f" and {self.more} more" if self.more else ""
         where = self.first if self.first == self.last else f"{self.first}, to {self.last}"
         where = where if self.times == 1 else f"{self.times} times, {where}"
-        why = "see fixed variables alone" if self.fixed else "depend on each other"
+        why = "depend on fixed variables alone" if self.fixed else "depend on each other"
         return f"{', '.join(self.rows)}{more} {why} ({self.excess} too many): {where}"
 
 
@@ -50,9 +50,9 @@ class DependentRows:
 class RankReport:
     """Active rows over the free variables that they touch: of one phase, or (``phase`` None) of all.
 
-    equations: limits are left out, because the iterate is far from feasible. nullity: rows too many; with
-    ``complete`` False there are more. condition: largest over smallest singular value that is not zero, None
-    without any. dependent: groups of rows that depend on each other.
+    equations: limits are left out, because the iterate is far from feasible. nullity: number of redundant
+    rows; with ``complete`` False there are more. condition: largest over smallest singular value that is not
+    zero, None without any. dependent: groups of rows that depend on each other.
     """
 
     phase: str | None
@@ -80,10 +80,10 @@ class RankReport:
 
 
 def rank_report(snapshot: Snapshot, phase: int | None) -> RankReport:
-    """Rank of the active rows of a phase, or of all; bounds that are active fix their variables.
+    """Rank of the active rows of a phase, or of all; active bounds fix their variables.
 
     Rows of a phase: those of its intervals and nodes, with the defects that lead out of it, over all free
-    variables that they touch. Dependence of rows of several phases is seen in the report over all alone.
+    variables that they touch. Dependence across phases shows only in the report over all.
     """
     names, rows = snapshot.names, snapshot.active_rows
     if phase is not None:
@@ -115,7 +115,7 @@ def rank_report(snapshot: Snapshot, phase: int | None) -> RankReport:
 
 
 def _merged(snapshot: Snapshot, groups: list[tuple[np.ndarray, int]], *, fixed: bool) -> list[DependentRows]:
-    """Groups (rows, how many are too many) of the same rows at different places are one finding."""
+    """Joins groups (rows, number of redundant ones) of the same rows at different places into one finding."""
     names = snapshot.names
     kinds: defaultdict[tuple[str, ...], list[tuple[np.ndarray, int]]] = defaultdict(list)
     for rows, excess in groups:
@@ -163,8 +163,8 @@ class CurvatureReport:
     """Curvature of the Lagrangian on the null space of the active rows, directions named, see `Curvature`.
 
     directions: number of free directions. holds: the second-order sufficient condition; negative: some
-    direction has negative curvature. known: whether multipliers were known. smallest_along: directions of the
-    least curvature; flat_along: some of those without any.
+    direction has negative curvature. known: whether there were multipliers. smallest_along: directions of the
+    least curvature; flat_along: some of those without curvature.
     """
 
     directions: int
@@ -180,7 +180,7 @@ class CurvatureReport:
 
     def __str__(self) -> str:
         if self.smallest is None or self.largest is None:
-            return "no free direction: active rows decide all"
+            return "no free direction: active rows determine the iterate"
         verdict = "holds" if self.holds else "does NOT hold" if self.negative else "holds weakly"
         how = "" if self.exact else " (by Lanczos)"
         whose = "" if self.known else ", of the objective alone"
@@ -191,7 +191,7 @@ class CurvatureReport:
 
 
 def curvature_report(snapshot: Snapshot) -> CurvatureReport:
-    """Curvature along the motions that active rows leave free, the directions of the least one named."""
+    """Curvature on the null space of the active rows, with the directions of the least curvature named."""
     free, rows = snapshot.free, snapshot.active_rows
     found = curvature(snapshot.hessian[free][:, free], snapshot.jacobian[rows][:, free])
     named = range(found.vectors.shape[1])
@@ -232,7 +232,7 @@ def _direction(snapshot: Snapshot, value: float, vector: np.ndarray) -> Directio
 
 
 def start_findings(problem: Problem) -> Iterator[str]:
-    """What is wrong with a start, or degenerate about it: joints outside their limits, or exactly on one."""
+    """Problems of a start: joints outside their limits, or exactly on one, which is degenerate."""
     if problem.periodicity is not None or not any(isinstance(t, PositionLimits) for t in problem.terms):
         return
     robot, q = problem.robot, problem.initial_q

@@ -1,4 +1,4 @@
-"""Every variable and every row of an NLP in words: whose, which quantity, where, when, in which phase."""
+"""Every variable and row of an NLP in words: owner, quantity, place, time and phase."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from trajopt.transcription.transcription import Transcription
 
 # Block of the bounds of variables.
 BOUNDS = "bounds"
-# A row that is about many things is named by the one or two variables that weigh most in it.
+# A row with many subjects is named by the one or two variables with the largest coefficients.
 MOST_UNKNOWNS, MOSTLY = 2, 0.8
 
 
@@ -38,7 +38,7 @@ class Site:
 
 @dataclass(frozen=True, kw_only=True, order=True)
 class RowName:
-    """A row: its block, what it is about in words (or its number within the block), and where."""
+    """A row: its block, its subject in words (or its number within the block), and where."""
 
     block: str
     about: str
@@ -54,8 +54,9 @@ class RowName:
 class NlpNames:
     """Names of one transcription; ``times`` (n_stages + 1,) s of its nodes.
 
-    A row's subject is read off the symbols in its term's expression, so that terms of users are named too.
-    Where these are many, ``slopes`` gives the row's Jacobian (indices, values), None where there is none.
+    A row's subject is read off the symbols in its term's expression, so that user-defined terms are named
+    too. Where these are many, ``slopes`` gives the row's Jacobian (indices, values), None where there is
+    none.
     """
 
     transcription: Transcription
@@ -165,7 +166,7 @@ class NlpNames:
         return [next(numbers[key]) for key in keys]
 
     def block(self, index: int) -> str:
-        """Name of a row's block; beyond the rows come the variables, whose bounds are one block."""
+        """Name of a row's block; indices beyond the rows are variables, whose bounds are one block."""
         rows = self.transcription.rows
         return rows.names[int(rows.block[index])] if index < len(rows.block) else BOUNDS
 
@@ -191,7 +192,7 @@ class NlpNames:
         return f"{BOUNDS} [{name.about}, {place}]" if name.block == BOUNDS else f"{name.what}, {place}"
 
     def _by_weight(self, index: int) -> str:
-        """The variables that weigh most in a row, if one or two of them are most of it."""
+        """The variables with the largest coefficients in a row, if one or two dominate it."""
         if self.slopes is None:
             return ""
         weights: defaultdict[str, float] = defaultdict(float)
@@ -221,7 +222,7 @@ class NlpNames:
 
     @cached_property
     def functions(self) -> TermFunctions:
-        """What builds contexts of this transcription."""
+        """The builder of contexts of this transcription."""
         problem, layout = self.transcription.problem, self.layout
         robots = {id(form.robot): form.robot for form in layout.forms}
         return TermFunctions(problem, layout, {key: Units(r, problem.robot) for key, r in robots.items()})
@@ -243,7 +244,7 @@ class NlpNames:
         return [ImpactDynamics(), *(t for t in acting if t.acts_at_impacts)] if impact else acting
 
     def _subjects_of(self, phase: int, place: Place, k: int) -> dict[str, list[str]]:
-        """Subjects by block: of every node, but of points and impacts once for a phase."""
+        """Subjects by block: for every node, for points and impacts once per phase."""
         key = (place, k if place is Place.NODE else phase)
         if key not in self._known:
             self._known[key] = self._read_subjects(phase, place, k)
@@ -255,7 +256,7 @@ class NlpNames:
         context, units = self.functions.context(phase, form, place), self.units_at(place, k)
         constraints = [term for term in self.acting_terms(phase, place, k) if hasattr(term, "rows")]
         blocks = [(term.name, term.rows(context, units, *at)) for term in constraints]
-        names = SymbolNames(context, form, self.free_phases)  # of all that the rows have used by now
+        names = SymbolNames(context, form, self.free_phases)  # of all that the rows have used so far
         found: defaultdict[str, list[str]] = defaultdict(list)
         for block, rows in blocks:
             if rows is not None and rows.expression.numel():

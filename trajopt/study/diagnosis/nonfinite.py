@@ -27,12 +27,12 @@ from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.timeline import NodeLayout, StageKind
 from trajopt.transcription.transcription import FunctionGroup, Transcription
 
-# Changes of one input, in its natural units, by which a value becomes finite: the least that does counts.
-# Small ones leave a point without slope, such as a norm at zero; large ones reach into a root or a logarithm.
-# Entries of quaternions are changed little: far from unit length they turn nothing.
+# Changes of one input, in its natural units, tried in turn until the value is finite. Small ones leave a
+# point without slope, such as a norm at zero; large ones reach the domain of a root or a logarithm.
+# Quaternion entries are changed little: far from unit length they are not rotations.
 CHANGES = (1e-3, 1e-1, 1.0, 10.0, 100.0)
 MOST_TURN = 0.1
-# So many inputs are named at most; where more of them cause it together, their kinds say more.
+# Most inputs that are named; where more of them cause it together, their kinds are named.
 MOST_NAMED = 6
 
 
@@ -51,8 +51,8 @@ class SuspectInput:
 class NonFinite:
     """What is not finite: ``output`` (cost, rows, gradient, jacobian, hessian) of ``terms`` at a place.
 
-    row: what the row is about, where it is one. inputs: those that are not finite themselves, or of which one
-    alone, changed a little, makes all finite. kinds: where no single one does, kinds of inputs that do.
+    row: the row's subject, if it is one. inputs: those that are not finite, or any one of which, changed a
+    little, makes all finite. kinds: if no single input does, kinds of inputs that do.
     """
 
     output: str
@@ -75,7 +75,7 @@ class NonFinite:
 
 @dataclass(frozen=True, kw_only=True)
 class _Where:
-    """The group of functions, its position, and how its inputs are called."""
+    """The group of functions, its position, and the names of its inputs."""
 
     group: FunctionGroup
     position: int
@@ -125,7 +125,7 @@ def _at(names: NlpNames, site: Site) -> dict[str, Any]:
 
 
 def _unknown_itself(names: NlpNames, x: np.ndarray) -> NonFinite | None:
-    """A variable that is not finite and that no function sees."""
+    """A variable that is not finite and that no function depends on."""
     wrong = np.flatnonzero(~np.isfinite(x))
     if not len(wrong):
         return None
@@ -191,20 +191,20 @@ def _labels(
 
 
 def _own(t: Transcription, where: _Where) -> np.ndarray:
-    """Indices of the variables that the function may see."""
+    """Indices of the variables that the function may depend on."""
     return int(t.layout.node_offset[where.site.stage]) + np.arange(where.group.gather.shape[1])
 
 
 def _inputs(where: _Where, seen: np.ndarray) -> np.ndarray:
-    """Inputs of the function, from the variables that it may see."""
-    with np.errstate(invalid="ignore"):  # NaN times a structural zero is no NaN
+    """Inputs of the function, from the variables that it may depend on."""
+    with np.errstate(invalid="ignore"):  # NaN times a structural zero is not NaN
         return np.array([row[row != 0] @ seen[row != 0] for row in where.group.gather.toarray()])
 
 
 def _causes(
     functions: Sequence[Evaluation], where: _Where, inputs: np.ndarray
 ) -> tuple[tuple[SuspectInput, ...], tuple[str, ...]]:
-    """Inputs of which one alone makes all finite, or, without any, kinds of inputs."""
+    """Inputs of which any one alone makes all finite, or if there are none, kinds of inputs."""
     units = np.abs(where.group.gather).max(axis=1).toarray().ravel()
     units[units == 0] = 1.0
     kinds = np.array([label.kind for label in where.labels])
@@ -223,7 +223,7 @@ def _causes(
 
 
 def _mended(functions: Sequence[Evaluation], inputs: np.ndarray, which: list[int], steps: np.ndarray) -> bool:
-    """Whether all functions are finite when these inputs alone are changed, one way or the other."""
+    """Whether all functions are finite when only these inputs are changed, in either direction."""
     for sign in (1.0, -1.0):
         trial = inputs.copy()
         trial[which] += sign * steps[which]

@@ -7,9 +7,9 @@ subspace iteration with a sparse LU factor of
     [A       -beta I]
 
 whose Schur complement is -(A A^T / alpha + beta I): one factor, any number of vectors, no A A^T. With a small
-alpha the directions sigma^2 / alpha of independent rows stay apart from beta; the singular values themselves
-are then those of A^T U for the basis U found (Rayleigh-Ritz), accurate to rounding. Small matrices take a
-dense singular value decomposition. (Golub, Van Loan, "Matrix Computations", ch. 8 and 10.)
+alpha the values sigma^2 / alpha of independent rows stay apart from beta; the singular values themselves are
+then those of A^T U for the basis U found (Rayleigh-Ritz), accurate to rounding. Small matrices take a dense
+singular value decomposition. (Golub, Van Loan, "Matrix Computations", ch. 8 and 10.)
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg as sparse_linalg
 
-# Singular values below this part of the largest are zero: rows scaled by their units depend on each other to
-# rounding, or to what an iterate at a solver's tolerance leaves of a dependence that holds on the motion.
+# Singular values below this fraction of the largest count as zero: scaled rows are dependent to rounding, or
+# to the error of an iterate at a solver's tolerance.
 RANK_TOLERANCE = 1e-8
-# Up to this smaller dimension the decomposition is dense: exact, and a second at most.
+# If the smaller dimension is at most this, the decomposition is dense: exact, and at most a second.
 DENSE = 400
 ALPHA, BETA = 1e-6, 1e-13
 # Vectors of the first subspace; it doubles until it holds a singular value that is not zero.
 FIRST, MOST = 8, 256
 ITERATIONS, CONVERGED = 12, 1e-3
-# Entries of a projector on dependent rows: rows are dependent on each other where they are coupled.
+# Entries of the projector above which two rows are coupled, i.e. depend on each other.
 COUPLED = 1e-2
 # Digits to which shares are compared: rounding must not decide which of two rows comes first.
 SHARE_DIGITS = 3
@@ -40,8 +40,8 @@ SHARE_DIGITS = 3
 class Spectrum:
     """Singular values of a matrix with m rows.
 
-    largest, smallest: of those that are not zero (None where all are). nullity: rows too many, of which
-    ``vectors`` (m, k) is an orthonormal basis; with ``complete`` False there are more.
+    largest, smallest: of those that are not zero (None where all are). nullity: number of redundant rows;
+    ``vectors`` (m, k) is an orthonormal basis of the left null space; with ``complete`` False there are more.
     """
 
     rows: int
@@ -64,7 +64,7 @@ class Spectrum:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RowDependency:
-    """Rows that depend on each other, those of the largest share first, and how many are too many."""
+    """Rows that depend on each other, largest share first, and how many are redundant."""
 
     rows: np.ndarray
     excess: int
@@ -140,7 +140,7 @@ def dependencies(vectors: np.ndarray) -> list[RowDependency]:
     """Groups of rows that depend on each other, from an orthonormal basis (m, k) of their left null space.
 
     The projector V V^T on that space does not depend on the basis; rows of different groups are not coupled
-    in it, and its diagonal, which adds up to the rows too many, is each row's share.
+    in it, and its diagonal, which adds up to the number of redundant rows, is each row's share.
     """
     if vectors.shape[1] == 0:
         return []

@@ -1,4 +1,4 @@
-"""Ranges of variables, rows, derivatives and multipliers in the units that the solver sees."""
+"""Ranges of variables, rows, derivatives and multipliers in the solver's units."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from scipy import sparse
 
 from trajopt.study.diagnosis.snapshot import Snapshot
 
-# Row or column norms this far from one, either way, slow a solver down: its tolerances then mean different
-# things in different rows.
+# Row or column norms off one by this factor, either way, slow a solver down: its tolerances then mean
+# different things in different rows.
 FAR = 1e4
 # Entries below this are rounding: those of scaled functions are of order one.
 ROUNDING = 1e-13
@@ -18,7 +18,7 @@ ROUNDING = 1e-13
 
 @dataclass(frozen=True, kw_only=True)
 class Range:
-    """Smallest and largest magnitude of what is not zero to rounding; both 0 where all is."""
+    """Smallest and largest magnitude of entries above rounding; both 0 if there are none."""
 
     smallest: float
     largest: float
@@ -44,7 +44,7 @@ class Range:
 
 @dataclass(frozen=True, kw_only=True)
 class BlockScale:
-    """A block of rows: number, norms of its Jacobian's rows, entries of it, multipliers (or None)."""
+    """A block of rows: number, norms of its Jacobian's rows, its entries, multipliers (or None)."""
 
     block: str
     rows: int

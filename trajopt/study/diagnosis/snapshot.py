@@ -13,8 +13,8 @@ from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.transcription import Transcription
 from trajopt.transcription.violations import row_violations
 
-# A limit this close to its bound is reached, in natural units: interior-point iterates at the solvers'
-# tolerance of 1e-6 come that close, and a thousandth of a per cent of a limit is no reserve.
+# A limit this close to its bound, in natural units, counts as reached: interior-point iterates at the
+# solvers' tolerance of 1e-6 come that close.
 REACHED = 1e-5
 # Slack and multiplier of a limit fall together to the root of the barrier where it is weakly active; a limit
 # is strictly active where its multiplier is this many times its slack.
@@ -26,9 +26,9 @@ class Snapshot:
     """An NLP at scaled variables ``x`` (n_unknowns,).
 
     ``row_multiplier`` (n_rows,), ``bound_multiplier`` (n_unknowns,): of the Lagrangian
-    f + row . g + bound . x; None where nothing is known of them. ``tolerance``: of the solve.
-    ``equations_only``: limits are left out of the active rows, as far from feasible points, where those that
-    an iterate happens to pass say nothing.
+    f + row . g + bound . x; None without. ``tolerance``: of the solve. ``equations_only``: limits are left
+    out of the active rows, as far from feasible points, where limits that an iterate happens to pass mean
+    nothing.
     """
 
     nlp: Nlp
@@ -82,7 +82,7 @@ class Snapshot:
 
     @cached_property
     def hessian(self) -> sparse.csr_matrix:
-        """Of the Lagrangian; of the objective alone where no multipliers are known."""
+        """Of the Lagrangian; of the objective alone without multipliers."""
         known = np.zeros(self.transcription.n_rows) if self.row_multiplier is None else self.row_multiplier
         values = np.asarray(self.nlp.engine.hessian(self.x, 1.0, known)).copy()
         place = (self.nlp.hessian_row, self.nlp.hessian_column)
@@ -121,7 +121,7 @@ class Snapshot:
 
     @cached_property
     def multiplier(self) -> np.ndarray | None:
-        """Multipliers; None where nothing is known of them."""
+        """Multipliers; None without."""
         if self.row_multiplier is None or self.bound_multiplier is None:
             return None
         return np.concatenate([self.row_multiplier, self.bound_multiplier])
@@ -177,5 +177,5 @@ class Snapshot:
 
     @property
     def structure(self) -> Snapshot:
-        """The same iterate, judged by its equations and its objective alone."""
+        """The same iterate with equations and objective alone."""
         return replace(self, row_multiplier=None, bound_multiplier=None, equations_only=True)

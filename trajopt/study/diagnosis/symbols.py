@@ -1,7 +1,7 @@
-"""Names of what a term's expression is about, found from the symbols in it.
+"""Names of the subjects of a term's expression, found from the symbols in it.
 
-A term is a small expression over the symbols of its context. Whatever the term, the symbols that a row holds
-say what the row is about: one joint's torque, one contact's force, the height of one frame.
+A term is a small expression over the symbols of its context. For any term, the symbols in a row tell its
+subject: one joint's torque, one contact's force, the height of one frame.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from trajopt.transcription.timeline import NodeLayout
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 QUATERNION = ("x", "y", "z", "w")
-# A row that is about more owners than these is named by its number alone.
+# A row with more owners than this is named by its number alone.
 MOST_OWNERS = 4
 
 
@@ -152,10 +152,10 @@ class SymbolNames:
         return sorted(label for label in found if label is not None)
 
     def row(self, expression: ca.SX) -> str:
-        """What one row is about, in words; empty where it is about too much for that."""
+        """The subject of one row in words; empty if it has too many."""
         labels = self.of(expression)
         forces = [label for label in labels if label.kind in ("torque", "balance")]
-        if len(forces) == 1:  # with the rate that a drive's friction asks for
+        if len(forces) == 1:  # with the rate in a drive's friction
             labels = forces
         by_owner: dict[str, list[str]] = {}
         for label in labels:

@@ -1,4 +1,4 @@
-"""Every term at a place as a function of its own, evaluated layer by layer: which of them is to blame."""
+"""Every term at a place as a separate function, evaluated layer by layer, to find the one at fault."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Evaluation = Callable[[np.ndarray], np.ndarray]
 def nonfinite_terms(
     names: NlpNames, site: Site, form: NodeLayout, place: Place, inputs: np.ndarray
 ) -> list[tuple[str, Evaluation]]:
-    """Terms whose own values at z = ``inputs`` are not finite, with what evaluates them.
+    """Terms whose own values at z = ``inputs`` are not finite, with their functions.
 
     Where all values are finite, those whose derivatives are not.
     """

@@ -1,1 +1,1 @@
-"""Every problem on every robot: which pairs there are, how they are run, what was found, what was before."""
+"""Every problem on every robot: the pairs, their runs, the results, and comparison with earlier ones."""

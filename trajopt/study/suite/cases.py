@@ -1,4 +1,4 @@
-"""Which pairs of problem and robot there are, and which of them are asked for."""
+"""The pairs of problem and robot, and the selection of some."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from trajopt.errors import InputError
 from trajopt.problem.family import Family, not_among
 from trajopt.robot.catalogue import robot_kind
 
-# A robot that no family names may be given as a file that builds it.
+# A robot that no family lists may be given as a file that builds it.
 ROBOT_FILE = ".py"
 
 
@@ -36,12 +36,12 @@ class Case(Pair):
 
     @property
     def values(self) -> dict[str, object]:
-        """What the family is loaded with."""
+        """Parameters with which the family is loaded."""
         return {"robot": self.robot} if self.takes_robot else {}
 
 
 def all_cases(families: Mapping[str, Family]) -> tuple[Case, ...]:
-    """Every family on every robot that it names, sorted."""
+    """Every family on every robot that it lists, sorted."""
     return tuple(
         sorted(
             Case(problem=family.name, robot=robot, takes_robot=family.takes_robot)
@@ -57,8 +57,8 @@ def select(
     """The cases whose problem fits one of the patterns and whose robot is named; none means all.
 
     problems: names, or patterns with ``*``, ``?`` and ``[...]``. robots: names, or ``.py`` files that build
-    one. One that no family names meets the families that take a robot and name one of its kind.
-    Raises InputError for a pattern or a robot that fits nothing, and where no pair is left.
+    one. A robot that no family lists is paired with the families that take a robot and list one of its kind.
+    Raises InputError for a pattern or a robot that matches nothing, and where no pair is left.
     """
     wanted = _fitting(families, problems)
     known = {case.robot for case in all_cases(families)}
@@ -86,7 +86,7 @@ def _fitting(families: Mapping[str, Family], patterns: Sequence[str]) -> dict[st
 
 
 def _unnamed(robot: str, families: Mapping[str, Family], known: Iterable[str]) -> set[Case]:
-    """A robot that no family names on those that take a robot and name one of its kind."""
+    """A robot that no family lists, on the families that take a robot and list one of its kind."""
     if robot.endswith(ROBOT_FILE):
         if not Path(robot).expanduser().is_file():
             raise InputError(f"there is no robot file {robot}", "allowed: a .py file with build()")
@@ -101,7 +101,7 @@ def _unnamed(robot: str, families: Mapping[str, Family], known: Iterable[str]) -
 
 
 def _kind(robot: str) -> str | None:
-    """Kind of a robot by name; None for one that no package of robots knows."""
+    """Kind of a robot by name; None if it is not in any package of robots."""
     try:
         return robot_kind(robot)
     except InputError:

@@ -1,15 +1,15 @@
 """Regression data: bands of objective and iterations for every pair, as text that can be reviewed.
 
-A comma-separated table, one line a pair, sorted, columns padded; above it, after ``#``, the versions of what
-solved. Bands:
+A comma-separated table, one line a pair, sorted, columns padded; above it, after ``#``, the versions of the
+software. Bands:
 
-- objective: that of the solution from the default guess, plus or minus `OBJECTIVE_BAND` of it. The solver's
-  tolerance of 1e-6 leaves far less, another optimum is further away.
+- objective: that of the solution from the default guess, plus or minus `OBJECTIVE_BAND` of it. Differences
+within the solver's tolerance of 1e-6 are far smaller, another optimum is further away.
 - iterations: from half to twice those of that solve (at least `LEAST_MARGIN` apart from it):
   rounding, which differs between processors and compilers, changes them that much. Where perturbed starts
   were run the band also holds the middle 80 % of theirs.
-- physics: what MuJoCo made of the plan (``tracked``, ``off``, ``fell``; empty where it was not asked, or no
-  legged robot): no later run may make less of it.
+- physics: the result of the plan in MuJoCo (``tracked``, ``off``, ``fell``; empty if not simulated, or not a
+legged robot): no later result may be worse.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from trajopt.study.suite.settings import SuiteSettings
 OBJECTIVE_BAND = 1e-3
 FEWEST, MOST = 0.5, 2.0
 LEAST_MARGIN = 5
-# Objectives are written with so many digits: far finer than the band.
+# Digits of written objectives: far finer than the band.
 DIGITS = 7
-# Objective of a problem that only asks for feasibility: nothing to compare but rounding.
+# Objectives below this are those of pure feasibility problems: only rounding to compare.
 OBJECTIVE_FLOOR = 1e-9
 
 
@@ -81,10 +81,10 @@ def _rounded(value: float) -> float:
 
 
 def deviation(outcome: Outcome, settings: SuiteSettings, entry: PairBands | None) -> str:
-    """In words, how a pair differs from its line; empty where it does not.
+    """How a pair differs from its line, in words; empty if it does not.
 
-    A pair that is not solved or not within the check is outside whatever its line says. Intervals, scheme and
-    solver must be those of the line: bands of another grid say nothing.
+    A pair that is not solved or fails the check is always outside. Intervals, scheme and
+    solver must be those of the line: bands of another grid do not apply.
     """
     if not outcome.ok:
         return f"{outcome.mode}: {outcome.detail}"
@@ -113,7 +113,7 @@ def deviation(outcome: Outcome, settings: SuiteSettings, entry: PairBands | None
 
 
 def _worse(physics: Physics | None, word: str) -> TypeGuard[Physics]:
-    """Whether physics makes less of a plan than what its line says; never where it was not asked."""
+    """Whether a plan's result in simulation is worse than its line; False if it was not simulated."""
     if physics is None or not word:
         return False
     return not physics.word or WORDS.index(physics.word) < WORDS.index(word)
@@ -126,7 +126,7 @@ def _grid(grid: tuple[str, int, str]) -> str:
 def deviations(
     outcomes: Iterable[Outcome], settings: SuiteSettings, entries: Mapping[str, PairBands]
 ) -> dict[str, str]:
-    """What is outside its bands, by pair."""
+    """The differences of pairs outside their bands."""
     found = {outcome.name: deviation(outcome, settings, entries.get(outcome.name)) for outcome in outcomes}
     return {name: text for name, text in sorted(found.items()) if text}
 
@@ -152,7 +152,7 @@ def updated(
 
 
 def read(path: Path) -> tuple[dict[str, PairBands], dict[str, str]]:
-    """Lines by pair, and the versions at the head. Raises InputError for a file that is none."""
+    """Lines by pair, and the versions at the head. Raises InputError for an invalid file."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -179,7 +179,7 @@ def _entry(path: Path, number: int, row: Mapping[str, str]) -> PairBands:
 
 
 def write_bands(path: Path, entries: Mapping[str, PairBands], versions: Mapping[str, str]) -> None:
-    """Write the table. Raises InputError where that cannot be."""
+    """Write the table. Raises InputError if it cannot be written."""
     titles = [field.name for field in fields(PairBands)]
     rows = [titles] + [
         [_text(value) for value in asdict(entry).values()] for _, entry in sorted(entries.items())

@@ -1,4 +1,4 @@
-"""Why a solve failed, in one word: which of the solver's conditions was not met, or what else happened."""
+"""Why a solve failed, in one word: the optimality condition that was not met, or another reason."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ CHECK = "check"
 ERROR = "error"
 MODES = (PRIMAL, DUAL, COMPLEMENTARITY, NOT_FINITE, TIME, CHECK, ERROR)
 
-# What a status says by itself. Diverging iterates are a dual matter: an objective without lower bound has no
-# multipliers. A base at gimbal lock and contacts that creep are figures of the check.
+# Failure modes by status. Diverging iterates are a dual failure: an objective without lower bound has no
+# multipliers. A base at gimbal lock and contacts that creep fail in the check.
 _OF_STATUS = {
     Status.SOLVED: SOLVED,
     Status.INFEASIBLE: PRIMAL,
@@ -39,7 +39,7 @@ _OF_STATUS = {
 def mode_of(meta: Mapping[str, Any]) -> str:
     """The failure mode of a solution's ``meta``, one of `MODES`, or `SOLVED`.
 
-    Where the solver only stopped (iteration limit, no step), the iterate's infeasibilities say why, see
+    If the solver merely stopped (iteration limit, no step), the iterate's infeasibilities decide, see
     `worst_condition`.
     """
     status = Status[meta["status"].upper()]
@@ -56,7 +56,7 @@ def mode_of(meta: Mapping[str, Any]) -> str:
 
 
 def failure_text(meta: Mapping[str, Any]) -> str:
-    """Status and worst block of a solve that failed, in words; nothing of one that did not."""
+    """Status and worst block of a failed solve, in words; empty for one that succeeded."""
     return "" if meta["success"] else f"{meta['status']}: {describe_block(meta['worst_blocks'][0])}"
 
 
@@ -67,11 +67,11 @@ def worst_condition(
     tolerance: float,
     feasibility: float,
 ) -> str:
-    """Which optimality condition an iterate misses most.
+    """The optimality condition that an iterate violates most.
 
-    The primal one if rows are violated by more than ``STILL_FEASIBLE``: off the constraints the other two say
-    little. Otherwise the one that is most often its tolerance (``feasibility`` for the primal one). None is
-    a figure that is not finite.
+    The primal one if rows are violated by more than ``STILL_FEASIBLE``: at an infeasible point the other two
+    mean little. Otherwise the one with the largest ratio to its tolerance (``feasibility`` for the primal
+    one). None stands for a figure that is not finite.
     """
     figures = [math.nan if value is None else value for value in (primal, dual, complementarity)]
     if not all(math.isfinite(value) for value in figures):

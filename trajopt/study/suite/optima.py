@@ -1,14 +1,13 @@
 """How many optima the solved runs of one problem have found: by objective and by motion.
 
-A run's motion is its configuration at `SAMPLES` equal parts of its time, in coordinates in which differences
-are what they look like: base positions in lengths of the robot, rotations as entries of their matrices,
-cosine and sine of joints without limits, joints in rad. Two motions are as far apart as their largest
-difference.
+A run's motion is its configuration at `SAMPLES` equal parts of its time, in coordinates whose differences are
+distances: base positions in lengths of the robot, rotations as entries of their matrices, cosine and sine of
+joints without limits, joints in rad. The distance of two motions is their largest difference.
 
 Two runs are at *one optimum* unless their objectives differ by more than `SAME_OBJECTIVE` and their motions
-by more than `SAME_MOTION`: with the objective alone, noise of a flat minimum would count; with the motion
-alone mirror images, and what costs leave undetermined. They are of *one motion* if both are the same; there
-are at least as many motions as optima. Groups are what chains of such pairs connect.
+by more than `SAME_MOTION`: by objective alone, noise of a flat minimum would count; by motion alone, mirror
+images and motions that the costs do not determine. They have *one motion* if both are the same; there are at
+least as many motions as optima. Groups are connected by chains of such pairs.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ from trajopt.robot.building import reach
 from trajopt.solution.solution import Solution
 
 SAMPLES = 11
-# Of the larger objective. A tolerance of 1e-6 on optimality leaves 1e-7 and less of differences.
+# Relative to the larger objective. With a tolerance of 1e-6 on optimality, differences are 1e-7 and less.
 SAME_OBJECTIVE = 1e-4
-# Lengths, rad: the same optimum, found twice at a tolerance of 1e-6, differs by a thousandth of it.
+# Lengths, rad: two solves of the same optimum at a tolerance of 1e-6 differ by a thousandth of it.
 SAME_MOTION = 1e-2
-# Objectives nearer to zero than this are zero: of problems that ask for feasibility alone.
+# Objectives nearer to zero than this count as zero: those of pure feasibility problems.
 NOTHING = 1e-9
 
 
@@ -60,7 +59,7 @@ def embedded(model: pin.Model, q: np.ndarray) -> np.ndarray:
 
 
 def distances(motions: Sequence[str]) -> np.ndarray:
-    """Distances (n, n) of motions as `described`; NaN where one is not known, or of another robot."""
+    """Distances (n, n) of motions as `described`; NaN where one is unknown, or of another robot."""
     values = [np.frombuffer(base64.b64decode(motion), dtype="<f4") for motion in motions]
     found = np.full((len(values), len(values)), np.nan)
     for i, one in enumerate(values):
@@ -71,7 +70,7 @@ def distances(motions: Sequence[str]) -> np.ndarray:
 
 
 def counted(objectives: Sequence[float], motions: Sequence[str]) -> tuple[int, int]:
-    """Numbers of optima and of motions of solved runs; runs whose motion is not known go by the objective."""
+    """Numbers of optima and of motions of solved runs; runs of unknown motion are grouped by objective."""
     if not objectives:
         return 0, 0
     value = np.asarray(objectives, dtype=float)

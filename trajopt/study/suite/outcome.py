@@ -1,4 +1,4 @@
-"""What was found on one pair: solves, check, statistics of the perturbed starts; as JSON and back."""
+"""Results of one pair: solves, check, statistics of the perturbed starts; to JSON and back."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Attempt:
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """The check of the own solution: the worst judged figure, as a part of its tolerance."""
+    """The check of the unperturbed solution: the worst judged figure, over its tolerance."""
 
     ok: bool
     figure: str
@@ -56,7 +56,7 @@ class Checked:
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """What was transcribed: scheme, size, kind of robot, and the seconds of building and compiling."""
+    """The transcription: scheme, size, kind of robot, and the times of building and compiling, s."""
 
     scheme: str
     intervals: int
@@ -67,7 +67,7 @@ class Grid:
     compile_time: float
 
 
-# What is known of a pair but for its perturbed starts, by the event that tells it.
+# Parts of a pair's result besides its perturbed starts, by the event that reports them.
 PARTS: dict[str, Callable[..., Any]] = {"grid": Grid, "own": Attempt, "check": Checked, "physics": Physics}
 
 
@@ -90,9 +90,9 @@ class Starts:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome(Pair):
-    """All that was found on one pair; what was not reached is None. ``error`` says what ended it early.
+    """All results of one pair; parts that were not reached are None. ``error``: what ended it early.
 
-    physics: what became of the own solution in MuJoCo, where that was asked for.
+    physics: the result of the unperturbed solution in MuJoCo, if requested.
     """
 
     grid: Grid | None = None
@@ -111,7 +111,7 @@ class Outcome(Pair):
 
     @property
     def mode(self) -> str:
-        """What failed, or nothing."""
+        """What failed, or empty."""
         if self.own is None:
             return self.error_mode
         if not self.own.solved:
@@ -153,7 +153,7 @@ class Outcome(Pair):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able: the fields, and the verdicts that follow from them."""
+        """JSON-able: the fields and derived verdicts."""
         verdict = {"solved": self.solved, "ok": self.ok, "mode": self.mode, "detail": self.detail}
         found = asdict(self) | verdict
         found["perturbed"] = asdict(self.perturbed()) if self.starts else None
@@ -169,12 +169,12 @@ class Outcome(Pair):
 
 
 def quantile(ordered: Sequence[int], part: float) -> int:
-    """The least of ``ordered`` that at least ``part`` of them do not exceed."""
+    """The least of ``ordered`` that at least a fraction ``part`` of them do not exceed."""
     return ordered[max(0, math.ceil(part * len(ordered)) - 1)]
 
 
 class Ledger:
-    """Collects the events of a pair, in whatever process they arise, into an `Outcome`."""
+    """Collects the events of a pair, from any process, into an `Outcome`."""
 
     def __init__(self, case: Case) -> None:
         self.case = case
@@ -182,16 +182,16 @@ class Ledger:
         self.starts: dict[int | None, Attempt] = {}
 
     def add(self, event: Mapping[str, Any]) -> None:
-        """Take one event of `trajopt.study.suite.run`; those without figures are passed over."""
+        """Take one event of `trajopt.study.suite.run`; those without figures are ignored."""
         kind = event["event"]
         if kind == "start":
             start = Attempt(**event["values"])
             self.starts[start.seed] = start
-        elif kind in PARTS and (kind != "grid" or kind not in self.found):  # built anew it is compiled
+        elif kind in PARTS and (kind != "grid" or kind not in self.found):  # a second build finds it compiled
             self.found[kind] = PARTS[kind](**event["values"])
 
     def outcome(self, total_time: float) -> Outcome:
-        """What is known by now."""
+        """The result so far."""
         return Outcome(
             problem=self.case.problem,
             robot=self.case.robot,

@@ -1,4 +1,4 @@
-"""What physics makes of a solution: the plan of a legged robot in MuJoCo (`trajopt.certify.simulation`)."""
+"""Result of a solution in physics: the plan of a legged robot in MuJoCo (`trajopt.certify.simulation`)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from trajopt.errors import TrajoptError
 from trajopt.solution.solution import Solution
 
-# In the order of what they are worth; a plan that was not or cannot be simulated has no word.
+# From best to worst; a plan that was not or cannot be simulated has no word.
 FELL, OFF, TRACKED = "fell", "off", "tracked"
 WORDS = (FELL, OFF, TRACKED)
 
@@ -18,7 +18,7 @@ class Physics:
     """A simulated plan: ``tracked``, ``off`` (it stands, but not where it should) or ``fell``; else empty.
 
     base_error_end, base_error_max: m. slips: stances that slid; missed: touchdowns that never came. detail:
-    what is beyond its threshold, or why there is no simulation.
+    figures beyond their thresholds, or why there is no simulation.
     """
 
     word: str = ""
@@ -30,7 +30,7 @@ class Physics:
 
 
 def simulated(solution: Solution, target: Path | None = None) -> Physics:
-    """Simulate a plan; one that has no physics says why. target: where the simulated motion is written."""
+    """Simulate a plan, or say why it cannot be. target: where the simulated motion is written."""
     from trajopt.certify.simulation.simulate import simulate
 
     try:

@@ -1,7 +1,7 @@
-"""All pairs, each in a process of its own, as many at a time as there are processors.
+"""All pairs, each in a separate process, as many at a time as there are processors.
 
-A process that crashes, hangs or runs out of memory loses at most the solve it was in: what it had told is
-kept, and the perturbed starts that were left go on in a new one.
+A process that crashes, hangs or runs out of memory loses at most its current solve: the events it sent are
+kept, and the remaining perturbed starts go on in a new process.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from trajopt.study.workers.task import RefusedTaskError, TaskError, TaskTimeoutE
 # Seconds that a stage may take before its process is ended. Building: transcription and the C compiler on a
 # busy machine, an order of magnitude above what the largest robots take. A solve: see `run_case`.
 LIMITS = {"build": 600.0, "check": 300.0, "physics": 300.0}
-# After so many lost processes the rest of a pair's starts count as failed without being run.
+# After this many lost processes, the rest of a pair's starts count as failed without being run.
 MOST_LOST = 3
 STAGES = {
     "build": "building and compiling",
@@ -51,8 +51,9 @@ def run_all(
 ) -> Generator[Outcome, None, None]:
     """Yield the outcome of each pair as it ends. Closing the iterator ends all processes.
 
-    records: what they have of interrupted pairs is not run again; events are added to them as they come.
-    limits: seconds by stage, see `LIMITS`. check: called several times a second; what it raises ends the run.
+    records: recorded parts of interrupted pairs are not run again; events are added as they come.
+    limits: seconds by stage, see `LIMITS`. check: called several times a second; an exception from it ends
+    the run.
     """
     known = records.unfinished()
     pairs = {case.name: _CaseRun(case, settings, known.get(case.name, ())) for case in _interleaved(cases)}
@@ -80,7 +81,7 @@ def run_all(
 
 
 def _interleaved(cases: Sequence[Case]) -> list[Case]:
-    """The cases in turns over robots: two that start together on one would compile the same functions."""
+    """The cases, alternating between robots: two on one robot at a time would compile the same functions."""
     turns: Counter[str] = Counter()
 
     def turn(case: Case) -> int:
@@ -91,7 +92,7 @@ def _interleaved(cases: Sequence[Case]) -> list[Case]:
 
 
 def _show(display: TaskDisplay, name: str, event: Event, solves: int) -> None:
-    """Show what a pair's process has told."""
+    """Show an event of a pair's process."""
     kind = event["event"]
     if kind == "stage":
         seed = event.get("seed")
@@ -104,7 +105,7 @@ def _show(display: TaskDisplay, name: str, event: Event, solves: int) -> None:
 
 
 class _CaseRun:
-    """One pair and the processes it takes: what is known of it, and what is left to run."""
+    """One pair and its processes: results so far, and what is left to run."""
 
     def __init__(self, case: Case, settings: SuiteSettings, known: Iterable[Mapping[str, Any]]) -> None:
         self._settings, self._ledger = settings, Ledger(case)
@@ -133,14 +134,14 @@ class _CaseRun:
         return self._ledger.case, self._settings, dict(limits), self._own, self._seeds, place
 
     def add(self, event: Mapping[str, Any]) -> None:
-        """Take what its process has told."""
+        """Take an event of its process."""
         self._begin = self._begin or time.perf_counter()
         if event["event"] == "stage":
             self._stage, self._seed = event["stage"], event.get("seed")
         self._ledger.add(event)
 
     def end(self, error: BaseException | None) -> None:
-        """Its process has ended, with an error where it was lost; raises one that is none of a task."""
+        """Its process has ended, with an error if it was lost; raises errors that are not a task's."""
         now = time.perf_counter()
         self._seconds += now - (self._begin or now)
         self._own = False

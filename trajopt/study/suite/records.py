@@ -1,4 +1,4 @@
-"""Results on disk, one line of JSON a pair, appended as they come: what an interrupted suite goes on from."""
+"""Results on disk, one line of JSON per pair, appended as they come, so that a suite can be resumed."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from trajopt.study.suite.settings import SuiteSettings
 from trajopt.study.workers.records import JsonLines
 
 FILE = "results.jsonl"
-# What is known of pairs that have not ended: their events as they come.
+# Events of pairs that have not ended.
 EVENTS = "events.jsonl"
 LASTING = ("grid", "own", "check", "physics", "start")
 
 
 class SuiteRecords:
-    """The results of one suite in a folder, or nowhere where there is none.
+    """The results of one suite in a folder, or only in memory without one.
 
-    versions: of what solves. A result of other settings or versions is not one of this suite.
+    versions: of the software. Results of other settings or versions do not belong to this suite.
     Raises InputError for a folder that cannot be written.
     """
 
@@ -33,22 +33,22 @@ class SuiteRecords:
         self._events = JsonLines(None if folder is None else folder / EVENTS)
 
     def open(self, *, resume: bool) -> dict[str, Outcome]:
-        """Make the folder; return what is known from before by pair when resumed, otherwise begin anew.
+        """Make the folder; return earlier results by pair when resumed, otherwise start afresh.
 
-        A pair that ended with an error (bad input, a lost process) is not taken over: it is tried again.
+        A pair that ended with an error (bad input, a lost process) is run again.
         """
         entries = self._results.open(resume=resume)
         if not resume:
             self.close()
         known = {}
         for entry in filter(self._is_own, entries):
-            with contextlib.suppress(ValueError, KeyError, TypeError):  # what is no result is passed over
+            with contextlib.suppress(ValueError, KeyError, TypeError):  # invalid lines are skipped
                 outcome = Outcome.from_dict(entry["outcome"])
                 known[outcome.name] = outcome
         return {name: outcome for name, outcome in known.items() if not outcome.error}
 
     def told(self, pair: str, event: Mapping[str, Any]) -> None:
-        """Append one event of a pair that is running; those without figures are passed over."""
+        """Append one event of a pair that is running; those without figures are ignored."""
         if event["event"] in LASTING:
             self._events.append({**self._head, "pair": pair, "told": dict(event)})
 
@@ -57,7 +57,7 @@ class SuiteRecords:
         self._events.remove()
 
     def unfinished(self) -> dict[str, list[Mapping[str, Any]]]:
-        """Events of this suite's settings and versions by pair; what is no event is passed over."""
+        """Events of this suite's settings and versions by pair; invalid lines are skipped."""
         found: dict[str, list[Mapping[str, Any]]] = {}
         for entry in filter(self._is_own, self._events.read()):
             with contextlib.suppress(ValueError, KeyError, TypeError):

@@ -1,7 +1,7 @@
 """One pair: prepared once, solved from its default guess, checked, then solved from perturbed starts.
 
-What happens is told as events, JSON-able dicts, because a pair runs in a process of its own that may be
-killed at any moment: what was told by then is not lost.
+Progress is sent as events, JSON-able dicts, because a pair runs in a separate process that may be killed at
+any moment: events sent by then are not lost.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from trajopt.study.workers.task import limit_time, tell
 from trajopt.transcription.guess import perturbed
 
 Event = dict[str, Any]
-# Ending of the name of a file with a simulated motion.
+# Suffix of files with a simulated motion.
 SIMULATED = "-simulated"
-# Iterations are told at most this often, s: a display needs no more.
+# Shortest time between events about iterations, s: a display needs no more.
 PAUSE = 0.2
 
 
@@ -48,7 +48,7 @@ def run_case(
     seeds: Sequence[int],
     folder: Path | None,
 ) -> None:
-    """Run one pair as a task: its events are told with its name, and each stage has a time limit.
+    """Run one pair as a task: its events are sent with its name, and each stage has a time limit.
 
     limits: seconds by stage; a solve has its own limit, which it checks between steps, and `GRACE`.
     """
@@ -81,11 +81,11 @@ def run_stages(
     progress: ProgressCallback | None = None,
     folder: Path | None = None,
 ) -> None:
-    """Run one pair and tell its events: stages as they begin, figures as they are known.
+    """Run one pair and send its events: stages as they begin, figures once known.
 
-    own: solve from the default guess and check; not where a run goes on after a lost process.
-    seeds: perturbed starts, default those of the settings. folder: where the solution file is written.
-    Raises TrajoptError where the pair cannot be built.
+    own: solve from the default guess and check; False when a run goes on after a lost process.
+    seeds: perturbed starts, default those of the settings. folder: where the solution file is written. Raises
+    TrajoptError if the pair cannot be built.
     """
     hear({"event": "stage", "stage": "build"})
     problem = choose(families(), case.problem).load(case.values)
@@ -115,7 +115,7 @@ def run_stages(
 
 
 def measure_case(case: Case, settings: SuiteSettings) -> Outcome:
-    """Run one pair here, in this process. Raises TrajoptError where the pair cannot be built."""
+    """Run one pair in this process. Raises TrajoptError if the pair cannot be built."""
     ledger, begin = Ledger(case), time.perf_counter()
     run_stages(case, settings, ledger.add)
     return ledger.outcome(time.perf_counter() - begin)
@@ -156,7 +156,7 @@ def attempt(solution: Solution, seed: int | None) -> Attempt:
 def checked(solution: Solution) -> Checked:
     """The check of a solution, its worst figure named; one that cannot be computed is not ok."""
     try:
-        with np.errstate(all="ignore"):  # an iterate that is no solution may overflow: its figures say so
+        with np.errstate(all="ignore"):  # an iterate far from a solution may overflow: its figures show it
             report = check(solution)
     except (TrajoptError, ArithmeticError, ValueError) as error:
         return Checked(ok=False, figure="", used=None, error=f"cannot be checked: {error}")
@@ -168,7 +168,7 @@ def checked(solution: Solution) -> Checked:
 
 
 def worst_figure(report: CheckReport) -> tuple[str, float]:
-    """The judged figure that uses most of its tolerance: its name, and the part used (above 1: beyond)."""
+    """The judged figure with the largest ratio to its tolerance: name and ratio (above 1: beyond)."""
     tolerances, used = Tolerances(), {}
     for name, figure in FIGURES.items():
         limit = None if figure.tolerance is None else getattr(tolerances, figure.tolerance)
@@ -184,7 +184,7 @@ def worst_figure(report: CheckReport) -> tuple[str, float]:
 
 
 def _physics(case: Case, prepared: PreparedProblem, solution: Solution, folder: Path | None) -> Physics:
-    """What physics makes of a solution of a legged robot; nothing of others, or of what is not solved."""
+    """Simulate a solved plan of a legged robot; nothing for other robots, or if it was not solved."""
     if not solution.success or prepared.transcription.problem.robot.base == "fixed":
         return Physics()
     name = f"{case.problem}@{Path(case.robot).stem}{SIMULATED}.npz"
@@ -192,7 +192,7 @@ def _physics(case: Case, prepared: PreparedProblem, solution: Solution, folder: 
 
 
 def _save(solution: Solution, target: Path) -> None:
-    """Write the solution file; an iterate that is no motion has none."""
+    """Write the solution file; an iterate that is not a motion has none."""
     try:
         solution.save(target)
     except TrajoptError:

@@ -11,19 +11,19 @@ from trajopt.transcription.compilation import LEVELS
 
 # Noise on the guess: a tenth of the natural units, metres of leg or half a dozen degrees.
 DEFAULT_SIGMA = 0.1
-# Starts a pair may be given: more tell nothing new and take a day.
+# Most starts of a pair: more are not informative and take a day.
 MOST_STARTS = 10_000
-# Seconds a solve may take: several times what the longest of the library takes on one core.
+# Time limit of a solve, s: several times that of the library's longest on one core.
 DEFAULT_MAX_TIME = 300.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class SuiteSettings:
-    """One choice for all pairs; no pair has options of its own.
+    """One choice for all pairs.
 
     perturbed: number of perturbed starts besides the default guess, seeds 0 to perturbed - 1.
-    sigma: standard deviation of their noise in scaled units. max_time: s for one solve. simulate: run what is
-    solved of legged robots in MuJoCo, too.
+    sigma: standard deviation of their noise in scaled units. max_time: s for one solve. simulate: also run
+    solved plans of legged robots in MuJoCo.
     """
 
     perturbed: int = 0

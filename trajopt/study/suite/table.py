@@ -15,7 +15,7 @@ from trajopt.study.suite.physics import WORDS, in_words
 from trajopt.study.suite.settings import SuiteSettings
 from trajopt.study.workers.display import plain_table
 
-# Columns of a table with the names of the figures, of the longest ones.
+# Width from which a table has the names of the figures.
 NAMED_WIDTH = 140
 PHYSICS = ("physics", "base end", "most", "slips")
 STARTS = ("starts", "50 %", "90 %", "worst", "optima", "motions")
@@ -42,11 +42,11 @@ def line(outcome: Outcome) -> str:
 
 
 def outcome_table(outcomes: Sequence[Outcome], width: int) -> Table:
-    """The pairs, sorted, in ``width`` columns: without room the worst figure of the check has no name.
+    """The pairs, sorted, in ``width`` columns: narrow ones omit the name of the check's worst figure.
 
-    ``check`` is the part of its tolerance that this figure uses. Columns on perturbed starts (median, 90 %
+    ``check`` is that figure over its tolerance. Columns on perturbed starts (median, 90 %
     and worst of their iterations among them) and on physics (the base's distance from the plan at its end and
-    at most, and stances that slid) only where there are some.
+    at most, and stances that slid) only if there are any.
     """
     hidden = set() if width >= NAMED_WIDTH else {"by its figure"}
     if all(outcome.physics is None for outcome in outcomes):
@@ -120,7 +120,7 @@ def _median(outcomes: Sequence[Outcome], *, legged: bool) -> float | None:
 
 
 def summary_lines(outcomes: Sequence[Outcome]) -> list[str]:
-    """The figures over all pairs in words, and what failed, one line a pair."""
+    """The figures over all pairs in words, and the failures, one line per pair."""
     found = summary(outcomes)
     lines = [
         f"{found['pairs']} pairs ({found['problems']} problems, {found['robots']} robots): "

@@ -1,4 +1,4 @@
-"""What a result depends on besides the problem: versions of libraries, solvers and the compiler."""
+"""Versions of libraries, solvers and the compiler, on which a result depends besides the problem."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""An unchanging load that is timed beside every run: how fast the machine is at that moment.
+"""A fixed load that is timed next to every run: how fast the machine is at that moment.
 
-It mixes what a solve does: dense linear algebra in the cache, passes over memory beyond it, and Python. Its
+It mixes the work of a solve: dense linear algebra in the cache, passes over memory beyond it, and Python. Its
 time rises when another process shares the core, the caches, the memory or the clock of the processor.
 """
 
@@ -20,7 +20,7 @@ LOADS = 25
 
 
 class Load:
-    """The load; its arrays are made once."""
+    """The load; its arrays are allocated once."""
 
     def __init__(self) -> None:
         generator = np.random.default_rng(0)

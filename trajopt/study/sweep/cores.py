@@ -1,4 +1,4 @@
-"""Which processors timed processes are pinned to: one physical core each, one left to the system."""
+"""The processors to which timed processes are pinned: one physical core each, one left to the system."""
 
 from __future__ import annotations
 

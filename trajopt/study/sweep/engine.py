@@ -1,7 +1,7 @@
 """A sweep from its plan to its records: timed runs in rounds, then the reference, then accuracy.
 
-Rounds go over all settings before any is run again, so that a slow minute of the machine hits all alike. A
-run that was disturbed is made again at the end of the queue, at most `RETRIES` times.
+Each round runs all settings once, so that a slow minute of the machine affects all alike. A disturbed run is
+repeated at the end of the queue, at most `RETRIES` times.
 """
 
 from __future__ import annotations
@@ -26,32 +26,32 @@ from trajopt.study.workers.display import TaskDisplay
 from trajopt.study.workers.executor import ProcessPerTaskExecutor, first_ended
 from trajopt.study.workers.task import RefusedTaskError, TaskError, announced
 
-# Beyond this multiple of the fastest calibration the machine is not what it was; on an idle machine they
-# spread by a few per cent (docs/front.md).
+# A run is disturbed if its calibration exceeds this multiple of the fastest; on an idle machine they vary by
+# a few per cent (docs/front.md).
 DISTURBED_LOAD = 1.15
-# A timed process that has its core for less than this part of the time shares it.
+# A run is disturbed if its process has its core for less than this fraction of the time.
 LEAST_SHARE = 0.95
 RETRIES = 2
-# All repeated runs are at most this part of the plan: on a machine that is never quiet nothing is gained.
+# Most repeated runs, as a fraction of the plan: on a machine that is never quiet nothing is gained.
 MOST_AGAIN = 0.25
-# After so many lost processes a setting is not run again.
+# After this many lost processes a setting is not run again.
 MOST_LOST = 2
-# s that measuring one solution may take.
+# Time limit for measuring one solution, s.
 ACCURACY_TIME = 300.0
-# s that a run takes however small it is.
+# Time of the smallest run, s.
 LEAST_SECONDS = 0.3
 # Calibrations of the machine at rest, before anything is run.
 CALIBRATIONS = 20
-# All that runs need is loaded before they begin; the last by the first re-integration otherwise.
+# Modules loaded before the runs begin; the last would otherwise be loaded by the first re-integration.
 MODULES = ("trajopt.study.sweep.engine", "scipy.integrate")
 Task = Callable[..., dict[str, Any]]
 
 
 class Sweep:
-    """One sweep, run step by step; what is found is in ``records`` at once.
+    """One sweep, run step by step; results go to ``records`` at once.
 
-    cores: the processors of timed processes. check: called several times a second while tasks run; what it
-    raises ends the sweep.
+    cores: the processors of timed processes. check: called several times a second while tasks run; an
+    exception from it ends the sweep.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class Sweep:
         return ProcessPerTaskExecutor(jobs, cores=cores, preload=modules, on_event=self._display.show)
 
     def _values(self, name: str, limit: float, function: Task, *args: Any) -> dict[str, Any]:
-        """What one task has found while nothing else runs."""
+        """The result of one task while nothing else runs."""
         self._display.more()
         future = self._executor.submit(announced, name, limit, function, *args)
         first_ended([future], self._check)
@@ -99,7 +99,7 @@ class Sweep:
     def _compile(self) -> None:
         """Functions of all settings, before anything is timed.
 
-        Settings whose functions cannot be had are given up: a run that says so is recorded.
+        Settings whose functions cannot be compiled are given up: a run that says so is recorded.
         """
         request, found = self._request, self._records.found
         for name, setting in self._settings.items():
@@ -163,7 +163,7 @@ class Sweep:
         return f"{self._labels[job.setting]}, {_start_text(job)}"
 
     def _missing(self) -> list[Job]:
-        """Jobs of all rounds that are not recorded; attempts go on where they ended."""
+        """Jobs of all rounds that are not recorded; attempts are counted on."""
         jobs, found = [], self._records.found
         for start in self._request.starts:
             for name in self._settings:
@@ -178,7 +178,7 @@ class Sweep:
         return jobs
 
     def _judged(self, job: Job, future: Future[TimedRun]) -> TimedRun:
-        """The run of a future, with what the calibrations say of it."""
+        """The run of a future, judged by the calibrations."""
         try:
             run = future.result()
         except TaskError as error:
@@ -196,7 +196,7 @@ class Sweep:
             self._given_up.add(run.setting)
 
     def _estimate(self, run: TimedRun, seconds: float, waiting: Collection[Job]) -> None:
-        """Say once, after the first run, how long the others will take: as long by collocation points."""
+        """Estimate once, after the first run, the time of the others, in proportion to collocation points."""
         if self._told or not waiting:
             return
         self._told = True
@@ -204,11 +204,11 @@ class Sweep:
         per_point = (seconds - once) / self._settings[run.setting].points
         total = sum(LEAST_SECONDS + per_point * self._settings[job.setting].points for job in waiting)
         self._display.note(
-            f"{len(waiting)} runs are left, about {total / 60:.1f} min without the compiler's; then accuracy"
+            f"{len(waiting)} runs are left, about {total / 60:.1f} min without compiling; then accuracy"
         )
 
     def _reference(self) -> None:
-        """The converged reference, once; a failure is recorded: it tells why its figures are missing."""
+        """The converged reference, once; a failure is recorded as the reason for missing figures."""
         known, file = self._records.found.reference, self._records.reference_file
         if known is not None and (file.exists() or not known["ok"]):
             return
@@ -256,7 +256,7 @@ def _kind(error: TaskError) -> str:
 
 
 def _values(future: Future[dict[str, Any]]) -> dict[str, Any]:
-    """What a task has found, as a record keeps it: of a kind, with the detail of one that was lost."""
+    """The result of a task as recorded: with its kind, and the detail of a lost one."""
     try:
         return {"kind": DONE, **future.result()}
     except TaskError as error:

@@ -10,7 +10,7 @@ import numpy as np
 
 from trajopt.certify.accuracy.measures import measure
 
-# Columns of ``settings.csv`` that say how accurate a solution is, named as in `trajopt.certify.accuracy`;
+# Columns of ``settings.csv`` about accuracy, named as in `trajopt.certify.accuracy`;
 # the last two are against the reference.
 COLUMNS = {
     "open_loop": "open_loop_m",
@@ -25,8 +25,8 @@ COLUMNS = {
 
 
 def figures(file: Path, reference: Path | None) -> dict[str, float | None]:
-    """Figures of the solution in ``file`` by column; what cannot be had is None. Raises TrajoptError."""
-    with np.errstate(all="ignore"):  # an inaccurate motion may run away: its figures say so
+    """Figures of the solution in ``file`` by column; missing ones are None. Raises TrajoptError."""
+    with np.errstate(all="ignore"):  # an inaccurate motion may diverge: its figures show it
         found: dict[str, Any] = measure(file, reference).to_dict()
     return {column: _number(found.get(name)) for name, column in COLUMNS.items()}
 

@@ -1,8 +1,8 @@
 """A measured front: how long each setting took and how accurate it was, to choose settings from.
 
-A front is a table, ``settings.csv`` of `trajopt sweep`, read back. What it says holds for the problem and
-the machine it was measured on; times relative to the default setting, errors over the robot's length and
-intervals per natural time sqrt(length / g) carry over to others as far as anything does.
+A front is a table, ``settings.csv`` of `trajopt sweep`, read back. It holds for the problem and the machine
+it was measured on; to others only times relative to the default setting, errors over the robot's length and
+intervals per natural time sqrt(length / g) carry over, approximately.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ SettingFilter = Callable[[Setting], bool]
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """One setting and what it gave: medians over its runs.
+    """One setting and its results: medians over its runs.
 
-    density: intervals per natural time, sqrt(length / g). time: s, of the solver and of what made its start.
-    relative_time: over that of the default setting. error: m, open loop, worst phase. relative_error: over
-    the robot's length. success_rate: part of the runs that were solved. variables: of the NLP. calibration:
-    time of the unchanging load beside its runs, s.
+    density: intervals per natural time, sqrt(length / g). time: s, of the solver and of the solve for its
+    start. relative_time: over that of the default setting. error: m, open loop, worst phase. relative_error:
+    over the robot's length. success_rate: fraction of the runs that were solved. variables: of the NLP.
+    calibration: time of the fixed load beside its runs, s.
     """
 
     setting: Setting
@@ -46,7 +46,7 @@ class Measured:
 
     @property
     def objectives(self) -> tuple[float, float]:
-        """What a front is made of: time and error."""
+        """The point of a front: time and error."""
         return self.time, self.error
 
 
@@ -69,13 +69,13 @@ class Front:
 
     @property
     def calibration(self) -> float:
-        """Median time of the unchanging load over all settings, s: how fast the machine was."""
+        """Median time of the fixed load over all settings, s: how fast the machine was."""
         return statistics.median(point.calibration for point in self.points)
 
     def best(self, where: SettingFilter | None = None, least_success: float = 0.0) -> tuple[Measured, ...]:
         """The settings that no other dominates, fastest first, among those that ``where`` accepts.
 
-        least_success: part of the runs that must have been solved.
+        least_success: fraction of the runs that must have been solved.
         """
         chosen = [
             point
@@ -105,7 +105,7 @@ def packaged_fronts() -> tuple[str, ...]:
 def load_front(name: str | Path) -> Front:
     """Read the front of that name, or a ``settings.csv``; settings that were not solved are left out.
 
-    Raises InputError for a file that is missing or no such table.
+    Raises InputError for a file that is missing or not such a table.
     """
     path = FOLDER / f"{name}{SUFFIX}" if str(name) in packaged_fronts() else Path(name)
     try:

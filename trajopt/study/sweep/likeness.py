@@ -1,4 +1,4 @@
-"""What makes the front of one problem a guide to another."""
+"""Kinds of motion: fronts apply to problems of the same kind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which points are worth having: nothing faster is as accurate. A point is a time and an error."""
+"""Pareto fronts: the points than which nothing faster is as accurate. A point is a time and an error."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from collections.abc import Sequence
 
 Point = tuple[float, float]
 
-# A slower setting is worth its time where its error is less by this part: errors of one discretisation, found
-# by other solvers or tolerances, differ in the third digit.
+# A slower setting is on the front only if its error is less by this fraction: errors of one discretisation
+# with different solvers or tolerances differ in the third digit.
 GAIN = 0.05
 
 
 def is_measured(point: Point) -> bool:
-    """Whether time and error are finite numbers: anything else is never on a front."""
+    """Whether time and error are finite: otherwise a point is never on a front."""
     return all(math.isfinite(value) for value in point)
 
 
 def front(points: Sequence[Point], gain: float = 0.0) -> list[int]:
     """Indices of the points on the front, fastest first.
 
-    Those whose error is less than that of every faster one by the part ``gain``; 0 gives the Pareto front.
-    Equal points are on it together. Points that are not measured are passed over.
+    Those whose error is less than that of every faster one by a fraction ``gain``; 0 gives the Pareto front.
+    Equal points are on it together. Points that are not measured are ignored.
     """
     kept: list[int] = []
     for i in sorted(
@@ -34,11 +34,10 @@ def front(points: Sequence[Point], gain: float = 0.0) -> list[int]:
 
 
 def dominators(points: Sequence[Point], gain: float = 0.0) -> list[int | None]:
-    """For each point the one on the front that is ahead of it by most, None for points on the front.
+    """For each point, the one on the front that dominates it most; None for points on the front.
 
-    Ahead by most is the largest product of ratios among those that are no slower, and no less accurate but
-    for ``gain``. A point that is not measured has None, too: it is on no front, but nothing is known against
-    it.
+    That is the largest product of ratios among those that are not slower, and not less accurate up to
+    ``gain``. A point that is not measured also has None.
     """
     best = front(points, gain)
     found: list[int | None] = []
@@ -50,6 +49,6 @@ def dominators(points: Sequence[Point], gain: float = 0.0) -> list[int | None]:
 
 
 def _lead(first: Point, second: Point) -> float:
-    """Logarithm of the product of ratios; zero is ahead of any other number by infinity."""
+    """Logarithm of the product of ratios; infinite if the front's point is zero."""
     pairs = [(a, b) for a, b in zip(first, second, strict=True) if a != b]
     return sum(math.inf if a <= 0 else math.log(b / a) for a, b in pairs)

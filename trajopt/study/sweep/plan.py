@@ -1,4 +1,4 @@
-"""Which settings a sweep runs: the grid of schemes and intervals, one factor at a time, or a product."""
+"""The settings of a sweep: a grid of schemes and intervals, one factor at a time, or a product."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from trajopt.study.sweep.setting import STARTS, WORDS, Setting
 from trajopt.study.sweep.variants import cone_of, with_cone
 from trajopt.transcription.compilation import HESSIANS
 
-# Parts of the problem's own number of intervals that are tried.
+# Multiples of the problem's own number of intervals that are tried.
 SHARES = (0.2, 0.5, 1.0, 2.0)
 GRID_SCHEMES = ("legendre:1", "legendre:2", "legendre:3")
-# On the problem's own number of intervals alone.
+# Tried only with the problem's own number of intervals.
 OTHER_SCHEMES = ("radau:2", "trapezoidal", "hermite-simpson", "legendre:4")
 TOLERANCES = (1e-4, 1e-8)
-# Ends of the front lie where several factors come together: fast ones on coarse grids, and the other way
-# round. Share of the intervals, and words of a setting.
+# The ends of the front combine several factors: fast ones on coarse grids, accurate ones on fine grids. Share
+# of the intervals, and words of a setting.
 JOINED = (
     (0.1, "legendre:3 1e-2"),
     (0.1, "legendre:4 1e-3"),
@@ -35,17 +35,17 @@ JOINED = (
     (0.5, "legendre:4"),
     (1.0, "legendre:4 1e-8"),
 )
-# A level that is tried by itself only on robots without a free base.
+# A level that is tried by default only on robots without a free base.
 SLOW_COMPILER = "fast"
 GRID = ("transcription", "intervals")
 AXES = (*GRID, "tolerance", *WORDS)
-# A product of more settings is a mistake, or a week.
+# A product of more settings is a mistake, or takes a week.
 MOST_SETTINGS = 2000
 
 
 @dataclass(frozen=True, kw_only=True)
 class SweepPlan:
-    """The settings of a sweep, the base first; ``left_out`` says what the problem does not have."""
+    """The settings of a sweep, the base first; ``left_out``: settings that do not apply to the problem."""
 
     base: Setting
     settings: tuple[Setting, ...]
@@ -63,9 +63,9 @@ def make_plan(
 
     named: values by axis (`AXES`). One value holds for all settings; several are tried. Without an axis of
     several values the default plan is tried: the grid of schemes and shares of the problem's intervals, then
-    each other factor alone, then a few settings that join them. also: more settings, in words.
-    full: the product of all that is named instead of one factor at a time.
-    Raises InputError for values that are not allowed or that the problem does not have.
+    each other factor alone, then a few combinations. also: more settings, in words. full: the product of all
+    named values instead of one factor at a time. Raises InputError for values that are not allowed or do not
+    apply to the problem.
     """
     values = {axis: tuple(dict.fromkeys(given)) for axis, given in (named or {}).items() if given}
     fixed = {axis: given[0] for axis, given in values.items() if len(given) == 1}
@@ -92,7 +92,7 @@ def make_plan(
 
 
 def own_setting(problem: Problem) -> Setting:
-    """How the problem is solved when nothing is named."""
+    """The problem's own setting."""
     return Setting(
         transcription=problem.default_transcription,
         intervals=problem.default_intervals,
@@ -103,7 +103,7 @@ def own_setting(problem: Problem) -> Setting:
 def _product(base: Setting, varied: Mapping[str, Sequence[Any]]) -> list[Setting]:
     if math.prod(len(values) for values in varied.values()) > MOST_SETTINGS:
         raise InputError(
-            "the product of all that is named is too large", f"allowed: {MOST_SETTINGS} settings"
+            "the product of all named values is too large", f"allowed: {MOST_SETTINGS} settings"
         )
     return [
         replace(base, **dict(zip(varied, values, strict=True)))
@@ -127,7 +127,7 @@ def _one_by_one(base: Setting, varied: Mapping[str, Sequence[Any]]) -> list[Sett
 def _default(
     problem: Problem, base: Setting, fixed: Mapping[str, Any], notes: list[str]
 ) -> Iterable[Setting]:
-    """The plan where nothing is named but what is fixed."""
+    """The plan if only fixed values are named."""
     least = len(problem.schedule.phases)
     counts = tuple(max(least, round(share * base.intervals)) for share in SHARES)
     schemes = (*GRID_SCHEMES, base.transcription)
@@ -143,7 +143,7 @@ def _default(
 
 
 def _alternatives(problem: Problem, base: Setting, notes: list[str]) -> dict[str, tuple[Any, ...]]:
-    """What each factor is tried at besides the base; ``notes`` gets what the problem does not have."""
+    """Values of each factor besides the base; ``notes`` gets those that do not apply to the problem."""
     found: dict[str, tuple[Any, ...]] = {
         "solver": WORDS["solver"],
         "tolerance": TOLERANCES,
@@ -168,7 +168,7 @@ def _alternatives(problem: Problem, base: Setting, notes: list[str]) -> dict[str
 
 
 def _require(problem: Problem, setting: Setting) -> None:
-    """Refuse what the problem does not have; what a solver refuses is found when it is asked."""
+    """Refuse settings that do not apply to the problem; a solver's refusals show when it is called."""
     problem.schedule.intervals(setting.intervals)
     with_cone(problem, setting.cone)
     if setting.model == "two-stage" and (problem.actuation != "torque" or problem.robot.base == "fixed"):

@@ -18,17 +18,17 @@ if TYPE_CHECKING:
 FRONT_COLOR, DOMINATED_COLOR, DEFAULT_COLOR = "#0b5394", "#a0a0a0", "#cc0000"
 SIZE, DOTS = (9.0, 6.0), 150
 FRONT_FONT, OTHER_FONT = 8.5, 6.5
-# Pixels that a marker takes on each side.
+# Pixels of a marker on each side.
 MARKER = 4.0 * DOTS / 72
 # Directions and distances (points of 1/72 inch) in which a label may stand off its marker, best first.
 DIRECTIONS = ((1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (0, 1), (-1, 0), (0, -1))
 DISTANCES = (7.0, 16.0, 28.0, 44.0, 64.0, 90.0)
-# From this distance on a line joins label and marker.
+# Beyond this distance a line joins label and marker.
 LINE_FROM = 16.0
 
 
 def plot(summaries: Sequence[Summary], title: str, path: Path) -> Path | None:
-    """Write the plot as PNG; None where no setting has both figures. Raises InputError for the place."""
+    """Write the plot as PNG; None if no setting has both figures. Raises InputError if it fails."""
     rows = [row for row in summaries if row.is_measured and row.time > 0 and row.error > 0]
     if not rows:
         return None
@@ -58,7 +58,7 @@ def _points(axes: Axes, rows: Sequence[Summary]) -> None:
     style: dict[str, Any] = {"linestyle": "none", "markersize": 5}
     axes.plot(*_xy(others), marker="o", color=DOMINATED_COLOR, label="dominated", **style)
     axes.plot(*_xy(best), marker="o", color=FRONT_COLOR, label="front", **style)
-    # Between two settings of a front nothing better is known than the slower one's time: steps.
+    # Between two settings of a front only steps are known.
     axes.step(*_xy(best), where="post", color=FRONT_COLOR, linewidth=1.0, alpha=0.6)
     default = [row for row in rows if row.is_default]
     axes.plot(
@@ -71,7 +71,7 @@ def _xy(rows: Sequence[Summary]) -> tuple[list[float], list[float]]:
 
 
 def _labels(axes: Axes, rows: Sequence[Summary], legend: Legend) -> None:
-    """Labels of the front and of the default where there is room, then of the others if any is left.
+    """Labels of the front and of the default where there is room, then of the others.
 
     Each takes the first place, near to far, where it covers neither a marker, the line through the front nor
     another label.

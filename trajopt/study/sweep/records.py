@@ -1,4 +1,4 @@
-"""What a sweep has found, on disk: one line of JSON for each thing, appended at once."""
+"""Results of a sweep on disk: one line of JSON each, appended at once."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from trajopt.study.workers.records import JsonLines
 FILE = "record.jsonl"
 SOLUTIONS = "solutions"
 REFERENCE = "reference.npz"
-# What a folder of another sweep differs in, in words.
+# Differences of a folder of another sweep, in words.
 HEAD = {
     "problem": "another problem",
     "values": "other parameters",
@@ -40,12 +40,12 @@ HEAD = {
 
 @dataclass(frozen=True, kw_only=True)
 class SweepRequest:
-    """What is swept: the problem by name with values of its parameters, and how its settings are run.
+    """The subject of a sweep: a problem by name, values of its parameters, and how its settings are run.
 
     repeats: perturbed starts besides the default guess, with seeds 1 to repeats, the same for every setting.
     sigma: their noise in scaled units. max_iterations, max_time (s): of one solve. build_time: s beyond that
     time, for graphs, transcription and the C compiler on a busy machine, after which a run is ended.
-    reference_time: s that the reference may take, 0 for none. Raises InputError for values that are none.
+    reference_time: time limit of the reference, s; 0 for none. Raises InputError for invalid values.
     """
 
     problem: str
@@ -74,11 +74,11 @@ class SweepRequest:
         return tuple(range(self.repeats + 1))
 
     def load(self) -> Problem:
-        """The problem. Raises InputError for a name or values that are none."""
+        """The problem. Raises InputError for an invalid name or values."""
         return choose(families(), self.problem).load(self.values)
 
     def head(self, plan: SweepPlan, versions: Mapping[str, str]) -> dict[str, Any]:
-        """What a folder must agree in for a sweep to go on in it."""
+        """The values in which a folder must agree for a sweep to resume in it."""
         values = {name: value for name, value in asdict(self).items() if name != "reference_time"}
         settings = [setting.name for setting in plan.settings]
         return {**values, "settings": settings, "versions": dict(versions)}
@@ -86,12 +86,12 @@ class SweepRequest:
 
 @dataclass(kw_only=True)
 class SweepResults:
-    """All that is known: runs by job, accuracy by setting, s of calibrations, the reference's text.
+    """All results: runs by job, accuracy by setting, times of calibrations, s, the reference's text.
 
-    ``compiled`` are times and counts of what was compiled before the runs, by `Setting.functions`.
+    ``compiled``: times and counts of functions compiled before the runs, by `Setting.functions`.
 
     ``accuracy`` holds for each setting the job whose solution was measured, whether against the reference,
-    and the figures by column, None where they could not be had.
+    and the figures by column, None if they failed.
     """
 
     runs: dict[Job, TimedRun] = field(default_factory=dict)
@@ -106,7 +106,7 @@ class SweepResults:
         return sorted(found, key=lambda run: run.attempt)
 
     def best(self, setting: str, start: int) -> TimedRun | None:
-        """The attempt that was disturbed least: the first that was not, else that of the fastest machine."""
+        """The least disturbed attempt: the first undisturbed one, else that of the fastest machine."""
         tried = self.attempts(setting, start)
         calm = [run for run in tried if not run.disturbed]
         if calm:
@@ -114,7 +114,7 @@ class SweepResults:
         return min(tried, key=lambda run: run.calibration or float("inf")) if tried else None
 
     def add(self, entry: Mapping[str, Any]) -> None:
-        """Take one object of a record.
+        """Add one object of a record.
 
         One of: run, by its fields; accuracy, a job by its fields, whether against the reference, and figures;
         reference, ``ok`` and a ``text``; compiled, what was and what that took; calibrations, in s.
@@ -153,7 +153,7 @@ class SweepRecords:
             return
         self._require(first.get("head"), head)
         for entry in entries:
-            with suppress(ValueError, KeyError, TypeError):  # it is done again
+            with suppress(ValueError, KeyError, TypeError):  # damaged: skipped, and run again
                 self.found.add(entry)
 
     def _require(self, known: Any, head: Mapping[str, Any]) -> None:
@@ -166,14 +166,14 @@ class SweepRecords:
 
     @property
     def reference_file(self) -> Path:
-        """Where the reference solution lies."""
+        """Path of the reference solution."""
         return self.folder / REFERENCE
 
     def solution_file(self, setting: Setting, job: Job) -> Path:
-        """Where the solution of a run lies."""
+        """Path of a run's solution."""
         return self.folder / SOLUTIONS / f"{setting.slug()}.{job.start}.{job.attempt}.npz"
 
     def add(self, **entry: Any) -> None:
-        """Keep what has been found, see `SweepResults.add`."""
+        """Record a result, see `SweepResults.add`."""
         self._lines.append(entry)
         self.found.add(entry)

@@ -1,10 +1,10 @@
-"""What one run gave, as one row of ``runs.csv``."""
+"""The result of one run, as one row of ``runs.csv``."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-# What became of a task. Of a run, besides the solver's statuses: the settings do not fit the problem, or the
+# Outcomes of a task. Of a run, besides the solver's statuses: the setting does not fit the problem, or the
 # process was lost.
 DONE = "done"
 REFUSED = "refused"
@@ -23,13 +23,13 @@ class Job:
 
 @dataclass(frozen=True, kw_only=True)
 class TimedRun(Job):
-    """One solve and its times in s; what is not known is None.
+    """One solve and its times in s; unknown ones are None.
 
     wall_time, function_time: the solver's. start_time: of the solve that
     made a warm start. stage_two_time: torques after the motion. build_time, compile_time: graphs and
-    transcription, the C compiler. iterations: of all solves. objective: the problem's own, whatever was
-    solved in its place. calibration: time of the load beside the run (`calibration`), s. cpu_share: part of
-    the time, without the compiler's, in which the process had its core. disturbed: beyond the bounds of both.
+    transcription, the C compiler. iterations: of all solves. objective: the problem's own, even if a variant
+    was solved. calibration: time of the load beside the run (`calibration`), s. cpu_share: fraction of the
+    time, without the compiler's, in which the process had its core. disturbed: either is out of bounds.
     detail: why it was refused, lost or not solved.
     """
 
@@ -54,17 +54,17 @@ class TimedRun(Job):
 
     @property
     def job(self) -> Job:
-        """What it is the result of."""
+        """The job of this result."""
         return Job(setting=self.setting, start=self.start, attempt=self.attempt)
 
     @property
     def is_final(self) -> bool:
-        """Whether it will be the same again: the setting does not fit, or its functions cannot be had."""
+        """Whether repeating it is useless: the setting does not fit, or its functions cannot be compiled."""
         return self.status in (REFUSED, NOT_COMPILED)
 
     @property
     def time(self) -> float:
-        """What a user waits for each solve, s; infinite where there is no solution."""
+        """Time that a user waits for each solve, s; infinite without a solution."""
         if not self.success or self.wall_time is None:
             return float("inf")
         return self.wall_time + self.start_time + self.stage_two_time

@@ -1,4 +1,4 @@
-"""What the tasks of a sweep do: compile, run, solve the reference, time the fixed load."""
+"""The tasks of a sweep: compile, run, solve the reference, time the fixed load."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ from trajopt.study.sweep.variants import with_cone
 from trajopt.transcription.compilation import compile_points
 from trajopt.transcription.transcription import transcribe
 
-# A warm start comes from the solution on this part of the intervals, in the same scheme.
+# A warm start is the solution on this fraction of the intervals, in the same scheme.
 COARSER = 0.5
-# A solve that takes less than this, s, is made so many times in its process.
+# A solve that takes less than this, s, is repeated this many times in its process.
 SHORT, TIMES = 0.1, 5
 
 
 @dataclass(frozen=True)
 class _Made:
-    """All that was solved, in order, the last of it the solution, and s that stage two took."""
+    """The solves in order, of which the last gives the solution, and the time of stage two, s."""
 
     parts: tuple[Solution, ...]
     stage_two_time: float = 0.0
 
     def total(self, name: str) -> Any:
-        """A figure of all that was solved together."""
+        """Sum of a figure over all solves."""
         return sum(part.meta[name] for part in self.parts)
 
     @property
     def time(self) -> float:
-        """Time of all that was solved, s."""
+        """Time of all solves, s."""
         return float(self.total("wall_time_s")) + self.stage_two_time
 
 
@@ -71,7 +71,7 @@ def run_setting(problem: Problem, setting: Setting, job: Job, request: SweepRequ
         objective = objective_of(asked, setting, solution)
     if solution.success:
         replace(solution, meta={**meta, "objective": objective}).save(file)
-    # The first solve pays for graphs and the compiler; the others find them made.
+    # The first solve pays for graphs and the compiler, not the others.
     compile_time = first.total("compile_time_s")
     return TimedRun(
         **asdict(job),
@@ -110,14 +110,14 @@ def compiled(request: SweepRequest, setting: Setting) -> dict[str, Any]:
 
 
 def solve_reference(request: SweepRequest, compile: str, file: Path) -> dict[str, Any]:
-    """Write the converged reference; what it is, in words. Raises TrajoptError where none is found."""
+    """Write the converged reference; returns its description. Raises TrajoptError if none is found."""
     found = converged_reference(request.load(), max_time=request.reference_time, compile=compile)
     found.solution.save(file)
     return {"text": str(found)}
 
 
 def calibrations(count: int) -> dict[str, Any]:
-    """So many times of the fixed load, s."""
+    """Times of the fixed load, s."""
     load = Load()
     return {"seconds": [load.seconds() for _ in range(count)]}
 
@@ -125,7 +125,7 @@ def calibrations(count: int) -> dict[str, Any]:
 def _repeated(problem: Problem, setting: Setting, job: Job, request: SweepRequest) -> list[_Made]:
     """The same solve several times where it is short, else once.
 
-    The first solve of a process pays for pages and libraries that the others find in place.
+    The first solve of a process pays for loading pages and libraries.
     """
     found = [_solve(problem, setting, job, request)]
     while found[0].time < SHORT and len(found) < TIMES:
@@ -134,7 +134,7 @@ def _repeated(problem: Problem, setting: Setting, job: Job, request: SweepReques
 
 
 def _solve(problem: Problem, setting: Setting, job: Job, request: SweepRequest) -> _Made:
-    """The solve of a setting with what it needs before and after."""
+    """The solve of a setting with the steps before and after it."""
     first = base_rows_problem(problem) if setting.model == "two-stage" else problem
     arguments: dict[str, Any] = {
         "transcription": setting.transcription,
@@ -161,7 +161,7 @@ def _solve(problem: Problem, setting: Setting, job: Job, request: SweepRequest) 
 
 
 def with_torques(problem: Problem, solution: Solution) -> Solution:
-    """Stage two: torques read off the motion; where they are beyond their limits, wrenches shared anew.
+    """Stage two: torques read off the motion; where they exceed their limits, wrenches are redistributed.
 
     A solution has the torques of its actuated rows already, whether its rows held them or not.
     """

@@ -16,7 +16,7 @@ from trajopt.solving.solving import DEFAULT_SOLVER
 from trajopt.transcription.compilation import DEFAULT_HESSIAN, DEFAULT_LEVEL, HESSIANS, LEVELS
 from trajopt.transcription.schemes import SCHEME_NAMES, scheme
 
-# ``own``: the problem's friction terms are of both kinds, or there are none.
+# ``own``: the problem's friction terms, of both kinds or none.
 CONES = ("own", "smooth", "pyramid")
 MODELS = ("full", "two-stage")
 STARTS = ("cold", "warm")
@@ -41,7 +41,7 @@ WORD_FORM = (
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """How a problem is solved. Raises InputError for a value that is none.
+    """How a problem is solved. Raises InputError for an invalid value.
 
     intervals: over the whole schedule. cone: friction as the smooth cone or the inscribed pyramid. model:
     ``full``, or ``two-stage``, motion and wrenches first, torques after (`trajopt.reduced.two_stage`). start:
@@ -75,7 +75,7 @@ class Setting:
 
     @property
     def functions(self) -> str:
-        """What its compiled functions depend on, in words: no scheme, step or number of intervals."""
+        """The values that determine its compiled functions, in words: no scheme, step or interval count."""
         return " ".join((self.compile, self.hessian, self.cone, self.model))
 
     def words(self) -> dict[str, str]:
@@ -87,7 +87,7 @@ class Setting:
 
     @property
     def name(self) -> str:
-        """All of it in words, the same for equal settings: what results are recorded under."""
+        """All values in words, the same for equal settings: the key of recorded results."""
         return " ".join(self.words().values())
 
     def label(self, base: Setting) -> str:
@@ -96,7 +96,7 @@ class Setting:
         return " ".join(word for axis, word in self.words().items() if axis == "grid" or word != others[axis])
 
     def slug(self) -> str:
-        """The name as a part of a file's name."""
+        """The name as part of a file name."""
         return re.sub(r"[^A-Za-z0-9.]+", "-", self.name)
 
     def to_dict(self) -> dict[str, Any]:
@@ -128,7 +128,7 @@ class Setting:
 
 
 def _meaning(word: str) -> dict[str, Any]:
-    """What a word of a setting says: values by axis. Raises InputError."""
+    """Values by axis that a word of a setting stands for. Raises InputError."""
     for axis, words in WORDS.items():
         if word in words:
             return {axis: word}

@@ -1,4 +1,4 @@
-"""One row a setting: medians over its runs, the accuracy of the median run, and what dominates it."""
+"""One row per setting: medians over its runs, the accuracy of the median run, and the dominating setting."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ Figures = dict[str, float | None]
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """A setting and what was found on it.
+    """A setting and its results.
 
     runs: the best attempt from each start. median: the run of the median time, a failed one counting as the
-    slowest; None before the first. accuracy: of its solution, by column of `figures.COLUMNS`. compiled: what
-    compiling its functions took, shared by all settings with the same ones. dominated_by: the setting on the
-    front that is ahead of it by most.
+    slowest; None before the first. accuracy: of its solution, by column of `figures.COLUMNS`. compiled: time
+    to compile its functions, shared by all settings with the same ones. dominated_by: the setting on the
+    front that dominates it most.
     """
 
     setting: Setting
@@ -44,18 +44,18 @@ class Summary:
 
     @property
     def time(self) -> float:
-        """Median time of a solve, s; infinite where half of the runs or more have failed, NaN before any."""
+        """Median time of a solve, s; infinite if half of the runs or more failed, NaN without runs."""
         return math.nan if self.median is None else self.median.time
 
     @property
     def error(self) -> float:
-        """Open loop, worst phase, m; NaN where it is not known or not finite."""
+        """Open loop, worst phase, m; NaN if unknown or not finite."""
         value = self.accuracy.get("open_loop_m")
         return math.nan if value is None else value
 
     @property
     def objectives(self) -> tuple[float, float]:
-        """What the front is made of."""
+        """The setting's point for the front."""
         return self.time, self.error
 
     @property
@@ -65,7 +65,7 @@ class Summary:
 
     @property
     def failure(self) -> str:
-        """What happened to the first run that is no solution, or nothing."""
+        """What happened to the first run without a solution, or empty."""
         failed = [run for run in self.runs if not run.success]
         return f"{failed[0].status}: {failed[0].detail}".removesuffix(": ") if failed else ""
 
@@ -110,7 +110,7 @@ def _summary(plan: SweepPlan, found: SweepResults, starts: Sequence[int], settin
 
 
 def disturbance(found: SweepResults) -> dict[str, Any]:
-    """How steady the machine was: calibrations over the fastest one, and the runs beyond the bounds."""
+    """How steady the machine was: calibrations over the fastest one, and the runs out of bounds."""
     known = sorted(run.calibration for run in found.runs.values() if run.calibration is not None)
     shares = [run.cpu_share for run in found.runs.values() if run.cpu_share is not None]
     least = min([*known, *found.calibrations], default=math.nan)

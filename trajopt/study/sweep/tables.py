@@ -1,4 +1,4 @@
-"""The tidy tables of a sweep: a row a run, a row a setting, a row a setting of the front."""
+"""The tables of a sweep: one row per run, per setting, and per setting of the front."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Row = dict[str, Any]
 
 
 def run_rows(problem: str, settings: Sequence[Setting], found: SweepResults) -> list[Row]:
-    """All runs in the order in which they were made, disturbed attempts among them."""
+    """All runs in order, disturbed attempts included."""
     by_name = {setting.name: setting for setting in settings}
     rows = []
     for run in found.runs.values():
@@ -44,7 +44,7 @@ def run_rows(problem: str, settings: Sequence[Setting], found: SweepResults) -> 
 
 
 def setting_rows(name: str, problem: Problem, summaries: Sequence[Summary]) -> list[Row]:
-    """A row a setting of the problem of that name; docs/front.md says what each column is."""
+    """A row per setting of the problem of that name; docs/front.md explains the columns."""
     robot, units = problem.robot, Units(problem.robot)
     default = next((row.time for row in summaries if row.is_default), math.nan)
     head = {
@@ -101,7 +101,7 @@ def write_tables(
 ) -> list[Row]:
     """Write ``runs.csv``, ``settings.csv`` and ``front.csv``; the rows of the second.
 
-    Raises InputError where that cannot be.
+    Raises InputError if they cannot be written.
     """
     rows = setting_rows(name, problem, summaries)
     best = sorted((row for row in rows if row["on_front"]), key=lambda row: row["time_s"])
@@ -112,7 +112,7 @@ def write_tables(
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None) -> None:
-    """Write a table at once or not at all; truth as 1 and 0, what is not known or not finite as nothing."""
+    """Write a table atomically; truth as 1 and 0, unknown and non-finite values as empty."""
     titles = list(columns or (rows[0] if rows else ()))
     with replacing(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.DictWriter(stream, titles, lineterminator="\n")
@@ -139,7 +139,7 @@ def summary_table(summaries: Iterable[Summary]) -> Table:
 
 
 def _last(time: float) -> float:
-    """A time to sort by: what is not known comes last."""
+    """A time to sort by: unknown ones come last."""
     return time if math.isfinite(time) else math.inf
 
 

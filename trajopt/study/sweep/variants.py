@@ -1,4 +1,4 @@
-"""A problem with the other friction cone, and what its own one is."""
+"""A problem with the other friction cone, and the kind of its own."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ KINDS: dict[str, type[ContactConstraint]] = {"smooth": FrictionCone, "pyramid": 
 
 
 def cone_of(problem: Problem) -> str | None:
-    """``smooth`` or ``pyramid``, ``own`` for terms of both kinds, None without a friction term of points."""
+    """``smooth`` or ``pyramid``, ``own`` for terms of both kinds, None without a friction term for points."""
     found = {
         kind for kind, term_type in KINDS.items() if any(type(term) is term_type for term in problem.terms)
     }
@@ -25,8 +25,8 @@ def cone_of(problem: Problem) -> str | None:
 def with_cone(problem: Problem, kind: str) -> Problem:
     """The problem with all its friction terms of points of that kind; ``own`` leaves it as it is.
 
-    The pyramid is inscribed in the cone: where friction decides, the two problems have different optima.
-    The cones of soles (`SoleCone`) are pyramids by their making and stay. Raises InputError where there is no
+    The pyramid is inscribed in the cone: where friction is active, the two problems have different optima.
+    The cones of soles (`SoleCone`) are pyramids already and stay. Raises InputError where there is no
     friction term.
     """
     own = cone_of(problem)

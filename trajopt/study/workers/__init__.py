@@ -1,1 +1,1 @@
-"""Tasks in processes of their own behind the interface of `concurrent.futures`, their records and display."""
+"""Tasks in separate processes behind the interface of `concurrent.futures`, their records and display."""

@@ -1,4 +1,4 @@
-"""What is shown on stderr while tasks run: a line for each that has ended, on a terminal what runs below."""
+"""Display on stderr while tasks run: a line for each finished one; on a terminal, those that run below."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def plain_table(
     fold: Collection[str] = (),
     whole: Collection[str] = (),
 ) -> Table:
-    """A table without lines of rows by title; columns but those of ``left`` are of numbers.
+    """A table without rules, with rows by title; columns other than ``left`` hold numbers.
 
     fold: columns whose text may take several lines. whole: columns that are never cut short.
     """
@@ -36,9 +36,9 @@ def plain_table(
 
 
 class TaskDisplay:
-    """Lines of text; on a terminal that can move its cursor a bar over all tasks and one for each that runs.
+    """Lines of text; on a terminal that can move its cursor, a bar for all tasks and one for each that runs.
 
-    title: of the bar over all. total: tasks in all, of which ``done`` are known. Any thread may call it.
+    title: of the bar for all. total: tasks in all, of which ``done`` have results. Any thread may call it.
     """
 
     def __init__(self, title: str, total: int = 0, done: int = 0) -> None:
@@ -69,13 +69,13 @@ class TaskDisplay:
         self._progress.console.print(text)
 
     def show(self, name: str, state: str = "", *, steps: int = 1, advance: int = 0) -> None:
-        """A task runs, of so many steps: what it does now, and how many more of them are done."""
+        """Update a running task: its number of steps, current activity, and newly done steps."""
         if name not in self._running:
             self._running[name] = self._progress.add_task(name, total=steps, state=state)
         self._progress.update(self._running[name], state=state, advance=advance)
 
     def more(self, count: int = 1) -> None:
-        """There are so many more tasks, or fewer."""
+        """Change the number of tasks."""
         self._total += count
         self._progress.update(self._all, total=self._total)
 

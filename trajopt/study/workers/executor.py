@@ -1,4 +1,4 @@
-"""An executor whose tasks may crash, hang or run out of memory: each has a process of its own."""
+"""An executor whose tasks may crash, hang or run out of memory: each has a separate process."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from trajopt.solving.interruption import LOOK
 from trajopt.study.workers.task import DONE, EVENT, LIMIT, LostTaskError, TaskTimeoutError, serve_task
 
 _Result = TypeVar("_Result")
-# Of the server, and so of all tasks: one thread each, because there is a task for each processor, and no
-# modules from the working directory.
+# Environment of the server, and so of all tasks: one thread each, because there is a task per processor, and
+# no modules from the working directory.
 ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
@@ -31,7 +31,7 @@ ENVIRONMENT = {
     "PYTHONSAFEPATH": "1",
     "PYTHONWARNINGS": "ignore",
 }
-# Seconds that a process may take to end, and a server that ends to be replaced.
+# Seconds that a process may take to end, and an ended server to be replaced.
 PATIENCE = 5.0
 # `multiprocessing` keeps its children in a set and reads their status once: one thread at a time.
 _processes = threading.Lock()
@@ -40,16 +40,17 @@ _processes = threading.Lock()
 class ProcessPerTaskExecutor(Executor):
     """Runs each task in a process that is forked for it from a server with all modules loaded.
 
-    A task that has no result raises a `TaskError` from its future, and touches no other: `RefusedTaskError`
-    for a TrajoptError, `TaskTimeoutError` beyond a limit that it set itself (`trajopt.study.workers.task`),
-    `LostTaskError` otherwise. As with other executors functions and arguments are pickled. Leaving the
-    ``with`` block by an exception ends all processes, and what they started; the end of this process does.
+    A task without a result raises a `TaskError` from its future, and does not affect others:
+    `RefusedTaskError` for a TrajoptError, `TaskTimeoutError` beyond its own time limit
+    (`trajopt.study.workers.task`), `LostTaskError` otherwise. As with other executors functions and arguments
+    are pickled. Leaving the ``with`` block by an exception ends all processes and their children; so does the
+    end of this process.
 
     Args:
         max_workers: tasks at a time.
         cores: a processor for each of them, to which it is pinned; default: none is.
         preload: modules that the server loads, where it does not run yet; there is one server in a process.
-        on_event: called with what tasks tell, by threads of the executor, one event of a task at a time.
+        on_event: called with events of tasks, by threads of the executor, one event of a task at a time.
     """
 
     def __init__(
@@ -87,7 +88,7 @@ class ProcessPerTaskExecutor(Executor):
         self.shutdown(cancel_futures=kind is not None)
 
     def _run(self, task: bytes) -> Any:
-        """One task to its end, in one of the threads."""
+        """Run one task to its end, in one of the threads."""
         core = self._cores.get()
         try:
             receiver, sender = self._context.Pipe(duplex=False)
@@ -139,7 +140,7 @@ def first_ended(
 ) -> set[Future[_Result]]:
     """Wait until some of ``futures`` have ended and return these; ``check`` is called several times a second.
 
-    What it raises ends the wait.
+    An exception from it ends the wait.
     """
     while True:
         check()
@@ -152,8 +153,8 @@ def _fork(process: ForkServerProcess) -> None:
     """Have the server fork a process, starting it first where it does not run (any more)."""
     deadline = time.monotonic() + PATIENCE
     while True:
-        resource_tracker.ensure_running()  # its start would undo the next line
-        # Ctrl-C is for the process that waits: neither the server nor its tasks take it.
+        resource_tracker.ensure_running()  # starting it later would undo the next line
+        # Only the waiting process handles Ctrl-C, not the server or its tasks.
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         with _environment(ENVIRONMENT):
             forkserver.ensure_running()
@@ -168,7 +169,7 @@ def _fork(process: ForkServerProcess) -> None:
 
 @contextlib.contextmanager
 def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """These variables for what is started within."""
+    """Set these environment variables within the block."""
     kept = dict(os.environ)
     os.environ.update(values)
     try:
@@ -180,7 +181,7 @@ def _environment(values: Mapping[str, str]) -> Iterator[None]:
 
 
 def _kill(process: ForkServerProcess) -> None:
-    """End a process, and its group where it has one yet."""
+    """End a process, and its group if it already has one."""
     process.kill()
     if process.pid is not None:
         with contextlib.suppress(ProcessLookupError):
@@ -188,7 +189,7 @@ def _kill(process: ForkServerProcess) -> None:
 
 
 def _lost(process: ForkServerProcess, limit: str, said: IO[bytes]) -> LostTaskError:
-    """How a process ended that told no end."""
+    """The error of a process that ended without a result."""
     with _processes:
         process.join(PATIENCE)
     code = process.exitcode or 0

@@ -1,4 +1,4 @@
-"""What has been found, on disk: one line of JSON for each thing, appended at once, to go on from."""
+"""Results on disk, to resume from: one line of JSON each, appended at once."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from trajopt.errors import InputError
 
 
 class JsonLines:
-    """A file of JSON objects, one a line; or nowhere, where there is no path. Any thread may append.
+    """A file of JSON objects, one a line; or none, without a path. Any thread may append.
 
-    Raises InputError where it cannot be written.
+    Raises InputError if it cannot be written.
     """
 
     def __init__(self, path: Path | None) -> None:
@@ -23,7 +23,7 @@ class JsonLines:
         self._lock = threading.Lock()
 
     def open(self, *, resume: bool) -> list[dict[str, Any]]:
-        """Make the folder, and the file unless it is resumed; what it holds."""
+        """Make the folder, and the file unless it is resumed; returns its objects."""
         if self.path is None:
             return []
         try:
@@ -41,7 +41,7 @@ class JsonLines:
         return self.read()
 
     def read(self) -> list[dict[str, Any]]:
-        """All objects; lines that are none are passed over: what they told is found again."""
+        """All objects; invalid lines are skipped: their results are computed again."""
         if self.path is None or not self.path.is_file():
             return []
         found = []

@@ -1,4 +1,4 @@
-"""The process of a task: what it may tell the one that waits, and how it ends."""
+"""The process of a task: the events it sends to the waiting process, and how it ends."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 from trajopt.errors import TrajoptError
 
-# What a task's process sends: something told, a limit that begins, the result, why there is none.
+# Kinds of message from a task's process: an event, the start of a time limit, the result, an error.
 EVENT, LIMIT, DONE, FAILED = "event", "limit", "done", "failed"
 
 _Result = TypeVar("_Result")
@@ -24,11 +24,11 @@ _answers: Connection | None = None
 
 
 class TaskError(TrajoptError):
-    """A task has no result; the text says why."""
+    """A task has no result; the text gives the reason."""
 
 
 class RefusedTaskError(TaskError):
-    """The task raised a TrajoptError: it would do so again."""
+    """The task raised a TrajoptError, and would do so again."""
 
 
 class LostTaskError(TaskError):
@@ -40,16 +40,15 @@ class TaskTimeoutError(LostTaskError):
 
 
 def tell(event: Any) -> None:
-    """Hand something to the executor's ``on_event``; nowhere where the task has no process of its own."""
+    """Pass an event to the executor's ``on_event``; ignored if the task has no separate process."""
     if _answers is not None:
         _answers.send((EVENT, event))
 
 
 def limit_time(seconds: float, stage: str = "") -> None:
-    """Give this task's process so many seconds from now, in place of the limit before.
+    """Give this task's process this many seconds from now, in place of the previous limit.
 
-    The kernel ends it (SIGALRM), in whatever library it hangs. Nothing where the task has no process of its
-    own.
+    The kernel ends it (SIGALRM), in whatever library it hangs. Ignored if the task has no separate process.
     """
     if _answers is not None:
         _answers.send((LIMIT, f"{stage} killed after {seconds:g} s".lstrip()))
@@ -57,7 +56,7 @@ def limit_time(seconds: float, stage: str = "") -> None:
 
 
 def announced(name: str, seconds: float, function: Callable[..., _Result], *args: Any) -> _Result:
-    """The result of a function, as a task that tells its name first and may take so many seconds."""
+    """The result of a function, as a task that sends its name first and has a time limit, s."""
     tell(name)
     limit_time(seconds)
     return function(*args)
@@ -66,23 +65,23 @@ def announced(name: str, seconds: float, function: Callable[..., _Result], *args
 def serve_task(answers: Connection, said: str, core: int | None, task: bytes) -> None:
     """Do a pickled ``(function, args, kwargs)`` as the only task of this process.
 
-    said: a file for what libraries print. core: the processor it is pinned to, where the system can.
+    said: a file for output of libraries. core: the processor it is pinned to, if the system supports it.
     """
     global _answers
     os.setsid()  # a group of its own, so that the compilers it starts end with it
-    for number in (signal.SIGALRM, signal.SIGIO):  # whoever ignores them: here they end the process
+    for number in (signal.SIGALRM, signal.SIGIO):  # even if they were ignored: here they end the process
         signal.signal(number, signal.SIG_DFL)
     _end_with_parent()
     output = os.open(said, os.O_WRONLY | os.O_APPEND)
     os.dup2(output, 1)
     os.dup2(output, 2)
     faulthandler.enable()
-    gc.freeze()  # the collector leaves the pages alone that are shared with the server
+    gc.freeze()  # keeps the collector from touching pages shared with the server
     if core is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {core})
     _answers = answers
     answers.send_bytes(_answer(task))
-    os._exit(0)  # at once: destructors of libraries have nothing to add
+    os._exit(0)  # at once: skips the destructors of libraries
 
 
 def _answer(task: bytes) -> bytes:
@@ -93,13 +92,13 @@ def _answer(task: bytes) -> bytes:
         failed: TaskError = RefusedTaskError(str(error))
     except MemoryError:
         failed = LostTaskError("crash: out of memory")
-    except BaseException as error:  # of a family, of a library: it shall not look like a lost process
+    except BaseException as error:  # from a family or a library: must not look like a lost process
         failed = LostTaskError(" ".join(f"crash: {type(error).__name__}: {error}".split()))
     return pickle.dumps((FAILED, failed))
 
 
 def _end_with_parent() -> None:
-    """Have the kernel end the whole group when the waiting process is gone, even where a library hangs.
+    """Have the kernel end the whole group when the waiting process is gone, even if a library hangs.
 
     Then its end of a pipe closes, which is input (SIGIO), whose default is to end a process.
     """
@@ -107,5 +106,5 @@ def _end_with_parent() -> None:
     assert parent is not None
     fcntl.fcntl(parent.sentinel, fcntl.F_SETOWN, -os.getpid())
     fcntl.fcntl(parent.sentinel, fcntl.F_SETFL, fcntl.fcntl(parent.sentinel, fcntl.F_GETFL) | os.O_ASYNC)
-    if select.select([parent.sentinel], [], [], 0)[0]:  # it was gone before
+    if select.select([parent.sentinel], [], [], 0)[0]:  # it had already ended
         os._exit(1)
