@@ -22,7 +22,7 @@ def main() -> int:
     try:
         from trajopt.cli.commands import main as run
 
-        if not presses:  # a library that is imported may lose the exception
+        if not presses:  # importing a library may lose the exception
             return run()
     except KeyboardInterrupt:
         pass

@@ -1,4 +1,4 @@
-"""What ``trajopt solve`` takes instead of settings: an accuracy, or a time."""
+"""Options of ``trajopt solve`` that replace settings: an accuracy, or a time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from trajopt.solving.monitoring import Watch
     from trajopt.study.choosing.solve_to import TargetSolve
 
-# Options that a choice makes, or that have no meaning with it.
+# Options that are chosen automatically, or have no meaning then.
 CHOSEN = ("transcription", "intervals", "tolerance")
 WITHOUT = ("ladder", "compare")
 UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0}
@@ -40,7 +40,7 @@ class Seconds(click.ParamType):
         except ValueError:
             found = math.nan
         if not (math.isfinite(found) and found > 0):
-            self.fail(f"'{value}' is no time, allowed: such as 0.5s, 500ms or 2min", param, ctx)
+            self.fail(f"'{value}' is not a time, allowed: such as 0.5s, 500ms or 2min", param, ctx)
         return found
 
 
@@ -58,7 +58,7 @@ aim_options = option_group(
 
 
 def wants_aim(arguments: dict[str, Any]) -> bool:
-    """Whether settings are to be chosen; refuses ``--front`` alone."""
+    """Whether settings are chosen automatically; refuses ``--front`` alone."""
     if arguments["accuracy"] is None and arguments["budget"] is None:
         if arguments["front"] is not None:
             raise InputError("--front chooses nothing", "allowed: with --accuracy or --budget")
@@ -90,7 +90,7 @@ def solve_aimed(
 
 
 def _allowed_settings(arguments: dict[str, Any]) -> Callable[[Any], bool]:
-    """Settings of the solver and Hessian that are named; takes what a choice makes out of ``arguments``."""
+    """The named solver and Hessian; removes the options that are chosen from ``arguments``."""
     context = click.get_current_context()
 
     def named(name: str) -> bool:
@@ -108,7 +108,7 @@ def _allowed_settings(arguments: dict[str, Any]) -> Callable[[Any], bool]:
 
 
 def _lines(found: TargetSolve) -> list[str]:
-    """What a summary says of the choice, the rounds and what was reached."""
+    """The summary of the choice, the rounds and the result."""
     lines = []
     for choice in found.choices:
         mesh, setting = choice.mesh, choice.measured.setting

@@ -64,7 +64,7 @@ class CommandLine(click.Group):
     ) -> None:
         extra["standalone_mode"] = False
         with warnings.catch_warnings(), interruptible() as interruption:
-            warnings.simplefilter("ignore")  # of libraries, about their own future
+            warnings.simplefilter("ignore")  # deprecations within libraries
             warnings.simplefilter("always", UserWarning)
             warnings.showwarning = _show_warning
             try:
@@ -72,7 +72,7 @@ class CommandLine(click.Group):
             except (KeyboardInterrupt, click.Abort):
                 status = _cancelled()
             except Exception:
-                if not interruption.pressed:  # else it is what has become of a press
+                if not interruption.pressed:  # else Ctrl-C caused it
                     raise
                 status = _cancelled()
         sys.exit(status)

@@ -79,7 +79,7 @@ def continue_command(
     def load(value: float) -> Problem:
         return family.load({**fixed, name: value})
 
-    load(values[0]), load(values[-1])  # refused before anything is solved
+    load(values[0]), load(values[-1])  # raises before anything is solved
     folder = None if output_dir is None else _folder(output_dir, problem)
     known = None if start is None else solution_of(start)
     arguments |= {"options": options_of(solver_options), "start": known}
@@ -124,10 +124,10 @@ def parse_vary(family: Family, text: str, fixed: dict[str, str]) -> tuple[str, l
 
 
 def _folder(path: Path, problem: str) -> Path:
-    """The folder, made if it is not there; raises `InputError` where no solution can be written."""
+    """The folder, made if it is not there; raises `InputError` if no solution can be written."""
     folder = path.expanduser()
     if folder.exists() and not folder.is_dir():
-        raise InputError(f"--output-dir {folder} is no folder", "allowed: a folder, or a new one")
+        raise InputError(f"--output-dir {folder} is not a folder", "allowed: a folder, or a new one")
     folder.mkdir(parents=True, exist_ok=True)
     check_output(folder / f"{problem}.npz")
     return folder

@@ -1,4 +1,4 @@
-"""What the command line is given: numbers, NAME=VALUE settings, options that several commands share."""
+"""Input of the command line: numbers, NAME=VALUE settings, options that several commands share."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _INTEGER = re.compile(r"[-+]?[0-9]+", re.ASCII)
-# Exit status of a command that ran and did not reach what was asked for.
+# Exit status of a command that ran but did not reach its goal.
 NOT_REACHED = 1
-# Solvers count with C's int.
+# Solvers count in C's int.
 LARGEST_INTEGER = 2**31 - 1
 
 
@@ -44,7 +44,7 @@ class WholeNumber(click.ParamType):
 
 
 COUNT = WholeNumber(0, LARGEST_INTEGER)
-# A finer grid takes tens of gigabytes before anything is solved; a problem knows its coarsest.
+# A finer grid takes tens of gigabytes before anything is solved; each problem has its own minimum.
 GRID = WholeNumber(-LARGEST_INTEGER, 100_000)
 THREADS = WholeNumber(1, 1024)
 
@@ -120,7 +120,7 @@ def chosen_problem(name: str, settings: Sequence[str]) -> Problem:
 
 
 def import_in_background(module: str) -> None:
-    """Let a module that takes long to load do so while the solver holds no Python lock."""
+    """Load a slow module while the solver runs without Python's lock."""
     threading.Thread(target=importlib.import_module, args=(module,), daemon=True).start()
 
 

@@ -1,4 +1,4 @@
-"""What the command line does while a solver runs: Ctrl-C, a last deadline, and who is told of iterations."""
+"""The command line while a solver runs: Ctrl-C, a final deadline, and progress output."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from trajopt.solving.interruption import GRACE, Interruption, end_at_once, inter
 if TYPE_CHECKING:
     from trajopt.solving.monitoring import Watch
 
-# The ``log`` that is a line an iteration on stderr.
+# The value of ``log`` for a line per iteration on stderr.
 LINES = "-"
-# What the second Ctrl-C loses while a problem is solved.
+# The consequence of a second Ctrl-C during a solve.
 LOST = ", nothing was written"
 
 
@@ -26,8 +26,8 @@ class SolveControl:
 
     From the first iteration on a press raises nothing: it stops the solver at its iterate. A solver that has
     not returned ``GRACE`` seconds after its time limit ends the program, with nothing written. That is the
-    last resort: solvers look at their limit between steps, FATROP inside them too, and one factorisation of
-    a large problem may take long. A solver in another thread cannot be stopped from outside.
+    last resort: solvers check their limit between steps, FATROP within them too, and one factorisation of a
+    large problem may take long. A solver in another thread cannot be stopped from outside.
     """
 
     def __init__(self, interruption: Interruption, max_time: float) -> None:
@@ -38,7 +38,7 @@ class SolveControl:
         self.cancel_deadline = self._timer.cancel
 
     def __call__(self, figures: dict[str, float]) -> bool:
-        """Return False when the solver shall stop."""
+        """Return False to stop the solver."""
         if not self._interruption.pressed:
             self._interruption.record()
             self._started = True
@@ -99,7 +99,7 @@ def watched(
             with interruption.raising():
                 yield {"progress": control, "watch": combine_watches(shown, table, viewer)}
         except Exception:
-            interruption.check()  # the error may be what has become of a press
+            interruption.check()  # Ctrl-C may have caused the error
             raise
         finally:
             control.cancel_deadline()
@@ -107,14 +107,14 @@ def watched(
 
 
 def runs_to_its_end(work: Callable[[Callable[[], None]], object]) -> bool:
-    """Whether ``work`` is done, False where Ctrl-C ends it: what it is given raises after a press."""
+    """Whether ``work`` is done, False if Ctrl-C ends it: its argument raises after a press."""
     with interruptible() as interruption, interruption.recording():
         try:
             work(interruption.check)
             complete = True
         except KeyboardInterrupt:
             complete = False
-        interruption.answer()  # also one that came when all was done
+        interruption.answer()  # also one that came after the end
     return complete
 
 

@@ -15,7 +15,7 @@ from typing_extensions import override
 from trajopt.cli.input import WholeNumber, default_option, layout_options
 from trajopt.solution.output import check_apart
 
-# Digits of a side: more are too many pixels in any case.
+# Most digits of a side: more would be too many pixels in any case.
 _SIZE = re.compile(r"([0-9]{1,6})[xX×]([0-9]{1,6})", re.ASCII)
 ANY_COUNT = WholeNumber(0, 10**6)
 
@@ -31,7 +31,7 @@ class PictureSize(click.ParamType):
     ) -> tuple[int, int]:
         found = _SIZE.fullmatch(str(value).strip())
         if found is None:
-            self.fail(f"'{value}' is no size; allowed: WIDTHxHEIGHT in pixels, as in 1280x720", param, ctx)
+            self.fail(f"'{value}' is not a size; allowed: WIDTHxHEIGHT in pixels, as in 1280x720", param, ctx)
         return int(found[1]), int(found[2])
 
 
@@ -80,7 +80,7 @@ def render_command(
 
 @contextlib.contextmanager
 def _progress(title: str) -> Iterator[Callable[[int, int], None] | None]:
-    """A bar on stderr, gone when all is done; nothing where stderr is no terminal."""
+    """A progress bar on stderr, removed at the end; nothing unless stderr is a terminal."""
     if not sys.stderr.isatty():
         yield None
         return

@@ -42,7 +42,7 @@ def replay_command(
     if shown.html is not None:
         click.echo(f"{shown.html}: {shown.duration:.2f} s, {shown.size / 1e6:.1f} MB")
         return
-    sys.stdout.flush()  # where it is shown, before waiting
+    sys.stdout.flush()  # print the address before waiting
     with interruptible() as interruption, interruption.recording():
         click.echo("Ctrl-C stops the server", err=True)
         serve(shown, lambda: interruption.pressed)

@@ -1,4 +1,4 @@
-"""What the command line prints: JSON objects, tables, the summary of a solve."""
+"""Output of the command line: JSON objects, tables, the summary of a solve."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 # Columns of a table that goes to a file or a pipe, which has no width.
 PIPE_WIDTH = 120
-# Keys of a solution's meta that the JSON of a solve repeats as they are.
+# Keys of a solution's meta that the JSON of a solve repeats unchanged.
 FROM_META = (
     "problem",
     "robot",
@@ -47,7 +47,7 @@ FROM_META = (
     "parameters",
 )
 
-# A cost of transport beyond this belongs to a motion on the spot, about which it says nothing.
+# A cost of transport beyond this is that of a motion on the spot, and meaningless.
 MOST_TRANSPORT = 10.0
 
 # The figures of a check that a summary shows, each with a short name.
@@ -62,7 +62,7 @@ KEY_FIGURES = {
 
 @dataclass(frozen=True)
 class SolveReport:
-    """What became of a solve, with notes for its summary and entries for its JSON beside the figures."""
+    """The outcome of a solve, with notes for its summary and further entries for its JSON."""
 
     solution: Solution
     reached: bool

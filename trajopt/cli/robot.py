@@ -1,4 +1,4 @@
-"""``trajopt robot``: what a description says, torques needed to stand, and likely mistakes."""
+"""``trajopt robot``: the contents of a description, torques needed to stand, and likely mistakes."""
 
 from __future__ import annotations
 

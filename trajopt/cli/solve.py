@@ -78,7 +78,7 @@ def solve_command(
     options = options_of(solver_options)
     loaded = chosen_problem(problem, settings)
     target = check_output(output or Path(f"{problem}.npz"))
-    if arguments["log"] not in (None, "-"):  # the start may be replaced by its solution, not by a table
+    if arguments["log"] not in (None, "-"):  # the solution may overwrite the start, a table may not
         start, log = arguments.get("start"), Path(arguments["log"])
         check_apart([target, log], [])
         check_apart([log], [Path(start)] if start else [])
@@ -113,7 +113,7 @@ def solve_command(
 
 
 def _saved(solution: Solution, target: Path) -> tuple[Path | None, list[str]]:
-    """Write the solution; an iterate that is no motion (not finite) has no file, and a note says so."""
+    """Write the solution; an iterate that is not finite has no file, and a note says so."""
     from trajopt.solution.file import consistent_meta
 
     try:
@@ -124,13 +124,13 @@ def _saved(solution: Solution, target: Path) -> tuple[Path | None, list[str]]:
 
 
 def _checked(solution: Solution, notes: list[str], advice: str) -> CheckReport | None:
-    """The check of a solve, or None and a note where there is nothing that can be checked."""
+    """The check of a solve, or None and a note if it cannot be checked."""
     import numpy as np
 
     from trajopt.certify.check import check
 
     try:
-        with np.errstate(all="ignore"):  # an iterate that is no solution may overflow: its figures say so
+        with np.errstate(all="ignore"):  # an iterate far from a solution may overflow: its figures show it
             report = check(solution)
     except (TrajoptError, ArithmeticError, ValueError) as error:
         notes.append(f"accuracy cannot be computed: {error}")

@@ -1,4 +1,4 @@
-"""``trajopt suite``: every problem on every robot, and how that compares with before."""
+"""``trajopt suite``: every problem on every robot, compared with earlier results."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from trajopt.study.suite.records import SuiteRecords
     from trajopt.study.suite.settings import SuiteSettings
 
-# Columns of the table where it goes to a file or a pipe: no column is folded.
+# Width of the table in a file or a pipe: no column is folded.
 PIPE_WIDTH = 170
 # Options that take every word up to the next option, as in ``--robots solo12 go2``.
 LISTS = ("--problems", "--robots")
@@ -118,7 +118,7 @@ def suite(
     if settings.simulate:
         from trajopt.certify.simulation.bodies import mujoco_package
 
-        mujoco_package()  # refused before anything is run, as are files that cannot be read or written
+        mujoco_package()  # raises before anything is run, as for files that cannot be read or written
     target = None if update is None else check_output(update)
     old = data.read(target)[0] if target is not None and target.exists() else {}
     bands = None if compare is None else data.read(compare)[0]
@@ -153,7 +153,7 @@ def _processors() -> int:
 def _run(
     cases: Sequence[Case], settings: SuiteSettings, records: SuiteRecords, resume: bool, jobs: int
 ) -> tuple[list[Outcome], bool]:
-    """Outcomes sorted by pair, and whether they are all: Ctrl-C leaves those that are done."""
+    """Outcomes sorted by pair, and whether they are complete: Ctrl-C leaves those that are done."""
     from trajopt.study.suite.pool import run_all
     from trajopt.study.suite.table import line
     from trajopt.study.workers.display import TaskDisplay

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from trajopt.study.sweep.records import SweepRecords, SweepRequest
     from trajopt.study.sweep.summary import Summary
 
-# Columns of the table where it goes to a file or a pipe: no column is folded.
+# Width of the table in a file or a pipe: no column is folded.
 PIPE_WIDTH = 150
 PLOT = "front.png"
 
@@ -120,7 +120,7 @@ def sweep(
 
 
 def _run(request: SweepRequest, plan: SweepPlan, records: SweepRecords, cores: Sequence[int]) -> bool:
-    """Run what is missing; False after Ctrl-C."""
+    """Run the missing tasks; False after Ctrl-C."""
     from trajopt.study.sweep.engine import Sweep
     from trajopt.study.workers.display import TaskDisplay
 
@@ -151,7 +151,7 @@ def _found(plan: SweepPlan, records: SweepRecords, settings: Sequence[dict[str, 
 
 
 def _print(plan: SweepPlan, records: SweepRecords, rows: Sequence[Summary]) -> None:
-    """The table, and what to know beside it."""
+    """The table, with notes."""
     from trajopt.study.sweep.summary import disturbance
     from trajopt.study.sweep.tables import summary_table
 

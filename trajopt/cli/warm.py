@@ -1,4 +1,4 @@
-"""What ``trajopt solve`` takes to start from other solutions: a file, or coarser grids."""
+"""Options of ``trajopt solve`` to start from other solutions: a file, or coarser grids."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def parse_ladder(text: str) -> list[tuple[str | None, int | None]]:
 
 
 def _lines(figures: dict[str, Any]) -> list[str]:
-    """What a summary says of the rungs and of the comparison."""
+    """The summary of the rungs and of the comparison."""
     lines = [
         f"{rung['transcription']}, {rung['intervals']} intervals: {_found(rung)}" for rung in figures["rungs"]
     ]

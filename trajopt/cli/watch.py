@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from trajopt.solution.solution import Solution
     from trajopt.view.watching.viewer import Viewer
 
-# Seconds that the picture of the solution may take.
+# Time limit for drawing the solution, s.
 DRAWN = 60.0
 
 
@@ -44,7 +44,7 @@ def open_viewer(watch: bool) -> Viewer | None:
 def show_until_interrupted(viewer: Viewer | None, solution: Solution) -> None:
     """Show the solution until Ctrl-C; without a terminal end the viewer: a script must not hang.
 
-    A Ctrl-C that came too late to stop the solver ends it, too.
+    It also ends on a Ctrl-C that came too late to stop the solver.
     """
     if viewer is None:
         return

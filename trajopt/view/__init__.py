@@ -1,4 +1,4 @@
-"""Seeing solutions: replay, plots, and iterates while solving."""
+"""Visualisation: replay, plots, and iterates while solving."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Replays and plots inside a notebook: what Jupyter, VS Code and others show of the value of a cell."""
+"""Replays and plots inside a notebook, as the value of a cell in Jupyter, VS Code and others."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ HEIGHT, LEAST_HEIGHT = 460, 120
 
 @dataclass(frozen=True)
 class InlineReplay:
-    """A self-contained page in a frame of its own: it needs no server, and plays in a saved notebook too."""
+    """A self-contained page in a frame: it needs no server, and also plays in a saved notebook."""
 
     page: str = field(repr=False)
     height: int = HEIGHT

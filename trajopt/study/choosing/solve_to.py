@@ -19,7 +19,7 @@ from trajopt.study.sweep.front import SettingFilter
 
 # A setting is tried if its predicted time is below this fraction of the time left: predictions err.
 MOST_SHARE = 0.8
-# Another, more accurate setting is tried while its time, corrected by those measured, fits into the time
+# Most settings tried: another, more accurate one if its time, corrected by those measured, fits into the time
 # left.
 MOST_SETTINGS = 4
 # With less than this, s, a solver makes no useful iteration.

@@ -15,23 +15,23 @@ from trajopt.view.plotting.track import MotionQuantity, Track
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Markers that name a curve, along the time axis.
+# Number of markers on a curve along the time axis.
 MARKS = 6
-# More collocation points than this in one panel are clutter.
+# With more collocation points than this in one panel, none are drawn.
 MOST_DOTS = 400
-# Shares of a limit are shown up to here at least, so that the limit is inside the picture.
+# Least upper end of an axis for shares of a limit, so that the limit is visible.
 SHOWN = 1.05
 LIMIT_DASHES = (0, (6, 2))
 LIMIT: dict[str, Any] = {"color": style.BLACK, "linewidth": 0.8, "linestyle": LIMIT_DASHES}
 # Inches of a vertical axis for each of its ticks.
 TICK = 0.22
-# Empty part of a vertical axis above and below what is drawn.
+# Margin of a vertical axis above and below the curves.
 MARGIN = 0.06
 
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """One quantity: its name in the legend, its values (K,) of a motion, and its number among colours.
+    """One quantity: its name in the legend, its values (K,) of a motion, and the number of its colour.
 
     ``marked``: with markers; ``dots``: with its collocation points where they are few.
     """
@@ -134,7 +134,7 @@ def _curve(axes: Axes, track: Track, curve: Curve, solution: int, marked: int) -
 
 
 def marker_samples(t: np.ndarray, y: np.ndarray, number: int, count: int) -> list[int]:
-    """Return the samples that carry a marker: even in time, each curve's between those of the others."""
+    """Return the samples with a marker: evenly in time, those of several curves interleaved."""
     start, end = t[0], t[-1]
     wanted = start + (end - start) * (np.arange(MARKS) + (number % count + 0.5) / count) / MARKS
     found = np.unique(np.clip(np.searchsorted(t, wanted), 0, len(t) - 1))
@@ -142,9 +142,9 @@ def marker_samples(t: np.ndarray, y: np.ndarray, number: int, count: int) -> lis
 
 
 def fit(axes: Axes, *, zero: bool = False, least: float = 0.0) -> tuple[float, float]:
-    """Set the vertical axis to what the lines hold; returns their least and largest value.
+    """Set the vertical axis to the lines' range; returns their least and largest value.
 
-    ``zero``: hold zero too. ``least``: span at least that much, so that rounding is no curve.
+    ``zero``: include zero. ``least``: span at least that much, so that rounding does not look like a curve.
     """
     values = drawn_values(axes)
     if not values.size:
@@ -164,7 +164,7 @@ def fit_with_zero_line(axes: Axes, **look: Any) -> None:
 
 
 def share_axis(axes: Axes) -> None:
-    """Fit shares of a limit: from 0 to the limit, which is marked, and to what lies beyond it, hatched."""
+    """Fit shares of a limit: from 0 to the limit, which is marked, and the range beyond it, hatched."""
     _, high = fit(axes, zero=True)
     set_range(axes, 0.0, max(SHOWN, high))
     axes.axhline(1.0, **LIMIT)
@@ -187,7 +187,7 @@ def set_range(axes: Axes, bottom: float, top: float, least: float = 0.0) -> None
 
 
 def drawn_values(axes: Axes) -> np.ndarray:
-    """Return the finite ordinates (n,) of lines that hold values: those with a name of a curve."""
+    """Return the finite ordinates (n,) of the curves, i.e. of lines with a curve's name."""
     lines = [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")]
     values = np.concatenate([np.zeros(0), *[np.asarray(line.get_ydata(), dtype=float) for line in lines]])
     return values[np.isfinite(values)]

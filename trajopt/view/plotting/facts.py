@@ -1,4 +1,4 @@
-"""What a solution is and how good it is, as a table: facts, figures of the check, accuracy."""
+"""Tables about a solution: facts, figures of the check, accuracy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from trajopt.certify.energy import cost_of_transport, energy
 from trajopt.certify.report import FIGURES, Tolerances
 from trajopt.view.plotting.track import Track, tried
 
-# Name, a value for each solution, unit, and what is allowed.
+# Name, a value for each solution, unit, and tolerance.
 _Row = tuple[str, tuple[str, ...], str, str]
 # Units of those facts that have one.
 UNITS = {
@@ -29,7 +29,7 @@ UNITS = {
 class FigureTable:
     """A table: ``title``, and ``rows``.
 
-    ``beyond`` are the (row, solution) whose value is beyond that.
+    ``beyond`` are the (row, solution) whose value is beyond its tolerance.
     """
 
     title: str
@@ -38,7 +38,7 @@ class FigureTable:
 
 
 def sections(tracks: Sequence[Track]) -> tuple[FigureTable, ...]:
-    """Facts, check and accuracy of the solutions; a figure that cannot be had is left empty."""
+    """Facts, check and accuracy of the solutions; missing figures are left empty."""
     return tuple(
         section for section in (_facts(tracks), _check(tracks), _accuracy(tracks)) if section is not None
     )
@@ -108,7 +108,7 @@ def _accuracy(tracks: Sequence[Track]) -> FigureTable | None:
 
 
 def _values(found: Sequence[object | None], name: str) -> tuple[str, ...]:
-    """A figure of each solution as text, empty where it is not known; none at all where none is."""
+    """A figure of each solution as text, empty if unknown; no row if unknown for all."""
     values = [getattr(one, name, None) for one in found]
     known = any(value is not None for value in values)
     return tuple("" if value is None else f"{value:.3g}" for value in values) if known else ()

@@ -1,4 +1,4 @@
-"""The figure drawn from a page: its head and foot, where its rows go, their axes, headings and legends."""
+"""The figure of a page: head and foot, positions of rows, their axes, headings and legends."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from trajopt.view.plotting.track import Track
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Letters that the width of a page has room for: in the title beside the page's name, and in the legend.
+# Most letters across a page: in the title beside the page's name, and in the legend.
 TITLE_LETTERS, LEGEND_LETTERS = 64, 112
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Place:
-    """Where a row goes: inches from the page's top to its axes and their height, and what is shown."""
+    """Position of a row: inches from the page's top to its axes, their height, and the row."""
 
     top: float
     height: float
@@ -47,11 +47,11 @@ class _Place:
 
 
 def figure_of(page: PlotPage, tracks: Tracks, *, fixed: bool, footer: str = "") -> Figure:
-    """Draw the page as a figure of A4's width, and of its height where ``fixed`` or where it fills one."""
+    """Draw the page as a figure of A4 width, and of A4 height if ``fixed`` or if it fills a page."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    left = max(row.left for row in page.rows)  # one edge for all: that of the longest labels
+    left = max(row.left for row in page.rows)  # one left edge for all, by the longest labels
     page = replace(page, rows=tuple(replace(row, left=left) for row in page.rows))
     places, height = _places(page, tracks, fixed)
     look: dict[Any, Any] = {**mpl.rcParamsDefault, **style.RC, "backend": mpl.rcParams["backend"]}
@@ -77,7 +77,7 @@ def _places(page: PlotPage, tracks: Tracks, fixed: bool) -> tuple[list[_Place], 
     rigid = sum(UNIT * row.height for row in page.rows if row.rigid)
     free = sum(UNIT * row.height for row in page.rows if not row.rigid)
     shrink = min(1.0, (style.HEIGHT - fixed_part - rigid) / free) if free else 1.0
-    if fixed and free:  # a page of few rows is filled, within reason
+    if fixed and free:  # a page of few rows is stretched, within limits
         shrink = min(GROWTH, (style.HEIGHT - fixed_part - rigid) / free)
     at, places = head, []
     for row, strip, shown in zip(page.rows, phases, labelled, strict=True):
@@ -153,7 +153,7 @@ def _draw_heading(figure: Figure, page: PlotPage, tracks: Tracks, footer: str) -
 
 
 def _draw_solutions(figure: Figure, tracks: Tracks, top: float) -> None:
-    """Write which line style is which solution, ``top`` inches from the page's top."""
+    """Write the legend of solutions by line style, ``top`` inches from the page's top."""
     legend = []
     for number, track in enumerate(tracks):
         name = style.literal(style.short(track.label, LEGEND_LETTERS // len(tracks)))
@@ -181,7 +181,7 @@ def title_of(tracks: Tracks) -> str:
 
 
 def state_of(track: Track) -> str:
-    """Describe a solution in a line: how it ended, by what, on which grid."""
+    """Describe a solution in a line: status, solver and grid."""
     meta, plan = track.meta, track.solution
     objective = meta.get("objective")
     parts = [
@@ -195,7 +195,7 @@ def state_of(track: Track) -> str:
 
 
 def failures_of(tracks: Tracks) -> str:
-    """Say which solutions failed; empty if none did."""
+    """Warnings for the solutions that failed; empty if none did."""
     found = []
     for track in tracks:
         name = f"{track.label}: " if len(tracks) > 1 else ""

@@ -1,4 +1,4 @@
-"""One HTML file: facts, figures of the check and of accuracy as tables, the pages as drawings within it."""
+"""One HTML file: facts, figures of the check and of accuracy as tables, and the pages as SVG."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def html_page(
 
 
 def _anchors(pages: Sequence[PlotPage]) -> list[tuple[str, str]]:
-    """An anchor and a text for every page; pages of one name are counted."""
+    """An anchor and a text for every page; pages of the same name are numbered."""
     names, found = [page.name for page in pages], []
     for number, page in enumerate(pages):
         nth = names[: number + 1].count(page.name) if names.count(page.name) > 1 else 0

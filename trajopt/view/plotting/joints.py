@@ -1,4 +1,4 @@
-"""Rows behind the base as the plots see them: names, coordinates, limits, and the limbs they belong to."""
+"""Rows of v behind the base for plots: names, coordinates, limits, and limbs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from trajopt.dynamics.base_joint import BASE_JOINT, UNLIMITED, base_of, position
 from trajopt.solution.solution import Solution
 from trajopt.view.plotting.motion import MotionQuantities
 
-# Curves in one panel: as many as there are colours that are told apart.
+# Curves in one panel: the number of distinguishable colours.
 MOST_CURVES = 7
 # A branch of fewer joints (fingers, a head) shares the panel of other such branches.
 LEAST_BRANCH = 3
@@ -25,8 +25,8 @@ class JointAxis:
     """A row of v behind the base.
 
     ``row`` of v; ``torque`` its row of tau, None for a passive joint; ``column`` of q, None where q has no
-    such coordinate by itself. Limits in rad or m, rad/s or m/s, N m or N, on the joint side; infinite where
-    there is none.
+    such coordinate by itself. Limits in rad or m, rad/s or m/s, N m or N, on the joint side; infinite if
+    unlimited.
     """
 
     name: str
@@ -50,8 +50,8 @@ class JointAxis:
 class Limb:
     """A kinematic branch: its name, its axes, and their names.
 
-    ``prefix`` is what no other limb's names begin with, empty where there is no such thing. ``short`` names
-    leave out what the limb's names have in common, ``long`` ones tell axes of all limbs apart.
+    ``prefix``: start of the limb's names that no other limb has, or empty. ``short`` names leave out the
+    common part of the limb's names, ``long`` ones distinguish the axes of all limbs.
     """
 
     name: str
@@ -109,7 +109,7 @@ def _slides(joint: pin.JointModel, row: int) -> bool:
 
 
 def position(axis: JointAxis, motion: MotionQuantities) -> np.ndarray:
-    """Coordinate (K,) of an axis: rad or m; turns are counted, and of a ball joint its rotation vector."""
+    """Coordinate (K,) of an axis: rad or m, unwrapped; for a ball joint its rotation vector."""
     solution, model = motion.solution, motion.solution.model
     if axis.column is not None:
         return solution.q[:, axis.column]
@@ -136,7 +136,7 @@ def _unwrapped(angle: np.ndarray) -> np.ndarray:
 def limbs_of(axes: Sequence[JointAxis], model: pin.Model) -> tuple[Limb, ...]:
     """Axes by kinematic branch: chains between forks of the tree, at most `MOST_CURVES` of them in one.
 
-    Short branches next to one another share a limb. Names are what their joints' names begin with.
+    Neighbouring short branches share a limb. Names are common prefixes of joint names.
     """
     groups: list[list[JointAxis]] = []
     for chain in _merged(_chains(model, {axis.joint for axis in axes})):
@@ -168,7 +168,7 @@ def limbs_of(axes: Sequence[JointAxis], model: pin.Model) -> tuple[Limb, ...]:
 
 
 def _chains(model: pin.Model, joints: set[int]) -> list[list[int]]:
-    """Joints of the given set in chains: each ends at a leaf, or where the tree forks."""
+    """Joints of the given set in chains that end at a leaf or a fork of the tree."""
     roots = [joint for joint in sorted(joints) if model.parents[joint] not in joints]
     found, waiting = [], roots[::-1]
     while waiting:
@@ -181,7 +181,7 @@ def _chains(model: pin.Model, joints: set[int]) -> list[list[int]]:
 
 
 def _merged(chains: list[list[int]]) -> list[list[int]]:
-    """Chains shorter than `LEAST_BRANCH` put together with such neighbours, as far as they fit one panel."""
+    """Merge neighbouring chains shorter than `LEAST_BRANCH`, as far as they fit one panel."""
     found: list[list[int]] = []
     open_for_more = False
     for chain in chains:
@@ -195,7 +195,7 @@ def _merged(chains: list[list[int]]) -> list[list[int]]:
 
 
 def _limb_name(names: Sequence[str]) -> str:
-    """What names begin with, up to a separator or a digit; empty if nothing."""
+    """Common prefix of names up to a separator or a digit; may be empty."""
     common = _common_start(names)
     if len(names) == 1:
         return names[0]
@@ -206,13 +206,13 @@ def _limb_name(names: Sequence[str]) -> str:
 
 
 def _common_start(names: Sequence[str]) -> str:
-    """The letters with which all names begin."""
+    """The longest common prefix of names."""
     same = itertools.takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
     return "".join(letters[0] for letters in same)
 
 
 def _short_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Names without the words that all of them begin or end with."""
+    """Names without common words at the start or end."""
     if len(names) == 1:
         return tuple(names)
     before = _limb_name(names)

@@ -1,4 +1,4 @@
-"""What is plotted of a motion, sample by sample, by numeric Pinocchio: momentum, base, contact forces."""
+"""Plotted quantities of a motion at its samples, by numeric Pinocchio: momentum, base, contact forces."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ YAW_PITCH_ROLL = "ZYX"
 
 
 class MotionQuantities:
-    """Quantities at the K samples of a solution, computed when they are asked for; NaN where q or v are.
+    """Quantities at the K samples of a solution, computed on access; NaN where q or v are.
 
     Vectors of forces, momenta and the base are in world axes, SI units.
     """
@@ -45,7 +45,7 @@ class MotionQuantities:
 
     @cached_property
     def drives(self) -> tuple[Drive | None, ...]:
-        """The drive of every actuated row, empty where the robot has none."""
+        """The drive of every actuated row, empty if the robot has none."""
         entries = self.solution.meta.get("drives") or []
         return tuple(None if entry is None else Drive.from_meta(entry) for entry in entries)
 
@@ -135,7 +135,7 @@ class MotionQuantities:
 
     @cached_property
     def force(self) -> np.ndarray:
-        """Forces (K, nc, 3) N of the surroundings on active contacts, NaN on others; no carried loads."""
+        """Forces (K, nc, 3) N on active contacts, NaN on others; without carried loads."""
         force = self.solution.f[..., :3]
         if self.solution.meta.get("payloads"):
             force = force - payload_wrenches(self.solution)[..., :3]
@@ -159,7 +159,7 @@ class MotionQuantities:
 
     @cached_property
     def cone_share(self) -> np.ndarray:
-        """Tangential force over the cone's radius (K, nc); NaN where nothing presses."""
+        """Tangential force over the cone's radius (K, nc); NaN without pressure."""
         pressed = self.normal > LEAST_PRESSURE * self.units.weight
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(pressed, self.tangential / self.cone, np.nan)
@@ -190,7 +190,7 @@ class MotionQuantities:
 
     @cached_property
     def residual_rows(self) -> DynamicsRows:
-        """What is left of the dynamics and of contacts' accelerations, see `certify.dynamics_figures`."""
+        """Residuals of the dynamics and of contact accelerations, see `certify.dynamics_figures`."""
         return dynamics_rows(self.solution, self.samples, self.surfaces)
 
     @cached_property

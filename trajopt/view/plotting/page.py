@@ -1,4 +1,4 @@
-"""A page as data: rows of panels under headings with their legends."""
+"""A page as data: rows of panels with headings and legends."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ LEFT, RIGHT, TOP, BOTTOM = 0.72, 0.3, 0.35, 0.45
 TITLE, LINE, GAP, X_AXIS, BETWEEN = 0.5, 0.17, 0.13, 0.36, 0.62
 # Height of a line of a note.
 NOTE_LINE = 0.13
-# Of a row's axes: height by default, and how much it grows on an empty page.
+# Height of a row's axes by default, and how much it may grow on an empty page.
 UNIT, GROWTH = 1.3, 1.6
 # Widths in inches of a letter and of a legend's handle with its spaces, at the small font.
 LETTER, TITLE_LETTER, HANDLE = 0.06, 0.072, 0.48
-# Points between the top of the axes and a power of ten that their numbers share.
+# Points between the top of the axes and the common power of ten of their numbers.
 OFFSET_TEXT = 2
 # Letters in a line of a note.
 NOTE_LETTERS = 155
@@ -37,10 +37,10 @@ NOTE_LETTERS = 155
 
 @dataclass(frozen=True, kw_only=True)
 class PlotPanel:
-    """One pair of axes: its vertical axis' label with unit, and what draws into it. ``timed``: over time.
+    """One pair of axes: its vertical axis' label with unit, and its draw function. ``timed``: over time.
 
     ``wide`` is its share of the row's width, ``gap`` the inches to the panel on its left. ``title`` is for
-    rows whose panels have headings of their own.
+    rows whose panels have separate headings.
     """
 
     name: str
@@ -110,7 +110,7 @@ def panel_row(title: str, name: str, ylabel: str, draw: Draw, *, timed: bool = T
 
 
 def page_of(name: str, title: str, *parts: Iterable[PlotRow | None], note: str = "") -> list[PlotPage]:
-    """Return a page of each part's rows that there are; no page without any."""
+    """Return a page of the rows that are not None; no page without any."""
     present = [tuple(row for row in part if row is not None) for part in parts]
     return [PlotPage(name=name, title=title, rows=rows, note=note) for rows in present if rows]
 

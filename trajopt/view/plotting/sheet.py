@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 POINTS_AN_INCH = 72
-# Marks of one kind in a row, more of them than a curve has markers: dots at collocation points.
+# Consecutive marks of one kind, more than a curve has markers: dots at collocation points.
 USE = r'<use xlink:href="#(m\w+)" x="([-\d.]+)" y="([-\d.]+)" style="fill: (#\w+)[^"]*"/>\s*'
 RUN = re.compile(r'<use xlink:href="#(m\w+)" [^>]*/>\s*(?:<use xlink:href="#\1" [^>]*/>\s*){11,}')
 
@@ -61,14 +61,14 @@ def svg_sheet(figures: Sequence[Figure]) -> str:
 
 
 def shorten_svg(svg: str) -> str:
-    """The drawing with coordinates of paths and marks cut to a hundredth of a point."""
+    """The drawing with coordinates of paths and marks rounded to a hundredth of a point."""
     svg = RUN.sub(_dots, svg)
     places = re.compile(r'(?<=[ "])(?:d|x|y|points)="[^"]*"')
     return places.sub(lambda found: re.sub(r"(\.\d\d)\d+", r"\1", found[0]), svg)
 
 
 def _dots(run: re.Match[str]) -> str:
-    """Dots as one path of points with round ends, which is a tenth as long; what is no dot is left."""
+    """Dots as one path of points with round ends, a tenth of the size; other marks stay."""
     marks = re.findall(USE, run[0])
     if len(marks) != run[0].count("<use") or len({mark[3] for mark in marks}) > 1:
         return run[0]
@@ -78,7 +78,7 @@ def _dots(run: re.Match[str]) -> str:
 
 
 def with_unique_ids(svg: str, number: int) -> str:
-    """The drawing with names of elements that no other drawing of the same file has."""
+    """The drawing with element ids that are unique in the file."""
     named = re.sub(r'\bid="([^"]+)"', rf'id="p{number}-\1"', svg)
     named = re.sub(r'(xlink:href|href)="#([^"]+)"', rf'\1="#p{number}-\2"', named)
     return re.sub(r"url\(#([^)]+)\)", rf"url(#p{number}-\1)", named)

@@ -1,4 +1,4 @@
-"""How plots look: sizes for A4, colours that colour-blind eyes tell apart, markers for grey print."""
+"""Style of plots: sizes for A4, colours for the colour-blind, markers for grey print."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Any
 # Okabe and Ito, Color Universal Design (2008), without the yellow, which is too light for lines on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#000000", "#CC79A7", "#56B4E9", "#E69F00")
 BLUE, RED, _, BLACK = COLOURS[:4]
-# By curve of a panel: a grey print tells curves by these.
+# Markers by curve of a panel: they distinguish curves in grey print.
 MARKERS = ("o", "s", "^", "D", "v", "x", "+")
-# By solution.
+# Line styles by solution.
 LINES: tuple[Any, ...] = ("-", (0, (4.5, 1.6)), (0, (1.2, 1.2)), (0, (5.0, 1.4, 1.2, 1.4)))
 # Points of collocation: dots of this diameter in points, and their look.
 DOT = 1.7
@@ -20,18 +20,18 @@ DOTTED: dict[str, Any] = {
     "markeredgewidth": 0.0,
 }
 GREY, BAND, GRID = "#606060", "#efefef", "#dddddd"
-# A share of a limit from light to dark; what is beyond it is in another hue, and hatched by its number.
+# A share of a limit from light to dark; values beyond it in another hue, and hatched at the number.
 SHARES, BEYOND = "Blues", "#D55E00"
-# Of points of time, from light to dark; its light end is seen on white.
+# Colours of points in time, from light to dark; the light end is visible on white.
 TIMES = "cividis_r"
 
 # A4, upright, in inches.
 WIDTH, HEIGHT = 8.27, 11.69
 FONT, SMALL, TITLE = 8.0, 7.0, 11.0
-# Dots an inch of a picture; in a page of HTML of what is drawn as pixels.
+# Resolution in dots per inch of a picture, and of raster parts of an HTML page.
 DOTS = 150
 
-# Letters of a name given by others: the longest of the library has 24.
+# Most letters of a user's name: the longest of the library has 24.
 NAME_LETTERS = 32
 
 

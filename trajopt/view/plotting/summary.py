@@ -1,4 +1,4 @@
-"""The summary: one page with what matters of each topic, and the list of all pages."""
+"""The summary: one page with the essentials of each topic, and the list of all pages."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from trajopt.view.plotting import topics_limits as limits
 from trajopt.view.plotting.page import PlotPage, PlotRow, Tracks, page_of
 from trajopt.view.plotting.topics_soles import sole_pages
 
-# Rows of a map of shares in the summary: with more joints each limb has one.
+# Most rows of a map of shares in the summary: with more joints, one row per limb.
 MAP_ROWS = 12
-# Limbs whose curves the summary of an arm shows.
+# Most limbs whose curves the summary of an arm shows.
 FEW_LIMBS = 2
 
 
@@ -68,9 +68,9 @@ PAGES: dict[str, Callable[[Tracks], list[PlotPage]]] = {
 
 
 def pages_of(tracks: Tracks, names: Sequence[str]) -> list[PlotPage]:
-    """Pages by name, in this order; those about what the robot lacks are left out.
+    """Pages by name, in this order; those that do not apply to the robot are left out.
 
-    Raises `InputError` for a name that is none, or where nothing is left.
+    Raises `InputError` for an unknown name, or if none is left.
     """
     for name in names:
         if name not in PAGES:

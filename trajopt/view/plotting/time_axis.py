@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 # Inches of a letter in the names of phases, and their font.
 PHASE_LETTER, PHASE_FONT = 0.05, 6.0
-# Inches that a tick of the axis takes with its number.
+# Width in inches of a tick label.
 TICK = 0.5
 
 
@@ -50,7 +50,7 @@ def impact_times(track: Track) -> list[float]:
 
 
 def phase_strip(row: PlotRow, tracks: Tracks) -> float:
-    """Inches that the names of phases take above a row: one line, upright, or none for a single phase."""
+    """Height in inches of the phase names above a row: one line, vertical, or none for a single phase."""
     phases = tracks[0].phases
     if len(phases) < 2:
         return 0.0
@@ -74,7 +74,7 @@ def _names_fit(tracks: Tracks, width: float) -> bool:
 
 
 def _phase_names(axes: Axes, tracks: Tracks, strip: float) -> None:
-    """Names above their phases: level, or upright where the strip has room for that."""
+    """Names above their phases: horizontal, or vertical if there is room for that."""
     width = axes.get_position().width * style.WIDTH
     level = _names_fit(tracks, width)
     upright = not level and strip > 0.2

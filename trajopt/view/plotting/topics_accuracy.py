@@ -1,4 +1,4 @@
-"""The page about errors: what is left between the collocation points, local errors, widths of the mesh."""
+"""The page about errors: residuals between the collocation points, local errors, widths of the mesh."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ DECADES = 3
 
 
 def dynamics_residual(motion: MotionQuantities, part: str) -> np.ndarray:
-    """Largest row (K,) of a part of the dynamics, "base" or "actuated", over weight and reach."""
+    """Largest residual (K,) of the "base" or "actuated" rows of the dynamics, over weight and reach."""
     rows, base = getattr(motion.residual_rows, part), motion.solution.n_unactuated
     scale = motion.units.generalized_force(motion.solution.model)
     return _largest(rows / (scale[:base] if part == "base" else scale[base:]))
 
 
 def contact_residual(motion: MotionQuantities) -> np.ndarray:
-    """Largest acceleration of active contacts (K,) over g; of a velocity source velocities over sqrt(g l)."""
+    """Largest acceleration of active contacts (K,) over g; with velocity sources, velocity over sqrt(g l)."""
     units, turning = motion.units, np.array([1.0] * 3 + [1.0 / motion.units.length] * 3)
     is_velocity = motion.solution.meta.get("actuation") == "velocity"
     scale = math.sqrt(units.gravity * units.length) if is_velocity else units.gravity
@@ -61,8 +61,8 @@ RESIDUALS: dict[str, MotionQuantity] = {
     "actuated": partial(dynamics_residual, part="actuated"),
     "contacts": contact_residual,
 }
-# By how much constraints are broken (K, n), positive where they are: forces over the weight (tangential ones
-# beyond the cone, the pull of what can only push), depths over the reach, the rest over its limits.
+# Constraint violations (K, n), positive where violated: forces over the weight (tangential ones beyond the
+# cone, pulling unilateral ones), depths over the reach, the rest over its limits.
 VIOLATIONS: dict[str, MotionQuantity] = {
     "friction": lambda m: (m.tangential - m.cone) / m.units.weight,
     "pull": lambda m: np.where(m.surfaces.bilateral, np.nan, -m.normal) / m.units.weight,
@@ -91,17 +91,17 @@ def accuracy_pages(tracks: Tracks) -> list[PlotPage]:
 
 
 def plans(tracks: Tracks) -> list[tuple[int, Track]]:
-    """Return the solutions that are plans, with their numbers: what a simulation did has no points."""
+    """Return the solutions that are plans, with their numbers: simulated motions have no points."""
     return [(number, track) for number, track in enumerate(tracks) if track.is_plan]
 
 
 def residual_row(tracks: Tracks) -> PlotRow | None:
-    """Rows of the dynamics between the points on a logarithmic axis."""
+    """Residuals of the dynamics between the points on a logarithmic axis."""
     return _log_row(tracks, RESIDUALS, "residual", "dynamics")
 
 
 def violation_row(tracks: Tracks) -> PlotRow | None:
-    """Constraints broken between the points."""
+    """Constraint violations between the points."""
     named = {label: partial(largest_violation, of=values) for label, values in VIOLATIONS.items()}
     return _log_row(tracks, named, "violation", "constraints broken")
 
@@ -143,7 +143,7 @@ def _ticks_at_points(axes: Axes, track: Track) -> None:
 
 
 def log_range(axes: Axes) -> None:
-    """Set a logarithmic axis to what lines hold, `DECADES` at least; say where nothing is above rounding."""
+    """Set a logarithmic axis to the lines' range, at least `DECADES`; note if all values are rounding."""
     from matplotlib.ticker import LogLocator, NullLocator
 
     values = draw.drawn_values(axes)

@@ -16,11 +16,11 @@ from trajopt.view.plotting.page import PlotPage, PlotRow, Tracks, page_of
 from trajopt.view.plotting.topics_joints import limbs
 from trajopt.view.plotting.track import MotionQuantity
 
-# A component that moves less than this (SI units) on a robot in a plane lies across it.
+# For a planar robot, a component that moves less than this (SI units) is out of its plane.
 STILL = 1e-9
 LEAST_SPAN = 1e-6
 WORLD = ("x", "y", "z")
-# By name: title, label of the axis, components, values (K, 3), and whether the axis holds zero.
+# By name: title, label of the axis, components, values (K, 3), and whether the axis includes zero.
 VECTORS: dict[str, tuple[str, str, Sequence[str], MotionQuantity, bool]] = {
     "base position": ("base position, world", "p [m]", WORLD, lambda m: m.base_position, False),
     "base orientation": (
@@ -65,7 +65,7 @@ def _moves(values: np.ndarray) -> bool:
 
 
 def has_base(tracks: Tracks) -> bool:
-    """Tell whether the robot's base moves."""
+    """Whether the robot's base moves."""
     return base_of(tracks[0].solution.model) != "fixed"
 
 
@@ -87,7 +87,7 @@ def momentum_pages(tracks: Tracks) -> list[PlotPage]:
 def power_row(tracks: Tracks) -> PlotRow | None:
     """Return the mechanical power of all joints, and of each limb, or of each joint of a single limb.
 
-    It is the torque of the drives times the rate; None where nothing is actuated.
+    It is the torque of the drives times the rate; None without actuators.
     """
     actuated = [(limb, [axis for axis in limb.axes if axis.torque is not None]) for limb in limbs(tracks)]
     actuated = [(limb, axes) for limb, axes in actuated if axes]

@@ -1,4 +1,4 @@
-"""Pages about contacts: who stands when, forces against the friction cone, impulses, soles."""
+"""Pages about contacts: stance diagram, forces against the friction cone, impulses, soles."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from trajopt.view.plotting.track import MotionQuantity, Track
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# A row of the diagram of stances in units of a row's height; height of its bars.
+# Row height of the stance diagram in units of a row's height; height of its bars.
 STANCE_ROW, BAR = 0.11, 0.62
 # Inches of a letter in the names of contacts.
 NAME_LETTER = 0.06
-# Panels of contacts side by side; rows of them that share a page with others, and on a page of their own.
+# Panels of contacts side by side; rows of them on a shared page, and on a separate page.
 CONTACTS_A_ROW, ROWS_A_PAGE, ROWS_ALONE = 2, 3, 6
 NORMAL, TANGENTIAL = style.BLUE, style.RED
 CONE = "#d9d9d9"

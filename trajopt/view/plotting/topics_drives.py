@@ -1,4 +1,4 @@
-"""The page about drives: what they use of torque and voltage, and where they work in their envelopes."""
+"""The page about drives: shares of torque and voltage used, and operating points in their envelopes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PLANES_A_ROW, ROWS_A_PAGE = 3, 4
-# Points along an envelope, and how far beyond the no-load speed or the motion it is drawn.
+# Points along an envelope, and how far it is drawn beyond the no-load speed or the motion.
 ENVELOPE, BEYOND = 200, 1.1
 
 
@@ -30,7 +30,7 @@ def driven_axes(tracks: Tracks) -> list[tuple[JointAxis, Drive]]:
 
 
 def torque_share(axis: JointAxis, drive: Drive, motion: MotionQuantities) -> np.ndarray:
-    """Motor torque over its limit (K,), which is current over its limit; NaN without a limit."""
+    """Motor torque over its limit (K,), equal to current over its limit; NaN without a limit."""
     if not np.isfinite(drive.torque_limit) or axis.torque is None:
         return np.full(len(motion.t), np.nan)
     return np.abs(drive.motor_torque(motion.drive_torque[:, axis.torque])) / drive.torque_limit

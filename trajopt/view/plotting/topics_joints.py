@@ -17,11 +17,11 @@ from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, bat
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Rows of limbs on one page; robots of so few limbs have a whole row for each kind of quantity.
+# Rows of limbs on one page; robots with this few limbs have a whole row for each kind of quantity.
 LIMBS_A_PAGE, WIDE_LIMBS = 6, 2
-# Smallest span of a vertical axis in SI units: less is rounding.
+# Smallest span of a vertical axis in SI units: smaller differences are rounding.
 LEAST_SPAN = 1e-6
-# A limit is shown where values come as near as this part of it, else it would only flatten the curves.
+# A limit is shown if values reach this fraction of it, else it would only flatten the curves.
 NEAR = 0.75
 SYMBOLS = {"position": "q", "velocity": "v", "torque": "\u03c4"}
 KINDS = ("position", "velocity", "torque")
@@ -35,8 +35,8 @@ def limbs(tracks: Tracks) -> tuple[Limb, ...]:
 def share(kind: str, axis: JointAxis, motion: MotionQuantities) -> np.ndarray:
     """Share (K,) of the limit that an axis uses; NaN where it has none.
 
-    Of a position its distance from the middle of its range over half of it; of velocities and torques the
-    magnitude over the limit.
+    For a position, its distance from the middle of its range over half the range; for velocities and torques,
+    the magnitude over the limit.
     """
     lower, upper = limit_of(kind, axis)
     half = (upper - lower) / 2
@@ -79,7 +79,7 @@ def joint_pages(tracks: Tracks) -> list[PlotPage]:
 def limb_rows(limb: Limb, *, wide: bool, alone: bool = False) -> list[PlotRow]:
     """Position, velocity and torque of a limb's joints side by side, or ``wide`` below one another.
 
-    A limb that is ``alone`` needs no name beside what its joints' names begin with.
+    A limb that is ``alone`` needs no name besides the prefix of its joints.
     """
     legend = tuple(curve.entry for curve in draw.numbered((name, _nothing) for name in limb.short))
     panels = [

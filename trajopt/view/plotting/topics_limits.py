@@ -18,14 +18,14 @@ from trajopt.view.plotting.track import Track
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# A row of a map of shares in units of a row's height, and the least height of a map.
+# Row height of a map of shares in units of a row's height, and the least height of a map.
 MAP_ROW, LEAST_MAP = 0.105, 0.75
 # Inches of a letter in the names of a map's rows; rows of maps on a page, and beside curves.
 NAME_LETTER, MAP_ROWS_A_PAGE, MAP_ROWS_WITH_CURVES = 0.058, 56, 26
 # A share of the limit from which its number is bold, and how far beyond 1 counts as on the limit.
 CLOSE, BEYOND = 0.98, 1e-4
 COLUMNS = 400
-# Joints whose shares are drawn as curves: those that come nearest to their limits.
+# Number of joints whose shares are drawn as curves: those that come nearest to their limits.
 MOST_USED = 5
 
 
@@ -50,13 +50,13 @@ def limit_pages(tracks: Tracks) -> list[PlotPage]:
 
 
 def axes_and_names(tracks: Tracks) -> tuple[list[JointAxis], list[str]]:
-    """Return the axes of all limbs, and names that tell them apart."""
+    """Return the axes of all limbs, with distinct names."""
     found = limbs(tracks)
     return [axis for limb in found for axis in limb.axes], [name for limb in found for name in limb.long]
 
 
 def used_row(tracks: Tracks, kind: str, axes: Sequence[JointAxis], names: Sequence[str]) -> PlotRow | None:
-    """Shares of the joints that come nearest to their limits, over time; None where none is limited."""
+    """Shares of the joints that come nearest to their limits, over time; None if none is limited."""
     peaks = []
     for axis, name in zip(axes, names, strict=True):
         found = np.concatenate([share(kind, axis, track.dense) for track in tracks])
@@ -113,7 +113,7 @@ def largest_row(tracks: Tracks) -> PlotRow | None:
 
 
 def scale_row(left: float) -> PlotRow:
-    """The scale of colours of the maps."""
+    """The colour scale of the maps."""
     return panel_row("", "scale", "", _scale, timed=False, height=0.07, left=left, right=0.45, rigid=True)
 
 
@@ -132,8 +132,8 @@ def _scale(axes: Axes, tracks: Tracks) -> None:
 def share_map(axes: Axes, track: Track, names: Sequence[str], shares: np.ndarray, *, named: bool) -> None:
     """A row for each name and its share (K, n) of a limit over time as a colour, its largest in per cent.
 
-    A column of the picture shows the largest share within its time, so that no peak is lost. What is beyond
-    the limit has a colour of its own; NaN, where there is no limit, is left white.
+    A column of the picture shows the largest share within its time, so that no peak is lost. Values beyond
+    the limit have a separate colour; NaN, where there is no limit, is left white.
     """
     import matplotlib as mpl
 

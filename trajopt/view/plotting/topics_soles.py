@@ -1,4 +1,4 @@
-"""The page about soles: where in them the pressure acts, seen from above and over time."""
+"""The page about soles: their centres of pressure, seen from above and over time."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from trajopt.view.plotting.topics_contacts import CONTACTS_A_ROW, contact_curves
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# What is shown around a sole, over its size; the largest height of its panel in inches.
+# Range shown around a sole, over its size; the largest height of its panel in inches.
 AROUND, TALLEST = 1.3, 2.6
 
 
@@ -66,7 +66,7 @@ def sole_pages(tracks: Tracks) -> list[PlotPage]:
 
 
 def _height(size: Sequence[float]) -> float:
-    """Height of a sole's panel, in units of a row's, that leaves its two axes one scale."""
+    """Height of a sole's panel, in units of a row's, with equal scales on its two axes."""
     length, width = size
     inches = (style.WIDTH - LEFT - RIGHT - BETWEEN) / CONTACTS_A_ROW * width / length
     return min(inches, TALLEST) / UNIT

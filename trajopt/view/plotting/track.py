@@ -1,4 +1,4 @@
-"""A solution made ready for plotting: sampled between its points, with its phases and its name."""
+"""A solution prepared for plotting: sampled between its points, with its phases and its name."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ from trajopt.view.plotting.joints import JointAxis, axes_of
 from trajopt.view.plotting.motion import MotionQuantities
 from trajopt.view.plotting.style import short
 
-# About so many samples are drawn of a motion: a line across a page has no more dots.
+# Approximate number of samples drawn of a motion: a line across a page has no more dots.
 DRAWN = 1500
-# Of an interval at most so many (the polynomials' degree is four at most), and its two ends at least.
+# Most samples of an interval (the polynomials' degree is at most four), and at least its two ends.
 MOST, LEAST = 11, 2
-# A jump between intervals of this part of a quantity's range leaves a gap in its curve: half a line's width.
+# A jump between intervals by this fraction of a quantity's range leaves a gap in its curve: half a line's
+# width.
 JUMP = 0.005
 
 # Values (K, ...) of a motion's samples.
@@ -55,7 +56,7 @@ class Track:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether it is what a simulation did with a plan, and no plan."""
+        """Whether it is a simulated motion instead of a plan."""
         return bool(self.meta.get("simulated"))
 
     @cached_property
@@ -66,7 +67,7 @@ class Track:
 
     @property
     def is_plan(self) -> bool:
-        """Whether it comes from a transcription, which has points, and is finite."""
+        """Whether it comes from a transcription, with collocation points, and is finite."""
         return self.is_finite and not self.is_simulated
 
     @cached_property
@@ -81,18 +82,18 @@ class Track:
 
     @cached_property
     def report(self) -> CheckReport | None:
-        """The check of the solution, None where it is inconsistent or not finite."""
+        """The check of the solution, None if it is inconsistent or not finite."""
         return tried(lambda: check(self.solution))
 
     @cached_property
     def accuracy(self) -> Accuracy | None:
-        """The accuracy of a plan, None of what a simulation did and where it cannot be measured."""
+        """The accuracy of a plan, None for a simulated motion or if it cannot be measured."""
         return None if self.is_simulated else tried(lambda: measure(self.solution))
 
     @cached_property
     def local_errors(self) -> np.ndarray:
         """Local error (I,) m of every interval, see `accuracy.open_loop.interval_drifts`, or NaN."""
-        measured = self.__dict__.get("accuracy")  # where it is known already: it takes a second
+        measured = self.__dict__.get("accuracy")  # if already known: it takes a second
         if measured is not None:
             return np.asarray(measured.interval_errors)
         found = tried(lambda: interval_drifts(self.points.solution))
@@ -129,7 +130,7 @@ class Track:
 
 
 def tried(compute: Callable[[], _Result]) -> _Result | None:
-    """The result, or None where an iterate that is no motion has none."""
+    """The result, or None for an iterate without one."""
     try:
         with np.errstate(all="ignore"):
             return compute()
@@ -140,7 +141,7 @@ def tried(compute: Callable[[], _Result]) -> _Result | None:
 def between_points(plan: Solution) -> Solution:
     """The motion at even fractions of every interval, its ends among them; see `solution.interpolation`.
 
-    An interval with a number that is not finite keeps what its samples are, joined by straight lines.
+    An interval with non-finite numbers keeps its samples, joined by straight lines.
     """
     count = int(np.clip(round(DRAWN / plan.n_intervals), LEAST, MOST))
     return resampled(plan, np.linspace(0.0, 1.0, count), _interval)
@@ -153,7 +154,7 @@ def _interval(plan: Solution, number: int, fractions: np.ndarray) -> MotionSampl
     if all(np.isfinite(getattr(plan, name)[inside]).all() for name in names):
         try:
             return sample_interval(plan, number, fractions)
-        except (ArithmeticError, ValueError):  # a runaway iterate, beyond what its matrices can hold
+        except (ArithmeticError, ValueError):  # a diverged iterate: overflow
             pass
     start, end = plan.interval_t[number]
     times = start + fractions * (end - start)
@@ -190,12 +191,12 @@ def tracks_of(solutions: Sequence[Solution], labels: Sequence[str] | None = None
 
 
 def _robot_of(solution: Solution) -> tuple[object, ...]:
-    """What solutions of one robot have in common."""
+    """The properties that solutions of one robot share."""
     return list(solution.model.names), solution.contact_frames, solution.q.shape[1], solution.tau.shape[1]
 
 
 def _labels(solutions: Sequence[Solution]) -> list[str]:
-    """What tells solutions apart: simulation or plan, grid and scheme, else numbers."""
+    """Labels that distinguish solutions: simulation or plan, grid and scheme, else numbers."""
     if len(solutions) == 1:
         return [str(solutions[0].meta["problem"])]
     kinds = ["simulation" if one.meta.get("simulated") else "plan" for one in solutions]

@@ -24,7 +24,7 @@ from trajopt.view.plotting.track import tracks_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# By ending: a picture is the summary, a document has all pages.
+# Default pages by suffix: a picture has the summary, a document all pages.
 DEFAULT_PAGES = {".png": ("summary",), ".svg": ("summary",), ".pdf": tuple(PAGES), ".html": tuple(PAGES)}
 
 
@@ -54,8 +54,8 @@ def write_plots(
         pages: Names of `summary.PAGES`; pages about what the robot does not have are left out.
 
     Raises:
-        InputError: For another ending, a place that cannot be written, an unknown page, or solutions of
-            several robots.
+        InputError: For another suffix, a file that cannot be written, an unknown page, or solutions of
+        several robots.
         SolutionFileError: For a file that cannot be read.
     """
     place = Path(target)
@@ -69,7 +69,7 @@ def write_plots(
     for one in read:
         if one.n_samples < 2:
             raise InputError(f"the solution has {one.n_samples} samples", "allowed: two or more")
-    with np.errstate(all="ignore"):  # an iterate that is no motion may overflow
+    with np.errstate(all="ignore"):  # a diverged iterate may overflow
         tracks = tracks_of(read, labels)
         chosen = pages_of(tracks, pages or DEFAULT_PAGES[ending])
         content = _content(chosen, tracks, ending)
@@ -85,7 +85,7 @@ def _content(pages: Sequence[PlotPage], tracks: Tracks, ending: str) -> bytes:
         from trajopt.view.plotting.facts import sections
         from trajopt.view.plotting.html import html_page
 
-        tables = sections(tracks)  # first: what they measure the pages show
+        tables = sections(tracks)  # first: the pages show figures measured here
         svgs = [(page, svg_of(figure_of(page, tracks, fixed=False))) for page in pages]
         return html_page(tracks, svgs, tables).encode()
     figures = _figures(pages, tracks, fixed=False)
@@ -105,7 +105,7 @@ def _pdf(figures: Sequence[Figure], title: str) -> bytes:
     from matplotlib.backends.backend_pdf import PdfPages
 
     buffer = io.BytesIO()
-    facts = {"Title": title, "Creator": "trajopt", "CreationDate": None}  # one report, one text
+    facts = {"Title": title, "Creator": "trajopt", "CreationDate": None}  # for equal files
     with PdfPages(buffer, metadata=facts) as document:
         for figure in figures:
             document.savefig(figure)

@@ -19,12 +19,12 @@ from trajopt.view.replay.turns import turns_to
 
 FORCE_COLOUR, IMPULSE_COLOUR = 0xD9421F, 0x7A1FA2
 TRAIL_COLOURS = (0x1F77B4, 0x2CA02C, 0x9467BD, 0xC77700)
-# An arrow of the robot's weight is at most this part of the robot's largest extent long, and so long that the
-# longest arrow of the motion is no longer than that.
+# Length of the weight's arrow over the robot's extent, at most this, and at most this second value for the
+# longest arrow of the motion.
 WEIGHT_ARROW, LONGEST_ARROW = 0.8, 1.2
 # Arrow over the robot's extent; a head never takes more than half of its arrow.
 SHAFT_RADIUS, HEAD_RADIUS, HEAD_LENGTH = 0.007, 0.02, 0.055
-# Forces below this part of the weight are not drawn.
+# Forces below this fraction of the weight are not drawn.
 LEAST_FORCE = 1e-3
 
 
@@ -73,7 +73,7 @@ def _stretch(node: Any, tracks: Animation, length: np.ndarray, tip: float) -> No
 
 
 def _draw(node: Any, size: float, colour: int) -> None:
-    """Shaft of length one and head, along z; where the robot hides them, they shine through."""
+    """Shaft of length one and head, along z; they shine through the robot."""
     tip = HEAD_LENGTH * size
     parts = {
         "shaft": (shapes.Cylinder(1.0, SHAFT_RADIUS * size), 0.5),

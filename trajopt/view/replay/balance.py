@@ -1,15 +1,15 @@
 """Centre of mass, zero-moment point and support of a motion, by numeric Pinocchio.
 
-The surroundings act on the robot (and on what it carries) with the wrench that its momentum asks for,
+The external wrench on the robot (and its payload) follows from its momentum,
 
     F = dh/dt - m g        M_p = dk/dt + (c - p) x F
 
 with linear and angular momentum h, k (about the centre of mass c). The zero-moment point z lies in the plane
 of the contacts, of normal n: n x M_z = 0, so z = p + n x M_p / (n . F) for any p of that plane (Sardain and
 Bessonnet, "Forces acting on a biped robot. Center of pressure - zero moment point", IEEE Trans. SMC A 34,
-2004). Where all contacts that press are on one plane it is the centre of pressure of their forces. Where
-they are not, no such plane exists: a virtual one is taken, level and through the mean of the contacts. Walls
-and handles are no support of a robot that stands on something else; their forces move the point.
+2004). Where all loaded contacts are on one plane it is the centre of pressure of their forces. Otherwise a
+virtual plane is used, level and through the mean of the contacts. Walls and handles do not support a robot
+that stands on something else; their forces move the point.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from trajopt.terrain.surface import SAME_PLANE, UP, Surface
 from trajopt.view.replay.motion import LEAST_PRESSURE, ReplayMotion
 from trajopt.view.replay.surfaces import plane_of
 
-# A surface whose normal is nearer to level than to vertical is a wall: it steadies and does not carry.
+# A surface whose normal is nearer to level than to vertical is a wall: it does not carry.
 LEVEL = np.sqrt(0.5)
 _CORNERS = np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SupportArea:
-    """What carries the robot during frames ``rows`` (n,): a plane, and the hull (k, 3) of its contacts, m.
+    """The support during frames ``rows`` (n,): a plane, and the convex hull (k, 3) of its contacts, m.
 
     The hull is that of the contacts' points and soles' corners along the plane's normal, in order around
     it; its points are the contacts' own, on several planes too. Two points are a segment.
@@ -75,7 +75,7 @@ def balance_of(solution: Solution, motion: ReplayMotion, touched: TouchedSurface
 
 
 def centres_of_mass(solution: Solution, motion: ReplayMotion) -> np.ndarray:
-    """Centre of mass (n, 3) of the robot with what it carries, world, m."""
+    """Centre of mass (n, 3) of the robot with its payload, world, m."""
     com = np.empty((motion.n_frames, 3))
     for phase in np.unique(motion.phase):
         model = carrying_model(solution, int(phase))
@@ -86,7 +86,7 @@ def centres_of_mass(solution: Solution, motion: ReplayMotion) -> np.ndarray:
 
 
 def outer_wrenches(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Force (K, 3) N and moment about the world's origin (K, 3) N m of the surroundings at the samples."""
+    """Force (K, 3) N and moment about the world's origin (K, 3) N m from outside at the samples."""
     force, moment, com = np.empty((3, solution.n_samples, 3))
     for phase in np.unique(solution.phase):
         model = carrying_model(solution, int(phase))

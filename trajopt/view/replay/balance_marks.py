@@ -1,4 +1,4 @@
-"""What a replay draws of balance: centre of mass and its projection, zero-moment point, support polygons."""
+"""Balance in a replay: centre of mass and its projection, zero-moment point, support polygons."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from trajopt.view.replay.thinning import hold_while_hidden
 ZMP_COLOUR, SUPPORT_COLOUR = 0xB5179E, 0x2A9D6F
 COM_TRAIL_COLOUR, PLUMB_COLOUR = 0x30343B, 0x50565F
 SUPPORT_OPACITY = 0.28
-# The robot hides these marks most of the time: they shine through it.
+# The robot covers these marks most of the time: they shine through it.
 THROUGH = 0.75
 # Over the robot's extent: radii of the ball, its projection, the zero-moment point, the vertical line, and
 # half the width of a support that is a segment.
@@ -48,7 +48,7 @@ def draw_balance(run: DrawnSolution, tracks: Animation, balance: Balance, drop: 
     node, model = run.node, run.solution.model
     dark = colour_array(run.colour) if run.tinted else DARK
     _draw_com(run, tracks, balance, drop, size, dark)
-    if not balance.supports or not BASE_JOINT[base_of(model)]:  # a base that is bolted down
+    if not balance.supports or not BASE_JOINT[base_of(model)]:  # a fixed base
         return
     _draw_zmp(node["zmp"], tracks, balance, drop, size, run.ink(ZMP_COLOUR))
     for number, support in enumerate(balance.supports):

@@ -1,4 +1,4 @@
-"""Bodies of a replay beside the robot: obstacles that it stays clear of, and what it carries."""
+"""Bodies of a replay besides the robot: obstacles and payloads."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DENSITY = 800.0
 
 
 def draw_obstacles(run: DrawnSolution) -> np.ndarray:
-    """Draw what the robot stays clear of; returns the corners (k, 3), world, m."""
+    """Draw the obstacles; returns their corners (k, 3), world, m."""
     scene = scene_of_meta(run.solution.model, run.solution.meta.get("collision"))
     corners = [np.zeros((0, 3))]
     for obstacle in scene.obstacles if scene is not None else ():
@@ -56,7 +56,7 @@ def _solid(node: Any, shape: Any, placement: pin.SE3) -> None:
 
 
 def draw_payloads(run: DrawnSolution, tracks: Animation) -> np.ndarray:
-    """Animate what is carried; returns places (k, 3) that it takes up, m, world."""
+    """Animate payloads; returns points (k, 3) of their extent, m, world."""
     solution, motion, places = run.solution, run.motion, [np.zeros((0, 3))]
     for number, (entry, phases) in enumerate(_bodies(solution)):
         contact = solution.contact_frames.index(entry["frame"])
@@ -65,7 +65,7 @@ def draw_payloads(run: DrawnSolution, tracks: Animation) -> np.ndarray:
             continue
         body, part = payload_inertia(entry), run.node["payloads"][f"body{number}"]
         extent = _draw_payload(part["shape"], body)
-        # It waits where it is taken, and stays where it is left.
+        # Before it is taken and after it is put down it stays in place.
         hand = hold_while_hidden(motion.contacts[:, contact], carried)
         tracks.place(part, hand)
         centres = hand[:, :3, :3] @ body.lever + hand[:, :3, 3]
@@ -74,7 +74,7 @@ def draw_payloads(run: DrawnSolution, tracks: Animation) -> np.ndarray:
 
 
 def _bodies(solution: Solution) -> list[tuple[dict[str, Any], list[int]]]:
-    """Each carried body with the phases in which it is; a body is described once for every phase."""
+    """Each carried body with its phases; the file describes a body once per phase."""
     found: list[tuple[dict[str, Any], list[int]]] = []
     for entry in solution.meta.get("payloads") or []:
         body = {key: value for key, value in entry.items() if key != "phases"}

@@ -1,4 +1,4 @@
-"""A replay's page in a headless Chromium: seek, choose a camera, take pictures, hear its complaints."""
+"""A replay's page in a headless Chromium: seek, choose a camera, take pictures, collect its errors."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _Answer = TypeVar("_Answer")
 
-# Names a file of another Chromium or Chrome.
+# Environment variable with the path of another Chromium or Chrome.
 EXECUTABLE_VARIABLE = "TRAJOPT_CHROMIUM"
 EXECUTABLES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 INSTALL_CHROMIUM = f"on Debian: apt install chromium; or set {EXECUTABLE_VARIABLE} to one"
@@ -39,13 +39,13 @@ FLAGS = (
     "--ignore-gpu-blocklist",
     "--enable-unsafe-swiftshader",
 )
-# Seconds until an opened page must be ready, for one picture or question, and for the end of the browser.
+# Time limits, s: until an opened page is ready, for one call, and for the end of the browser.
 READY_LIMIT, CALL_LIMIT, END_LIMIT = 90.0, 120.0, 10.0
-# What a console message must be to count as a complaint.
+# Kinds of console message that count as errors.
 COMPLAINTS = ("error", "warning", "assert")
-# What Chromium itself says of how its picture is taken where there is no graphics card.
+# Chromium's own message about taking pictures without a graphics card.
 DRIVER_MESSAGE = "GL Driver Message"
-# Opens a page at its start (a time before it is the start), standing still.
+# Opens a page paused at its start (earlier times are clipped).
 AT_START = "t=0"
 
 
@@ -61,7 +61,7 @@ class _Calls:
         self._thread.start()
 
     def __call__(self, work: Awaitable[_Answer], limit: float, what: str) -> _Answer:
-        """Return what ``work`` gives; raises `TrajoptError`, one line, when it fails or lasts too long."""
+        """Return the result of ``work``; raises `TrajoptError`, one line, if it fails or takes too long."""
         from playwright.async_api import Error
 
         async def limited() -> _Answer:
@@ -82,11 +82,11 @@ class _Calls:
 
 
 class OpenedPage:
-    """A page of `trajopt.replay` that stands still in Chromium until it is told to move.
+    """A page of `trajopt.replay`, paused in Chromium.
 
-    start, duration: s of the solution. cameras, layers: names that it knows. errors: complaints so far
-    (console errors, console warnings, exceptions of scripts). requests: addresses it has asked for.
-    Every method raises `TrajoptError`, one line, if the browser crashes or does not answer in time.
+    start, duration: s of the solution. cameras, layers: their names. errors: messages so far (console errors,
+    console warnings, exceptions of scripts). requests: addresses it has requested. Every method raises
+    `TrajoptError`, one line, if the browser crashes or does not answer in time.
     """
 
     def __init__(self, calls: _Calls, page: AsyncPage, cdp: CDPSession, heard: _Heard) -> None:
@@ -120,13 +120,13 @@ class OpenedPage:
         return dict(self.evaluate("trajopt.state()"))
 
     def png(self) -> bytes:
-        """Return what the window shows as a PNG without loss, in the size that it was opened with."""
-        # Weak compression, for speed: the picture goes on to Pillow or ffmpeg.
+        """Return the window's picture as a lossless PNG, in the size in which it was opened."""
+        # Weak compression, for speed: the picture is passed on to Pillow or ffmpeg.
         shot = self._cdp.send("Page.captureScreenshot", {"format": "png", "optimizeForSpeed": True})
         return base64.b64decode(self._calls(shot, CALL_LIMIT, "a picture of the replay's page")["data"])
 
     def picture(self) -> np.ndarray:
-        """Return what the window shows: (h, w, 3) of bytes, red, green, blue."""
+        """Return the window's picture: (h, w, 3) of bytes, red, green, blue."""
         from PIL import Image
 
         return np.array(Image.open(io.BytesIO(self.png())).convert("RGB"))
@@ -138,7 +138,7 @@ def _require_known(kind: str, name: str, known: Sequence[str]) -> None:
 
 
 class _Heard:
-    """What a page says and asks for."""
+    """A page's messages and requests."""
 
     def __init__(self) -> None:
         self.errors: list[str] = []
@@ -151,7 +151,7 @@ class _Heard:
         page.on("request", lambda request: self.requests.append(request.url))
 
     def failures(self) -> list[str]:
-        """What it complained of beyond warnings."""
+        """Messages other than warnings."""
         return [text for text in self.errors if not text.startswith("warning")]
 
     def _console(self, message: ConsoleMessage) -> None:
@@ -175,7 +175,7 @@ class Chromium:
     ) -> Iterator[OpenedPage]:
         """Open a replay's ``page`` in a window of ``size`` (width, height) pixels.
 
-        fragment: what stands behind # in its address, as in ``"t=0.3&camera=side&panel=off"``: paused at that
+        fragment: the part after # in its address, as in ``"t=0.3&camera=side&panel=off"``: paused at that
         time; without ``t`` it plays. Raises `InputError` for a file that does not exist and `TrajoptError`
         for a page that is not ready within ``limit`` s.
         """
@@ -184,12 +184,12 @@ class Chromium:
             raise InputError(f"page {path} does not exist", "a file that trajopt replay --html has written")
         heard, what = _Heard(), f"page {path.name}"
         address = path.as_uri() + (f"#{fragment}" if fragment else "")
-        # The work keeps to the limit itself, and says what the page complained of.
+        # The work has the limit itself, and reports the page's errors.
         view, cdp = self._calls(_open(self._browser, address, size, heard, limit), limit + END_LIMIT, what)
         try:
             yield OpenedPage(self._calls, view, cdp, heard)
         finally:
-            with contextlib.suppress(TrajoptError):  # of a browser that is gone
+            with contextlib.suppress(TrajoptError):  # the browser may be gone
                 self._calls(view.context.close(), END_LIMIT, what)
 
 
@@ -210,7 +210,7 @@ def chromium() -> Iterator[Chromium]:
             executable_path=executable,
             headless=True,
             args=list(FLAGS),
-            handle_sigint=False,  # Ctrl-C is answered here, by the end of this function
+            handle_sigint=False,  # Ctrl-C is handled here, at the end of this function
         )
         try:
             yield Chromium(calls, calls(launching, READY_LIMIT, executable))
@@ -223,7 +223,7 @@ def chromium() -> Iterator[Chromium]:
 
 @contextlib.contextmanager
 def open_page(page: str | Path, *how: Any, **options: Any) -> Iterator[OpenedPage]:
-    """Open one page in a Chromium of its own, as `Chromium.opened`."""
+    """Open one page in a separate Chromium, as `Chromium.opened`."""
     with chromium() as browser, browser.opened(page, *how, **options) as view:
         yield view
 
@@ -251,7 +251,7 @@ def find_chromium() -> str:
 async def _open(
     browser: AsyncBrowser, address: str, size: tuple[int, int], heard: _Heard, limit: float
 ) -> tuple[AsyncPage, CDPSession]:
-    """A page that is ready, in a window of its own; raises `TrajoptError` with its complaint if it is not."""
+    """A page that is ready, in a separate window; raises `TrajoptError` with its error if it is not."""
     width, height = size
     context = await browser.new_context(
         viewport={"width": width, "height": height}, device_scale_factor=1, offline=True
@@ -281,7 +281,7 @@ async def _ready(page: AsyncPage, address: str, heard: _Heard) -> None:
 
 
 def _reason(error: Exception) -> str:
-    """One line of Playwright's message, which may hold a log: what is missing, if it says so."""
+    """One line of Playwright's message, which may contain a log: the cause, if it is stated."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     telling = [line for line in lines if "error while loading" in line or "No usable sandbox" in line]
     return (telling or lines or ["Chromium has ended"])[0]

@@ -1,4 +1,4 @@
-"""What the page of a replay says about its solutions, as facts: title, and lines of the caption."""
+"""Text on the page of a replay: title, and lines of the caption."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Line = dict[str, str]
 def caption_lines(
     runs: Sequence[DrawnSolution], motions: Sequence[ReplayMotion], weight_arrow: float, note: str
 ) -> list[Line]:
-    """Return the lines of the caption: solutions, scales of arrows, and what is missing, ``note``.
+    """Return the lines of the caption: solutions, scales of arrows, and a ``note`` on missing parts.
 
     Kinds are "", "run", "quiet", "warned" or "failed"; ``weight_arrow`` is the length of a weight's arrow, m.
     """
@@ -35,7 +35,7 @@ def _about(runs: Sequence[DrawnSolution]) -> list[Line]:
         return _state(runs[0].solution)
     names, lines = [title(run.solution) for run in runs], []
     for run, name in zip(runs, names, strict=True):
-        usual = name.replace(" – ", " ")  # as runs are called that are given no label
+        usual = name.replace(" – ", " ")  # the default label of a run
         told = len(set(names)) == 1 or run.label == usual
         said = run.label if told else f"{run.label}: {name}"
         lines += [line(said, "run", f"#{run.colour:06x}"), *_state(run.solution)]

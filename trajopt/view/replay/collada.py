@@ -1,10 +1,9 @@
 """Triangles, normals and colours of a COLLADA file.
 
-Meshcat's own reader drops parts of files in which one geometry has several materials, as
-those of many arms have. This one reads what description files hold: triangles and polygons
-under a tree of nodes, with plain colours; textures are not read. Anything else raises
-`ColladaError`. Numbers are taken as they are, in m and without turning the file's up axis,
-as Pinocchio takes them.
+Meshcat's own reader drops parts of files in which one geometry has several materials, common for arms. This
+one reads the contents of description files: triangles and polygons under a tree of nodes, with plain colours;
+textures are not read. Anything else raises `ColladaError`. Numbers are taken as they are, in m and without
+turning the file's up axis, as Pinocchio takes them.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ class ColladaError(ValueError):
 
 
 def read_collada(path: str | Path, plain: np.ndarray = GREY) -> ColouredMesh:
-    """Read the mesh of a file, in m; ``plain`` (3,) colours what has no plain colour in the file.
+    """Read the mesh of a file, in m; ``plain`` (3,) colours parts without a plain colour in the file.
 
     Raises `ColladaError`, or `OSError` if the file cannot be opened.
     """
@@ -39,7 +38,7 @@ def read_collada(path: str | Path, plain: np.ndarray = GREY) -> ColouredMesh:
 
 @lru_cache(maxsize=MOST_FILES)
 def _read(path: Path, changed: float, plain: tuple[float, ...]) -> ColouredMesh:
-    """The mesh of a file that was ``changed`` then: robots have one file at several places."""
+    """The mesh of a file with modification time ``changed``, cached: robots use one file several times."""
     try:
         root = Tree.parse(path).getroot()
         for element in root.iter():
@@ -86,8 +85,8 @@ class _Reader:
 
     def _geometry(self, instance: Tree.Element, placement: np.ndarray) -> None:
         bound = {entry.get("symbol"): entry.get("target", "") for entry in instance.iter("instance_material")}
-        rotation = np.ascontiguousarray(placement[:3, :3].T)  # a view of rows takes three times as long
-        turn = np.linalg.inv(placement[:3, :3])  # normals go with the inverse transpose
+        rotation = np.ascontiguousarray(placement[:3, :3].T)  # without a copy it takes three times as long
+        turn = np.linalg.inv(placement[:3, :3])  # normals transform with the inverse transpose
         for primitive in self._by_id[instance.get("url", "")].iterfind("mesh/*"):
             if primitive.tag in ("triangles", "polylist"):
                 points, normals, index = self._corners(primitive)
@@ -113,7 +112,7 @@ class _Reader:
             turned = index[:, int(inputs["NORMAL"].get("offset", 0))]
             normals = self._source(inputs["NORMAL"])
             if index.min(initial=0) < 0 or turned.max(initial=0) >= len(normals):
-                raise ColladaError("a triangle with a normal that is not there")
+                raise ColladaError("a triangle with a missing normal")
             pairs, corner = np.unique(at * len(normals) + turned, return_inverse=True)
             return positions[pairs // len(normals)], normals[pairs % len(normals)], corner
         if "NORMAL" in attributes:
@@ -140,7 +139,7 @@ class _Reader:
 
 
 def _transform(node: Tree.Element) -> np.ndarray:
-    """Placement (4, 4) of a node in its parent: its transformations in the order of the file."""
+    """Placement (4, 4) of a node in its parent: its transformations in file order."""
     result = np.eye(4)
     for element in node:
         if element.tag not in TRANSFORMATIONS:

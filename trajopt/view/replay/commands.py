@@ -19,7 +19,7 @@ from trajopt.view.replay.thinning import (
 )
 from trajopt.view.replay.turns import quaternions_of
 
-# Types of three.js of the properties that are animated.
+# Types in three.js of the animated properties.
 KINDS = {
     "position": "vector3",
     "scale": "vector3",
@@ -38,29 +38,29 @@ class ViewerCommand:
     message: dict[str, Any]
 
     def lower(self) -> dict[str, Any]:
-        """Return the message, as Meshcat's window asks for it."""
+        """Return the message, for Meshcat's window."""
         return self.message
 
 
 class Recorder:
-    """A Meshcat window that keeps what it is told instead of sending it to a server."""
+    """A Meshcat window that records messages instead of sending them to a server."""
 
     def __init__(self) -> None:
         self.commands: list[ViewerCommand] = []
 
     def send(self, command: Any) -> None:
-        """Keep the command."""
+        """Record the command."""
         self.note(command.lower())
 
     def note(self, message: dict[str, Any]) -> None:
-        """Keep a message."""
+        """Record a message."""
         self.commands.append(ViewerCommand(message))
 
 
 class Animation:
     """Animated properties by place in the scene tree, given at the same frames and thinned.
 
-    length: m, the robot's extent, to which the allowed error of positions and scales is related.
+    length: m, the robot's extent, the unit of the allowed error of positions and scales.
     """
 
     def __init__(self, n_frames: int, frame_rate: float, length: float) -> None:
@@ -99,7 +99,7 @@ class Animation:
         self.add(node, "quaternion", quaternions_of(placements[:, :3, :3]))
 
     def command(self) -> ViewerCommand:
-        """Return the message that loads and plays the animation, again and again."""
+        """Return the message that loads the animation and plays it in a loop."""
         animations = [
             {"path": path, "clip": {"fps": self._frame_rate, "name": "default", "tracks": tracks}}
             for path, tracks in self._clips.items()

@@ -1,4 +1,4 @@
-"""Friction cones of a replay: where the force acts, as wide as friction allows, coloured by its use."""
+"""Friction cones of a replay, at the point of the force, coloured by the share of friction used."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from trajopt.view.replay.turns import turns_to
 # Length of a cone's side over the robot's extent; half angle, axis and apex are to scale.
 SIDE = 0.16
 OPACITY = 0.3
-# Colour by how much of friction is used: |f_t| / (mu f_n) is 0 along the axis and 1 on the cone.
+# Colour by the share of friction used: |f_t| / (mu f_n) is 0 along the axis and 1 on the cone.
 USED = (0.0, 0.6, 0.85, 1.0)
 COLOURS = (0x3C93C2, 0x3C93C2, 0xF0A202, 0xB0170B)
 ROUND, RIBS = 24, 8
 
 
 def draw_cones(run: DrawnSolution, tracks: Animation, touched: TouchedSurfaces, size: float) -> None:
-    """Animate the cone of every contact that friction holds; ``touched`` is of the motion's frames.
+    """Animate the cone of every unilateral contact; ``touched`` is at the motion's frames.
 
     Hidden while the contact is not active; a contact on a bilateral surface has none, as its force is free.
     """
@@ -57,7 +57,7 @@ def draw_cones(run: DrawnSolution, tracks: Animation, touched: TouchedSurfaces, 
 
 
 def friction_used(motion: ReplayMotion, touched: TouchedSurfaces) -> np.ndarray:
-    """Part (n, nc) of friction that each force uses, |f_t| / (mu f_n), at most 1; 0 of hardly any force."""
+    """Share (n, nc) of friction that each force uses, |f_t| / (mu f_n), at most 1; 0 for tiny forces."""
     force = motion.force / motion.weight
     normal = touched.along_normal(force)
     along = np.linalg.norm(force - normal[..., None] * touched.normal, axis=-1)
@@ -67,7 +67,7 @@ def friction_used(motion: ReplayMotion, touched: TouchedSurfaces) -> np.ndarray:
 
 
 def colours_of(used: np.ndarray) -> np.ndarray:
-    """Colours (n, 3) from 0 to 1 of the used part (n,) of friction."""
+    """Colours (n, 3) from 0 to 1 of the used share (n,) of friction."""
     stops = np.array([colour_array(colour) for colour in COLOURS])
     return np.column_stack([np.interp(used, USED, stops[:, channel]) for channel in range(3)])
 

@@ -1,4 +1,4 @@
-"""Copies of what is drawn: ghosts of a robot at other times, and robots in the colour of their solution."""
+"""Copies of drawn objects: ghosts of a robot at other times, and robots in their solution's colour."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from trajopt.view.replay.runs import DrawnSolution
 PREFIX = "/meshcat/"
 TINT_OPACITY = 0.55
 GHOST_COLOUR, GHOST_OPACITY = 0x5F7FA6, 0.2
-# At most this many ghosts, each with some point of the robot this part of its extent away from every other.
+# Most ghosts, and the least distance between any two of some point of the robot, over its extent.
 MOST_GHOSTS, APART = 6, 0.35
-# Of a long gait so many changes of phase are looked at.
+# Most changes of phase that are considered in a long gait.
 MOST_COMPARED = 40
 
 
 def messages_below(recorder: Recorder, place: str) -> list[dict[str, Any]]:
-    """Messages so far about what lies below a ``place`` of the scene tree."""
+    """Messages so far about objects below a ``place`` of the scene tree."""
     start = f"{PREFIX}{place}/"
     return [c.message for c in recorder.commands if c.message.get("path", "").startswith(start)]
 
 
 def tint(recorder: Recorder, place: str, colour: int) -> None:
-    """Give everything that was drawn below ``place`` one colour, translucent."""
+    """Give everything drawn below ``place`` one translucent colour."""
     start = f"{PREFIX}{place}/"
     recorder.commands[:] = [
         ViewerCommand(_in_colour(command.message, colour, TINT_OPACITY))
@@ -55,7 +55,7 @@ def draw_copy(recorder: Recorder, drawn: list[dict[str, Any]], place: str, copy:
 def _in_colour(message: dict[str, Any], colour: int, opacity: float, behind: bool = False) -> dict[str, Any]:
     """The message of an object with its geometry, shared, and another material.
 
-    ``behind``: where it coincides with another object, that one is seen.
+    ``behind``: where it coincides with another object, that one is visible.
     """
     content = message["object"]
     material = {
@@ -88,7 +88,7 @@ def _in_colour(message: dict[str, Any], colour: int, opacity: float, behind: boo
 def draw_ghosts(
     recorder: Recorder, run: DrawnSolution, joints: Sequence[tuple[int, str]], frames: list[int]
 ) -> None:
-    """Draw translucent copies of a run's robot as it is at ``frames``; ``joints`` with their places in it."""
+    """Draw translucent copies of a run's robot as it is at ``frames``; ``joints`` with their paths in it."""
     drawn = messages_below(recorder, run.path("robot"))
     for number, frame in enumerate(frames):
         ghost = f"{run.path('ghosts')}/pose{number}"

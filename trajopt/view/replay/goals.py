@@ -24,7 +24,7 @@ CROSS, AXIS, RADIUS, RING, LIFT = 0.05, 0.1, 0.004, 0.03, 0.0035
 
 
 def draw_goals(run: DrawnSolution, drop: float, size: float) -> np.ndarray:
-    """Draw what the problem asked for (``meta["goals"]``); returns the places (k, 3), m.
+    """Draw the problem's goals (``meta["goals"]``); returns their positions (k, 3), m.
 
     drop: how far below the contacts the drawn ground lies, m. Raises `SolutionFileError`.
     """
@@ -43,7 +43,7 @@ def _marks(solution: Solution, target: Target) -> list[tuple[np.ndarray, str]]:
     if target.q is not None:
         return [(place, "pose") for place in _posture(model, target.q)]
     if target.frame is None or not model.existFrame(target.frame) or target.position is None:
-        return []  # a rotation alone has no place
+        return []  # a rotation alone has no position
     if target.rotation is not None:
         return [(placed(target.position, target.rotation), "pose")]
     if _lands(solution, target):
@@ -52,7 +52,7 @@ def _marks(solution: Solution, target: Target) -> list[tuple[np.ndarray, str]]:
 
 
 def _lands(solution: Solution, target: Target) -> bool:
-    """Whether the target is where a contact begins, not one on the way of a frame that may touch."""
+    """Whether the target is where a contact begins, not a waypoint of a frame that may touch."""
     index = _phase_index(solution, target)
     if index is None or target.frame not in solution.contact_frames:
         return False
@@ -66,7 +66,7 @@ def _phase_index(solution: Solution, target: Target) -> int | None:
 
 
 def _posture(model: pin.Model, q: np.ndarray) -> list[np.ndarray]:
-    """Where a configuration has the base, or of a fixed base the tips."""
+    """Position of the base at a configuration, or for a fixed base of the tips."""
     if q.shape != (model.nq,):
         return []
     data = model.createData()
@@ -78,7 +78,7 @@ def _posture(model: pin.Model, q: np.ndarray) -> list[np.ndarray]:
 
 
 def _normal(solution: Solution, target: Target) -> np.ndarray:
-    """Normal of what a contact lands on: its own surface in that phase, else the terrain."""
+    """Normal under a contact that lands: of its own surface in that phase, else of the terrain."""
     index, position = _phase_index(solution, target), target.position
     own = surfaces_of(solution.meta.get("surfaces"))
     if index is not None and index < len(own):

@@ -1,4 +1,4 @@
-"""The ground of a replay: the plane of every solution, how deep drawn feet reach below it; light and sky."""
+"""The ground of a replay: the plane of every solution, the depth of drawn feet below it; light and sky."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ SKY_TOP, SKY_BOTTOM = [0.70, 0.79, 0.90], [0.96, 0.97, 0.98]
 GROUND_COLOUR, GRID_COLOUR = 0xDCE1E8, 0xAEB7C3
 # Grid cells over the robot's extent, rounded down to 1, 2 or 5 times a power of ten; bold every fifth.
 CELL_PART, BOLD_EVERY = 0.3, 5
-# A motion is at most about so many cells long: those of one that flies off are larger.
+# Approximate limit of cells along a motion: cells of a motion that flies off are larger.
 MOST_CELLS = 250
 # Ground on each side of the motion, in robot extents.
 PLANE_MARGIN = 8.0
-# Light from the sun and around it; together a level white surface is just white.
+# Light from the sun and from the sky: together they make a level white surface just white.
 SUN = 0.6
 FILL_LIGHTS = (
     ("AmbientLight", 0.45),
@@ -39,7 +39,7 @@ FILL_LIGHTS = (
 SUN_DIRECTION = np.array([0.35, -0.5, 1.0])
 # Half the side of the square with shadows, in robot extents.
 SHADOW_REACH = 3.0
-# The plane lies below the grid's lines by this part of the robot's extent, so that both show.
+# The plane lies below the grid's lines by this fraction of the robot's extent, so that both are visible.
 GRID_LIFT = 0.002
 
 
@@ -47,7 +47,7 @@ GRID_LIFT = 0.002
 class DrawnGround:
     """plane: the terrain's, of uneven ground a level one. seen: as drawn, ``drop`` m below the contacts.
 
-    elsewhere: touches of other surfaces than the terrain. uneven: the terrain, if it is no plane.
+    elsewhere: contacts with surfaces other than the terrain. uneven: the terrain, if it is not a plane.
     """
 
     plane: Surface
@@ -60,8 +60,8 @@ class DrawnGround:
 def grounds_of(runs: list[DrawnSolution], size: float) -> list[DrawnGround]:
     """The ground under each solution, in its own world; ``size`` m is the robots' extent.
 
-    Where several stand on one plane it is drawn at the height of the smallest feet: the others' sink into
-    it by as much as their tips are rounder.
+    Where several stand on one plane, it is drawn at the height of the smallest feet: larger feet sink into
+    it.
     """
     grounds = [_ground_of(run, size) for run in runs]
     plane = grounds[0].plane
@@ -84,7 +84,7 @@ def _ground_of(run: DrawnSolution, size: float) -> DrawnGround:
 
 
 def _under(run: DrawnSolution, plane: Surface) -> Surface:
-    """The plane; under a robot without contacts as low as it hangs, which a pendulum does."""
+    """The plane; under a robot without contacts as low as it hangs, as for a pendulum."""
     if run.solution.contact_frames or not run.cloud.size:
         return plane
     depth = min(float((run.cloud @ plane.normal).min()) - plane.height, 0.0)
@@ -97,7 +97,7 @@ def draw_grounds(
     """Draw sky, light and each different ground; returns the first solution's plane.
 
     ``box`` (2, 3) m is around everything. Runs on planes share the first one; uneven ground of runs that are
-    moved aside goes with them, and no further than half way to the next.
+    moved aside moves with them, and extends at most half way to the next.
     """
     _draw_sky_and_light(vis, size)
     aside, drawn = any(run.shift.any() for run in runs), []

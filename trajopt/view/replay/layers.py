@@ -1,4 +1,4 @@
-"""The layers of a scene: what a viewer can show and hide: names, colours, places in the scene tree."""
+"""The layers of a scene that a viewer can show and hide: names, colours, scene tree paths."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from trajopt.view.replay.ground import GROUND_COLOUR
 from trajopt.view.replay.runs import DrawnSolution, travels
 from trajopt.view.replay.surfaces import WALL_COLOUR
 
-# A robot ends elsewhere if its base is this part of its extent from where it began.
+# A robot ends elsewhere if its base moves by more than this, over its extent.
 ELSEWHERE = 0.5
 
 # Name, label, colour, and place in the scene tree of every run or of the scene.
@@ -59,15 +59,15 @@ def layers_of(
 
 
 def layer(name: str, label: str, colour: int, paths: list[str], visible: bool = True) -> dict[str, Any]:
-    """Return what the page is told of a layer: the parts of the scene tree that one toggle shows."""
+    """Return a layer's description for the page: the parts of the scene tree that one toggle shows."""
     return {"name": name, "label": label, "colour": f"#{colour:06x}", "paths": paths, "visible": visible}
 
 
 def hidden_layers(runs: Sequence[DrawnSolution], tangents: np.ndarray) -> set[str]:
-    """Names of the layers that a first look does without; ``tangents`` (2, 3) of the ground.
+    """Names of the layers that are hidden at first; ``tangents`` (2, 3) of the ground.
 
-    Ghosts show a way at a glance where the robot leaves its place; over each other, or beside a second
-    robot, they hide more than they show. The centre of mass says little of a robot that is bolted down.
+    Ghosts show the path at a glance if the robot travels; over each other, or beside a second robot, they
+    obscure more than they show. The centre of mass is of little interest for a fixed base.
     """
     hidden = set()
     if len(runs) > 1 or not _parts_from_itself(runs[0], tangents):
@@ -78,7 +78,7 @@ def hidden_layers(runs: Sequence[DrawnSolution], tangents: np.ndarray) -> set[st
 
 
 def _parts_from_itself(run: DrawnSolution, tangents: np.ndarray) -> bool:
-    """Whether the robot ends elsewhere, but in one picture: an arm always."""
+    """Whether the robot ends elsewhere, within one picture; always true for an arm."""
     if not BASE_JOINT[base_of(run.solution.model)]:
         return True
     way = float(np.linalg.norm((run.base[-1] - run.base[0]) @ tangents.T))

@@ -1,4 +1,4 @@
-"""A live replay: a Meshcat server whose page is ours, and which scripts can go on telling things."""
+"""A live replay: a Meshcat server with our own page, to which scripts can send further commands."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from trajopt.view.replay import server
 from trajopt.view.replay.commands import ViewerCommand
 from trajopt.view.replay.page import live_page, without_nonfinite
 
-# Without one of these a browser would open in the terminal, if at all.
+# Without one of these variables a browser would open in the terminal, if at all.
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
 
 
 class LiveWindow(ViewerWindow):
-    """A Meshcat window with a server of its own, whose page has the player's caption, phases and cameras.
+    """A Meshcat window with a separate server, whose page has the player's caption, phases and cameras.
 
-    It takes everything that Meshcat's window takes. Raises `TrajoptError` if the server does not start.
+    It accepts everything that Meshcat's window accepts. Raises `TrajoptError` if the server does not start.
     """
 
     def __init__(self) -> None:
@@ -36,7 +36,7 @@ class LiveWindow(ViewerWindow):
         self.connect_zmq()
 
     def show(self, commands: Sequence[ViewerCommand], facts: dict[str, Any]) -> None:
-        """Tell the server a scene and what its page says of it; browsers that are open show it at once.
+        """Send a scene and its facts to the server; open browsers show it at once.
 
         facts: of a `ReplayScene`.
         """
@@ -47,17 +47,17 @@ class LiveWindow(ViewerWindow):
         self.tell("drawn", True)
 
     def tell(self, path: str, value: Any) -> None:
-        """Tell the page, not Meshcat's viewer: "facts", or "drawn" when the scene is complete."""
+        """Send to the page, not to Meshcat's viewer: "facts", or "drawn" when the scene is complete."""
         self.send(ViewerCommand({"type": server.OWN, "path": path, "value": without_nonfinite(value)}))
 
     def open(self) -> LiveWindow:
-        """Open the page in the browser, where there is a screen to show it."""
+        """Open the page in the browser, if there is a screen."""
         if can_open():
             webbrowser.open(self.web_url, new=2)
         return self
 
     def ended(self, timeout: float) -> bool:
-        """Wait for the end of the server, at most ``timeout`` s; whether it has ended."""
+        """Wait for the end of the server, at most ``timeout`` s; returns whether it has ended."""
         try:
             self.server_proc.wait(timeout)
         except subprocess.TimeoutExpired:
@@ -87,7 +87,7 @@ def can_open() -> bool:
 
 
 def server_address_text(url: str) -> str:
-    """Return what to say of a server: its address and, over ssh, how to reach it."""
+    """Return the message about a server: its address and, over ssh, how to reach it."""
     if not os.environ.get("SSH_CONNECTION"):
         return f"replay at {url}"
     port = url.rstrip("/").rpartition(":")[2]
@@ -95,8 +95,8 @@ def server_address_text(url: str) -> str:
 
 
 def _started() -> tuple[subprocess.Popen[str], str, str]:
-    """The server's process, and its addresses for Python and for browsers; it takes ports that are free."""
-    # -P: the folder of the file has modules of ours with names that others may import.
+    """The server's process, and its addresses for Python and for browsers; it uses free ports."""
+    # -P: the file's folder has modules whose names others may import.
     command = [sys.executable, "-u", "-P", str(Path(server.__file__))]
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as complaints:
         process = subprocess.Popen(
@@ -105,7 +105,7 @@ def _started() -> tuple[subprocess.Popen[str], str, str]:
             stdout=subprocess.PIPE,
             stderr=complaints,
             text=True,
-            start_new_session=True,  # Ctrl-C is for us; we stop it
+            start_new_session=True,  # Ctrl-C is handled in this process, which stops the server
         )
         try:
             lines = [_line(process.stdout, name) for name in ("zmq_url", "web_url")]

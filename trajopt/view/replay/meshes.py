@@ -1,4 +1,4 @@
-"""Meshes in few bytes, for a page: what compresses well, and is as exact as a picture can show.
+"""Compact meshes for a page: a form that compresses well, as exact as a picture can show.
 
 Vertices are welded and counted in the order in which triangles use them. An index is then how far back the
 vertex was seen ("high water mark", as in WebGL-Loader, Chun 2012): mostly small numbers, 0 for a new vertex.
@@ -7,7 +7,7 @@ folded onto an octahedron (Cigolle et al. 2014, "A survey of efficient represent
 vectors"). High and low bytes lie apart. The page's web/meshes.js undoes all this.
 
 A position is wrong by at most half of 1 / `LEVELS` of the mesh's extent along each axis, a normal by about a
-degree. Files without normals of vertices (STL) get theirs in the page: smooth but for creases.
+degree. Files without vertex normals (STL) get them in the page: smooth except at creases.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ import numpy as np
 LEVELS = 2**14 - 1
 # Steps of each of the two coordinates of a normal.
 NORMAL_LEVELS = 254
-# Smaller meshes are left as they are: there is nothing to gain.
+# Smaller meshes stay unchanged: there is nothing to gain.
 LEAST_CORNERS = 300
-# Rows of whole numbers are compared as one number, up to this one.
+# Rows of whole numbers are compared as one number, up to this value.
 LARGEST_KEY = 2**62
 # Bytes of the differences of each column.
 PLANES = {"position": 2, "normal": 2, "colour": 4}
@@ -39,7 +39,7 @@ TriangleMesh = tuple[dict[str, np.ndarray], np.ndarray]
 
 
 def compact_geometry(geometry: dict[str, Any]) -> dict[str, Any] | None:
-    """Return the content of a three.js geometry in few bytes; None for what is small or no triangle mesh."""
+    """Return the content of a three.js geometry in few bytes; None if it is small or not a triangle mesh."""
     found = _triangles(geometry)
     return _packed(*found) if found is not None and len(found[1]) >= LEAST_CORNERS else None
 
@@ -68,12 +68,12 @@ def _array(entry: dict[str, Any]) -> np.ndarray:
 def _stl_triangles(data: bytes) -> TriangleMesh | None:
     corners = stl_corners(data)
     if corners is None or len(corners) != 3 * int(np.frombuffer(data, "<u4", 1, STL_HEADER - 4)[0]):
-        return None  # text, or damaged: the viewer may make something of it
+        return None  # text, or damaged: left to the viewer
     return {"position": corners}, np.arange(len(corners))
 
 
 def stl_corners(data: bytes) -> np.ndarray | None:
-    """Corners (3m, 3) of the m triangles that a file is long enough for; None of a text."""
+    """Corners (3m, 3) of the m triangles that fit the file's length; None for a text file."""
     count = (len(data) - STL_HEADER) // STL_TRIANGLE.itemsize
     if count < 0 or len(data) != STL_HEADER + count * STL_TRIANGLE.itemsize:
         return None

@@ -1,4 +1,4 @@
-"""The motion that a replay shows: a solution at an even frame rate, as placements in the world."""
+"""The motion of a replay: a solution at a constant frame rate, as placements in the world."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from trajopt.terrain.surface import is_number
 
 # Pictures a second of playback: what screens show.
 FRAME_RATE = 60.0
-# Every frame is computed and written before the first one is seen.
+# Most frames: all are computed and written before the first one is shown.
 MOST_FRAMES = 100_000
-# An impulse is shown this long (s of the solution), as the constant force that gives it in that time.
+# Time for which an impulse is shown (s of the solution), as the constant force with that impulse.
 FLASH = 0.1
-# A sole pressed with less than this part of the weight has no meaningful centre of pressure.
+# A sole pressed with less than this fraction of the weight has no meaningful centre of pressure.
 LEAST_PRESSURE = 1e-3
 
 
@@ -90,7 +90,7 @@ def replay_motion(solution: Solution, speed: float = 1.0) -> ReplayMotion:
 def replay_motions(solutions: Sequence[Solution], speed: float = 1.0) -> list[ReplayMotion]:
     """Resample solutions on the manifold at about `FRAME_RATE`, all from the first start to the last end.
 
-    Before its start and after its end a solution stays as it is there. Forces are interpolated linearly
+    Before its start and after its end a solution is held. Forces are interpolated linearly
     within an interval. Raises `InputError` without a duration and for a speed that is not positive,
     `SolutionFileError` for terrain or surfaces that cannot be read.
     """
@@ -119,7 +119,7 @@ def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: floa
     mass = mass_of(solution.model)
     weight = mass * gravity_of(solution.model) if mass > 0 else 1.0
     feet = contacts[:, :, :3, 3]
-    soles = ~held_samples(solution)[last] & is_sole(solution)  # held by nothing but pressure
+    soles = ~held_samples(solution)[last] & is_sole(solution)  # unilateral contacts only
     impact = _impacts(solution, t)
     return ReplayMotion(
         t=t,

@@ -1,4 +1,4 @@
-"""One HTML page that holds a replay whole: the viewer's code, the meshes and the animation."""
+"""One HTML page with a complete replay: the viewer's code, the meshes and the animation."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from trajopt.view.replay.scene import ReplayScene
 
 VIEWER = Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js"
 WEB = Path(__file__).parent / "web"
-# Of the scene: higher levels take several times as long for 2 % less.
+# Compression level of the scene: higher levels take several times as long for 2 % less.
 COMPRESSION = 6
-# In the order in which they use each other.
+# Scripts in order of dependency.
 SCRIPTS = ("meshes.js", "scene.js", "clock.js", "cameras.js", "panel.js", "player.js")
 # The browser itself refuses every load from elsewhere, and every script but the player and the viewer,
 # which is a blob that the player makes. Meshcat's panel writes its own style.
@@ -33,7 +33,7 @@ POLICY = (
     "img-src data: blob:; connect-src data: blob:{live}; worker-src blob:; base-uri 'none'; "
     "form-action 'none'"
 )
-# A live page talks to the server that it came from; buttons that scripts add are code that they send.
+# A live page talks to its server; scripts may send code for buttons.
 LIVE = {"live": " 'self' ws://127.0.0.1:* ws://localhost:*", "code": " 'unsafe-eval'"}
 ALONE = {"live": "", "code": ""}
 
@@ -41,13 +41,13 @@ ALONE = {"live": "", "code": ""}
 def page(scene: ReplayScene) -> str:
     """Return the text of the page.
 
-    Raises `TrajoptError` if Meshcat's viewer is not installed whole.
+    Raises `TrajoptError` if Meshcat's viewer is not fully installed.
     """
     return _text({**scene.facts, "live": False}, ALONE, packed_scene(scene))
 
 
 def live_page(facts: dict[str, Any]) -> str:
-    """Return the text of a page that hears of its scene from the server it comes from."""
+    """Return the text of a page that receives its scene from its server."""
     return _text({**facts, "live": True}, LIVE, b"")
 
 
@@ -69,7 +69,7 @@ def _text(facts: dict[str, Any], allowed: dict[str, str], scene: bytes) -> str:
 
 @cache
 def _player() -> str:
-    """The player's code, which a strict function hides from everything else in the page."""
+    """The player's code in a strict function, isolated from the rest of the page."""
     code = "\n".join((WEB / name).read_text(encoding="utf-8") for name in SCRIPTS)
     return f'\n(() => {{\n"use strict";\n{code}}})();\n'
 
@@ -90,12 +90,12 @@ def _text_of(data: bytes) -> str:
 
 
 def _script_text(value: object) -> str:
-    """JSON that cannot end the script element that holds it; what is not finite is null."""
+    """JSON that cannot end its script element; non-finite numbers are null."""
     return json.dumps(without_nonfinite(value), allow_nan=False).replace("<", "\\u003c")
 
 
 def without_nonfinite(value: object) -> object:
-    """Return a JSON-able value without numbers that are not finite: those are None."""
+    """Return a JSON-able value with None for non-finite numbers."""
     if isinstance(value, dict):
         return {str(key): without_nonfinite(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
@@ -115,7 +115,7 @@ def packed_scene(scene: ReplayScene) -> bytes:
 
 
 def _numbered(message: dict[str, Any], names: dict[str, str]) -> dict[str, Any]:
-    """Return the message with numbers for Meshcat's random names of its parts: one scene, one text.
+    """Return the message with numbers in place of Meshcat's random names: equal scenes give equal files.
 
     ``names`` are the numbers so far; a part is named where it has its ``uuid``, before or after its use.
     """

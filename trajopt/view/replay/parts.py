@@ -1,4 +1,4 @@
-"""Parts that several drawings share: coloured triangles, what shines through, two-tone marks, lines."""
+"""Shared parts of drawings: coloured triangles, marks that shine through, two-tone marks, lines."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from trajopt.view.replay.commands import without_shadow
 
-# What the robot hides shines through it this much.
+# Opacity with which marks shine through the robot.
 HIDDEN_OPACITY = 0.55
 THROUGH = {"opacity": HIDDEN_OPACITY, "transparent": True, "depthTest": False, "depthWrite": False, "side": 0}
 # Pieces of a full circle.
@@ -101,7 +101,7 @@ def draw_unshadowed(node: Any, shape: Any, material: Any, kind: Any = None) -> N
 def draw_showing_through(
     node: Any, shape: Any, lit: bool = True, through: float = HIDDEN_OPACITY, **material: Any
 ) -> None:
-    """Draw a part solid, and with the opacity ``through`` where something hides it; ``lit``: shaded."""
+    """Draw a part solid, and with the opacity ``through`` where it is covered; ``lit``: shaded."""
     kind = shapes.MeshLambertMaterial if lit else shapes.MeshBasicMaterial
     draw_unshadowed(node["solid"], shape, kind(**material))
     draw_unshadowed(node["hidden"], shape, kind(**{**material, **THROUGH, "opacity": through}))

@@ -25,15 +25,15 @@ _Progress = Callable[[int, int], None]
 # Height of a strip's text over that of its pictures, and its distance from the edge over its height.
 TEXT, TEXT_MARGIN = 0.055, 0.5
 INK = (27, 37, 48)
-# The page has 60 frames a second of playback: of this slow a motion 600 for each of its seconds, enough.
+# The page has 60 frames per second of playback: at this speed 600 per second of motion, which is enough.
 SLOWEST = 0.1
-# Poses at changes of phase: a strip shows poses itself.
+# Poses at changes of phase, which a strip does not need.
 GHOSTS = "ghosts"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rendering:
-    """What was written: the file, its pictures, s that it plays (0 if it does not), pixels, bytes."""
+    """The written file: path, number of pictures, duration in s (0 for a picture), pixels, bytes."""
 
     path: Path
     pictures: int
@@ -54,8 +54,8 @@ def render(
 ) -> Rendering:
     """Write ``solutions`` to ``target``: a .mp4 (H.264), a .gif that repeats, or a .png.
 
-    Picture k of a video shows the time start + k speed / fps, the last one the end. The file is written whole
-    or not at all.
+    Picture k of a video shows the time start + k speed / fps, the last one the end. The file is written
+    atomically.
 
     Args:
         solutions: One or several, or the paths of their files.
@@ -82,7 +82,7 @@ def render(
     times = shots.times(*_span(several), representative_time(several[0]))
     with replacing(target) as unfinished, tempfile.TemporaryDirectory(prefix="trajopt-") as folder:
         page = Path(folder, "page.html")
-        speed = min(max(shots.speed, SLOWEST), 1.0)  # of slow motion the page has more frames
+        speed = min(max(shots.speed, SLOWEST), 1.0)  # in slow motion the page has more frames
         replay(several, html=page, open_browser=False, speed=speed, layout=layout, labels=labels)
         fragment = AT_START + ("&panel=off" if shots.caption and not shots.strip else "&bare")
         with open_page(page, shots.pixels, fragment) as view:

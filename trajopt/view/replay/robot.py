@@ -27,9 +27,9 @@ BONE_RADIUS, JOINT_RADIUS = 0.012, 0.02
 TRUNK_OPACITY = 0.7
 # The thinnest side of a box over its longest: flat links stay visible.
 THINNEST = 0.02
-# Points that tell how far a mesh reaches: some have a million vertices, tenths of a millimetre apart.
+# Points that represent a mesh's extent: some have a million vertices, tenths of a millimetre apart.
 MOST_POINTS = 10_000
-# Directions in which a round shape is probed for its extent: 2 % of its radius.
+# Directions in which the extent of a round shape is sampled, to 2 % of its radius.
 ROUND_PROBES = 200
 
 
@@ -41,12 +41,12 @@ class DrawnRobot:
     note: str = ""
 
     def add(self, joint: int, points: np.ndarray) -> None:
-        """Note that ``points`` (k, 3) in the frame of ``joint`` are part of the picture."""
+        """Add ``points`` (k, 3) in the frame of ``joint`` to the extent of the picture."""
         self.points.setdefault(joint, []).append(np.asarray(points, dtype=float))
 
 
 def joint_path(model: pin.Model, joint: int) -> str:
-    """Return the place in the scene tree that moves with ``joint``."""
+    """Return the scene tree node that moves with ``joint``."""
     return "robot/" + str(model.names[joint]).replace("/", "_")
 
 
@@ -75,7 +75,7 @@ class _JointTree(MeshcatVisualizer):
         return f"{joint_path(self.model, geometry_object.parentJoint)}/{name}"
 
     def loadViewerGeometryObject(self, geometry_object: Any, *args: Any, **options: Any) -> None:
-        if geometry_object.name in self.meshes:  # a box stands for it, see `visuals`
+        if geometry_object.name in self.meshes:  # replaced by a box, see `visuals`
             geometry_object.geometry = coal.BVHModelOBBRSS()
         super().loadViewerGeometryObject(geometry_object, *args, **options)
 
@@ -112,7 +112,7 @@ def _draw_meshes(vis: Any, model: pin.Model, visuals: Visuals) -> DrawnRobot:
 
 
 def _left_out(missing: dict[str, str], unreadable: list[str]) -> str:
-    """One line on what is not drawn of a robot; empty if that is nothing."""
+    """One line about parts of a robot that are not drawn; may be empty."""
     reasons = {"mesh files that are not found": sorted(set(missing.values()))}
     reasons["geometry that Meshcat cannot show"] = unreadable
     parts = [f"without {what}: {', '.join(names)}" for what, names in reasons.items() if names]
@@ -120,7 +120,7 @@ def _left_out(missing: dict[str, str], unreadable: list[str]) -> str:
 
 
 def _points(entry: Any, is_mesh: bool) -> np.ndarray | None:
-    """Points (k, 3) that span a geometry, in its own frame, scaled, m; None of an unreadable file."""
+    """Points (k, 3) that span a geometry, in its own frame, scaled, m; None for an unreadable file."""
     if is_mesh:
         try:
             return mesh_points(entry.meshPath, entry.meshScale, np.asarray(entry.meshColor)[:3])
@@ -155,7 +155,7 @@ def draw_skeleton(vis: Any, solution: Solution) -> DrawnRobot:
     rods = _rods(solution)
     length_scale = reach(model) or 1.0
     bone, ball = BONE_RADIUS * length_scale, JOINT_RADIUS * length_scale
-    for joint in range(max(_base_joint(model), 1), model.njoints):  # virtual joints are nothing to see
+    for joint in range(max(_base_joint(model), 1), model.njoints):  # virtual joints are not drawn
         node = vis[joint_path(model, joint)]
         node["joint"].set_object(shapes.Sphere(ball), shapes.MeshPhongMaterial(color=JOINT_COLOUR))
         drawn.add(joint, np.zeros((1, 3)))
@@ -175,7 +175,7 @@ def draw_skeleton(vis: Any, solution: Solution) -> DrawnRobot:
 
 
 def _draw_trunk(vis: Any, model: pin.Model, drawn: DrawnRobot) -> None:
-    """Draw the link of a moving base, which no rod shows, as the solid box of its mass and inertia."""
+    """Draw the link of a moving base, which has no rod, as the solid box of its mass and inertia."""
     base = _base_joint(model)
     box = box_of_inertia(model.inertias[base]) if base else None
     if box is None:
@@ -213,7 +213,7 @@ def _rods(solution: Solution) -> list[tuple[int, np.ndarray, bool]]:
     rods = []
     for child in range(_base_joint(model) + 1, model.njoints):
         parent = int(model.parents[child])
-        if parent > 0 or model.joints[child].nv == 1:  # a floating base hangs on nothing
+        if parent > 0 or model.joints[child].nv == 1:  # a floating base has no rod
             rods.append((parent, model.jointPlacements[child].translation.copy(), False))
     tips = {model.getFrameId(name) for name in solution.contact_frames} | set(tip_frames(model))
     for frame in (model.frames[number] for number in sorted(tips)):

@@ -1,4 +1,4 @@
-"""The solutions of one scene: each drawn below its own place in the scene tree, tinted or moved aside."""
+"""The solutions of one scene: each drawn below its own scene tree node, tinted or moved aside."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from trajopt.view.replay.robot import DrawnRobot, draw_robot, joint_path, subsam
 
 LAYOUTS = ("overlaid", "side-by-side")
 
-# Colours of several solutions, told apart by the colour-blind (Okabe and Ito, "Color universal design").
+# Colours of several solutions, distinct for the colour-blind (Okabe and Ito, "Color universal design").
 RUN_COLOURS = (0x5B6570, 0x0072B2, 0xD55E00, 0x009E73, 0xCC79A7, 0xE69F00, 0x56B4E9)
-# Between neighbours side by side, in robot extents.
+# Distance between neighbours side by side, in robot extents.
 GAP = 0.4
 # Frames at which the extent of a motion is measured.
 MEASURED_FRAMES = 12
-# Points of a mesh of which it is measured.
+# Points of a mesh used for it.
 MEASURED_POINTS = 300
 # A motion travels if its base goes further along the ground than this many times the robot.
 TRAVELS_FROM = 3.0
@@ -32,7 +32,7 @@ TRAVELS_FROM = 3.0
 class DrawnSolution:
     """One solution of a scene, drawn below ``node``, which is at ``root`` of the scene tree ("" for the top).
 
-    colour: in legends, and of everything of the run if it is ``tinted``. robot: what is drawn of it.
+    colour: in legends, and of everything of the run if it is ``tinted``. robot: its drawing.
     cloud: (k, 3) m, world points of the drawn robot at a few frames. size: its largest extent at the start,
     m. shift: (3,) m from the world of the solution to the scene's.
     """
@@ -50,7 +50,7 @@ class DrawnSolution:
     shift: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     def ink(self, colour: int) -> int:
-        """Return a colour for what is drawn of the run: the run's own instead where it is tinted."""
+        """Return the colour for a drawing of the run: the run's own if it is tinted."""
         return self.colour if self.tinted else colour
 
     @property
@@ -61,7 +61,7 @@ class DrawnSolution:
 
     @property
     def base_path(self) -> str:
-        """Scene tree path of what moves with the base."""
+        """Scene tree path of the node that moves with the base."""
         return self.path(joint_path(self.solution.model, self.base_joint))
 
     @property
@@ -147,6 +147,6 @@ def _aside(runs: list[DrawnSolution]) -> list[DrawnSolution]:
 
 
 def travels(run: DrawnSolution, tangents: np.ndarray) -> bool:
-    """Whether the base goes far along ground with these ``tangents`` (2, 3)."""
+    """Whether the base travels far along ground with these ``tangents`` (2, 3)."""
     along = (run.base - run.base[0]) @ tangents.T
     return float(np.ptp(along, axis=0).max()) > TRAVELS_FROM * run.size

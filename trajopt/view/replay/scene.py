@@ -30,8 +30,8 @@ from trajopt.view.replay.robot import joint_path
 from trajopt.view.replay.runs import DrawnSolution, drawn_runs, travels
 from trajopt.view.replay.surfaces import draw_surfaces
 
-# Of Meshcat's own page; the cameras of the player are in web/cameras.js.
-# Vertical field of view in degrees: little perspective.
+# Camera of Meshcat's own page (the player's are in web/cameras.js): vertical field of view in degrees, for
+# little perspective.
 FIELD_OF_VIEW = 35.0
 # Direction from the robot to the camera: from its right and ahead, slightly above.
 CAMERA_DIRECTION = np.array([0.62, -1.0, 0.42])
@@ -41,12 +41,13 @@ CAMERA_DIRECTION = np.array([0.62, -1.0, 0.42])
 class ReplayScene:
     """Commands in order; ``note`` if a robot is not drawn in full.
 
-    facts: what a page tells of the scene, JSON-able: ``start`` (s of the solution), ``speed``, ``duration``
-    (s of playback), ``phases`` [{name, start, end}] of the first solution, s, ``layers`` [{name, label,
-    colour, paths, visible}], ``runs`` [{label, colour, root, base}] with places in the scene tree, ``size``
-    (m, the largest robot's extent), ``box`` [[low], [high]] (m, world) around all motions and what they
-    touch, ``travels``: whether a base goes so far that a camera should follow it, ``title``, ``picture`` (s
-    of the solution between two pictures of the animation), ``lines`` [{text, kind, colour}] of the caption.
+    facts: the scene's description for a page, JSON-able: ``start`` (s of the solution), ``speed``,
+    ``duration`` (s of playback), ``phases`` [{name, start, end}] of the first solution, s, ``layers`` [{name,
+    label, colour, paths, visible}], ``runs`` [{label, colour, root, base}] with places in the scene tree,
+    ``size`` (m, the largest robot's extent), ``box`` [[low], [high]] (m, world) around all motions and their
+    contacts, ``travels``: whether a base goes so far that a camera should follow it, ``title``, ``picture``
+    (s of the solution between two pictures of the animation), ``lines`` [{text, kind, colour}] of the
+    caption.
     """
 
     commands: list[ViewerCommand]
@@ -60,9 +61,9 @@ def build_scene(
     layout: str = "overlaid",
     labels: Sequence[str] | None = None,
 ) -> ReplayScene:
-    """Return everything that a Meshcat viewer has to be told to show ``motions``, of the same frames.
+    """Return the Meshcat commands that show ``motions``, with equal frames.
 
-    Of several solutions the later ones are tinted and laid over the first (``layout`` "overlaid") or moved
+    With several solutions, the later ones are tinted and laid over the first (``layout`` "overlaid") or moved
     aside ("side-by-side"); ``labels`` name them. Raises `InputError` for a layout or labels that do not fit.
     """
     recorder = Recorder()
@@ -102,7 +103,7 @@ def _draw_run(
     size: float,
     weight_arrow: float,
 ) -> np.ndarray:
-    """Draw what belongs to one solution; returns points (k, 3) of the scene's world that it takes up, m."""
+    """Draw one solution; returns points (k, 3) of its extent in the scene's world, m."""
     solution, motion, node = run.solution, run.motion, run.node
     if run.shift.any():
         node.set_transform(placed(run.shift))

@@ -1,7 +1,7 @@
 """Meshcat's server, with the page of a live replay at its own address, http://127.0.0.1:PORT/.
 
-`trajopt.view.replay.live` runs this file as a process. It imports nothing of trajopt, so that it is up at
-once, and it ends when its standard input does: with the process that started it, however that one ends.
+`trajopt.view.replay.live` runs this file as a process. It imports nothing of trajopt, so that it starts at
+once, and it ends when its standard input does, i.e. with the process that started it, however that one ends.
 Meshcat's own page stays where it was, at /static/.
 """
 
@@ -20,7 +20,7 @@ from meshcat.servers.tree import walk
 HOST = "127.0.0.1"
 
 # Messages beside those of Meshcat: ("page", "", HTML) and ("trajopt", path, msgpack), of which the last one
-# of each path is also told to browsers that connect later, after the scene.
+# of each path is also sent to browsers that connect later, after the scene.
 PAGE, OWN = "page", "trajopt"
 
 
@@ -28,7 +28,7 @@ class PageOrSocket(zmqserver.WebSocketHandler):
     """The page for browsers that ask for one; the websocket for the page itself."""
 
     async def get(self, *args: Any, **kwargs: Any) -> None:
-        """Answer with the page unless a websocket is asked for."""
+        """Answer with the page unless a websocket is requested."""
         if self.request.headers.get("Upgrade", "").lower() == "websocket":
             await super().get(*args, **kwargs)
             return
@@ -37,25 +37,25 @@ class PageOrSocket(zmqserver.WebSocketHandler):
         self.finish(self.bridge.page)
 
     def open(self, *args: str, **kwargs: str) -> None:
-        """Tell a new browser the scene as it is now."""
+        """Send the present scene to a new browser."""
         self.bridge.websocket_pool.add(self)
         self.bridge.send_scene(self)
 
     def on_close(self) -> None:
-        """Forget a browser that has gone."""
+        """Remove a browser that has disconnected."""
         self.bridge.websocket_pool.discard(self)
 
 
 class Nothing(tornado.web.RequestHandler):
-    """The picture of a tab, for which browsers ask."""
+    """The tab icon that browsers request."""
 
     def get(self) -> None:
-        """There is none."""
+        """Answer that there is none."""
         self.set_status(204)
 
 
 class LocalApplication(tornado.web.Application):
-    """One that only this machine can reach; Meshcat's answers on every network."""
+    """A server that only this machine can reach; Meshcat's listens on every network."""
 
     def listen(self, port: int, address: str | None = None, **options: Any) -> Any:
         """Take a port; raises `OSError` if it is not free."""
@@ -72,7 +72,7 @@ class Bridge(zmqserver.ZMQWebSocketBridge):
         self.web_url = f"http://{self.host}:{self.fileserver_port}/"
 
     def make_app(self) -> tornado.web.Application:
-        """Meshcat's addresses, and what we add."""
+        """Meshcat's addresses, and ours."""
         static = {"path": zmqserver.VIEWER_ROOT, "default_filename": zmqserver.VIEWER_HTML}
         return LocalApplication(
             [
@@ -96,7 +96,7 @@ class Bridge(zmqserver.ZMQWebSocketBridge):
         self.zmq_socket.send(b"ok")
 
     def send_scene(self, websocket: Any) -> None:
-        """Tell one browser everything: animations after the objects that they move."""
+        """Send one browser everything: animations after the objects that they move."""
         nodes = list(walk(self.tree))
         for node in nodes:
             for data in (node.object, *node.properties, node.transform):

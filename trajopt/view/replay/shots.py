@@ -1,4 +1,4 @@
-"""What a rendering takes pictures of: the kind of file, sizes and times, valid once they are put together."""
+"""The pictures of a rendering: kind of file, sizes and times, validated together."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import is_number
 from trajopt.view.replay.motion import require_speed
 
-# Pixels (width, height): of a GIF fewer, because it is compressed badly; of each picture of a strip.
+# Pixels (width, height): fewer for a GIF, which compresses badly; of each picture of a strip.
 SIZES = {".mp4": (1280, 720), ".gif": (640, 360), ".png": (1280, 720)}
 STRIP_SIZE = (480, 480)
 # Pixels between the pictures of a strip.
 GAP = 6
-# Sides in pixels: what shows anything, and what is drawn in seconds without a graphics card.
+# Sides in pixels: the least that is useful, and the most that is drawn in seconds without a graphics card.
 LEAST_SIDE, MOST_SIDE = 64, 4096
-# Pixels that a strip may be wide.
+# Largest width of a strip in pixels.
 MOST_WIDTH = 32768
 # Pictures a second; the times of a GIF are hundredths of a second, and viewers slow down below two of them.
 RATES = {".mp4": 30.0, ".gif": 25.0}
@@ -29,7 +29,7 @@ MOST_RATE = {".mp4": 240.0, ".gif": 50.0}
 MOST_PICTURES, MOST_STRIP = 100_000, 32
 # Denominators of pictures a second: 30000/1001 is met exactly.
 FINEST_RATE = 1001
-# Parts of a picture's time by which the end of a motion may miss a picture.
+# Rounding error, in pictures, allowed at the end of a motion.
 SAME_TIME = 1e-6
 
 
@@ -37,10 +37,11 @@ SAME_TIME = 1e-6
 class Shots:
     """Pictures of a replay for one file.
 
-    ending: ".mp4", ".gif" or ".png". size: pixels (width, height), of each picture of a strip; default by
-    ending. fps: pictures a second of a video. speed: seconds of the motion a second of video. start, end: s
-    of the solution; the whole motion if not given. time: s, of a .png. strip: a .png of so many pictures side
-    by side, from start to end. camera: one of the page's. caption: text. hidden, shown: names of layers.
+    ending: suffix, ".mp4", ".gif" or ".png". size: pixels (width, height), of each picture of a strip;
+    default by suffix. fps: pictures a second of a video. speed: seconds of the motion a second of video.
+    start, end: s of the solution; the whole motion if not given. time: s, of a .png. strip: a .png of so many
+    pictures side by side, from start to end. camera: one of the page's. caption: text. hidden, shown: names
+    of layers.
 
     Raises `InputError`, one line, for values out of range and for those that do not fit together.
     """
@@ -87,13 +88,13 @@ class Shots:
 
     @property
     def is_video(self) -> bool:
-        """It is more than one picture, one after the other."""
+        """Whether it is a video: several pictures in sequence."""
         return self.ending in RATES
 
     def times(self, first: float, last: float, telling: float) -> np.ndarray:
         """Return the times (n,) of the pictures, s of a solution that lasts from ``first`` to ``last``.
 
-        telling: where a single picture is taken if no time is given. Raises `InputError` for times outside.
+        telling: time of a single picture if none is given. Raises `InputError` for times outside.
         """
         allowed = f"allowed: {first:g} to {last:g} s"
         margin = 1e-9 * max(abs(first), abs(last), last - first)
@@ -109,7 +110,7 @@ class Shots:
         return np.linspace(start, end, self.strip) if self.strip else self._even_times(start, end)
 
     def _even_times(self, start: float, end: float) -> np.ndarray:
-        """Picture k at start + k speed / rate; the last one is the end, a part of a step later perhaps."""
+        """Picture k at start + k speed / rate; the last one is at the end, which may be a shorter step."""
         step = self.speed / float(self.rate)
         count = math.floor((end - start) / step + SAME_TIME)
         if count >= MOST_PICTURES:
@@ -121,7 +122,7 @@ class Shots:
         return times
 
     def _check_numbers(self) -> None:
-        """Numbers where numbers are meant: a script may give anything."""
+        """Check the types of numbers: a script may pass anything."""
         require_speed(self.speed)
         named = {"--fps": self.fps, "start": self.start, "end": self.end, "time": self.time}
         for name, value in named.items():
@@ -131,7 +132,7 @@ class Shots:
             raise InputError(f"a strip of {self.strip!r} pictures", f"allowed: 2 to {MOST_STRIP}")
 
     def _check_use(self) -> None:
-        """Every value that is given has a meaning for this kind of file."""
+        """Check that every given value applies to this kind of file."""
         one_picture = not self.is_video and self.strip is None
         unused = {
             "--fps": self.fps is not None and not self.is_video,

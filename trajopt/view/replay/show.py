@@ -19,11 +19,11 @@ from trajopt.view.replay.scene import build_scene
 
 @dataclass(frozen=True, kw_only=True)
 class Replay:
-    """What was shown and where.
+    """The result of a replay.
 
     frames: pictures of the animation; duration: seconds it plays (solution time over speed).
     note: one line if a robot could not be drawn with its meshes, else empty.
-    facts: what the page says: phases, layers, runs, lines of its caption; see `ReplayScene`.
+    facts: the page's text: phases, layers, runs, lines of its caption; see `ReplayScene`.
     html, size: the page and its bytes, or url, window: where the Meshcat server shows it, and the window
     through which a script can add to it, as in ``meshcat.Visualizer(window=shown.window)``.
     """
@@ -53,14 +53,14 @@ def replay(
 ) -> Replay:
     """Show solutions in Meshcat, or write them to the self-contained page ``html``; does not block.
 
-    Keep a live replay up with `serve`. The page is written whole or not at all. Without meshes a robot is
-    drawn as a skeleton, which one line on stderr says.
+    Keep a live replay up with `serve`. The page is written atomically. Without meshes a robot is drawn as a
+    skeleton, with a line on stderr.
 
     Args:
         solutions: One or several, or the paths of their files.
         html: The page; without one a Meshcat server is started.
-        open_browser: Open the server's page, where there is a screen.
-        speed: At which it plays first; 1 is real time, 0.2 five times slower.
+        open_browser: Open the server's page, if there is a screen.
+        speed: Initial playback speed; 1 is real time, 0.2 five times slower.
         layout: Of several solutions, "overlaid" or "side-by-side".
         labels: Their names.
 

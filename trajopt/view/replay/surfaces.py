@@ -1,4 +1,4 @@
-"""Walls, boards, steps and handles of a replay: what contacts touch that is not the terrain."""
+"""Walls, boards, steps and handles of a replay: contact surfaces other than the terrain."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WALL_COLOUR, HANDLE_COLOUR = 0xB98A4E, 0x1E8C7E
 WALL_OPACITY, HANDLE_OPACITY = 0.45, 0.8
 # Over the robot's extent: a patch reaches this far beyond the contacts on it; radius of a handle; thickness.
 PATCH_MARGIN, HANDLE_RADIUS, THICKNESS = 0.15, 0.06, 0.01
-# A foot's or hand's visual reaches beyond its contact frame by at most this part of the robot's extent.
+# Largest distance of a foot's or hand's visual beyond its contact frame, over the robot's extent.
 DEEPEST_FOOT = 0.15
 # Frames at which the lowest points of the links in contact are measured.
 MEASURED_STANCES = 20
@@ -48,7 +48,7 @@ def plane_of(solution: Solution) -> Surface:
 
 
 def depth_below_contacts(standing: list[Touch], run: DrawnSolution, size: float) -> float:
-    """Return how far below their contact frames drawn feet reach on ground that is no plane, m."""
+    """Return how far below their contact frames drawn feet reach on uneven ground, m."""
     drops = [
         _believed(_reach_below(run, (int(row), touch.contact), np.array(UP)), size)
         for touch in standing
@@ -60,7 +60,7 @@ def depth_below_contacts(standing: list[Touch], run: DrawnSolution, size: float)
 def touches_of(run: DrawnSolution) -> tuple[list[Touch], list[Touch]]:
     """Return the touches of the terrain, and those of other surfaces by phase and contact.
 
-    A contact whose own surface is the terrain's plane touches the terrain, unless it is held there.
+    A contact whose own surface is the terrain's plane touches the terrain, unless that surface is bilateral.
     """
     solution, motion = run.solution, run.motion
     terrain, own = plane_of(solution), surfaces_of(solution.meta.get("surfaces"))
@@ -111,14 +111,14 @@ def _reach_below(run: DrawnSolution, stance: tuple[int, int], normal: np.ndarray
 
 
 def _believed(drop: float, size: float) -> float:
-    """A depth of drawn feet below their contacts, 0 where it is more than feet have."""
+    """Depth of drawn feet below their contacts, 0 if it is implausibly large."""
     return drop if 0 < drop < DEEPEST_FOOT * size else 0.0
 
 
 def draw_surfaces(run: DrawnSolution, touches: list[Touch], size: float) -> np.ndarray:
     """Draw each plane as a patch around where it is touched, a handle where a contact is held.
 
-    Returns the corners of the patches and the handles' places (k, 3) in m: what the camera has to show.
+    Returns the corners of the patches and the handles' places (k, 3) in m: for the camera.
     """
     places, motion, vis = [np.zeros((0, 3))], run.motion, run.node["surfaces"]
     for number, group in enumerate(_by_plane([touch for touch in touches if not touch.surface.bilateral])):
@@ -170,7 +170,7 @@ def _patch_frame(normal: np.ndarray) -> np.ndarray:
 
 
 def _handle(node: Any, surface: Surface, place: np.ndarray, size: float) -> None:
-    """A disc whose front lies where the contact is held."""
+    """A disc whose front lies at the grasped contact."""
     thickness = THICKNESS * size
     turn = frame_of_normal(surface.normal) @ UPRIGHT
     material = shapes.MeshLambertMaterial(color=HANDLE_COLOUR, opacity=HANDLE_OPACITY)

@@ -1,4 +1,4 @@
-"""Ground of a replay that is no plane: faces as solid blocks with holes between, or a smooth surface."""
+"""Uneven ground of a replay: faces as solid blocks with holes between, or a smooth surface."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from trajopt.view.replay.parts import (
 )
 
 GRID_STRONG = 0x808C9B
-# Faces that follow each other differ a little.
+# Colours of consecutive faces differ slightly.
 GROUND_TINTS = (0xCDD4DD, 0xB9C3CF)
 # Ground on each side of the motion, in robot extents; blocks reach this far below the lowest face drawn.
 MARGIN, DEPTH = 3.0, 0.3
 # Cells of a smooth ground along its longer side.
 CELLS = 80
-# Darker than a plane, so that slopes to the sun stay below white.
+# Darker than a plane, so that slopes facing the sun stay below white.
 SMOOTH_COLOUR = 0xC2CAD4
 # Walls of blocks are this much darker than their tops.
 WALL_SHADE = 0.75
-# Lines lie over the ground by this part of the robot's extent, so that both show.
+# Lines lie over the ground by this fraction of the robot's extent, so that both are visible.
 LINE_LIFT = 0.002
 
 
@@ -81,7 +81,7 @@ def _block(top: np.ndarray, bottom: float, colour: int) -> ColouredMeshGeometry:
     under = np.column_stack([top[:, :2], np.full(len(top), bottom)])
     tone = colour_array(colour)
     parts: list[MeshPart] = [(top, _normal(top), tone, fan(len(top)))]
-    for i in range(len(top)):  # walls have corners of their own, so that each is shaded flat
+    for i in range(len(top)):  # walls do not share corners, so that each is shaded flat
         j = (i + 1) % len(top)
         wall = np.array([under[i], under[j], top[j], top[i]])
         parts.append((wall, _normal(wall), WALL_SHADE * tone, fan(4)))

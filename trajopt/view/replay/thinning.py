@@ -1,4 +1,4 @@
-"""Fewer key frames: those that the viewer's interpolation gives back within a stated error are left out."""
+"""Fewer key frames: those that the viewer's interpolation reproduces within a given error are left out."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import numpy as np
 # Largest error of thinned tracks: positions and scales over the robot's extent, angles in rad (0.03 degrees).
 POSITION_ERROR = 2e-4
 ANGLE_ERROR = 5e-4
-# Of parts of red, green and blue: less than a step of a screen in 8 bits.
+# For red, green and blue from 0 to 1: less than a step of an 8-bit screen.
 COLOUR_ERROR = 2e-3
-# Values are rounded to a power of two this many times finer than their error: bits of noise do not compress.
+# Values are rounded to a power of two this many times finer than their error: noise does not compress.
 FINER = 8.0
-# Largest part of an error that rounding takes: half a step in each of a quaternion's four numbers is a step,
+# Largest share of rounding in the error: half a step in each of a quaternion's four numbers is a step,
 # and twice that as an angle.
 ROUNDING = 2.0 / FINER
 
@@ -21,7 +21,7 @@ def thin_key_frames(values: np.ndarray, kind: str, error: float) -> np.ndarray:
 
     Between those kept a linear track ("vector3", "color") stays within ``error`` of every frame left out, a
     "quaternion" one, interpolated on great circles, within ``error`` rad, and a "boolean" one, which holds
-    each value until the next, changes where it has to. Segments are halved until they are good enough.
+    each value until the next, changes exactly. Segments are halved until they are accurate enough.
     """
     n = len(values)
     if kind == "boolean":
@@ -79,7 +79,7 @@ def rounded(values: np.ndarray, error: float) -> np.ndarray:
 
 
 def hold_while_hidden(values: np.ndarray, shown: np.ndarray) -> np.ndarray:
-    """Rows (n, ...) that stay as last ``shown`` (n,) where they are hidden: nothing to keep frames for."""
+    """Rows (n, ...) held at the last ``shown`` (n,) value while hidden, so that they need no frames."""
     if not shown.any():
         return np.repeat(values[:1], len(values), axis=0)
     index = np.where(shown, np.arange(len(values)), -1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-# A direction whose z part is below this times its length points straight down.
+# A direction whose z component is below this times its length points straight down.
 DOWN = -1 + 1e-12
 
 

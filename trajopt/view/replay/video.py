@@ -1,4 +1,4 @@
-"""Pictures into a video or an animated GIF, by ffmpeg, as they come: none is kept in memory."""
+"""Videos and animated GIFs by ffmpeg, from a stream of pictures that are not kept in memory."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import IO
 from trajopt.errors import InputError, TrajoptError
 
 INSTALL_EXTRA = "pip install 'trajopt-contacts[render]'"
-# Constant quality of H.264: about where a picture cannot be told from the original.
+# Constant quality of H.264: visually lossless.
 QUALITY = 18
 # H.264 that phones, browsers and slides play: 4:2:0, colours of high definition and marked so, index first.
 TO_YUV = (
@@ -22,9 +22,9 @@ TO_YUV = (
 )
 ENCODER = ["-c:v", "libx264", "-preset", "medium", "-crf", str(QUALITY), "-movflags", "+faststart"]
 H264 = ["-vf", TO_YUV, *ENCODER]
-# What GIF pictures are kept as until the palette is known: small, and without loss.
+# Intermediate format of GIF pictures until the palette is known: small and lossless.
 LOSSLESS = ["-c:v", "libx264rgb", "-preset", "ultrafast", "-qp", "0"]
-# One palette for the whole motion, with a colour left for what is unchanged. Ordered dither stands still.
+# One palette for the whole motion, with one colour for unchanged pixels. Ordered dither does not flicker.
 PALETTE = "palettegen=max_colors=255:stats_mode=full"
 WITH_PALETTE = "[0][1]paletteuse=dither=bayer:bayer_scale=4:diff_mode=rectangle"
 
@@ -44,7 +44,7 @@ def find_ffmpeg() -> str:
 def write_mp4(target: Path, pictures: Iterable[bytes], fps: Fraction) -> None:
     """Write PNG ``pictures`` of one even size to ``target`` as H.264, ``fps`` a second.
 
-    Raises `TrajoptError`, one line, if ffmpeg fails; what is at ``target`` is then of no use.
+    Raises `TrajoptError`, one line, if ffmpeg fails; ``target`` is then unusable.
     """
     _encode(pictures, fps, [*H264, str(target)])
 
@@ -76,16 +76,16 @@ def _run(arguments: list[str]) -> None:
 
 @contextlib.contextmanager
 def _started(arguments: list[str]) -> Iterator[IO[bytes]]:
-    """Run ffmpeg, fed by the pipe that is given, until it has ended; an error of the feeder's ends it too."""
+    """Run ffmpeg, fed through a pipe, until it has ended; an error of the feeder also ends it."""
     command = [find_ffmpeg(), "-y", "-loglevel", "error", *arguments]
     with tempfile.TemporaryFile() as said:
-        # A session of its own: Ctrl-C is answered here.
+        # A separate session: Ctrl-C is handled here.
         process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said, start_new_session=True
         )
         assert process.stdin is not None
         try:
-            with contextlib.suppress(BrokenPipeError):  # it has failed, and says why
+            with contextlib.suppress(BrokenPipeError):  # it has failed, with a message
                 try:
                     yield process.stdin
                 finally:

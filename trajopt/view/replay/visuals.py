@@ -1,8 +1,8 @@
-"""The visual geometry of a URDF file, without building what collision detection would need of its meshes.
+"""The visual geometry of a URDF file, without the data for collision detection with its meshes.
 
 Pinocchio reads every mesh into a tree of bounding volumes, which takes most of the time of a replay and fails
 if one file is missing. Here Pinocchio places boxes where the file has meshes; the files stay on disk until
-they are drawn, and each missing one is told.
+they are drawn, and each missing one is reported.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SCHEMES = ("package://", "model://", "file://")
 
 @dataclass(frozen=True, kw_only=True)
 class Visuals:
-    """Visual geometries placed on a model; their mesh files by name; names and files of what is missing."""
+    """Visual geometries placed on a model; their mesh files by name; names and files of missing ones."""
 
     geometry: pin.GeometryModel
     meshes: frozenset[str]
@@ -47,7 +47,7 @@ def visuals_of(source: VisualSource, model: pin.Model) -> Visuals:
     paths = {name: _located(uri, source) for name, (uri, _) in files.items()}
     missing = {name: files[name][0] for name, path in paths.items() if path is None}
     for name in missing:
-        if geometry.existGeometryName(name):  # the model may have left a link out
+        if geometry.existGeometryName(name):  # the model may lack a link
             geometry.removeGeometryObject(name)
     for entry in geometry.geometryObjects:
         if entry.name in files:
@@ -75,7 +75,7 @@ def _boxes_for_meshes(root: Tree.Element) -> dict[str, tuple[str, np.ndarray]]:
 
 
 def _located(name: str, source: VisualSource) -> Path | None:
-    """The file of a mesh's URI; None if it is nowhere."""
+    """The file of a mesh's URI; None if it is not found."""
     scheme = next((scheme for scheme in SCHEMES if name.startswith(scheme)), "")
     rest = name.removeprefix(scheme)
     places = [Path(rest)] if scheme == "file://" or Path(rest).is_absolute() else []
@@ -88,7 +88,7 @@ def _located(name: str, source: VisualSource) -> Path | None:
 def mesh_points(path: str, scale: Sequence[float] | np.ndarray, colour: np.ndarray = GREY) -> np.ndarray:
     """Points (k, 3) m of a mesh file in the frame of its geometry. Raises `InputError` if it is unreadable.
 
-    ``colour`` (3,): with which it is drawn; a file that was read for that is not read again.
+    ``colour`` (3,): its colour in the drawing, so that the cached mesh is used.
     """
     file = Path(path)
     points = None

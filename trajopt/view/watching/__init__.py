@@ -1,1 +1,1 @@
-"""What can be seen while a problem is solved: iterates, their convergence, their motion in Meshcat."""
+"""Watching a solve: iterates, their convergence, their motion in Meshcat."""

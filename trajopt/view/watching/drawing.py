@@ -27,16 +27,16 @@ from trajopt.view.watching.motion import FRAME_RATE, MOST_POSES, IterateMotion
 
 TOP = "/meshcat"
 ROBOT, POSES, PATHS = "robot", "poses", "paths"
-# What a scene of the guess has that iterates do not move.
+# Parts of the scene of the guess that are left out: iterates do not move them.
 STILL = (ROBOT, "ground", "terrain", "surfaces", "obstacles", "goals")
-# Bytes of the robot's meshes from which poses are skeletons: a browser holds each pose's own.
+# Size of the robot's meshes in bytes from which poses are skeletons: a browser stores them for each pose.
 HEAVY = 8_000_000
 MASS_COLOUR = 0x303438
 
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """What a viewer is told of an iterate: commands, and facts for the page; ``new``: of another scene."""
+    """Data of an iterate for a viewer: commands, and facts for the page; ``new``: of another scene."""
 
     new: bool
     commands: list[ViewerCommand]

@@ -1,4 +1,4 @@
-"""What is known of the solves that run: the figures of every iteration, and which solve it is."""
+"""History of a solve: the figures of every iteration, and which solve it is."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ FIGURES = (
     "line_search",
     "restoration",
 )
-# Trials of a line search from which it is worth a word: the step is a sixteenth of the first, or less.
+# Trials of a line search from which it is reported: the step is a sixteenth of the first, or less.
 MANY_TRIALS = 5
-# A step below this part of the whole makes next to no way.
+# A step below this fraction of the full step makes hardly any progress.
 SHORT_STEP = 1e-3
 
 
@@ -35,7 +35,7 @@ class History:
     rows: list[dict[str, float]] = field(default_factory=list)
 
     def add(self, iterate: Iterate) -> None:
-        """Take in what a watch is told; a guess begins a new solve."""
+        """Add an iterate; a guess begins a new solve."""
         now = time.perf_counter()
         if iterate.stage == "guess":
             unknowns = iterate.transcription.layout.n_unknowns
@@ -53,7 +53,7 @@ class History:
 
     @property
     def elapsed(self) -> float:
-        """Seconds since the present solve began, to its end where it has ended."""
+        """Duration of the present solve so far, or in all if it has ended, s."""
         return (self.ended if self.status else time.perf_counter()) - self.begun
 
     @property
@@ -65,7 +65,7 @@ class History:
         return (last["time"] - first["time"]) / (len(self.rows) - 1)
 
     def state(self) -> str:
-        """What the solver is doing, in a word or two."""
+        """The solver's state, in a word or two."""
         if self.status:
             return self.status
         if not self.rows:
@@ -73,7 +73,7 @@ class History:
         return "restoring feasibility" if self.rows[-1]["restoration"] else "solving"
 
     def troubles(self) -> list[str]:
-        """What makes the last step a hard one, in words."""
+        """Difficulties of the last step, in words."""
         if not self.rows:
             return []
         row, found = self.rows[-1], []

@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from trajopt.view.replay.motion import placements
 
-# Pictures a second of the animation: nodes are further apart than its frames.
+# Frame rate of the animation: its frames are closer than the nodes.
 FRAME_RATE = 30.0
 # Poses of the robot along the motion.
 LEAST_POSES, MOST_POSES = 4, 6
@@ -34,7 +34,7 @@ class IterateMotion:
 
     @property
     def duration(self) -> float:
-        """Seconds from the first node to the last; one picture where there is none between them."""
+        """Seconds from the first node to the last; at least one picture."""
         return max(float(self.t[-1] - self.t[0]), 1 / FRAME_RATE)
 
     def placed(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -58,7 +58,7 @@ class IterateMotion:
         return np.asarray(pin.interpolate(self.model, self.q[last], self.q[last + 1], part))
 
     def poses(self) -> np.ndarray:
-        """Times (k,) of poses worth seeing: starts of phases and the end; even ones where those are few."""
+        """Times (k,) of drawn poses: starts of phases and the end; evenly spaced if those are few."""
         starts = np.flatnonzero(np.diff(self.phase)) + 1
         own = np.unique(np.concatenate([self.t[:1], self.t[starts], self.t[-1:]]))
         if LEAST_POSES <= len(own) <= MOST_POSES:

@@ -1,4 +1,4 @@
-"""The convergence of a solve in a terminal: a few lines that change in place."""
+"""The convergence of a solve in a terminal: a few lines that are updated in place."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from trajopt.solving.monitoring import Iterate
 from trajopt.view.watching.history import History
 from trajopt.view.watching.sparkline import ASCII, BLOCKS, sparkline
 
-# Pictures a second: what an eye follows. A thread of rich's draws them: the solver waits for none.
+# Updates per second. A thread of rich draws them: the solver does not wait.
 RATE = 10.0
 FRAMES, ASCII_FRAMES = "⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏", "|/-\\"
 # Columns of a figure's name and of its number.
@@ -25,9 +25,9 @@ EDGE = 1
 
 
 class ConvergencePanel:
-    """A watch that shows a title, the solve, objective and infeasibilities over iterations, and trouble.
+    """A watch that shows a title, the solve, objective and infeasibilities over iterations, and difficulties.
 
-    A context manager; silent where stderr is no terminal that can move its cursor.
+    A context manager; silent unless stderr is a terminal that can move its cursor.
     """
 
     def __init__(self, title: str, stopping: Callable[[], bool] = bool) -> None:
@@ -48,7 +48,7 @@ class ConvergencePanel:
             self._live.stop()
 
     def __call__(self, iterate: Iterate) -> None:
-        """Take in an iterate; what is seen follows within a tenth of a second."""
+        """Add an iterate; the display follows within a tenth of a second."""
         if self._live:
             self._history.add(iterate)
 
@@ -68,7 +68,7 @@ class ConvergencePanel:
 def panel_lines(
     history: History, title: str, width: int, *, plain: bool = False, stopping: bool = False
 ) -> list[str]:
-    """What a panel says, each line at most ``width`` columns wide; ``plain`` uses ASCII alone."""
+    """Lines of the panel, each at most ``width`` columns wide; ``plain`` uses ASCII only."""
     if history.number == 0:
         return [_fitting(f"{title}: building and compiling", width)]
     state = "stopping" if stopping and not history.status else history.state()

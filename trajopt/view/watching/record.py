@@ -11,7 +11,7 @@ from trajopt.solving.monitoring import Iterate
 from trajopt.view.watching.history import FIGURES, History
 
 COLUMNS = ("solve", "label", "scheme", "intervals", "solver", "iteration", "time_s", *FIGURES)
-# A heading again after so many lines.
+# Lines after which the heading is repeated.
 PAGE = 25
 HEADING = f"{'iter':>5} {'objective':>14} {'primal':>9} {'dual':>9} {'barrier':>9} {'step':>9} {'time s':>8}"
 

@@ -8,19 +8,19 @@ from collections.abc import Sequence
 
 BLOCKS = "▁▂▃▄▅▆▇█"
 ASCII = ".:-=+*#@"
-# What stands for a figure that is not finite.
+# The character for a figure that is not finite.
 MISSING = "?"
 # Decades that a line spans at least: a series that hardly changes is a flat line.
 LEAST_DECADES = 1.0
-# On a linear scale, the part of the largest value that a line spans at least.
+# On a linear scale, the least span of a line, as a fraction of the largest value.
 FLAT = 1e-3
 
 
 def sparkline(values: Sequence[float], width: int, *, linear: bool = False, blocks: str = BLOCKS) -> str:
     """log10 of ``values`` (n,), or if ``linear`` themselves, in at most ``width`` characters.
 
-    More values than characters: each stands for a run of them and shows the largest. On the scale of
-    logarithms zero is the lowest; what has no place there is shown as ``MISSING``.
+    More values than characters: each stands for a run of them and shows the largest. On the logarithmic scale
+    zero is the lowest; values without a logarithm are shown as ``MISSING``.
     """
     if width < 1 or not values:
         return ""

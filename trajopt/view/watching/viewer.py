@@ -1,4 +1,4 @@
-"""A watch that shows iterates in Meshcat, from a thread of its own: the solver never waits for it."""
+"""A watch that shows iterates in Meshcat from a separate thread: the solver never waits for it."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from trajopt.view.watching.drawing import TOP, IterateScene, Picture
 
 # Iterates a second that are drawn at most.
 RATE = 5.0
-# Part of a processor that drawing takes at most, the scene of a new problem aside.
+# Largest share of a processor for drawing, apart from the scene of a new problem.
 SHARE = 0.1
 # Seconds that the solver's thread waits at most for Python while the viewer's thread runs; Python's own is
 # 5 ms, which would be a tenth of an iteration of a jump.
 SWITCH = 5e-4
 # Seconds that a solve waits at most for the picture of its guess.
 FIRST = 10.0
-# Seconds between two looks of `Viewer.flush`.
+# Polling interval of `Viewer.flush`, s.
 PAUSE = 0.01
 # Milliseconds after which a server that does not answer is given up.
 ANSWER = 5000
@@ -49,7 +49,7 @@ class Viewer:
         self._switch = sys.getswitchinterval()
         sys.setswitchinterval(min(SWITCH, self._switch))
         self._scene = IterateScene()
-        # No lock that an interrupt could leave taken: counts of what was put in and what is done with.
+        # Counters of given and finished iterates instead of a lock, which an interrupt could leave taken.
         self._given: SimpleQueue[Iterate | Solution | None] = SimpleQueue()
         self._put_in = self._done = 0
         self._closed = self._failed = False
@@ -66,7 +66,7 @@ class Viewer:
         return self._window.web_url
 
     def __call__(self, iterate: Iterate) -> None:
-        """Take in an iterate if it is time to; guesses and ends always.
+        """Accept an iterate if it is time to; guesses and ends always.
 
         Returns at once while the solver runs; a guess and its problem's scene are drawn before it starts.
         """
@@ -74,7 +74,7 @@ class Viewer:
             return
         if iterate.stage == "iteration" and (not self._idle or time.perf_counter() < self._free):
             return
-        if iterate.unknowns is not None:  # read now: they are known only while the solver calls
+        if iterate.unknowns is not None:  # read now: they are valid only during the solver's call
             self._put(iterate)
         if iterate.stage == "guess":
             self.flush(FIRST)
@@ -85,7 +85,7 @@ class Viewer:
             self._put(solution)
 
     def flush(self, timeout: float = 60.0) -> bool:
-        """Wait until all that was taken in is drawn; whether that took less than ``timeout`` s."""
+        """Wait until all accepted iterates are drawn; returns whether that took less than ``timeout`` s."""
         end = time.monotonic() + timeout
         while not (self._idle or self._failed):
             if time.monotonic() > end:
@@ -95,15 +95,15 @@ class Viewer:
 
     @property
     def alive(self) -> bool:
-        """Whether it shows what it is given: it has not failed and is not closed."""
+        """Whether it is active: it has not failed and is not closed."""
         return not (self._failed or self._closed)
 
     def wait(self, timeout: float) -> bool:
-        """Block until the server ends, at most ``timeout`` s; whether it has ended."""
+        """Block until the server ends, at most ``timeout`` s; returns whether it has ended."""
         return self._window.ended(timeout)
 
     def close(self) -> None:
-        """End the thread and the server; nothing where that was done."""
+        """End the thread and the server, if that has not been done."""
         if self._closed:
             return
         sys.setswitchinterval(self._switch)
@@ -129,7 +129,7 @@ class Viewer:
     def _run(self) -> None:
         while not (self._closed or self._failed):
             what = self._given.get()
-            if self._given.empty() and not self._closed:  # of what came meanwhile the last
+            if self._given.empty() and not self._closed:  # only the last of those that came meanwhile
                 self._attempt(what)
             self._done += 1
 
