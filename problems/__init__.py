@@ -1,4 +1,4 @@
-"""Problems by name: files of families, each with a ``FAMILY`` or several ``FAMILIES``."""
+"""Problems by name: modules of families, each with a ``FAMILY`` or several ``FAMILIES``."""
 
 from __future__ import annotations
 

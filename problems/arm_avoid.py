@@ -21,24 +21,25 @@ from trajopt.terrain.swing_profile import smooth_step
 
 from . import arms, common
 
-# Over the robot's reach: the tool's distance from the base's axis and its height at start and goal.
+# Tool at start and goal, over the robot's reach: its distance from the base's axis and its height.
 RADIUS, HEIGHT = 0.4, 0.25
-# The box's sides, along the tool's way, across and up from the ground to the tool, less what it rises over
-# it; the post's radius; how far in the box and the post begin, so that the arm may not pass behind them.
+# The box's sides along the tool's path, across it, and up from the ground to the tool, without its rise above
+# it; the post's radius; how far inwards box and post begin, so that the arm cannot pass behind them.
 BOX_ALONG, BOX_ACROSS, POST_RADIUS = 0.08, 0.2, 0.025
-# Where the box and the post stand between start (-1) and goal (1), as a part of the turn.
+# Positions of box and post between start (-1) and goal (1), as a fraction of the turn.
 BOX_AT, POST_AT = -0.3, 0.35
-# Inverse kinematics follows the tool around the base in steps, so that the branch of the reference is kept.
+# Steps in which inverse kinematics follows the tool around the base, to keep the branch of the reference.
 STEPS = 8
-# The waypoint is raised, and drawn in, in these steps over the reach, up to the largest.
+# The waypoint is raised and drawn in by these steps, over the reach, up to the largest.
 RAISE_STEP, MOST_RAISED, DRAWN_IN = 0.02, 0.5, (0.0, 0.05, 0.1)
-# Configurations at which a guess is measured against the obstacles.
+# Configurations at which the clearance of a guess is measured.
 LOOKS = 40
-# Peak rate of 10 s^3 - 15 s^4 + 6 s^5 over its mean. The default duration lets the way over the obstacles be
-# longer than the turn, and is no shorter than an arm under its own weight takes, in sqrt(reach / g).
+# Peak rate of 10 s^3 - 15 s^4 + 6 s^5 over its mean. The default duration allows for the path over the
+# obstacles being longer than the turn, and is at least that of an arm under its own weight, in sqrt(reach /
+# g).
 PEAK_RATE, LONGER_WAY, LEAST_TIME = 1.875, 1.5, 5.0
-# Weight of accelerations next to torques. An arm with more joints than its task needs has motions that cost
-# hardly any torque: a tenth of this leaves a seven-joint arm three times the iterations.
+# Weight of accelerations next to torques. A redundant arm has motions that cost hardly any torque: with a
+# tenth of this, a seven-joint arm takes three times the iterations.
 SMOOTHNESS = 0.1
 
 
@@ -46,8 +47,8 @@ SMOOTHNESS = 0.1
 class RaisedPath:
     """Guess: from ``start`` to ``goal`` (nq,) in ``duration`` s, at its middle through ``waypoint`` (nq,).
 
-    In the tangent space of ``start``: the straight way along 10 s^3 - 15 s^4 + 6 s^5, and the detour along
-    64 s^3 (1 - s)^3, which starts and ends with neither rate nor acceleration.
+    In the tangent space of ``start``: the straight path along 10 s^3 - 15 s^4 + 6 s^5, and the detour along
+    64 s^3 (1 - s)^3, which starts and ends with zero rate and acceleration.
     """
 
     model: pin.Model
@@ -68,7 +69,7 @@ class RaisedPath:
 def obstacles_of(
     arm: arms.Arm, turn: float, radius: float, height: float, rise: float
 ) -> tuple[Obstacle, ...]:
-    """A box and a post from the ground to ``rise`` m over the tool's height, on the tool's way.
+    """A box and a post from the ground to ``rise`` m over the tool's height, in the tool's path.
 
     They stand at `BOX_AT` and `POST_AT` of ``turn`` rad either way, at ``radius`` m from the base's axis.
     """
@@ -97,7 +98,7 @@ def turned(arm: arms.Arm, turn: float, radius: float, height: float) -> np.ndarr
 def raised_path(
     arm: arms.Arm, ends: tuple[np.ndarray, np.ndarray], scene: CollisionScene, least: float
 ) -> RaisedPath:
-    """The path with the lowest waypoint that keeps ``least`` m from the obstacles; the clearest without one.
+    """The path with the lowest waypoint that keeps ``least`` m from the obstacles, else the clearest one.
 
     ends: start and goal (nq,). The duration is 1 s.
     """
@@ -128,7 +129,7 @@ def clearance_along(scene: CollisionScene, path: RaisedPath) -> float:
 
 
 def _duration(robot: Robot, start: np.ndarray, goal: np.ndarray) -> float:
-    """What the joints' rates allow for the turn, with time for the way around, s."""
+    """Duration from the joints' velocity limits for the turn, with time for the detour, s."""
     travel = np.abs(pin.difference(robot.model, start, goal))
     by_rate = LONGER_WAY * PEAK_RATE * float((travel / robot.velocity_limit).max())
     return max(by_rate, LEAST_TIME * math.sqrt(robot.length / 9.81))
@@ -166,7 +167,7 @@ def build(
         parameters={"duration": given},
         default_intervals=30,
     )
-    from trajopt.solving.avoidance import with_obstacles  # loads the solvers, which a list does without
+    from trajopt.solving.avoidance import with_obstacles  # loads the solvers: not for `list`
 
     return with_obstacles(problem, obstacles, margin=margin * reach, capsules=capsules)
 

@@ -25,15 +25,16 @@ from . import arms, common
 TOOL = "tool"
 PHASES = ("approach", "descend", "lift", "carry", "lower", "retreat")
 CARRIED = ("lift", "carry", "lower")
-# Height of the waypoints over the places, part of the reach.
+# Height of the waypoints over the places, over the reach.
 OVER = 0.1
-# The default object takes this part of the torque that gravity leaves at the weakest joint of all waypoints,
-# and at most this part of the arm's mass. It is a cube as dense as water, held at the middle of its top.
+# The default object takes this share of the torque that gravity leaves at the weakest joint of all waypoints,
+# and has at most this share of the arm's mass. It is a cube as dense as water, held at the middle of its top.
 SHARE, OF_ARM = 0.4, 0.1
 DENSITY = 1000.0
-# Times over what limits need: a default duration of least effort, and the bounds of free durations.
+# Multiples of the shortest durations by the limits: the default for least effort, and bounds of free
+# durations.
 UNHURRIED, FREE = 2.5, (0.1, 4.0)
-# Prices of accelerations, as of `arm-transfer`.
+# Weights of accelerations, as in `arm-transfer`.
 SMOOTH = {"effort": 1e-2, "time": 1e-3}
 INTERVALS = 36
 
@@ -47,7 +48,7 @@ def cube(arm: arms.Arm, mass: float) -> Payload:
 
 
 def default_mass(robot: Robot, tool: str, postures: list[np.ndarray]) -> float:
-    """Mass in kg of an object that the weakest joint holds with a part of its torque at all postures."""
+    """Mass in kg of an object that the weakest joint holds with a share of its torque at all postures."""
     most = OF_ARM * robot.mass
     if robot.effort_limit is None:
         return most
@@ -61,7 +62,7 @@ def default_mass(robot: Robot, tool: str, postures: list[np.ndarray]) -> float:
 
 
 def _way(arm: arms.Arm, poses: list[pin.SE3], end: np.ndarray) -> tuple[Term, ...]:
-    """Over each place on the way down and up, at rest on it, and over the second at last."""
+    """Over each place on the way down and up, at rest on it, and finally over the second."""
     over_pick, pick, over_place, place = poses
 
     def at(phase: str | None, pose: pin.SE3, *, turned: bool) -> FramePose:
@@ -123,7 +124,7 @@ def build(
 def _durations(
     robot: Robot, postures: tuple[np.ndarray, ...], goal: str, duration: float | None
 ) -> list[float]:
-    """Duration of every phase, s: what its limits need, over what all need, of the whole."""
+    """Duration of every phase, s: the whole, divided in proportion to the shortest by the limits."""
     least = [arms.least_duration(robot, pair) for pair in pairwise(postures)]
     if not min(least) > 0:
         raise InputError("two waypoints of arm-pick-place are the same", "allowed: turn and over not zero")
@@ -132,7 +133,7 @@ def _durations(
 
 
 def _below(arm: arms.Arm) -> float:
-    """Height in m of a floor that is clear of everything: the object stands on a table of its own."""
+    """Height in m of a floor below everything: the object stands on a separate table."""
     return float(min(arm.axis[2], 0.0) - arm.robot.length)
 
 

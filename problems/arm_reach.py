@@ -15,11 +15,11 @@ from trajopt.terms import AccelerationCost, TorqueCost
 
 from . import arms, common
 
-# The goal where none is given: the tool of the reference turned about the base and raised.
+# The default goal: the tool of the reference, turned about the base and raised.
 TURN = math.radians(60)
 UP = 0.15  # of the reach
 PLACE = "goal of the tool, world (default: the start's, turned by 60 degrees, raised by 0.15 reach)"
-# The default duration over what the limits need at least.
+# The default duration over the shortest that the limits allow.
 UNHURRIED = 2.0
 
 
@@ -36,8 +36,8 @@ def build(
 ) -> Problem:
     """Build the reach; see ``FAMILY`` for the parameters. Raises InputError.
 
-    The guess ends where inverse kinematics from the reference gets closest to the goal: a goal that it does
-    not reach still makes a problem, whose solution then reports the row that fails.
+    The guess ends where inverse kinematics from the reference gets closest to the goal: an unreachable goal
+    still gives a problem, whose solution then reports the violated row.
     """
     arm = arms.load(robot)
     goal, end = _goal(arm, (x, y, z), pin.rpy.rpyToMatrix(roll, pitch, yaw))
@@ -61,7 +61,7 @@ def build(
 
 
 def _goal(arm: arms.Arm, given: tuple[float | None, ...], turn: np.ndarray) -> tuple[pin.SE3, np.ndarray]:
-    """Pose of the tool and a posture (nq,) there, or as near as inverse kinematics gets."""
+    """Pose of the tool and a posture (nq,) there, or as near as inverse kinematics can get."""
     default = arm.pose(TURN, 0.0, UP).translation
     position = np.where([own is None for own in given], default, np.array(given, dtype=float))
     distance = float(np.linalg.norm(position - arm.axis))
@@ -76,7 +76,7 @@ def _goal(arm: arms.Arm, given: tuple[float | None, ...], turn: np.ndarray) -> t
 
 
 def turns(origin: str) -> tuple[Parameter, ...]:
-    """Turns of the tool about the world's axes; ``origin`` ends their meaning: from which orientation."""
+    """Turns of the tool about the world's axes; ``origin``: end of the text, the start orientation."""
     axes = {"roll": "x", "pitch": "y", "yaw": "z"}
     meanings = {
         name: f"turn of the tool about the world's {axis} axis{origin}" for name, axis in axes.items()

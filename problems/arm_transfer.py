@@ -15,16 +15,16 @@ from trajopt.terms import AccelerationCost, Term, TimeCost, TorqueCost
 
 from . import arms, common
 
-# Weights of what makes every direction of the motion priced: small against torques (mean squares of about
-# 1e-2 of weight times reach), and against a transfer of about one sqrt(l / g).
+# Weights of terms that give every direction of the motion a cost: small against torques (mean squares of
+# about 1e-2 of weight times reach), and against a transfer of about one sqrt(l / g).
 SMOOTH_EFFORT, SMOOTH_TIME = 1e-2, 1e-4
-# Torques of least time jump between limits. A scheme of one point has constant torques in an interval,
-# within limits wherever they are at the point; a polynomial through two points overshoots at the nodes. So
-# least time takes one point, and twice the intervals.
+# Least-time torques jump between limits. A scheme of one point has constant torques in an interval, within
+# limits if they are at the point; a polynomial through two points overshoots at the nodes. So least time uses
+# one point, and twice the intervals.
 INTERVALS = 30
 # A free duration lies within these multiples of the guessed one.
 SHORTEST, LONGEST = 0.1, 4.0
-# The default duration of least effort over what the limits need at least.
+# The default duration for least effort over the shortest that the limits allow.
 UNHURRIED = 2.0
 
 
@@ -42,7 +42,8 @@ def transfer(
 ) -> Problem:
     """From rest to rest between two postures (nq,), in least time or at the costs of ``effort``.
 
-    duration: s, None: from ``least``, what limits need. Raises InputError where both postures are the same.
+    duration: s, None: from ``least``, the shortest that the limits allow. Raises InputError if both postures
+    are the same.
     """
     if not least > 0:
         raise InputError(f"start and goal of {name} are the same posture", "allowed: two postures")

@@ -24,15 +24,15 @@ from . import arms, common
 from .strokes import Facing, RestOnStroke, Stroke, StrokeMotion
 
 TOOL = "tool"
-# Length of a line, diameter of a circle over the reach, where none is given.
+# Default length of a line and diameter of a circle, over the reach.
 SIZES = {"line": 0.25, "circle": 0.15}
-# The default force takes this part of what gravity leaves of the weakest joint's torque along the path.
+# The default force takes this share of the torque that gravity leaves at the weakest joint along the path.
 FORCE_SHARE = 0.25
-# The default duration over what the limits need at least.
+# The default duration over the shortest that the limits allow.
 UNHURRIED = 2.0
-# Friction turns round within this part of the mean speed.
+# Width of the sign change of friction, over the mean speed.
 SLIP = 0.1
-# Postures that inverse kinematics finds along the path for the guess.
+# Postures along the path, by inverse kinematics, for the guess.
 KNOTS = 41
 
 
@@ -110,7 +110,7 @@ def _stroke(arm: arms.Arm, shape: str, size: float | None, centre: np.ndarray, n
 
 
 def _postures(arm: arms.Arm, stroke: Stroke, normal: np.ndarray) -> list[np.ndarray]:
-    """Postures (nq,) at `KNOTS` places of the stroke, the tool against the plane, each from the last."""
+    """Postures (nq,) at `KNOTS` points of the stroke, the tool against the plane, each from the last."""
     reference = arm.at_reference.rotation
     turn = pin.Quaternion.FromTwoVectors(reference @ arm.outward, -normal).toRotationMatrix()
     facing, first = turn @ reference, stroke(0.0)

@@ -1,4 +1,4 @@
-"""What families for any arm share: the arm and its tool, poses as its reach measures them, paths, limits."""
+"""Shared by families for any arm: the arm and its tool, poses in units of its reach, paths, limits."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from . import common
 
 # Arms on which families are tested; any other works by its name or file.
 ARMS = ("ur5", "panda", "kinova", "irb1600", "z1", "xarm7")
-# Inverse kinematics follows the tool in steps, so that the branch of the reference is kept.
+# Steps in which inverse kinematics follows the tool, to keep the branch of the reference.
 STEPS = 12
-# A pose is reached up to this error, m and rad.
+# Error below which a pose counts as reached, m and rad.
 REACHED = 1e-6
-# Part of a motor's torque that is taken to be left for the motion, at least.
+# Least share of a motor's torque that is assumed to be left for the motion.
 LEAST_SPARE = 0.1
-# A joint counts as having at least this lever to a force at the tool, over the reach.
+# Least assumed lever arm of a joint to a force at the tool, over the reach.
 LEAST_LEVER = 1e-3
-# A direction along the arm is one from a joint at least this far behind the tool, m.
+# Least distance behind the tool, m, of the joint that defines the direction of the arm.
 BEHIND = 1e-3
 # Peak rate and acceleration of the guess, 10 s^3 - 15 s^4 + 6 s^5, over a unit of time.
 PEAK_RATE, PEAK_ACCELERATION = 1.875, 10 / math.sqrt(3)
@@ -48,7 +48,7 @@ class Arm:
 
     @property
     def axis(self) -> np.ndarray:
-        """Where the first joint is, (3,) m, world: headings turn about the vertical through it."""
+        """Position of the first joint, (3,) m, world: headings are about the vertical through it."""
         return np.array(self.robot.model.jointPlacements[1].translation)
 
     @property
@@ -73,8 +73,8 @@ class Arm:
     def pose(self, turn: float, out: float, up: float) -> pin.SE3:
         """The tool's pose in the reference, turned about the vertical and moved.
 
-        turn: rad, to the left, orientation included. out, up: away from the axis and upwards, as parts of
-        the arm's reach.
+        turn: rad, to the left, orientation included. out, up: away from the axis and upwards, over the arm's
+        reach.
         """
         reference, about = self.at_reference, pin.rpy.rpyToMatrix(0.0, 0.0, turn)
         x, y, z = reference.translation - self.axis
@@ -97,19 +97,19 @@ class Arm:
         return turn, out / self.robot.length, (there[2] - here[2]) / self.robot.length
 
     def follow(self, poses: Iterable[pin.SE3]) -> Posture:
-        """Posture with the tool at the last pose, followed from the reference; as near as it gets."""
+        """Posture with the tool at the last pose, followed from the reference, or as near as possible."""
         posture = Posture(self.robot.reference, 0.0)
         for pose in poses:
             posture = inverse_kinematics(self.robot, posture.q, {self.tool: pose})
         return posture
 
     def towards(self, turn: float, out: float, up: float) -> Posture:
-        """Posture with the tool at that `pose`, followed in steps; as near as it gets."""
+        """Posture with the tool at that `pose`, followed in steps, or as near as possible."""
         parts = np.linspace(0.0, 1.0, STEPS + 1)[1:]
         return self.follow(self.pose(part * turn, part * out, part * up) for part in parts)
 
     def posture(self, turn: float, out: float, up: float) -> np.ndarray:
-        """The posture (nq,) of `towards`. Raises InputError where the arm does not get there."""
+        """The posture (nq,) of `towards`. Raises InputError if the arm does not reach it."""
         return self.reached(self.towards(turn, out, up), self.pose(turn, out, up))
 
     def reached(self, found: Posture, pose: pin.SE3) -> np.ndarray:
@@ -129,13 +129,13 @@ class Arm:
 
 
 def load(name: str) -> Arm:
-    """Return the arm of that name. Raises InputError for what is no arm."""
+    """Return the arm of that name. Raises InputError for other robots."""
     tool = robots.tool_frame(name)
     return Arm(robot=robots.load(name), tool=tool)
 
 
 def least_duration(robot: Robot, postures: Sequence[np.ndarray], *, weight: bool = True) -> float:
-    """Duration of a guess from rest to rest through ``postures`` (nq,), s: what rates and torques allow.
+    """Duration of a guess from rest to rest through ``postures`` (nq,), s, by limits of rates and torques.
 
     Torques are those that the arm's weight leaves (``weight``: or all), and each joint moves its own inertia
     alone: an estimate for a start of the search, not a bound.
@@ -147,7 +147,7 @@ def least_duration(robot: Robot, postures: Sequence[np.ndarray], *, weight: bool
     if robot.effort_limit is None:
         return float(by_rate.max())
     held = np.abs([pin.computeGeneralizedGravity(model, data, q) for q in postures]).max(axis=0)
-    # Postures that the motors do not hold leave the problem infeasible, and the guess as it may be.
+    # If the motors cannot hold a posture, the problem is infeasible whatever the guess.
     spare = np.maximum(robot.effort_limit - weight * held, LEAST_SPARE * robot.effort_limit)
     inertia = np.diag(pin.crba(model, data, postures[0]))
     by_torque = np.sqrt(PEAK_ACCELERATION * travel * inertia / spare)

@@ -14,10 +14,10 @@ from trajopt.schedule.named_gaits import BIPED, gait_of
 from . import bipeds, common, gait_common
 from .gait_common import Style
 
-# Least height of a foot in mid swing, and that of the guess, as parts of the robot's length.
+# Least height of a foot in mid-swing, and that of the guess, over the robot's length.
 CLEARANCE = 0.05
 GUESS_CLEARANCE = 0.08
-# Froude numbers of a slow walk and of a jog; stride lengths follow from them as of other animals.
+# Froude numbers of a slow walk and of a jog; stride lengths follow from them as in animals.
 STYLES = {
     "walk": Style(
         froude=0.04, clearance=CLEARANCE, summary="a foot or two on the ground, double support between"

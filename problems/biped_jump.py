@@ -1,7 +1,8 @@
 """Jumps of bipeds, up and forward, from rest to rest on both feet.
 
-Those of quadrupeds, with one more cost: little torque swings a trunk far on two hips, and a jump that comes
-of this swing is none of legs. So the base keeps near the guess's, level, at a tenth of the price of torques.
+As for quadrupeds, with one more cost: little torque swings a trunk far on two hips, and the jump would come
+from this swing, not from the legs. So a cost of a tenth of the torques' keeps the base near the guess's,
+level.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ from trajopt.problem.family import Family
 from . import bipeds, common, quadruped_jump
 from .gait_common import near
 
-# Default jumps forward are no longer than feet come in flight, from rest to rest, at this part of gravity's
-# acceleration: legs are a third of a humanoid's mass.
+# Default forward jumps are limited to the distance of feet in flight, from rest to rest, at this fraction of
+# gravity's acceleration: legs are a third of a humanoid's mass.
 SWING_ACCELERATION = 2.0
-# Default duration of the push in units of sqrt(l / g): half of a quadruped's, no time to swing.
+# Default duration of the push in units of sqrt(l / g): half of a quadruped's, too short to swing.
 STANCE = 1.4
 # Bodies pitch fast over two feet.
 INTERVALS = 64
@@ -37,7 +38,7 @@ def _upright(build: Callable[..., Problem], *, goal: str, **values: Any) -> Prob
 
 
 def _forward(build: Callable[..., Problem], **values: Any) -> Problem:
-    """With the default distance cut to what heavy legs can swing through while the robot flies."""
+    """Limits the default distance to that which heavy legs can swing during the flight."""
     problem = build(**values)
     if values["distance"] is not None:
         return problem
@@ -52,7 +53,7 @@ def _family(direction: quadruped_jump.Direction, summary: str) -> Family:
     family = quadruped_jump.family(direction, summary, kind="biped", robots=bipeds.ROBOTS, load=bipeds.biped)
     build = partial(_upright, family.build)
     build = partial(_forward, build) if direction == "forward" else build
-    # The family adds the parameter ``robot`` anew.
+    # The family adds the parameter ``robot`` itself.
     return replace(family, parameters=family.parameters[1:], build=build)
 
 

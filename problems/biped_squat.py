@@ -11,7 +11,7 @@ from trajopt.terrain.flat import FlatGround
 
 from . import bipeds, common, pushing
 
-# Depth as a part of the robot's length; duration in units of sqrt(l / g): two seconds for a human's leg.
+# Depth over the robot's length; duration in units of sqrt(l / g): two seconds for a human's leg.
 DEPTH, DURATION = 0.2, 6.0
 INTERVALS = 30
 

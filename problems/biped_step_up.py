@@ -18,16 +18,17 @@ from trajopt.terrain.swing_path import swing_path
 from . import bipeds, common
 
 PHASES = ("shift", "step_1", "double", "step_2", "settle")
-# Height of the box and way forward, parts of the robot's length; a way of so many soles at least.
+# Height of the box and distance forward, over the robot's length; least distance in soles.
 HEIGHT, FORWARD, SOLES = 0.15, 0.4, 1.6
 # Durations in units of sqrt(l / g).
 SHIFT, STEP, DOUBLE = 3.5, 3.2, 2.0
-# In the guess the base goes this part of the way to over the standing foot, and has done these parts of its
-# way forward and of its rise at the ends of the phases.
+# In the guess the base moves by this fraction of the distance towards the standing foot; below, its progress
+# forward and upward at the ends of the phases.
 SWAY = 0.7
 DONE_FORWARD, DONE_UP = (0.1, 0.35, 0.65, 0.95), (0.0, 0.2, 0.6, 1.0)
 CLEARANCE = 0.05
-# The box begins this part of the way before the heels that land on it: room to lift a foot before its edge.
+# Distance from the box's edge to the heels that land on it, over the distance forward: room to lift a foot
+# before the edge.
 BEFORE_HEEL = 0.1
 INTERVALS = 50
 

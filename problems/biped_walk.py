@@ -1,7 +1,7 @@
 """A biped walks: weight shift, steps with a smooth swing and double support between, rest with feet level.
 
-The guess is the walk of the linear inverted pendulum over the same footsteps: on soles, for the pendulum's
-zero-moment point cannot move while one point foot stands.
+The guess is the walk of the linear inverted pendulum over the same footsteps; it needs soles, because the
+pendulum's zero-moment point cannot move while one point foot stands.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from trajopt.terrain.flat import FlatGround
 
 from . import bipeds, common
 
-# Part of the soles that the pendulum's ZMP keeps away from: the robot is no pendulum.
+# Margin of the pendulum's ZMP from the edges of the soles, over their size: the robot is not a pendulum.
 MARGIN = 0.5
-# Swings of the guess rise this much higher than they must.
+# Height of the guess's swings over the required one.
 GUESS_SWING = 1.5
 # Defaults are those of Talos, whose length this is in m; others walk the same at the same Froude number, with
 # lengths in proportion to theirs and times to the root of it.
 LENGTH_OF_DEFAULTS = 1.0193317172808651
 LENGTHS = {"length": 0.2, "clearance": 0.04}
 TIMES = {"step_time": 0.6, "double_support": 0.15, "shift": 0.5, "settle": 0.6}
-# Per second of Talos; rounding makes no interval more.
+# Intervals per second of Talos; rounding adds no interval.
 INTERVALS_PER_SECOND, WHOLE = 10, 1e-9
-# Of every part of the walk, s.
+# Bounds for every part of the walk, s.
 DURATIONS = (0.05, 5.0)
 
 

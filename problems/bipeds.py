@@ -1,4 +1,4 @@
-"""What problems of bipeds share: the robot on its legs alone, places of the base, two steps."""
+"""Shared by problems of bipeds: the robot with only its legs free, base positions, two steps."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ ROBOTS = ("talos", "g1", "bolt")
 
 @lru_cache(maxsize=8)
 def biped(name: str) -> Robot:
-    """The robot of that name on its two feet, every joint that carries no leg locked at the reference.
+    """The robot of that name on its two feet, all joints outside the legs locked at the reference.
 
-    Arms, a waist, a head move nothing that these tasks ask for: they are dead weight on the trunk. Raises
-    InputError for a robot that is no biped.
+    These tasks do not need arms, waist or head, which are dead weight on the trunk. Raises InputError for a
+    robot that is not a biped.
     """
     robot = robots.load(name)
     biped_legs(robot)
@@ -37,7 +37,7 @@ def waypoint(robot: Robot, time: float, shift: Sequence[float] | np.ndarray) -> 
 
 
 def two_steps(robot: Robot, way: np.ndarray, durations: Mapping[str, float]) -> Schedule:
-    """Both feet move by ``way`` (3,) m, the right one first, in five phases of ``durations`` s by name."""
+    """Both feet move by ``way`` (3,) m, right foot first, in five phases of ``durations`` s by name."""
     left, right = biped_legs(robot)
     places = {name: place + way for name, place in contact_positions(robot, robot.reference).items()}
     contacts = ((left, right), (left,), (left, right), (right,), (left, right))

@@ -1,4 +1,4 @@
-"""What families share: parameters, limits, paths of guesses, schedules, and the problem made of them."""
+"""Shared by families: parameters, limits, paths of guesses, schedules, and the problem made of them."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.swing_profile import smooth_step
 from trajopt_library import robots
 
-# Least height of a foot over the ground in mid flight, m.
+# Least height of a foot over the ground in mid-flight, m.
 CLEARANCE = 0.03
-# Price of a hard landing: without one an impact brakes for free, torques do not see it.
+# Weight of impulses at a landing: without it, an impact brakes at no cost in torque.
 IMPULSE_WEIGHT = 0.1
 
 Range = tuple[float, float]
@@ -73,7 +73,7 @@ def speed(name: str, default: float | None, meaning: str) -> Parameter:
 
 
 def share(name: str, default: float | None, meaning: str) -> Parameter:
-    """A part of a period that is neither none nor all of it."""
+    """A fraction of a period, strictly between 0 and 1."""
     return number(name, default, "", meaning, (0.05, 0.95))
 
 
@@ -103,10 +103,10 @@ def goal(*choices: str, meaning: str = "what is best") -> Choice:
     return choice("goal", meaning, *choices)
 
 
-# One torque limit for all joints, and a part of the robot's own torque limits.
+# One torque limit for all joints, and a share of the robot's own torque limits.
 EFFORT = number("effort", None, "N m", "torque limit (default: the URDF's)", (0.0, 1e4))
 EFFORT_SHARE = number("effort_share", 1.0, "", "share of the effort limits to use", (1e-3, 1.0))
-# How contacts land: `hop_schedule` takes ``impact``, and impulses want a price of their own.
+# How contacts land: `hop_schedule` takes ``impact``, and impulses need a separate cost.
 TOUCHDOWN = choice("touchdown", "land at zero foot velocity or by a rigid impact", "soft", "impact")
 
 
@@ -126,7 +126,7 @@ def whole(name: str, value: float) -> int:
 class PosturePath:
     """Guess: from posture to posture (nq,), at rest at each, along 10 s^3 - 15 s^4 + 6 s^5; then still.
 
-    durations: of the ways from each posture to the next, s.
+    durations: from each posture to the next, s.
     """
 
     model: pin.Model
@@ -202,7 +202,7 @@ def freed(schedule: Schedule, *within: Range) -> Schedule:
 
 
 def contact_cones(robot: Robot) -> tuple[Term, ...]:
-    """Forces of points within pyramids of friction, wrenches of soles within what their surfaces transmit."""
+    """Forces of points within pyramids of friction, wrenches of soles within their cones."""
     kinds = {contact.kind for contact in robot.contacts}
     points: tuple[Term, ...] = (FrictionPyramid(),) if "point" in kinds else ()
     return (*points, SoleCone()) if "surface" in kinds else points
@@ -236,12 +236,12 @@ def problem(
     actuation: Actuation = "torque",
     **settings: Any,
 ) -> Problem:
-    """A motion at little cost within all limits, by default from rest at the reference on level ground.
+    """A motion of least cost within all limits, by default from rest at the reference on level ground.
 
     costs: default those of effort. end: a configuration (nq,) for rest, or terms. effort: limits of torques,
-    default the robot's; other sources have none. cones: of contacts, default `contact_cones`. clearance: of
-    swinging contacts over the terrain in mid swing, m, None for none. more: further terms. settings: what
-    else a `Problem` has.
+    default the robot's; none for other actuation. cones: of contacts, default `contact_cones`. clearance: of
+    swinging contacts over the terrain in mid-swing, m, None for none. more: further terms. settings: other
+    fields of `Problem`.
     """
     ground = FlatGround() if terrain is None else terrain
     prices = effort_costs() if costs is None else costs

@@ -1,4 +1,4 @@
-"""What gaits share: their speeds and periods by the robot's size, costs, periodic problems, parameters."""
+"""Shared by gaits: speeds and periods by the robot's size, costs, periodic problems, parameters."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from trajopt.terrain.flat import FlatGround
 from . import common
 
 ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
-# Swings of the guess are higher than they must be.
+# Height of the guess's swings over the required one.
 HIGHER = 1.5
-# Free durations are between these parts of the nominal ones; their sum, the period, is not free.
+# Free durations are between these multiples of the nominal ones; their sum, the period, is fixed.
 FREE = (0.6, 1.5)
-# Of a whole cycle.
+# Intervals of a whole cycle.
 INTERVALS = 32
-# Price of the base's distance from the commanded motion: a tenth of that of torques.
+# Weight of the base's distance from the commanded motion: a tenth of that of torques.
 TRACKING = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class Style:
-    """What a gait's family takes by default: ``froude`` number u^2 / (g l) of its speed u, and its strides.
+    """Defaults of a gait's family: ``froude`` number u^2 / (g l) of its speed u, and its strides.
 
-    ``clearance``: least height of a foot in mid swing as a part of the robot's length.
+    ``clearance``: least height of a foot in mid-swing over the robot's length.
 
     Strides of mammals are ``stride`` froude^``growth`` leg lengths long (Alexander, Jayes, "A dynamic
     similarity hypothesis for the gaits of quadrupedal mammals", J. Zool. 201, 1983): 2.4 froude^0.34 in
@@ -54,7 +54,7 @@ class Style:
         return math.sqrt(self.froude * gravity_of(robot.model) * robot.length)
 
     def period(self, robot: Robot, speed: float) -> float:
-        """Period in s at ``speed`` m/s: the stride's length over it; a slower gait keeps the default's."""
+        """Period in s at ``speed`` m/s: stride length over speed; a slower gait keeps the default period."""
         unit = math.sqrt(gravity_of(robot.model) * robot.length)
         root = max(abs(speed) / unit, math.sqrt(self.froude))
         return self.stride * root ** (2 * self.growth - 1) * robot.length / unit
@@ -76,7 +76,7 @@ STYLES = {
         froude=0.49, stride=1.9, growth=0.40, summary="footfalls round the body, two flights"
     ),
 }
-# Gaits that the suite runs on one robot only; they run on all.
+# Gaits that the suite runs on one robot only; they work on all.
 RARE = ("amble", "flying-trot", "canter", "rotary-gallop")
 
 
@@ -91,7 +91,7 @@ class Command:
 
     @property
     def parameters(self) -> dict[str, object]:
-        """Values of the parameters that were derived."""
+        """Values of the derived parameters."""
         return {"speed": self.pace.velocity[0], "period": self.period, "clearance": self.lift}
 
 
@@ -118,7 +118,7 @@ def command(
 
 
 def near(motion: Motion, weight: float = TRACKING) -> Term:
-    """Keeps the base, which has no price otherwise, near that of a motion."""
+    """Keeps the base, which has no cost otherwise, near that of a motion."""
     return TrackingCost(reference=motion, part="base", weight=weight)
 
 
@@ -156,7 +156,7 @@ def periodic_problem(
 ) -> Problem:
     """A periodic gait through a `cycle`; see `common.problem`.
 
-    swing: height of swings of the guess, m. planned: feet land where they are planned, not anywhere.
+    swing: height of swings of the guess, m. planned: feet land on planned footholds, not anywhere.
     """
     plan = plan_of_cycle(robot, schedule, asked.pace, mirror=mirror, clearance=swing)
     schedule, ground = plan.schedule if planned else schedule, FlatGround(friction=friction)

@@ -17,18 +17,18 @@ from trajopt.terrain.swing_profile import smooth_step
 from . import common, hoppers
 from .gait_common import Style, forward
 
-# Strides as of animals in asymmetrical gaits, which hops of kangaroos follow as well.
+# Strides as of animals in asymmetrical gaits, including hopping kangaroos.
 STYLE = Style(froude=0.25, stride=1.9, growth=0.40, clearance=0.05)
-# Free durations are between these parts of the nominal ones.
+# Free durations are between these multiples of the nominal ones.
 FREE = (0.5, 2.0)
 INTERVALS = 24
 
 
 def _guess(robot: Robot, speed: float, durations: tuple[float, float], lift: float) -> Motion:
-    """The base at an even speed, ballistic in flight; the foot under it in mid stance, the neutral point.
+    """The base at constant speed, ballistic in flight; the foot under it in mid-stance, the neutral point.
 
-    durations: of stance and flight, s. lift: height of the foot in mid flight over where the leg of constant
-    height would have it, m.
+    durations: of stance and flight, s. lift: height of the foot in mid-flight over its position with a leg of
+    constant length, m.
     """
     stance, flight = durations
     step, rate = speed * (stance + flight), gravity_of(robot.model) * flight / 2

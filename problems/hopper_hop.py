@@ -22,19 +22,19 @@ from trajopt.terrain.flat import FlatGround
 
 from . import common, hoppers
 
-# The base rises by this part of the robot's length while the leg stretches, in the guess.
+# Rise of the base over the robot's length while the leg extends, in the guess.
 RISE = 0.17
-# Durations that are free, for every goal but effort, are between these parts of the nominal ones: time on the
+# Free durations, for every goal but effort, are between these multiples of the nominal ones: time on the
 # ground is for one push, a flight may be long.
 FREE, FREE_FLIGHT = (0.5, 1.5), (0.5, 3.0)
 # Hops at their limits are violent: on coarser grids the foot drifts by more than a millimetre.
 INTERVALS = {"effort": 50, "time": 160, "height": 80, "distance": 160}
-# Costs that mean the same in every choice of coordinates: torques, joint angles, contact forces.
+# Costs that are the same in every choice of coordinates: torques, joint angles, contact forces.
 COSTS = effort_costs(joints_only=True)
 
 
 def _guess(robot: Robot, distance: float, durations: tuple[float, float, float]) -> Motion:
-    """Crouch, stretch, a parabola, and back to the standing posture, the foot where it belongs."""
+    """Crouch, leg extension, a parabola, and back to the standing posture, with the foot on its foothold."""
     stance, flight, landing = durations
     rise, arc = RISE * robot.length, gravity_of(robot.model) * flight**2 / 2
     start = hoppers.standing_foot(robot)
@@ -56,7 +56,7 @@ def _guess(robot: Robot, distance: float, durations: tuple[float, float, float])
 def _schedule(
     foot: str, target: np.ndarray, durations: tuple[float, float, float], goal: str, *, impact: bool
 ) -> Schedule:
-    """Stance, flight and landing on ``target``; free durations but for effort, anywhere for distance."""
+    """Stance, flight and landing on ``target``; durations free except for effort, place free for distance."""
     schedule = common.hop_schedule({foot: target}, durations, impact=impact)
     if goal != "effort":
         schedule = common.freed(schedule, FREE, FREE_FLIGHT, FREE)
@@ -67,7 +67,7 @@ def _schedule(
 
 
 def _modes(robot: Robot, place: np.ndarray, target: np.ndarray, goal: str) -> dict[str, StanceMode]:
-    """Models for the phases that stand on ``place`` and on ``target`` (3,) m. Raises InputError."""
+    """Models for the stance phases on ``place`` and on ``target`` (3,) m. Raises InputError."""
     if goal == "distance" or robot.base != "planar":
         what = f"goal={goal}" if goal == "distance" else f"robot={robot.name}"
         raise InputError(

@@ -1,4 +1,4 @@
-"""What hops have in common: robots on one point foot, in the plane or in space, and their base's place."""
+"""Shared by hops: robots on one point foot, in the plane or in space, and their base position."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def hopper(name: str) -> Robot:
     robot = robots.load(name)
     if robot.base not in FORWARD_UP or [contact.kind for contact in robot.contacts] != ["point"]:
         raise InputError(
-            f"robot '{robot.name}' is no hopper", f"allowed: one point foot, as {', '.join(ROBOTS)}"
+            f"robot '{robot.name}' is not a hopper", f"allowed: one point foot, as {', '.join(ROBOTS)}"
         )
     return robot
 
@@ -36,7 +36,7 @@ def base_frame(robot: Robot) -> str:
 
 
 def standing_foot(robot: Robot) -> np.ndarray:
-    """Place (3,) of the foot at the reference, m, world."""
+    """Position (3,) of the foot at the reference, m, world."""
     return contact_positions(robot, robot.reference)[foot_of(robot)]
 
 
@@ -48,6 +48,6 @@ def moved(robot: Robot, forward: float, up: float) -> np.ndarray:
 
 
 def posture(robot: Robot, forward: float, up: float, foot: np.ndarray) -> np.ndarray:
-    """Configuration (nq,) with the base so moved and the foot at ``foot`` (3,) m, or as near as it gets."""
+    """Configuration (nq,) with the base so moved and the foot at ``foot`` (3,) m, or as near as possible."""
     frame = robot.contacts[0].frame
     return inverse_kinematics(robot, moved(robot, forward, up), {frame: foot}).q

@@ -18,7 +18,7 @@ from trajopt_library.robots import irb1600
 from . import arms, common
 from .arm_transfer import transfer
 
-# Motors' torques, and little for accelerations: small against mean squares of about 0.1.
+# Weights of motor torques and of accelerations, the latter small against mean squares of about 0.1.
 EFFORT = (MotorTorqueCost(weight=1.0), AccelerationCost(weight=1e-3))
 INTERVALS = 40
 
@@ -26,8 +26,8 @@ INTERVALS = 40
 def nearest_posture(robot: Robot, position: np.ndarray, tilt: float, near: np.ndarray) -> np.ndarray:
     """The branch (nq,) nearest to ``near`` that brings the tool to ``position`` (3,) m, world.
 
-    The tool points away from the base's axis, turned down by ``tilt`` rad. Raises `InputError` where no
-    posture within the limits does.
+    The tool points away from the base's axis, turned down by ``tilt`` rad. Raises `InputError` if no posture
+    within the limits does.
     """
     heading = math.atan2(position[1], position[0])
     rotation = pin.rpy.rpyToMatrix(0.0, math.pi / 2 + tilt, heading)

@@ -1,7 +1,7 @@
 """Leaps of legged robots: a push from standing feet, a flight, and a landing that ends at rest.
 
-All of it follows from the robot: its length l, the time sqrt(l / g), and the extension that its legs have
-left (`pushing`).
+All of it follows from the robot: its length l, the time sqrt(l / g), and the remaining extension of its legs
+(`pushing`).
 """
 
 from __future__ import annotations
@@ -25,19 +25,20 @@ from trajopt.terrain import Terrain
 from . import common
 from .pushing import Takeoff, sink_of
 
-# In the guess the base moves and turns by at most these while the feet stand: a part of the length, and rad.
+# In the guess the base moves and turns by at most these while the feet stand: over the length, and rad.
 GROUND_PART = 0.2
 GROUND_TURN = 0.35
-# The guess pushes for at most this part of the stance, and brakes for at most this part of the landing.
+# The guess pushes for at most this fraction of the stance, and brakes for at most this fraction of the
+# landing.
 PUSH_PART = 0.7
-# Least height of a foot over the ground in mid flight: the lesser of a part of the robot's length and a part
-# of what the base rises freely, so that slow legs need not be drawn up.
+# Least height of a foot over the ground in mid-flight: the lesser of a fraction of the robot's length and a
+# fraction of the base's free rise, so that slow legs need not be drawn up.
 CLEARANCE_PART, FREE_PART = 0.1, 0.5
-# Hips and knees stay this part of the robot's length above the ground.
+# Height of hips and knees above the ground, at least, over the robot's length.
 JOINT_CLEARANCE = 0.15
 # Costs of leaps, with accelerations for smooth motions.
 COSTS = effort_costs(acceleration=2e-2)
-# For least time durations are free within these multiples of theirs.
+# For least time, durations are free within these multiples of the nominal ones.
 FREE = (0.5, 2.0)
 
 
@@ -54,7 +55,7 @@ def base_path(
     rising, climb = gravity_of(robot.model) * flight / 2, float(end[2] - start[2])
     push_time, push_depth = _push(takeoff, climb / flight + rising, stance)
     brake_time, brake_depth = _push(takeoff, rising - climb / flight, landing)
-    # Parts of the way before take-off and after touchdown, at constant acceleration.
+    # Displacements before take-off and after touchdown, at constant acceleration.
     whole = push_time / 2 + flight + brake_time / 2
     parts = (push_time / 2 / whole, brake_time / 2 / whole)
     up, still = np.array([0.0, 0.0, 1.0]), np.zeros(3)
@@ -99,7 +100,7 @@ def clearance(robot: Robot, flight: float) -> float:
 
 
 def hips_and_knees(robot: Robot) -> tuple[str, ...]:
-    """Frames of the joints of limbs, but for ankles: those that stand twice the clearance over the ground."""
+    """Frames of limb joints, without ankles: those standing at least twice the clearance over the ground."""
     ground = min(place[2] for place in contact_positions(robot, robot.reference).values())
     return tuple(
         joint
@@ -133,7 +134,7 @@ def problem(
 ) -> Problem:
     """A leap between two postures (nq,), from rest to rest; see `common.problem`.
 
-    durations: of stance, flight and landing, s; free for any goal but effort. effort: N m, of all joints,
+    durations: of stance, flight and landing, s; free for goals other than effort. effort: N m, of all joints,
     None: the robot's own. turn: rad to the left, in all. heights: of the ground at both ends, m.
     """
     robot, (start, end) = takeoff.robot, ends

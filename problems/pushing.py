@@ -1,4 +1,4 @@
-"""How far legs stretch and fold with the feet in place, and how fast they push a robot off the ground."""
+"""How far legs extend and fold with the feet in place, and how fast they push a robot off the ground."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ from trajopt.robot.kinematics import Posture, contact_poses, inverse_kinematics
 
 from .common import displaced
 
-# Of the extension that legs have left, the guess uses this part at take-off and at touchdown.
+# Fraction of the legs' remaining extension that the guess uses at take-off and at touchdown.
 EXTENSION_PART = 0.6
-# The work of a push is summed over this many heights; the extension is found to this part of the length.
+# Heights over which the work of a push is summed; tolerance of the extension over the robot's length.
 PUSH_SAMPLES, EXTENSION_ERROR = 24, 1e-3
-# Any flight rises freely by this part of the robot's length at least, or what this share of the speed at
-# take-off gives, whichever is less.
+# Least free rise of a flight: this fraction of the robot's length, or the rise with this share of the
+# take-off speed, whichever is less.
 LEAST_FREE_RISE, LEAST_SHARE = 0.02, 0.75
-# A take-off is fast enough if it rises freely by this part of the length: more is not bought with extension.
+# A take-off is fast enough if its free rise is this fraction of the length: beyond it, no extension is given
+# up for speed.
 ENOUGH_FREE = 0.05
-# A torque or rate this small against the others' is rounding.
+# A torque or rate below this fraction of the others' is rounding.
 ROUNDING = 1e-9
-# Feet count as reached by inverse kinematics below this error, m.
+# Error below which inverse kinematics has reached the feet, m.
 REACHED = 1e-6
-# In the guess the base sinks by at most this part of the robot's length under its height at the ends, and of
-# what joints allow with the feet flat in place (ankles of humanoids end soon).
+# In the guess the base sinks by at most this fraction of the robot's length under its height at the ends, and
+# of the depth that joints allow with the feet flat (humanoid ankles reach their limits early).
 SINK_PART, OF_REACHABLE = 0.25, 0.7
 
 
@@ -60,7 +61,7 @@ class Takeoff:
 
     @property
     def merit(self) -> tuple[float, float]:
-        """Free rise up to what is enough, and the base's apex, m: the first that is larger wins."""
+        """Key for comparison: free rise, up to a sufficient one, then the base's apex, m."""
         free = self.speed**2 / (2 * gravity_of(self.robot.model))
         return min(free, ENOUGH_FREE * self.robot.length), self.rise + free
 
@@ -69,9 +70,9 @@ class Takeoff:
 
 
 def takeoff(robot: Robot, effort: float | None = None) -> Takeoff:
-    """The take-off with the highest apex of the base among the fast ones with part of the extension left.
+    """The take-off with the highest apex of the base among the fast ones with some extension left.
 
-    Legs that are nearly straight lift the base slowly: a hop of stretching is none. Where none is fast enough
+    Nearly straight legs lift the base slowly, so that extension alone is not a hop. If none is fast enough,
     the fastest.
 
     Forces are taken to be vertical and the same at all feet, the base level. effort: N m, for all joints.
@@ -79,7 +80,7 @@ def takeoff(robot: Robot, effort: float | None = None) -> Takeoff:
     """
     if not robot.model.gravity.linear.any():
         raise InputError(
-            f"'{robot.name}' is without gravity: what leaps does not come down",
+            f"'{robot.name}' is without gravity: a leap does not come down",
             "allowed: a model with gravity",
         )
     limit = robot.effort_limit if effort is None else np.full(robot.nu, effort)
@@ -103,7 +104,7 @@ def takeoff(robot: Robot, effort: float | None = None) -> Takeoff:
         for height, q, done in zip(heights, postures, work, strict=True)
         if height >= 0
     ]
-    return max(reversed(found), key=lambda one: one.merit)  # of those as good the highest
+    return max(reversed(found), key=lambda one: one.merit)  # the highest of equals
 
 
 def raised(robot: Robot, height: float) -> Posture:

@@ -21,11 +21,11 @@ from . import common, leaping, pushing
 ROBOTS = ("solo12", "go2", "a1", "hyq")
 # Default durations in units of sqrt(l / g).
 STANCE, LANDING = 2.7, 3.4
-# Share of the largest speed at take-off, and the most that the base rises, part of the robot's length.
+# Share of the largest speed at take-off, and the largest rise of the base over the robot's length.
 SHARE, HEIGHT = 0.75, 0.75
-# A box is this part of the rise high, at most this part of the robot's length; a gap this part of it wide.
+# Height of a box over the rise, and at most over the robot's length; width of a gap over the robot's length.
 OF_RISE, MOST_BOX, GAP = 0.5, 0.5, 0.3
-# Feet stand and land this far from an edge, part of the robot's length.
+# Distance of feet from an edge at take-off and landing, over the robot's length.
 FROM_EDGE = 0.15
 
 Kind = Literal["box-up", "box-down", "gap"]

@@ -1,4 +1,4 @@
-"""Whole turns of quadrupeds in the air, from feet to feet: a backflip and a barrel roll.
+"""Full turns of quadrupeds in the air, from feet to feet: a backflip and a barrel roll.
 
 Both leave the ground in two steps, as animals and machines do: one pair of feet lifts first, so that the body
 turns about the other; it lands on the pair that lifted first.
@@ -35,14 +35,14 @@ BACKFLIP_ROBOTS = ("solo12", "go2", "a1")
 DURATIONS = {"stance": 2.0, "tip": 1.0, "flight": 3.0, "catch": 1.0, "landing": 3.0}
 PHASES = tuple(DURATIONS)
 INTERVALS = 70
-# No flight is longer than from this multiple of the largest speed with which legs alone leave the ground
-# (see `pushing.takeoff`): the turn about two feet adds to it.
+# The flight is at most that from this multiple of the largest take-off speed of the legs alone (see
+# `pushing.takeoff`): the turn about two feet adds to it.
 SPEED_PART = 1.1
-# In the guess the body leaves the ground turned by this, rad, and is as far from upright when it lands.
+# Rotation of the body at take-off in the guess, rad, and before upright at landing.
 TILT = math.pi / 4
-# In the guess legs are drawn up by this part of the robot's length.
+# How far legs are drawn up in the guess, over the robot's length.
 TUCK = 0.3
-# The body is upside down in mid flight within this angle, and on its way there and back as far around.
+# Largest error of the body's rotation when upside down in mid-flight, and half way there and back.
 WITHIN = math.pi / 3
 
 Kind = Literal["backflip", "barrel-roll"]
@@ -72,13 +72,13 @@ class Flip:
         return way * [1, 1, 0]
 
     def schedule(self, end: np.ndarray) -> Schedule:
-        """On all feet, on the last, in flight, on the first, on all; landing where ``end`` (nq,) has them."""
+        """On all feet, on the last, in flight, on the first, on all; landing at their ``end`` (nq,)."""
         every = tuple(contact.name for contact in self.robot.contacts)
         contacts = (every, self.last, (), self.first, every)
         return common.schedule_of(self.durations, contacts, contact_positions(self.robot, end))
 
     def waypoints(self) -> tuple[BaseWaypoint, ...]:
-        """Rest, crouch, tipped a little, take-off, and the same backwards in time on the other side."""
+        """Rest, crouch, slightly tipped, take-off, and the same in reverse on the other side."""
         start, sink = self.robot.reference[:3], pushing.SINK_PART * self.robot.length / 2
         stance, landing = self.durations["stance"], self.durations["landing"]
         reach = pushing.EXTENSION_PART * pushing.extension_left(self.robot)

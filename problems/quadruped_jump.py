@@ -18,20 +18,20 @@ from . import common, leaping, pushing
 ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
 # Default durations in units of sqrt(l / g): solo12 pushes for 0.4 s and comes to rest in 0.5 s.
 STANCE, LANDING = 2.7, 3.4
-# Rises of the base and ways forward and to the left are at most these parts of the robot's length, turns at
-# most this, rad; where joints are too slow, less.
+# Default limits on the rise of the base and on displacements forward and to the left, over the robot's
+# length, and on turns, rad; less if joints are too slow.
 HEIGHT, LEAST_HEIGHT, FORWARD, SIDEWAYS, TURN = 0.75, 0.4, 1.0, 0.5, math.pi / 2
 # Shares of the largest speeds at take-off: upwards in a jump up, upwards in others, across and turning.
 SHARE_UP, SHARE_LOW, SHARE_ACROSS = 0.75, 0.6, 0.25
-# Motions of free durations are faster and want more intervals for feet that do not drift.
+# Motions with free durations are faster and need more intervals for feet that do not drift.
 INTERVALS = {"effort": 50, "time": 80}
 
-# Which way a jump goes by default.
+# Default direction of a jump.
 Direction = Literal["up", "forward", "sideways", "turn"]
 
 
 def _defaults(takeoff: pushing.Takeoff, direction: Direction, height: float | None) -> dict[str, float]:
-    """Defaults of a jump: as large as its robot's length suggests and its speeds at take-off allow."""
+    """Defaults of a jump, from its robot's length, within the speeds possible at take-off."""
     length = takeoff.robot.length
     high = direction in ("up", "turn")
     share, most = (SHARE_UP, HEIGHT) if direction == "up" else (SHARE_LOW, HEIGHT if high else LEAST_HEIGHT)
@@ -64,7 +64,7 @@ def build(
 ) -> Problem:
     """Build the jump; see ``FAMILIES`` for the parameters. Raises InputError.
 
-    ``load`` gives the robot of a name if it is of that ``kind``.
+    ``load`` returns the robot of a name if it is of that ``kind``.
     """
     body = load(robot)
     takeoff = pushing.takeoff(body, effort)

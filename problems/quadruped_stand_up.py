@@ -18,15 +18,15 @@ from trajopt.terrain.flat import FlatGround
 from . import common, leaping, pushing
 
 ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
-# Default duration in units of sqrt(l / g); free, it stays within these multiples of it.
+# Default duration in units of sqrt(l / g); a free one is within these multiples of it.
 DURATION, FREE = 5.0, (0.2, 2.0)
 # Weight of time where it is the goal: sqrt(l / g) costs as much as torques of weight times length in it.
 TIME_WEIGHT = 1.0
-# A robot lies with its base this part of its length above the ground: half the thickness of a trunk.
+# Height of the base of a lying robot over its length: half the thickness of a trunk.
 LYING = 0.3
-# Static torques of the start use at most this part of the limits.
+# Static torques at the start use at most this fraction of the limits.
 STATIC_SHARE = 0.7
-# Depths are found to this part of the robot's length.
+# Tolerance of depths over the robot's length.
 DEPTH_ERROR = 1e-3
 
 

@@ -19,7 +19,7 @@ from . import common
 from .gait_common import ROBOTS
 from .terrain_walks import Walker, parameters, problem_over, walker
 
-# Defaults of lengths as parts of the robot's. Rise and depth of a stair have the ratio of those in houses; of
+# Defaults of lengths over the robot's. Rise and depth of a stair have the ratio of those in houses; of
 # uneven steps the heights over the ground before them; of a slope its length, seen from above; of stones
 # sides, distances of their centres, and how much their heights differ.
 LENGTHS = {
@@ -38,10 +38,10 @@ LENGTHS = {
 }
 STAIRS, STONES = 3, 4
 SLOPE = math.radians(15)
-# The way over waves in strides of the gait.
+# Distance over waves in strides of the gait.
 STRIDES = 2.0
 
-# Terrain, and the way over it in m.
+# Terrain, and the distance over it in m.
 Built = tuple[Terrain, float]
 
 
@@ -89,7 +89,7 @@ def _waves(own: Walker, *, amplitude: float, wavelength: float, yaw: float, way:
 
 
 def _halton(index: int, base: int) -> float:
-    """Van der Corput's sequence: evenly spread numbers in (0, 1) without chance."""
+    """Van der Corput's sequence: evenly spread deterministic numbers in (0, 1)."""
     found, part = 0.0, 1.0
     while index:
         index, digit = divmod(index, base)
@@ -110,9 +110,9 @@ def _count(name: str, default: int, meaning: str) -> Parameter:
 def _family(
     name: str, summary: str, made: Callable[..., Built], *own: Parameter | Choice, kept: bool = True
 ) -> Family:
-    """The family whose terrain and way ``made`` gives from its ``own`` parameters.
+    """The family whose terrain and distance ``made`` gives from its ``own`` parameters.
 
-    kept: feet keep a margin from edges, of which there are some.
+    kept: the terrain has edges, from which feet keep a margin.
     """
 
     def build(*, footholds: str, effort_share: float, **given: Any) -> Problem:

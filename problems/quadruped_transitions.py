@@ -27,7 +27,7 @@ from trajopt.terrain.flat import FlatGround
 from . import common, gait_common
 from .gait_common import HIGHER, ROBOTS, STYLES, gait_costs
 
-# Of every period of the gait, standing included.
+# Intervals per period of the gait, standing included.
 INTERVALS_PER_PERIOD = 20
 
 STARTS = {"start": True, "stop": False, "go": True}
@@ -37,7 +37,7 @@ STOPS = {"start": False, "stop": True, "go": True}
 def _pace(steady: Pace, kind: str, phases: tuple[Phase, ...], period: float) -> Pace:
     """The pace grows until a period before the end of a start; in a stop it falls after a period.
 
-    So where they meet the gait moves as in a cycle of its own, and their states are the same.
+    So where they meet, the gait moves as in its periodic cycle, and their states are the same.
     """
     duration = sum(phase.duration for phase in phases)
     grown, falling = duration - period, period
@@ -125,7 +125,7 @@ _SUMMARIES = {
     "stop": "from a gait's commanded state to a stance",
     "go": "from a stance through some cycles of a gait to a stance",
 }
-# One to gain or lose speed and one at full speed, or one for each.
+# Periods: one to gain or lose speed and one at full speed, or one for each.
 LEAST_CYCLES = 2
 
 

@@ -22,10 +22,10 @@ from trajopt_library.robots.solo12 import BASE
 
 from . import common, leaping
 
-# In the guess the base rises by this much, m, and turns by this part of the whole, while the feet stand.
+# Rise, m, and fraction of the whole turn of the base in the guess while the feet stand.
 RISE = 0.04
 GROUND_SHARE = 0.1
-# The flight ends with the base this much above its standing height, m: room for a landing on the back.
+# Height of the base over standing at the end of the flight, m: room for a landing on the back.
 END_RISE = 0.1
 
 

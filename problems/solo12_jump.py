@@ -23,11 +23,11 @@ from trajopt_library.robots import solo12
 
 from . import common, leaping
 
-# A flight shorter than this leaves no time to move the feet to their new places, s.
+# Shortest flight with enough time to move the feet to their new footholds, s.
 SHORTEST_FLIGHT = 0.3
 # Rise of the base over its standing height at take-off in the guess, m: legs not yet straight.
 TAKEOFF_RISE = 0.04
-# Part of the take-off speed times its duration that the base travels while the feet are on the ground.
+# Distance of the base while the feet are on the ground, over take-off speed times duration.
 GROUND_SHARE = 0.15
 
 
@@ -49,7 +49,7 @@ def _path(robot: Robot, schedule: Schedule, distance: float, yaw: float) -> Wayp
 
 
 def _guess(robot: Robot, schedule: Schedule, end: np.ndarray, base: WaypointPath) -> Motion:
-    """Feet on their footholds, in flight carried by the base from one stance to the other."""
+    """Feet on their footholds; in flight they move with the base from one stance to the other."""
     stance, flight, _ = (phase.duration for phase in schedule.phases)
     starts, ends = (contact_positions(robot, q) for q in (robot.reference, end))
     before, after = base(stance), base(stance + flight)
@@ -98,7 +98,7 @@ def build(
 ) -> Problem:
     """Build the jump; see ``FAMILY`` for the parameters. Raises InputError."""
     robot, torque_limits = _actuated(effort, voltage)
-    # Apex of a parabola from and to the standing height, with the rise that straight legs add.
+    # Apex of a parabola from and to the standing height, plus the rise from extending the legs.
     needed = 2 * math.sqrt(2 * max(height - TAKEOFF_RISE, 0.0) / STANDARD_GRAVITY)
     flight = max(SHORTEST_FLIGHT, needed) if flight is None else flight
     end = common.displaced(robot, (distance, 0.0, 0.0), yaw)

@@ -19,7 +19,7 @@ from trajopt_library.robots.solo12 import BASE
 
 from . import common, leaping
 
-# A flight shorter than this leaves no time to move the feet, s.
+# Shortest flight with enough time to move the feet, s.
 SHORTEST_FLIGHT = 0.2
 
 
@@ -50,7 +50,7 @@ def build(
     time = max(SHORTEST_FLIGHT, 2 * math.sqrt(2 * height / STANDARD_GRAVITY)) if flight is None else flight
 
     def guess(t: float) -> np.ndarray:
-        """Standing still; in flight on a parabola from one stance to the other, legs folded as they stand."""
+        """Standing still; in flight on a parabola from one stance to the other, legs as in standing."""
         s = min(max((t - stance) / time, 0.0), 1.0)
         q = start.copy()
         q[:3] += s * (end - start)[:3]

@@ -1,4 +1,4 @@
-"""Strokes on a plane that a tool follows, and which way it faces meanwhile."""
+"""Strokes of a tool on a plane, and the tool's direction."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ class Stroke:
     along: np.ndarray
 
     def __call__(self, part: float) -> np.ndarray:
-        """Position (3,) m after ``part`` of the path, 0 to 1: side to side, or once around."""
+        """Position (3,) m at a fraction ``part`` of the path, 0 to 1: side to side, or once around."""
         if self.shape == "line":
             return np.asarray(self.centre + (part - 0.5) * self.size * self.across)
         turn = 2 * math.pi * part
         return np.asarray(self.centre + self.size / 2 * self._direction(turn))
 
     def acceleration(self, t: float, duration: float) -> np.ndarray:
-        """Second derivative (3,) m/s^2 of the place at the part 10 s^3 - 15 s^4 + 6 s^5, s = t / duration."""
+        """Second derivative (3,) m/s^2 of the position at part 10 s^3 - 15 s^4 + 6 s^5, s = t / duration."""
         s = min(max(t / duration, 0.0), 1.0)
         rate = 30 * (s * (1 - s)) ** 2 / duration
         change = 60 * s * (1 - s) * (1 - 2 * s) / duration**2
@@ -45,7 +45,7 @@ class Stroke:
         return np.asarray(self.size / 2 * circling)
 
     def _direction(self, turn: float) -> np.ndarray:
-        """From the centre of a circle to the place after ``turn`` rad, unit vector (3,)."""
+        """Unit vector (3,) from the centre of a circle to the point at ``turn`` rad."""
         return math.sin(turn) * self.across - math.cos(turn) * self.along
 
     @property
@@ -58,9 +58,10 @@ class Stroke:
 class StrokeMotion(PointConstraint):
     """A contact that slides follows the stroke in ``duration`` s, smoothly from rest to rest.
 
-    Its acceleration within the plane is that of the stroke at the point's time, J a + Jdot v = x'': the same
-    level as what holds a contact. From a start on the stroke at rest its place follows as exactly as the
-    scheme integrates; places themselves as rows, at points or at nodes, would let accelerations ring.
+    Its acceleration within the plane is that of the stroke at the point's time, J a + Jdot v = x'': an
+    acceleration constraint, as for a fixed contact. From a start on the stroke at rest, its position follows
+    as exactly as the scheme integrates; position constraints, at points or at nodes, would let accelerations
+    oscillate.
     """
 
     contact: str
@@ -78,9 +79,9 @@ class StrokeMotion(PointConstraint):
 
 @dataclass(frozen=True, kw_only=True)
 class RestOnStroke(NodeConstraint):
-    """At the end the joints rest, at ``q`` (nq,), in what the contacts' places leave free.
+    """At the end the joints rest, at ``q`` (nq,), in the directions that the contacts' positions leave free.
 
-    `TerminalRest` would ask a sliding contact to stop, which the stroke does already.
+    `TerminalRest` would also stop the sliding contact, which the stroke does already.
     """
 
     q: np.ndarray

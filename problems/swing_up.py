@@ -20,15 +20,16 @@ from trajopt_library import robots
 
 from . import common
 
-# Duration by default in periods of the hanging links: time for some swings, or the guess of the least time.
+# Default duration in periods of the hanging links: time for some swings, or the guess for least time.
 PERIODS = {"effort": 2.5, "time": 1.5}
-# A swing has no posture to keep and no contacts, and has to be fast to rise: rates cost less than on legs.
+# A swing-up has no posture to keep and no contacts, and has to be fast: rates cost less than for legs.
 EFFORT = effort_costs(acceleration=1e-3, velocity=3e-3, posture=0.0)
 # Share of the torque that would just hold the links stretched and level.
 WEAK = 0.5
-# What free durations may be, of the nominal one.
+# Bounds of a free duration, as multiples of the nominal one.
 FREE = (0.2, 2.0)
-# Moments below this part of the largest count as none: real links do not balance exactly along their axis.
+# Moments below this fraction of the largest count as zero: real links do not balance exactly along their
+# axis.
 BALANCED = 1e-2
 INTERVALS_PER_PERIOD = 20
 LEAST_INTERVALS = 50
@@ -38,7 +39,7 @@ def _pendulum(robot: Robot) -> tuple[np.ndarray, np.ndarray, float]:
     """Half a turn (nv,) of the first joint from hanging to upright (nq,), and a period, s.
 
     The robot hangs at its reference; the period is of small swings with all joints but the first locked.
-    Raises InputError where that is not so.
+    Raises InputError otherwise.
     """
     model, data, hanging = robot.model, robot.model.createData(), robot.reference
     if robot.base == "fixed" and robot.nu > 0 and not robot.contacts and model.joints[1].nv == 1:
@@ -53,7 +54,7 @@ def _pendulum(robot: Robot) -> tuple[np.ndarray, np.ndarray, float]:
             inertia = pin.crba(model, data, hanging)[0, 0]
             return turn, way[2], 2 * math.pi * math.sqrt(inertia / moments[1])
     raise InputError(
-        f"robot '{robot.name}' is no pendulum that hangs at its reference",
+        f"robot '{robot.name}' is not a pendulum that hangs at its reference",
         "allowed: a fixed base, and half a turn of the first joint from there to the upright balance",
     )
 

@@ -21,16 +21,16 @@ from trajopt_library.robots.talos import HAND, SIDES, SOLES
 
 from . import common
 
-# Where the hand goes across, m: in front of the left shoulder.
+# Lateral position of the hand, m: in front of the left shoulder.
 ACROSS = 0.3
-# The force may grow from touch to its full value for this part of the reach's duration.
+# Time in which the force may grow from touch to its full value, over the reach's duration.
 LOADING_SHARE = 0.5
 
 
 def _leaning(robot: Robot, hand: np.ndarray, push: np.ndarray) -> np.ndarray:
-    """Posture with both soles where they stand and the hand at its place, leaning into the push.
+    """Posture with both soles in place and the hand at its goal, leaning into the push.
 
-    The centre of mass is moved by what balances the moment of ``push`` (3,) N on the hand about the ground.
+    The centre of mass is moved to balance the moment of ``push`` (3,) N on the hand about the ground.
     """
     leaning = robot.reference.copy()
     leaning[0] -= push[0] * hand[2] / robot.weight
@@ -42,7 +42,7 @@ def _soles(robot: Robot) -> dict[str, pin.SE3]:
 
 
 def _guess(robot: Robot, end: np.ndarray, duration: float) -> Motion:
-    """From standing to leaning in ``duration`` s, soles kept in place by the legs, then still."""
+    """From standing to leaning in ``duration`` s, soles kept in place by the legs, then standing still."""
     soles = _soles(robot)
     leaning = common.PosturePath(model=robot.model, postures=(robot.reference, end), durations=(duration,))
     return lambda t: inverse_kinematics(robot, leaning(t), soles).q

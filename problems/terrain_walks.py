@@ -1,4 +1,4 @@
-"""What walks of quadrupeds over terrain share: how far and how fast, schedules, terms, parameters."""
+"""Shared by walks of quadrupeds over terrain: distance and speed, schedules, terms, parameters."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from trajopt.terrain import PiecewiseTerrain, Terrain
 from . import common
 from .gait_common import STYLES, Command, command, near
 
-# Gaits without flights: there are always feet on the ground.
+# Gaits without flights.
 GAITS = ("trot", "walk")
 INTERVALS_PER_PERIOD = 20
-# Standing before the first and after the last swing, in periods of the gait.
+# Time standing before the first and after the last swing, in periods of the gait.
 STAND = 0.5
-# Room between feet and edges at the start and at the end, and kept from edges, parts of the robot's length.
+# Distance of feet from edges at the start and at the end, and margin from edges, over the robot's length.
 ROOM, MARGIN = 0.25, 0.05
 MOST_CYCLES = 20
 
 
 @dataclass(frozen=True, kw_only=True)
 class Walker:
-    """A quadruped that is to go over terrain in an ``asked`` gait; places (x, y) of its feet from above.
+    """A quadruped and the ``asked`` gait for a walk over terrain; positions (x, y) of feet from above.
 
-    ``cycles``: periods of the gait, None: as many as the way needs.
+    ``cycles``: periods of the gait, None: as many as the distance needs.
     """
 
     robot: Robot
@@ -54,12 +54,12 @@ class Walker:
 
     @property
     def stride(self) -> float:
-        """Way of the base in a period at the gait's speed, m."""
+        """Distance of the base in a period at the gait's speed, m."""
         return self.asked.pace.velocity[0] * self.asked.period
 
     @property
     def feet(self) -> dict[str, np.ndarray]:
-        """Places (3,) of the feet in the reference posture, m, world."""
+        """Positions (3,) of the feet in the reference posture, m, world."""
         found = contact_positions(self.robot, self.robot.reference)
         return {name: found[name] for name in self.asked.gait.feet}
 
@@ -79,7 +79,7 @@ class Walker:
         return {"at": (self.edge, 0.0), "friction": self.friction, "margin": self.margin}
 
     def way_across(self, extent: float) -> float:
-        """Way in m that brings all feet from before terrain of that extent, m, to behind it."""
+        """Distance in m that brings all feet from before terrain of that extent, m, to behind it."""
         hindmost = min(float(place[0]) for place in self.feet.values())
         return self.foremost - hindmost + extent + 2 * ROOM * self.length
 
@@ -108,8 +108,8 @@ def walker(
 def schedule_for(own: Walker, way: float) -> tuple[Schedule, Pace, int]:
     """Standing, cycles, standing, the pace that goes ``way`` m forward in them, and how many they are.
 
-    The pace grows and falls over the first and the last period. Without a number of cycles the least whose
-    strides at full pace are no longer than the gait's own.
+    The pace grows and falls over the first and the last period. Default number of cycles: the least with
+    strides at full pace no longer than the gait's own.
     """
     counts = range(2, MOST_CYCLES + 1) if own.cycles is None else (own.cycles,)
     gait, period = own.asked.gait, own.asked.period
@@ -142,7 +142,7 @@ def problem_over(
     robot, lift = own.robot, own.asked.lift
     schedule, pace, cycles = schedule_for(own, way)
     plan = plan_over_terrain(robot, schedule, pace, terrain, clearance=lift, free=footholds == "free")
-    arcs: tuple[Term, ...] = ()  # over the whole of every swing; over edges the swings that cut none
+    arcs: tuple[Term, ...] = ()  # over the whole of every swing; over edges `clearance` instead
     if not isinstance(terrain, PiecewiseTerrain):
         arcs = swing_arcs(plan.schedule, own.asked.gait.feet, height=lift, terrain=terrain)
     return common.problem(

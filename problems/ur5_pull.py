@@ -23,7 +23,7 @@ from trajopt_library.robots.ur5 import TOOL
 from . import common
 
 GRIP = "grip"
-# Half sizes of the gripped handle, m; a grasp transmits any wrench, so nothing but the drawing uses them.
+# Half sizes of the gripped handle, m; a grasp transmits any wrench, so only the drawing uses them.
 HALF_LENGTH, HALF_WIDTH = 0.04, 0.02
 
 
@@ -39,7 +39,7 @@ def _gripping() -> Robot:
 
 
 def _grasping(robot: Robot, board: Surface) -> np.ndarray:
-    """Posture with the gripper on the handle, turned from its start as little as the board asks for."""
+    """Posture with the gripper on the handle, with the least turn from its start that the board allows."""
     start = frame_pose(robot, robot.reference, GRIP).rotation
     turn = pin.Quaternion.FromTwoVectors(start[:, 2], board.normal).toRotationMatrix()
     return inverse_kinematics(robot, robot.reference, {GRIP: pin.SE3(turn @ start, board.point)}).q

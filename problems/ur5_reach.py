@@ -14,7 +14,7 @@ from trajopt.terms.context_symbols import ACTUATIONS, Actuation
 from . import arms, common
 from .arm_reach import turns
 
-# What each kind of source can price.
+# Costs available for each control input.
 COSTS: dict[Actuation, tuple[Term, ...]] = {
     "torque": (TorqueCost(weight=1.0), AccelerationCost(weight=1e-2)),
     "acceleration": (AccelerationCost(weight=1.0),),
@@ -36,8 +36,8 @@ def build(
 ) -> Problem:
     """Build the reach; see ``FAMILY`` for the parameters.
 
-    The guess ends where inverse kinematics from the start posture gets closest to the goal: a goal out
-    of reach still makes a problem, whose solution then reports the row that fails.
+    The guess ends where inverse kinematics from the start posture gets closest to the goal: a goal out of
+    reach still gives a problem, whose solution then reports the violated row.
     """
     arm = arms.load("ur5")
     robot = arm.robot
@@ -53,7 +53,7 @@ def build(
         phase="reach",
         costs=COSTS[actuation],
         effort=common.share_of_effort(robot, effort_share),
-        # A source of velocity stops when it likes.
+        # A velocity source can stop at any time.
         end=(pose,) if actuation == "velocity" else (rest, pose),
         actuation=actuation,
         default_intervals=30,

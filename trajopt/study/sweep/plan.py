@@ -102,9 +102,7 @@ def own_setting(problem: Problem) -> Setting:
 
 def _product(base: Setting, varied: Mapping[str, Sequence[Any]]) -> list[Setting]:
     if math.prod(len(values) for values in varied.values()) > MOST_SETTINGS:
-        raise InputError(
-            "the product of all named values is too large", f"allowed: {MOST_SETTINGS} settings"
-        )
+        raise InputError("the product of all named values is too large", f"allowed: {MOST_SETTINGS} settings")
     return [
         replace(base, **dict(zip(varied, values, strict=True)))
         for values in itertools.product(*varied.values())

@@ -167,7 +167,7 @@ def share_map(axes: Axes, track: Track, names: Sequence[str], shares: np.ndarray
 
 
 def column_maxima(t: np.ndarray, shares: np.ndarray, start: float, end: float) -> np.ndarray:
-    """The largest of ``shares`` (K, n) in each of `COLUMNS` equal times; between samples those around."""
+    """The largest of ``shares`` (K, n) in each of `COLUMNS` equal times; if it has none, the next sample."""
     edges = np.linspace(start, end, COLUMNS + 1)
     centres = (edges[1:] + edges[:-1]) / 2
     found = shares[np.clip(np.searchsorted(t, centres), 0, len(t) - 1)]

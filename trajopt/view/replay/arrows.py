@@ -19,8 +19,7 @@ from trajopt.view.replay.turns import turns_to
 
 FORCE_COLOUR, IMPULSE_COLOUR = 0xD9421F, 0x7A1FA2
 TRAIL_COLOURS = (0x1F77B4, 0x2CA02C, 0x9467BD, 0xC77700)
-# Length of the weight's arrow over the robot's extent, at most this, and at most this second value for the
-# longest arrow of the motion.
+# Over the robot's extent: largest length of the weight's arrow, and of the longest arrow of the motion.
 WEIGHT_ARROW, LONGEST_ARROW = 0.8, 1.2
 # Arrow over the robot's extent; a head never takes more than half of its arrow.
 SHAFT_RADIUS, HEAD_RADIUS, HEAD_LENGTH = 0.007, 0.02, 0.055

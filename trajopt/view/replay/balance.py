@@ -99,7 +99,7 @@ def outer_wrenches(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
 
 
 def supports_of(solution: Solution, motion: ReplayMotion, touched: TouchedSurfaces) -> list[SupportArea]:
-    """One support for each phase with contacts that press; phases that follow with the same are joined.
+    """One support for each phase with loaded contacts; consecutive phases with the same are joined.
 
     Of contacts on the ground and on walls those on the ground.
     """

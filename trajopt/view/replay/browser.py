@@ -50,7 +50,7 @@ AT_START = "t=0"
 
 
 class _Calls:
-    """A thread with an event loop that runs Playwright: calls get time limits, from any thread.
+    """A thread with an event loop that runs Playwright: calls from any thread, with time limits.
 
     Playwright's own blocking interface has no limit for some calls and refuses to run in notebooks.
     """

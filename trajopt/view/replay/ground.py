@@ -45,7 +45,7 @@ GRID_LIFT = 0.002
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DrawnGround:
-    """plane: the terrain's, of uneven ground a level one. seen: as drawn, ``drop`` m below the contacts.
+    """plane: the terrain's; for uneven ground a level one. seen: as drawn, ``drop`` m below the contacts.
 
     elsewhere: contacts with surfaces other than the terrain. uneven: the terrain, if it is not a plane.
     """

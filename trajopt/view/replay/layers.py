@@ -42,9 +42,9 @@ LAYERS = (
 def layers_of(
     runs: Sequence[DrawnSolution], drawn: Collection[str], hidden: Collection[str]
 ) -> list[dict[str, Any]]:
-    """The layers of which something is ``drawn`` (scene tree paths), and one for each of several runs.
+    """The layers with something ``drawn`` (scene tree paths), and one for each of several runs.
 
-    ``hidden``: names of those that are not shown at first.
+    ``hidden``: names of those hidden at first.
     """
     places = {"/".join(path.split("/")[:depth]) for path in drawn for depth in range(1, path.count("/") + 2)}
     found = []

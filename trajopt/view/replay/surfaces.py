@@ -37,7 +37,7 @@ class Touch:
 
 
 def plane_of(solution: Solution) -> Surface:
-    """Return the ground's plane: of ground that is none a level one, which stands for it to the camera.
+    """Return the ground's plane: for uneven ground a level one, used for the camera.
 
     Level at height 0 where the solution has no terrain.
     """

@@ -27,7 +27,7 @@ from trajopt.view.watching.motion import FRAME_RATE, MOST_POSES, IterateMotion
 
 TOP = "/meshcat"
 ROBOT, POSES, PATHS = "robot", "poses", "paths"
-# Parts of the scene of the guess that are left out: iterates do not move them.
+# Parts kept from the scene of the guess: iterates do not move them.
 STILL = (ROBOT, "ground", "terrain", "surfaces", "obstacles", "goals")
 # Size of the robot's meshes in bytes from which poses are skeletons: a browser stores them for each pose.
 HEAVY = 8_000_000
@@ -53,7 +53,7 @@ class IterateScene:
         self._facts: dict[str, Any] = {}
 
     def picture(self, iterate: Iterate) -> Picture | None:
-        """What shows an iterate; of the first one of a problem the whole scene.
+        """The picture of an iterate; for the first one of a problem, the whole scene.
 
         An iterate none of whose nodes is finite changes the caption alone; None before anything could be
         drawn.
@@ -88,9 +88,9 @@ class IterateScene:
 
 
 def _still(solution: Solution) -> tuple[list[ViewerCommand], dict[str, Any]]:
-    """What does not move with iterates, as a replay draws it, and the page's facts about it.
+    """The static parts of the scene, as a replay draws them, and the page's facts.
 
-    A motion that no replay can show has its robot alone.
+    A motion that cannot be replayed has only its robot.
     """
     name = f"solving {title(solution)}"
     own = [
