@@ -103,7 +103,7 @@ def test_distance_to_the_reference_falls_with_the_step():
 
 def test_budget_ends_the_climb_and_names_the_agreement():
     strict = Agreement(objective=1e-15, distance=1e-15)
-    words = r"more than 600 unknowns; the last two meshes agree to .* m"
+    words = r"more than 600 variables; the last two meshes agree to .* m"
     with pytest.raises(NoReferenceError, match=words) as caught:
         converged_reference(swing(), compile="none", agreement=strict, max_unknowns=600)
     assert len(caught.value.rungs) > 2

@@ -7,8 +7,8 @@ active contacts of the interval the acceleration solves
 
 (Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8) without any stabilisation, so that a plan that
 is inconsistent between its points drifts away here. States are integrated on the manifold, q = q_k (+) delta,
-with the eighth-order method of Dormand and Prince. Impacts follow the law of `contact.impact`, M (v+ - v-) =
-J^T Lambda, J v+ = 0.
+with the eighth-order method of Dormand and Prince. Impacts follow the law of
+`contact.impact`, M (v+ - v-) = J^T Lambda, J v+ = 0.
 """
 
 from __future__ import annotations

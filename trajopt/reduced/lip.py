@@ -105,9 +105,9 @@ class PendulumMotion:
     pieces. com_start, dcm_end: (2,) CoM at the start, divergent component at the end, m.
 
     The divergent component is computed backwards, the CoM forwards: the direction in which each is stable, so
-    that walks of any length are accurate. With the slope r of a piece, xi_k = p_k + r / omega + exp(-omega T)
-    (xi_(k+1) - p_(k+1) - r / omega) (Englsberger et al. 2015). The velocity at the start follows: c'(0) =
-    omega (xi(0) - c(0)).
+    that walks of any length are accurate. With the slope r of a piece,
+    xi_k = p_k + r / omega + exp(-omega T) (xi_(k+1) - p_(k+1) - r / omega) (Englsberger et al. 2015).
+    The velocity at the start follows: c'(0) = omega (xi(0) - c(0)).
     """
 
     pendulum: Pendulum

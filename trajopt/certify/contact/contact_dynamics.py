@@ -3,10 +3,10 @@
     M a + h = tau + J^T f,      J a + Jdot v = 0                                        (KKT)
 
 tau (nv,) holds all generalised forces but those of the contacts; f are the contact wrenches on the robot,
-world axes, at the frames' origins (Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8). With M = L
-L^T, y = L^T a, B = L^-1 (D J)^T and D the scale of the rows this is the projection of y onto B^T y = const
-(Gauss's principle; Udwadia and Kalaba 1992). So a is unique even if rows are dependent; if they contradict
-each other, it has the least contact acceleration. f then has minimum norm.
+world axes, at the frames' origins (Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8).
+With M = L L^T, y = L^T a, B = L^-1 (D J)^T and D the scale of the rows this is the projection of y onto
+B^T y = const (Gauss's principle; Udwadia and Kalaba 1992). So a is unique even if rows are dependent; if they
+contradict each other, it has the least contact acceleration. f then has minimum norm.
 """
 
 from __future__ import annotations

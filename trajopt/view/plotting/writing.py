@@ -55,7 +55,7 @@ def write_plots(
 
     Raises:
         InputError: For another suffix, a file that cannot be written, an unknown page, or solutions of
-        several robots.
+            several robots.
         SolutionFileError: For a file that cannot be read.
     """
     place = Path(target)
