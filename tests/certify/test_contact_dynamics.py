@@ -200,7 +200,7 @@ def test_a_model_of_one_joint_is_no_special_case():
         ([("tool0", 3)], np.nan, "moment_arm"),
     ],
 )
-def test_contacts_that_are_none_are_refused(contacts, arm, message):
+def test_invalid_contacts_are_refused(contacts, arm, message):
     with pytest.raises(InputError, match=message):
         ContactSet.of(robot("ur5")[0], contacts, moment_arm=arm)
 

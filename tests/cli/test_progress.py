@@ -243,7 +243,7 @@ def test_an_interrupt_in_a_watch_stops_the_solver():
     assert found.meta["status"] == "interrupted"
 
 
-def test_figures_alone_never_ask_the_solver_for_its_unknowns(tmp_path: Path):
+def test_figures_alone_never_request_the_variables(tmp_path: Path):
     asked: list[str] = []
 
     def refuse(iterate: Iterate) -> None:

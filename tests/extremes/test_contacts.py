@@ -131,7 +131,7 @@ def test_fewer_intervals_than_phases_are_refused():
 
 
 @pytest.mark.parametrize("brief", [pytest.param(1e-3, marks=pytest.mark.slow), 1e-4])
-def test_a_phase_of_a_blink_is_solved(brief):
+def test_a_very_short_phase_is_solved(brief):
     """Between two stances a diagonal is off the ground for no time at all."""
     robot = robots.load("solo12")
     places = contact_positions(robot, robot.reference)
@@ -199,7 +199,7 @@ def test_a_foot_of_four_corners_stands_still(wrench):
     assert_allclose(total_force(solution)[solution.collocation].mean(axis=0)[2], robot.weight, rtol=1e-2)
 
 
-def test_two_points_on_a_line_leave_the_turn_about_it():
+def test_two_point_contacts_leave_the_rotation_about_their_line():
     """Six rows of rank five; the foot tips about its edge, as nothing holds it."""
     robot = corners(4)
     names = ("corner0", "corner1")

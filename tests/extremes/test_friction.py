@@ -89,5 +89,5 @@ def test_friction_that_no_family_takes_is_refused(friction):
 
 
 @pytest.mark.parametrize("friction", [-0.1, float("nan"), float("inf")])
-def test_friction_of_the_ground_that_is_none_is_refused(friction):
+def test_invalid_friction_of_the_ground_is_refused(friction):
     assert_outcome(Refused("friction"), partial(stand, robots.load("solo12"), friction=friction))

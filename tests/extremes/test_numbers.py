@@ -108,7 +108,7 @@ NONE = [(where, value) for where in PLACES for value in (NAN, INF, -INF) if (whe
 
 
 @pytest.mark.parametrize(("where", "value"), NONE, ids=str)
-def test_a_number_that_is_none_is_refused_where_it_is_given(where, value):
+def test_an_invalid_number_is_refused_where_it_is_given(where, value):
     """By the time it is built, or where its rows are; in one line that says what is allowed."""
     cause, make = PLACES[where]
 
@@ -120,7 +120,7 @@ def test_a_number_that_is_none_is_refused_where_it_is_given(where, value):
 
 
 @pytest.mark.parametrize("limit", [[NAN] * 6, [1.0] * 5 + [-1.0], [1.0] * 5])
-def test_torque_limits_that_are_none_are_refused(limit):
+def test_invalid_torque_limits_are_refused(limit):
     refused("effort_limits", lambda: ending(EffortLimits(limit=np.array(limit))))
 
 
@@ -137,7 +137,7 @@ GUESSES: dict[str, tuple[str, Callable[[np.ndarray], object]]] = {
 @pytest.mark.long
 @pytest.mark.parametrize("how", GUESSES)
 @pytest.mark.parametrize("name", ["ur5", "solo12"])
-def test_a_guess_that_is_no_configuration_is_refused_with_its_time(name, how):
+def test_an_invalid_guess_is_refused_with_its_time(name, how):
     robot = robots.load(name)
     cause, wrong = GUESSES[how]
     q = robot.reference
@@ -147,7 +147,7 @@ def test_a_guess_that_is_no_configuration_is_refused_with_its_time(name, how):
 
 
 @pytest.mark.parametrize("quaternion", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 2.0)])
-def test_a_quaternion_that_is_none_is_refused(quaternion):
+def test_an_invalid_quaternion_is_refused(quaternion):
     q = solo().reference.copy()
     q[3:7] = quaternion
     good = solo().reference
@@ -168,7 +168,7 @@ def parameters() -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf", "1e400"])
-def test_no_parameter_of_any_problem_takes_a_number_that_is_none(value):
+def test_no_parameter_of_any_problem_takes_an_invalid_number(value):
     for name, parameter in parameters():
         with pytest.raises(InputError, match=rf"parameter {parameter}\b.*; allowed: "):
             problems.load(name, **{parameter: value})

@@ -109,7 +109,7 @@ def test_too_few_intervals_are_refused():
 
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, float("nan"), float("inf")])
-def test_horizon_that_is_no_time_is_refused(duration):
+def test_an_invalid_horizon_is_refused(duration):
     assert_outcome(Refused("duration"), partial(timed_reach, duration), intervals=5)
 
 

@@ -63,7 +63,7 @@ def test_weights_all_multiplied_change_the_objective_alone(name, factor):
 
 @pytest.mark.parametrize("cost", ["torque_cost", "acceleration_cost"])
 @pytest.mark.parametrize("name", ["ur5-reach", pytest.param("hopper-hop", marks=pytest.mark.slow)])
-def test_one_weight_next_to_none_is_none(name, cost):
+def test_a_tiny_weight_acts_like_zero(name, cost):
     none, found = solved(name, 0.0, cost), solved(name, 1e-9, cost)
     assert_allclose(found.meta["objective"], none.meta["objective"], rtol=NEXT_TO_NONE)
     assert_allclose(found.q, none.q, atol=FLAT)
@@ -86,5 +86,5 @@ def cost_of(solution: Solution, cost: str) -> float:
 
 
 @pytest.mark.parametrize("weight", [-1.0, float("nan"), float("inf")])
-def test_weight_that_is_none_is_refused(weight):
+def test_an_invalid_weight_is_refused(weight):
     assert_outcome(Refused("weight of torque_cost is"), partial(weighed, "ur5-reach", weight, "torque_cost"))

@@ -106,7 +106,7 @@ def test_loaded_robot_weighs_more_and_keeps_its_limits() -> None:
         ({"mass": 1.0, "inertia": np.diag([1.0, 0.1, 0.1])}, "moments"),
     ],
 )
-def test_bodies_that_are_none_are_refused(given: dict[str, object], says: str) -> None:
+def test_invalid_payloads_are_refused(given: dict[str, object], says: str) -> None:
     with pytest.raises(InputError, match=says):
         Payload(contact="tool", **given)
 

@@ -207,7 +207,7 @@ def test_the_tool_of_an_arm_is_a_frame_behind_its_last_joint(name):
     assert model.frames[model.getFrameId(robots.tool_frame(name))].parentJoint == model.njoints - 1
 
 
-def test_kinds_part_the_robots():
+def test_every_robot_has_one_kind():
     found = [name for kind in robots.KINDS for name in robots.names(kind)]
     assert sorted(found) == list(robots.names())
     assert robots.kind("hyq") == "quadruped"

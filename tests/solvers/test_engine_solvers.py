@@ -95,7 +95,7 @@ def keeping(seen):
     return lambda info, _: seen.append(info)
 
 
-def test_the_unknowns_of_every_iteration_can_be_asked_for(nlp, problem, solver):
+def test_the_variables_of_every_iteration_are_available(nlp, problem, solver):
     seen, iterates, kept = [], [], []
 
     def look(info, unknowns):

@@ -102,7 +102,7 @@ def test_a_scaled_objective_has_the_same_solution_multipliers_and_value(scale: f
         assert_allclose(result[key], own[key], atol=SAME, rtol=SAME, err_msg=key)
 
 
-def test_iterations_tell_the_objective_itself() -> None:
+def test_iterations_report_the_unscaled_objective() -> None:
     seen: list[float] = []
     result = solve(cart_pole(), objective_scale=40.0, callback=lambda info, _: seen.append(info["objective"]))
     assert seen[-1] == pytest.approx(result["f"], rel=SAME)

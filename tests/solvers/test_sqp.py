@@ -236,7 +236,7 @@ def test_a_start_that_is_not_finite_is_a_status(value):
     assert (found.status, found.iterations) == (Status.NOT_FINITE, 0)
 
 
-def test_multipliers_that_are_wild_are_got_over():
+def test_huge_start_multipliers_do_not_prevent_convergence():
     prepared = ready(swing())
     generator = np.random.default_rng(0)
     wild = WarmMultipliers(
