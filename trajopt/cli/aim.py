@@ -1,4 +1,4 @@
-"""What ``trajopt solve`` takes instead of settings: an accuracy, or a time."""
+"""``trajopt solve --accuracy`` and ``--budget``: settings are chosen from measured fronts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from trajopt.solving.monitoring import Watch
     from trajopt.study.choosing.solve_to import TargetSolve
 
-# Options that a choice makes, or that have no meaning with it.
+# Options that are chosen, and options without a meaning then.
 CHOSEN = ("transcription", "intervals", "tolerance")
 WITHOUT = ("ladder", "compare")
 UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0}
@@ -40,7 +40,7 @@ class Seconds(click.ParamType):
         except ValueError:
             found = math.nan
         if not (math.isfinite(found) and found > 0):
-            self.fail(f"'{value}' is no time, allowed: such as 0.5s, 500ms or 2min", param, ctx)
+            self.fail(f"'{value}' is not a time, allowed: such as 0.5s, 500ms or 2min", param, ctx)
         return found
 
 
@@ -52,7 +52,7 @@ aim_options = option_group(
         "--budget", type=Seconds(), metavar="TIME", help="Choose settings for this time, e.g. 0.5s."
     ),
     click.option(
-        "--front", metavar="FRONT", help="Measured front to choose from.  [default: the most alike]"
+        "--front", metavar="FRONT", help="Measured front to choose from.  [default: the most similar]"
     ),
 )
 
@@ -61,7 +61,7 @@ def wants_aim(arguments: dict[str, Any]) -> bool:
     """Whether settings are to be chosen; refuses ``--front`` alone."""
     if arguments["accuracy"] is None and arguments["budget"] is None:
         if arguments["front"] is not None:
-            raise InputError("--front chooses nothing", "allowed: with --accuracy or --budget")
+            raise InputError("--front has no effect here", "allowed: with --accuracy or --budget")
         for name in ("accuracy", "budget", "front"):
             del arguments[name]
         return False
@@ -77,11 +77,11 @@ def solve_aimed(
 
     accuracy, budget, front = (arguments.pop(name) for name in ("accuracy", "budget", "front"))
     if accuracy is not None and budget is not None:
-        raise InputError("--accuracy and --budget are given", "allowed: one of them")
+        raise InputError("--accuracy and --budget are both given", "allowed: one of them")
     where = _allowed_settings(arguments)
     most = arguments["max_time"] * (1 + MAX_ROUNDS)
-    with watched(title, most, log, viewer) as told:
-        settings = {**arguments, "front": front, "where": where, **told}
+    with watched(title, most, log, viewer) as callbacks:
+        settings = {**arguments, "front": front, "where": where, **callbacks}
         if accuracy is not None:
             found = solve_to_accuracy(problem, accuracy, **settings)
         else:
@@ -90,7 +90,7 @@ def solve_aimed(
 
 
 def _allowed_settings(arguments: dict[str, Any]) -> Callable[[Any], bool]:
-    """Settings of the solver and Hessian that are named; takes what a choice makes out of ``arguments``."""
+    """Filter for the named solver and Hessian; removes options that are chosen from ``arguments``."""
     context = click.get_current_context()
 
     def named(name: str) -> bool:
@@ -108,7 +108,7 @@ def _allowed_settings(arguments: dict[str, Any]) -> Callable[[Any], bool]:
 
 
 def _lines(found: TargetSolve) -> list[str]:
-    """What a summary says of the choice, the rounds and what was reached."""
+    """Lines of the summary: chosen settings, rounds, result."""
     lines = []
     for choice in found.choices:
         mesh, setting = choice.mesh, choice.measured.setting

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from trajopt.solution.solution import Solution
     from trajopt.view.watching.viewer import Viewer
 
-# Seconds that the picture of the solution may take.
+# Time limit for drawing the solution, s.
 DRAWN = 60.0
 
 
@@ -42,9 +42,9 @@ def open_viewer(watch: bool) -> Viewer | None:
 
 
 def show_until_interrupted(viewer: Viewer | None, solution: Solution) -> None:
-    """Show the solution until Ctrl-C; without a terminal end the viewer: a script must not hang.
+    """Show the solution until Ctrl-C; without a terminal close the viewer at once: a script must not hang.
 
-    A Ctrl-C that came too late to stop the solver ends it, too.
+    A Ctrl-C that came too late to stop the solver closes it too.
     """
     if viewer is None:
         return
