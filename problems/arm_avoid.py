@@ -128,7 +128,7 @@ def clearance_along(scene: CollisionScene, path: RaisedPath) -> float:
 
 
 def _duration(robot: Robot, start: np.ndarray, goal: np.ndarray) -> float:
-    """What the joints' rates allow for the turn, with time for the way around, s."""
+    """Duration that the velocity limits allow for the turn, with time for the detour, s."""
     travel = np.abs(pin.difference(robot.model, start, goal))
     by_rate = LONGER_WAY * PEAK_RATE * float((travel / robot.velocity_limit).max())
     return max(by_rate, LEAST_TIME * math.sqrt(robot.length / 9.81))
@@ -181,12 +181,12 @@ FAMILY = Family(
     phases=("pass",),
     summary="bring the tool past a box and a post in its way, from rest to rest, clear of both",
     parameters=(
-        common.angle("turn", math.radians(50), "start and goal on either side of ahead", (0.2, math.pi / 2)),
-        _share("radius", RADIUS, "tool from the base's axis at start and goal", (0.1, 1.0)),
-        _share("height", HEIGHT, "tool over the base at start and goal", (0.05, 1.0)),
-        _share("rise", 0.05, "tops of box and post over the tool's height", (0.0, 0.5)),
-        _share("margin", 0.01, "distance to keep", (0.0, 0.1)),
-        common.duration("duration", None, "duration (default: from the joints' rates)", (1e-2, 60.0)),
+        common.angle("turn", math.radians(50), "angle of start and goal to either side", (0.2, math.pi / 2)),
+        _share("radius", RADIUS, "distance of the tool from the base's axis at start and goal", (0.1, 1.0)),
+        _share("height", HEIGHT, "height of the tool at start and goal", (0.05, 1.0)),
+        _share("rise", 0.05, "height of the tops of box and post above the tool", (0.0, 0.5)),
+        _share("margin", 0.01, "distance to keep from the obstacles", (0.0, 0.1)),
+        common.duration("duration", None, "duration (default: from the velocity limits)", (1e-2, 60.0)),
     ),
     build=build,
 )

@@ -1,6 +1,6 @@
 """A biped is pushed while it stands: it comes to rest with its feet in place, or steps with the push.
 
-The push is an impulse on the base: velocities jump at once, those of the standing feet excepted.
+The push is an impulse on the base: velocities jump, except those of the standing feet.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ INTERVALS = 40
 def pushed(robot: Robot, impulse: np.ndarray) -> np.ndarray:
     """Velocity (nv,) of the standing robot just after an impulse (3,) N s, world, on its base's origin.
 
-    M v = J_b^T p + J_c^T p_c with J_c v = 0: of all velocities that move no foot the one that is nearest, in
-    the metric of kinetic energy, to that of the free robot.
+    M v = J_b^T p + J_c^T p_c with J_c v = 0: of all velocities that move no foot, the nearest to that of the
+    free robot in the metric of kinetic energy.
     """
     q, model = robot.reference, robot.model
     mass = pin.crba(model, model.createData(), q)
@@ -44,12 +44,12 @@ def pushed(robot: Robot, impulse: np.ndarray) -> np.ndarray:
     generalized = contact_jacobian(model, q, [(model.names[1], (0, 1, 2))]).T @ impulse
     free = np.linalg.solve(mass, generalized)
     spread = np.linalg.solve(mass, held.T)
-    # Contacts whose rows depend on each other share what they transmit.
+    # Linearly dependent contact rows share their impulses.
     return np.asarray(free - spread @ np.linalg.lstsq(held @ spread, held @ free, rcond=None)[0])
 
 
 def _capture(robot: Robot, velocity: np.ndarray) -> np.ndarray:
-    """Way (2,) in m from the centre of mass to the pendulum's capture point."""
+    """Vector (2,) in m from the centre of mass to the pendulum's capture point."""
     data = robot.model.createData()
     com = pin.centerOfMass(robot.model, data, robot.reference, velocity)
     return np.asarray(data.vcom[0][:2] * math.sqrt(com[2] / gravity_of(robot.model)))
@@ -111,7 +111,9 @@ FAMILY = Family(
             "impulse on the base (default: 0.05 of mass times sqrt(g length))",
             (0.0, 1e4),
         ),
-        common.angle("direction", 0.0, "of the push, from forward to the left", (-math.pi, math.pi)),
+        common.angle(
+            "direction", 0.0, "direction of the push, from forward to the left", (-math.pi, math.pi)
+        ),
         common.choice(
             "recover",
             "keep the feet in place, or step (default: stand on soles, step on points)",

@@ -89,11 +89,13 @@ FAMILY = Family(
     phases=PHASES,
     summary="step onto a box (or down, with a negative height), one foot after the other, and rest",
     parameters=(
-        common.length("height", None, "of the box (default: 0.15 of the robot's length)", (-1.0, 1.0)),
-        common.length("forward", None, "way of the feet (default: 0.4 of the robot's length)", (0.0, 2.0)),
-        common.duration("shift", None, "before the first step, and after the second", (0.05, 10.0)),
-        common.duration("step", None, "of a swing", (0.05, 10.0)),
-        common.duration("double", None, "on both feet between the steps", (0.02, 10.0)),
+        common.length("height", None, "height of the box (default: 0.15 of the robot's length)", (-1.0, 1.0)),
+        common.length(
+            "forward", None, "displacement of the feet (default: 0.4 of the robot's length)", (0.0, 2.0)
+        ),
+        common.duration("shift", None, "duration before the first step, and after the second", (0.05, 10.0)),
+        common.duration("step", None, "duration of a swing", (0.05, 10.0)),
+        common.duration("double", None, "duration of double support", (0.02, 10.0)),
         common.friction(0.7),
         common.EFFORT_SHARE,
     ),

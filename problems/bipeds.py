@@ -1,4 +1,4 @@
-"""What problems of bipeds share: the robot on its legs alone, places of the base, two steps."""
+"""Shared by the problems of bipeds: the robot with its legs alone, poses of the base, two steps."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ ROBOTS = ("talos", "g1", "bolt")
 def biped(name: str) -> Robot:
     """The robot of that name on its two feet, every joint that carries no leg locked at the reference.
 
-    Arms, a waist, a head move nothing that these tasks ask for: they are dead weight on the trunk. Raises
-    InputError for a robot that is no biped.
+    These tasks do not need arms, waist or head: they are rigid parts of the trunk. Raises InputError if the
+    robot is not a biped.
     """
     robot = robots.load(name)
     biped_legs(robot)

@@ -1,4 +1,4 @@
-"""What hops have in common: robots on one point foot, in the plane or in space, and their base's place."""
+"""Shared by the hops: robots on one point foot, in the plane or in space, and the position of their base."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def hopper(name: str) -> Robot:
     robot = robots.load(name)
     if robot.base not in FORWARD_UP or [contact.kind for contact in robot.contacts] != ["point"]:
         raise InputError(
-            f"robot '{robot.name}' is no hopper", f"allowed: one point foot, as {', '.join(ROBOTS)}"
+            f"robot '{robot.name}' is not a hopper", f"allowed: one point foot, as {', '.join(ROBOTS)}"
         )
     return robot
 

@@ -30,14 +30,14 @@ GROUND_PART = 0.2
 GROUND_TURN = 0.35
 # The guess pushes for at most this part of the stance, and brakes for at most this part of the landing.
 PUSH_PART = 0.7
-# Least height of a foot over the ground in mid flight: the lesser of a part of the robot's length and a part
-# of what the base rises freely, so that slow legs need not be drawn up.
+# Least height of a foot above the ground in mid flight: the lesser of a fraction of the robot's length and a
+# fraction of the base's ballistic rise, so that slow legs need not be drawn up.
 CLEARANCE_PART, FREE_PART = 0.1, 0.5
 # Hips and knees stay this part of the robot's length above the ground.
 JOINT_CLEARANCE = 0.15
 # Costs of leaps, with accelerations for smooth motions.
 COSTS = effort_costs(acceleration=2e-2)
-# For least time durations are free within these multiples of theirs.
+# For least time, durations are free within these multiples of the nominal ones.
 FREE = (0.5, 2.0)
 
 

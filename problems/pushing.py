@@ -23,7 +23,7 @@ PUSH_SAMPLES, EXTENSION_ERROR = 24, 1e-3
 # Any flight rises freely by this part of the robot's length at least, or what this share of the speed at
 # take-off gives, whichever is less.
 LEAST_FREE_RISE, LEAST_SHARE = 0.02, 0.75
-# A take-off is fast enough if it rises freely by this part of the length: more is not bought with extension.
+# A take-off is fast enough if its ballistic rise is this fraction of the length: more is no advantage.
 ENOUGH_FREE = 0.05
 # A torque or rate this small against the others' is rounding.
 ROUNDING = 1e-9
@@ -71,15 +71,14 @@ class Takeoff:
 def takeoff(robot: Robot, effort: float | None = None) -> Takeoff:
     """The take-off with the highest apex of the base among the fast ones with part of the extension left.
 
-    Legs that are nearly straight lift the base slowly: a hop of stretching is none. Where none is fast enough
-    the fastest.
+    Legs that are nearly straight lift the base slowly. If no take-off is fast enough, the fastest one.
 
     Forces are taken to be vertical and the same at all feet, the base level. effort: N m, for all joints.
     Raises InputError for a robot without gravity.
     """
     if not robot.model.gravity.linear.any():
         raise InputError(
-            f"'{robot.name}' is without gravity: what leaps does not come down",
+            f"'{robot.name}' is without gravity: it would not come down again",
             "allowed: a model with gravity",
         )
     limit = robot.effort_limit if effort is None else np.full(robot.nu, effort)
@@ -103,7 +102,7 @@ def takeoff(robot: Robot, effort: float | None = None) -> Takeoff:
         for height, q, done in zip(heights, postures, work, strict=True)
         if height >= 0
     ]
-    return max(reversed(found), key=lambda one: one.merit)  # of those as good the highest
+    return max(reversed(found), key=lambda one: one.merit)  # of equally good ones the highest
 
 
 def raised(robot: Robot, height: float) -> Posture:

@@ -1,6 +1,6 @@
 """Whole turns of quadrupeds in the air, from feet to feet: a backflip and a barrel roll.
 
-Both leave the ground in two steps, as animals and machines do: one pair of feet lifts first, so that the body
+Both leave the ground in two steps: one pair of feet lifts first, so that the body
 turns about the other; it lands on the pair that lifted first.
 """
 
@@ -184,6 +184,6 @@ def _family(kind: Kind, summary: str) -> Family:
 
 
 FAMILIES = (
-    _family("backflip", "somersault backwards: off the hind feet, all around, onto the front feet"),
-    _family("barrel-roll", "roll about the long axis in the air: off the right feet, onto the left ones"),
+    _family("backflip", "backward somersault from the hind feet onto the front feet"),
+    _family("barrel-roll", "full roll in the air from the right feet onto the left feet"),
 )

@@ -59,8 +59,8 @@ class StrokeMotion(PointConstraint):
     """A contact that slides follows the stroke in ``duration`` s, smoothly from rest to rest.
 
     Its acceleration within the plane is that of the stroke at the point's time, J a + Jdot v = x'': the same
-    level as what holds a contact. From a start on the stroke at rest its place follows as exactly as the
-    scheme integrates; places themselves as rows, at points or at nodes, would let accelerations ring.
+    level as the constraints of other contacts. From a start on the stroke at rest its position follows to
+    the accuracy of the scheme; constraints on positions, at points or at nodes, make accelerations oscillate.
     """
 
     contact: str
@@ -78,9 +78,9 @@ class StrokeMotion(PointConstraint):
 
 @dataclass(frozen=True, kw_only=True)
 class RestOnStroke(NodeConstraint):
-    """At the end the joints rest, at ``q`` (nq,), in what the contacts' places leave free.
+    """At the end the joints rest, at ``q`` (nq,), in the directions that the contacts leave free.
 
-    `TerminalRest` would ask a sliding contact to stop, which the stroke does already.
+    `TerminalRest` would also stop the sliding contact, which the stroke does already.
     """
 
     q: np.ndarray

@@ -1,4 +1,4 @@
-"""What walks of quadrupeds over terrain share: how far and how fast, schedules, terms, parameters."""
+"""Shared by the walks over terrain: distance and speed, schedules, terms, parameters."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def problem_over(
     robot, lift = own.robot, own.asked.lift
     schedule, pace, cycles = schedule_for(own, way)
     plan = plan_over_terrain(robot, schedule, pace, terrain, clearance=lift, free=footholds == "free")
-    arcs: tuple[Term, ...] = ()  # over the whole of every swing; over edges the swings that cut none
+    arcs: tuple[Term, ...] = ()  # over whole swings; terrain with edges has `SwingOver` instead
     if not isinstance(terrain, PiecewiseTerrain):
         arcs = swing_arcs(plan.schedule, own.asked.gait.feet, height=lift, terrain=terrain)
     return common.problem(
@@ -166,13 +166,13 @@ def problem_over(
 
 def parameters(*own: Parameter | Choice, margin: bool = True) -> tuple[Parameter | Choice, ...]:
     """Parameters of a family: its ``own``, then those that all share."""
-    kept = common.length("margin", None, "kept from edges (default: 0.05 of the robot's length)", (0.0, 0.5))
+    kept = common.length("margin", None, "distance kept from edges (default: 0.05 of the length)", (0.0, 0.5))
     return (
         *own,
-        common.choice("gait", "which gait", *GAITS),
+        common.choice("gait", "name of the gait", *GAITS),
         common.choice(
             "footholds",
-            "anywhere on the face under planned places (the last one at its place), or at these",
+            "feet land anywhere on the planned face (at last in the planned place), or as planned",
             "free",
             "planned",
         ),
@@ -180,7 +180,7 @@ def parameters(*own: Parameter | Choice, margin: bool = True) -> tuple[Parameter
             "cycles",
             None,
             "",
-            "periods of the gait (default: by the way and the gait's stride)",
+            "number of gait periods (default: from distance and stride)",
             (1.0, float(MOST_CYCLES)),
         ),
         common.length(
