@@ -104,7 +104,7 @@ class RobotName:
     choices: tuple[str, ...]
 
     name: ClassVar[str] = "robot"
-    meaning: ClassVar[str] = "name of a robot, or a .py file with build(); tested on those listed"
+    meaning: ClassVar[str] = "name of a robot, or a .py file with build(); listed are those it is tested on"
     unit: ClassVar[str] = ""
     lower: ClassVar[None] = None
     upper: ClassVar[None] = None
