@@ -1,4 +1,4 @@
-"""An arm moves its tool from one side to the other past a box and a post that stand in the way."""
+"""An arm moves its tool from one side to the other past a box and a post in its path."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ STEPS = 8
 RAISE_STEP, MOST_RAISED, DRAWN_IN = 0.02, 0.5, (0.0, 0.05, 0.1)
 # Configurations at which a guess is measured against the obstacles.
 LOOKS = 40
-# Peak rate of 10 s^3 - 15 s^4 + 6 s^5 over its mean. The default duration lets the way over the obstacles be
-# longer than the turn, and is no shorter than an arm under its own weight takes, in sqrt(reach / g).
+# Peak rate of 10 s^3 - 15 s^4 + 6 s^5 over its mean. The default duration allows a path over the obstacles
+# that is longer than the turn, and has a lower bound in sqrt(reach / g), for the weight of the arm.
 PEAK_RATE, LONGER_WAY, LEAST_TIME = 1.875, 1.5, 5.0
 # Weight of accelerations next to torques. An arm with more joints than its task needs has motions that cost
 # hardly any torque: a tenth of this leaves a seven-joint arm three times the iterations.
@@ -46,7 +46,7 @@ SMOOTHNESS = 0.1
 class RaisedPath:
     """Guess: from ``start`` to ``goal`` (nq,) in ``duration`` s, at its middle through ``waypoint`` (nq,).
 
-    In the tangent space of ``start``: the straight way along 10 s^3 - 15 s^4 + 6 s^5, and the detour along
+    In the tangent space of ``start``: the straight path along 10 s^3 - 15 s^4 + 6 s^5, and the detour along
     64 s^3 (1 - s)^3, which starts and ends with neither rate nor acceleration.
     """
 
@@ -68,7 +68,7 @@ class RaisedPath:
 def obstacles_of(
     arm: arms.Arm, turn: float, radius: float, height: float, rise: float
 ) -> tuple[Obstacle, ...]:
-    """A box and a post from the ground to ``rise`` m over the tool's height, on the tool's way.
+    """A box and a post from the ground to ``rise`` m over the tool's height, in the tool's path.
 
     They stand at `BOX_AT` and `POST_AT` of ``turn`` rad either way, at ``radius`` m from the base's axis.
     """

@@ -61,7 +61,7 @@ def default_mass(robot: Robot, tool: str, postures: list[np.ndarray]) -> float:
 
 
 def _way(arm: arms.Arm, poses: list[pin.SE3], end: np.ndarray) -> tuple[Term, ...]:
-    """Over each place on the way down and up, at rest on it, and over the second at last."""
+    """Above each place before and after, at rest on it, and above the second at the end."""
     over_pick, pick, over_place, place = poses
 
     def at(phase: str | None, pose: pin.SE3, *, turned: bool) -> FramePose:
@@ -103,13 +103,13 @@ def build(
     durations = _durations(arm.robot, postures, goal, duration)
     phases = zip(PHASES, durations, strict=True)
     schedule = Schedule(tuple(Phase(name=name, duration=time) for name, time in phases))
-    price = TimeCost(weight=1.0) if goal == "time" else TorqueCost(weight=1.0)
+    cost = TimeCost(weight=1.0) if goal == "time" else TorqueCost(weight=1.0)
     return common.problem(
         "arm-pick-place",
         arm.robot,
         common.freed(schedule, FREE) if goal == "time" else schedule,
         common.PosturePath(model=arm.robot.model, postures=postures, durations=durations),
-        costs=(price, AccelerationCost(weight=SMOOTH[goal])),
+        costs=(cost, AccelerationCost(weight=SMOOTH[goal])),
         effort=arms.effort(arm.robot),
         cones=(),
         end=_way(arm, [arm.pose(*where) for where in places], over_place),

@@ -1,4 +1,4 @@
-"""An arm reaches: its tool goes to a pose, from rest to rest, with little torque."""
+"""An arm reaches: its tool moves to a pose, from rest to rest, with little torque."""
 
 from __future__ import annotations
 

@@ -18,16 +18,16 @@ from trajopt.terrain.swing_path import swing_path
 from . import bipeds, common
 
 PHASES = ("shift", "step_1", "double", "step_2", "settle")
-# Height of the box and way forward, parts of the robot's length; a way of so many soles at least.
+# Height of the box and displacement forward, over the robot's length; least displacement, over a sole's.
 HEIGHT, FORWARD, SOLES = 0.15, 0.4, 1.6
 # Durations in units of sqrt(l / g).
 SHIFT, STEP, DOUBLE = 3.5, 3.2, 2.0
-# In the guess the base goes this part of the way to over the standing foot, and has done these parts of its
-# way forward and of its rise at the ends of the phases.
+# In the guess the base shifts this fraction of the distance to the standing foot, and has covered these
+# fractions of its displacement forward and of its rise at the ends of the phases.
 SWAY = 0.7
 DONE_FORWARD, DONE_UP = (0.1, 0.35, 0.65, 0.95), (0.0, 0.2, 0.6, 1.0)
 CLEARANCE = 0.05
-# The box begins this part of the way before the heels that land on it: room to lift a foot before its edge.
+# The box begins this fraction of the displacement before the heels that land on it: room to lift a foot.
 BEFORE_HEEL = 0.1
 INTERVALS = 50
 
@@ -58,7 +58,7 @@ def build(*, robot: str, friction: float, effort_share: float, **given: float | 
     height, forward, shift, step, double = own.values()
     if not forward > sole:
         raise InputError(
-            f"biped-step-up goes {forward:g} m forward on soles of {sole:g} m", "allowed: more than a sole"
+            f"biped-step-up moves {forward:g} m forward on soles of {sole:g} m", "allowed: more than a sole"
         )
     heel = float(np.mean([place[0] for place in contact_positions(body, body.reference).values()]))
     edge = heel - sole / 2 + (1 - BEFORE_HEEL) * forward

@@ -54,7 +54,7 @@ def base_path(
     rising, climb = gravity_of(robot.model) * flight / 2, float(end[2] - start[2])
     push_time, push_depth = _push(takeoff, climb / flight + rising, stance)
     brake_time, brake_depth = _push(takeoff, rising - climb / flight, landing)
-    # Parts of the way before take-off and after touchdown, at constant acceleration.
+    # Fractions of the displacement before take-off and after touchdown, at constant acceleration.
     whole = push_time / 2 + flight + brake_time / 2
     parts = (push_time / 2 / whole, brake_time / 2 / whole)
     up, still = np.array([0.0, 0.0, 1.0]), np.zeros(3)

@@ -18,14 +18,14 @@ from .common import displaced
 
 # Of the extension that legs have left, the guess uses this part at take-off and at touchdown.
 EXTENSION_PART = 0.6
-# The work of a push is summed over this many heights; the extension is found to this part of the length.
+# The work of a push is summed over this many heights; tolerance of the extension, over the length.
 PUSH_SAMPLES, EXTENSION_ERROR = 24, 1e-3
 # Any flight rises freely by this part of the robot's length at least, or what this share of the speed at
 # take-off gives, whichever is less.
 LEAST_FREE_RISE, LEAST_SHARE = 0.02, 0.75
 # A take-off is fast enough if its ballistic rise is this fraction of the length: more is no advantage.
 ENOUGH_FREE = 0.05
-# A torque or rate this small against the others' is rounding.
+# A torque or rate this small compared with the others is rounding.
 ROUNDING = 1e-9
 # Feet count as reached by inverse kinematics below this error, m.
 REACHED = 1e-6
@@ -38,8 +38,8 @@ SINK_PART, OF_REACHABLE = 0.25, 0.7
 class Takeoff:
     """How fast a robot can leave the ground, feet in place: ``posture`` (nq,) with the base at ``rise`` m.
 
-    ``speed`` m/s is the largest upward one that the work of its torques on the way up, and the rates of its
-    joints there, allow; `across` (forward, to the left, m/s) and ``turn`` rad/s (about the vertical) are
+    ``speed`` m/s is the largest upward speed that the work of its torques while rising, and its joint rates at
+    take-off, allow; `across` (forward, to the left, m/s) and ``turn`` rad/s (about the vertical) are
     those that the rates alone allow. Infinite without limits.
     """
 

@@ -42,7 +42,7 @@ SPEED_PART = 1.1
 TILT = math.pi / 4
 # In the guess legs are drawn up by this part of the robot's length.
 TUCK = 0.3
-# The body is upside down in mid flight within this angle, and on its way there and back as far around.
+# The body is upside down in mid flight within this angle, and on its side a quarter before and after.
 WITHIN = math.pi / 3
 
 Kind = Literal["backflip", "barrel-roll"]

@@ -1,7 +1,7 @@
 """Gaits of quadrupeds as periodic orbits at a commanded speed: trot, pace, walk, bound, pronk and gallop.
 
 One cycle (or half of one, where the other half is its mirror image) from a touchdown on; the final state is
-the initial one moved by the commanded way. Feet land anywhere on the ground.
+the initial one moved by the commanded displacement. Feet land anywhere on the ground.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ SHARE_UP, SHARE_LOW, SHARE_ACROSS = 0.75, 0.6, 0.25
 # Motions with free durations are faster and need more intervals to limit the drift of feet.
 INTERVALS = {"effort": 50, "time": 80}
 
-# Which way a jump goes by default.
+# Default direction of a jump.
 Direction = Literal["up", "forward", "sideways", "turn"]
 
 

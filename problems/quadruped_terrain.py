@@ -38,10 +38,10 @@ LENGTHS = {
 }
 STAIRS, STONES = 3, 4
 SLOPE = math.radians(15)
-# The way over waves in strides of the gait.
+# Distance over waves in strides of the gait.
 STRIDES = 2.0
 
-# Terrain, and the way over it in m.
+# Terrain, and the distance over it in m.
 Built = tuple[Terrain, float]
 
 
@@ -110,7 +110,7 @@ def _count(name: str, default: int, meaning: str) -> Parameter:
 def _family(
     name: str, summary: str, made: Callable[..., Built], *own: Parameter | Choice, kept: bool = True
 ) -> Family:
-    """The family whose terrain and way ``made`` gives from its ``own`` parameters.
+    """The family whose terrain and distance ``made`` computes from its ``own`` parameters.
 
     kept: the terrain has edges, from which feet keep a margin.
     """

@@ -1,4 +1,4 @@
-"""Strokes on a plane that a tool follows, and which way it faces meanwhile."""
+"""Strokes on a plane that a tool follows, and its direction meanwhile."""
 
 from __future__ import annotations
 

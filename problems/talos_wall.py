@@ -21,7 +21,7 @@ from trajopt_library.robots.talos import HAND, SIDES, SOLES
 
 from . import common
 
-# Where the hand goes across, m: in front of the left shoulder.
+# Lateral position of the hand, m: in front of the left shoulder.
 ACROSS = 0.3
 # The force may grow from touch to its full value for this part of the reach's duration.
 LOADING_SHARE = 0.5

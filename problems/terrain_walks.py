@@ -36,9 +36,9 @@ MOST_CYCLES = 20
 
 @dataclass(frozen=True, kw_only=True)
 class Walker:
-    """A quadruped that is to go over terrain in an ``asked`` gait; places (x, y) of its feet from above.
+    """A quadruped that walks over terrain in the gait ``asked``; positions of its feet.
 
-    ``cycles``: periods of the gait, None: as many as the way needs.
+    ``cycles``: periods of the gait, None: as many as the distance needs.
     """
 
     robot: Robot
@@ -54,7 +54,7 @@ class Walker:
 
     @property
     def stride(self) -> float:
-        """Way of the base in a period at the gait's speed, m."""
+        """Distance of the base in a period at the gait's speed, m."""
         return self.asked.pace.velocity[0] * self.asked.period
 
     @property
@@ -79,7 +79,7 @@ class Walker:
         return {"at": (self.edge, 0.0), "friction": self.friction, "margin": self.margin}
 
     def way_across(self, extent: float) -> float:
-        """Way in m that brings all feet from before terrain of that extent, m, to behind it."""
+        """Distance in m that brings all feet across terrain of that extent, m."""
         hindmost = min(float(place[0]) for place in self.feet.values())
         return self.foremost - hindmost + extent + 2 * ROOM * self.length
 
@@ -106,10 +106,10 @@ def walker(
 
 
 def schedule_for(own: Walker, way: float) -> tuple[Schedule, Pace, int]:
-    """Standing, cycles, standing, the pace that goes ``way`` m forward in them, and how many they are.
+    """Standing, cycles, standing; the pace that moves ``way`` m forward; and the number of cycles.
 
-    The pace grows and falls over the first and the last period. Without a number of cycles the least whose
-    strides at full pace are no longer than the gait's own.
+    The pace rises over the first period and falls over the last. By default the number of cycles is the least
+    for which strides at full pace are no longer than the gait's.
     """
     counts = range(2, MOST_CYCLES + 1) if own.cycles is None else (own.cycles,)
     gait, period = own.asked.gait, own.asked.period
@@ -123,8 +123,8 @@ def schedule_for(own: Walker, way: float) -> tuple[Schedule, Pace, int]:
         if own.cycles is not None or abs(speed) * period <= own.stride * (1 + 1e-9):
             return schedule, replace(unit, velocity=(speed, 0.0)), cycles
     raise InputError(
-        f"a way of {way:.3g} m is more than {MOST_CYCLES} strides of {own.stride:.3g} m",
-        "allowed: a shorter way",
+        f"a distance of {way:.3g} m is more than {MOST_CYCLES} strides of {own.stride:.3g} m",
+        "allowed: a shorter distance",
     )
 
 
