@@ -38,9 +38,9 @@ SINK_PART, OF_REACHABLE = 0.25, 0.7
 class Takeoff:
     """How fast a robot can leave the ground, feet in place: ``posture`` (nq,) with the base at ``rise`` m.
 
-    ``speed`` m/s is the largest upward speed that the work of its torques while rising, and its joint rates at
-    take-off, allow; `across` (forward, to the left, m/s) and ``turn`` rad/s (about the vertical) are
-    those that the rates alone allow. Infinite without limits.
+    ``speed`` m/s is the largest upward speed that the work of its torques in rising, and its joint rates at
+    take-off, allow; `across` (forward, to the left, m/s) and ``turn`` rad/s (about the vertical) are those that
+    the rates alone allow. Infinite without limits.
     """
 
     robot: Robot
