@@ -39,8 +39,8 @@ class Takeoff:
     """How fast a robot can leave the ground, feet in place: ``posture`` (nq,) with the base at ``rise`` m.
 
     ``speed`` m/s is the largest upward speed that the work of its torques in rising, and its joint rates at
-    take-off, allow; `across` (forward, to the left, m/s) and ``turn`` rad/s (about the vertical) are those that
-    the rates alone allow. Infinite without limits.
+    take-off, allow; `across` (forward, to the left, m/s) and ``turn`` rad/s (about the vertical) are those
+    that the rates alone allow. Infinite without limits.
     """
 
     robot: Robot
