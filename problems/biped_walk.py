@@ -110,12 +110,12 @@ def build(
 
 
 def _time(name: str, meaning: str) -> Parameter:
-    own = f"{meaning} (default: {TIMES[name]:g} s on Talos, others by the root of length)"
+    own = f"{meaning} (default: {TIMES[name]:g} s on Talos, scaled by sqrt(length))"
     return common.duration(name, None, f"duration {own}", DURATIONS)
 
 
 def _way(name: str, meaning: str, within: common.Range) -> Parameter:
-    own = f"{meaning} (default: {LENGTHS[name]:g} m on Talos, others in proportion to length)"
+    own = f"{meaning} (default: {LENGTHS[name]:g} m on Talos, scaled by length)"
     return common.length(name, None, own, within)
 
 

@@ -182,7 +182,7 @@ def forward(style: Style) -> Parameter:
 
 def duty(gait: Gait | None = None) -> Parameter:
     """Duty factor of all feet."""
-    default = "the gait's own" if gait is None else f"{gait.duty_of(gait.feet[0]):g}"
+    default = "the gait's" if gait is None else f"{gait.duty_of(gait.feet[0]):g}"
     return common.share("duty", None, f"duty factor of each foot (default: {default})")
 
 

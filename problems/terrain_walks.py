@@ -172,7 +172,7 @@ def parameters(*own: Parameter | Choice, margin: bool = True) -> tuple[Parameter
         common.choice("gait", "name of the gait", *GAITS),
         common.choice(
             "footholds",
-            "feet land anywhere on the planned face (at last in the planned place), or as planned",
+            "feet land anywhere on the planned face (at last as planned), or on planned footholds",
             "free",
             "planned",
         ),

@@ -39,7 +39,9 @@ VARY_FORM = "allowed: NAME=START:STOP:COUNT, such as distance=0.2:0.4:5"
 @click.command("continue")
 @click.argument("problem")
 @click.option("--vary", required=True, metavar="NAME=START:STOP:COUNT", help="The parameter and its values.")
-@click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="Another parameter.")
+@click.option(
+    "--set", "settings", multiple=True, metavar="NAME=VALUE", help="A parameter that is not varied."
+)
 @click.option("--compare", is_flag=True, help="Also solve every value from its default guess.")
 @default_option("--max-halvings", 4, "N", "How often a failed step is halved.", kind=HALVINGS)
 @click.option("--start", type=Path, metavar="FILE", help="Solution file to start the first value from.")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @click.option("--brief", is_flag=True, help="One row per problem: name, robots, summary.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def list_command(problems: tuple[str, ...], robot: str | None, brief: bool, as_json: bool) -> None:
-    """List problems with robots, phases and parameters: all, or those that match a pattern, as biped-*."""
+    """List problems with robots, phases and parameters: all, or those that match patterns such as biped-*."""
     from trajopt.problem.catalogue import families
     from trajopt.study.suite.cases import select
 

@@ -12,7 +12,7 @@ from trajopt.solution.output import check_apart
 @click.command("plot")
 @click.argument("files", nargs=-1, required=True, type=Path, metavar="FILE...")
 @click.option(
-    "-o", "--output", required=True, type=Path, metavar="OUT", help="Ends with .png, .svg, .pdf or .html."
+    "-o", "--output", required=True, type=Path, metavar="OUT", help="A .png, .svg, .pdf or .html file."
 )
 @click.option("--label", "labels", multiple=True, metavar="NAME", help="Label of each file, in order.")
 @click.option(
