@@ -4,8 +4,8 @@ uv run python -m scripts.publish_fronts              # all, about 25 minutes on 
 uv run python -m scripts.publish_fronts solo12-jump  # one of them
 uv run python -m scripts.publish_fronts --resume     # continue after an interruption
 
-Tables go to trajopt/study/sweep/fronts and docs/front, plots to docs/front, and the sections between the markers
-of docs/front.md are rewritten: the fronts, and how much pinned workers disturb each other.
+Tables go to trajopt/study/sweep/fronts and docs/front, plots to docs/front, and the sections between the
+markers of docs/front.md are rewritten: the fronts, and how much pinned workers disturb each other.
 """
 
 from __future__ import annotations
