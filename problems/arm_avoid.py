@@ -1,4 +1,4 @@
-"""An arm moves its tool from one side to the other past a box and a post that stand in the way."""
+"""An arm moves its tool from one side to the other past a box and a post in its path."""
 
 from __future__ import annotations
 
@@ -34,9 +34,8 @@ STEPS = 8
 RAISE_STEP, MOST_RAISED, DRAWN_IN = 0.02, 0.5, (0.0, 0.05, 0.1)
 # Configurations at which the clearance of a guess is measured.
 LOOKS = 40
-# Peak rate of 10 s^3 - 15 s^4 + 6 s^5 over its mean. The default duration allows for the path over the
-# obstacles being longer than the turn, and is at least that of an arm under its own weight, in sqrt(reach /
-# g).
+# Peak rate of 10 s^3 - 15 s^4 + 6 s^5 over its mean. The default duration allows a path over the obstacles
+# that is longer than the turn, and has a lower bound in sqrt(reach / g), for the weight of the arm.
 PEAK_RATE, LONGER_WAY, LEAST_TIME = 1.875, 1.5, 5.0
 # Weight of accelerations next to torques. A redundant arm has motions that cost hardly any torque: with a
 # tenth of this, a seven-joint arm takes three times the iterations.
@@ -48,7 +47,7 @@ class RaisedPath:
     """Guess: from ``start`` to ``goal`` (nq,) in ``duration`` s, at its middle through ``waypoint`` (nq,).
 
     In the tangent space of ``start``: the straight path along 10 s^3 - 15 s^4 + 6 s^5, and the detour along
-    64 s^3 (1 - s)^3, which starts and ends with zero rate and acceleration.
+    64 s^3 (1 - s)^3, which starts and ends with neither rate nor acceleration.
     """
 
     model: pin.Model
@@ -129,7 +128,7 @@ def clearance_along(scene: CollisionScene, path: RaisedPath) -> float:
 
 
 def _duration(robot: Robot, start: np.ndarray, goal: np.ndarray) -> float:
-    """Duration from the joints' velocity limits for the turn, with time for the detour, s."""
+    """Duration that the velocity limits allow for the turn, with time for the detour, s."""
     travel = np.abs(pin.difference(robot.model, start, goal))
     by_rate = LONGER_WAY * PEAK_RATE * float((travel / robot.velocity_limit).max())
     return max(by_rate, LEAST_TIME * math.sqrt(robot.length / 9.81))
@@ -182,12 +181,12 @@ FAMILY = Family(
     phases=("pass",),
     summary="bring the tool past a box and a post in its way, from rest to rest, clear of both",
     parameters=(
-        common.angle("turn", math.radians(50), "start and goal on either side of ahead", (0.2, math.pi / 2)),
-        _share("radius", RADIUS, "tool from the base's axis at start and goal", (0.1, 1.0)),
-        _share("height", HEIGHT, "tool over the base at start and goal", (0.05, 1.0)),
-        _share("rise", 0.05, "tops of box and post over the tool's height", (0.0, 0.5)),
-        _share("margin", 0.01, "distance to keep", (0.0, 0.1)),
-        common.duration("duration", None, "duration (default: from the joints' rates)", (1e-2, 60.0)),
+        common.angle("turn", math.radians(50), "angle of start and goal to either side", (0.2, math.pi / 2)),
+        _share("radius", RADIUS, "distance of the tool from the base's axis at start and goal", (0.1, 1.0)),
+        _share("height", HEIGHT, "height of the tool at start and goal", (0.05, 1.0)),
+        _share("rise", 0.05, "height of the tops of box and post above the tool", (0.0, 0.5)),
+        _share("margin", 0.01, "distance to keep from the obstacles", (0.0, 0.1)),
+        common.duration("duration", None, "duration (default: from the velocity limits)", (1e-2, 60.0)),
     ),
     build=build,
 )

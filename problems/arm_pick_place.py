@@ -1,4 +1,4 @@
-"""An arm picks an object up and places it elsewhere: waypoints over both places, a payload in between."""
+"""An arm picks up an object and places it elsewhere: waypoints above both places, a payload in between."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def default_mass(robot: Robot, tool: str, postures: list[np.ndarray]) -> float:
 
 
 def _way(arm: arms.Arm, poses: list[pin.SE3], end: np.ndarray) -> tuple[Term, ...]:
-    """Over each place on the way down and up, at rest on it, and finally over the second."""
+    """Above each place before and after, at rest on it, and above the second at the end."""
     over_pick, pick, over_place, place = poses
 
     def at(phase: str | None, pose: pin.SE3, *, turned: bool) -> FramePose:
@@ -104,13 +104,13 @@ def build(
     durations = _durations(arm.robot, postures, goal, duration)
     phases = zip(PHASES, durations, strict=True)
     schedule = Schedule(tuple(Phase(name=name, duration=time) for name, time in phases))
-    price = TimeCost(weight=1.0) if goal == "time" else TorqueCost(weight=1.0)
+    cost = TimeCost(weight=1.0) if goal == "time" else TorqueCost(weight=1.0)
     return common.problem(
         "arm-pick-place",
         arm.robot,
         common.freed(schedule, FREE) if goal == "time" else schedule,
         common.PosturePath(model=arm.robot.model, postures=postures, durations=durations),
-        costs=(price, AccelerationCost(weight=SMOOTH[goal])),
+        costs=(cost, AccelerationCost(weight=SMOOTH[goal])),
         effort=arms.effort(arm.robot),
         cones=(),
         end=_way(arm, [arm.pose(*where) for where in places], over_place),
@@ -124,7 +124,7 @@ def build(
 def _durations(
     robot: Robot, postures: tuple[np.ndarray, ...], goal: str, duration: float | None
 ) -> list[float]:
-    """Duration of every phase, s: the whole, divided in proportion to the shortest by the limits."""
+    """Duration of every phase, s: the total, shared in proportion to the least durations."""
     least = [arms.least_duration(robot, pair) for pair in pairwise(postures)]
     if not min(least) > 0:
         raise InputError("two waypoints of arm-pick-place are the same", "allowed: turn and over not zero")
@@ -133,7 +133,7 @@ def _durations(
 
 
 def _below(arm: arms.Arm) -> float:
-    """Height in m of a floor below everything: the object stands on a separate table."""
+    """Height in m of a floor that is out of the way: the object stands on a table that is not modelled."""
     return float(min(arm.axis[2], 0.0) - arm.robot.length)
 
 
@@ -141,23 +141,23 @@ FAMILY = Family(
     name="arm-pick-place",
     robots=arms.ARMS,
     phases=PHASES,
-    summary="pick an object up and place it elsewhere, over waypoints, with its mass in between",
+    summary="pick up an object, carry it over waypoints and place it elsewhere, its mass included",
     parameters=(
         common.angle(
-            "turn", math.radians(90), "from one place to the other about the base", (-math.pi, math.pi)
+            "turn", math.radians(90), "angle about the base from pick to place", (-math.pi, math.pi)
         ),
-        arms.part("out", 0.0, "by how much the places are farther out than the tool's start"),
-        arms.part("up", -0.1, "by how much they are higher than the tool's start"),
-        arms.part("over", OVER, "height of the waypoints over the places", (0.0, 1.0)),
+        arms.part("out", 0.0, "outward offset of both places from the tool's start"),
+        arms.part("up", -0.1, "upward offset of both places from the tool's start"),
+        arms.part("over", OVER, "height of the waypoints above the places", (0.0, 1.0)),
         common.number(
             "payload",
             None,
             "kg",
-            "mass of the object (default: what the arm holds with part of its torque)",
+            "mass of the object (default: from the torque limits)",
             (0.0, 1e4),
         ),
-        common.goal("effort", "time", meaning="least torques, or least time"),
-        common.duration("duration", None, "of the whole (default: by the limits)", (1e-3, 120.0)),
+        common.goal("effort", "time", meaning="objective: torques or time"),
+        common.duration("duration", None, "total duration (default: from the limits)", (1e-3, 120.0)),
     ),
     build=build,
 )

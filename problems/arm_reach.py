@@ -1,4 +1,4 @@
-"""An arm reaches: its tool goes to a pose, from rest to rest, with little torque."""
+"""An arm reaches: its tool moves to a pose, from rest to rest, with little torque."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from trajopt.terms import AccelerationCost, TorqueCost
 
 from . import arms, common
 
-# The default goal: the tool of the reference, turned about the base and raised.
+# The default goal: the tool of the reference posture turned about the base and raised.
 TURN = math.radians(60)
 UP = 0.15  # of the reach
-PLACE = "goal of the tool, world (default: the start's, turned by 60 degrees, raised by 0.15 reach)"
-# The default duration over the shortest that the limits allow.
+PLACE = "goal of the tool, world (default: the start turned by 60 degrees and raised by 0.15 reach)"
+# The default duration over the least duration estimated from the limits.
 UNHURRIED = 2.0
 
 
@@ -36,8 +36,8 @@ def build(
 ) -> Problem:
     """Build the reach; see ``FAMILY`` for the parameters. Raises InputError.
 
-    The guess ends where inverse kinematics from the reference gets closest to the goal: an unreachable goal
-    still gives a problem, whose solution then reports the violated row.
+    The guess ends where inverse kinematics from the reference gets closest to the goal. A goal that is not
+    reached still gives a problem, whose solution then reports the violated constraint.
     """
     arm = arms.load(robot)
     goal, end = _goal(arm, (x, y, z), pin.rpy.rpyToMatrix(roll, pitch, yaw))
@@ -76,11 +76,10 @@ def _goal(arm: arms.Arm, given: tuple[float | None, ...], turn: np.ndarray) -> t
 
 
 def turns(origin: str) -> tuple[Parameter, ...]:
-    """Turns of the tool about the world's axes; ``origin``: end of the text, the start orientation."""
+    """Rotations of the tool about the world's axes; ``origin`` names the orientation they start from."""
     axes = {"roll": "x", "pitch": "y", "yaw": "z"}
-    meanings = {
-        name: f"turn of the tool about the world's {axis} axis{origin}" for name, axis in axes.items()
-    }
+    about = "rotation of the tool about the world's"
+    meanings = {name: f"{about} {axis} axis, from {origin}" for name, axis in axes.items()}
     limits = (-math.pi, math.pi)
     return tuple(common.angle(name, 0.0, meaning, limits) for name, meaning in meanings.items())
 
@@ -92,8 +91,8 @@ FAMILY = Family(
     summary="bring an arm's tool to a pose, from rest to rest, within torque, velocity and position limits",
     parameters=(
         *(common.length(name, None, PLACE, (-20.0, 20.0)) for name in "xyz"),
-        *turns(", from the start's at the goal's heading"),
-        common.duration("duration", None, "duration (default: twice what the limits need)", (1e-3, 60.0)),
+        *turns("the start orientation turned to the goal's heading"),
+        common.duration("duration", None, "duration (default: estimated from the limits)", (1e-3, 60.0)),
     ),
     build=build,
 )

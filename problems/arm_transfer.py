@@ -15,8 +15,8 @@ from trajopt.terms import AccelerationCost, Term, TimeCost, TorqueCost
 
 from . import arms, common
 
-# Weights of terms that give every direction of the motion a cost: small against torques (mean squares of
-# about 1e-2 of weight times reach), and against a transfer of about one sqrt(l / g).
+# Weights of accelerations, which give every direction of the motion a cost: small compared with torques (mean
+# squares of about 1e-2 of weight times reach), and with a transfer of about one sqrt(l / g).
 SMOOTH_EFFORT, SMOOTH_TIME = 1e-2, 1e-4
 # Least-time torques jump between limits. A scheme of one point has constant torques in an interval, within
 # limits if they are at the point; a polynomial through two points overshoots at the nodes. So least time uses
@@ -24,7 +24,7 @@ SMOOTH_EFFORT, SMOOTH_TIME = 1e-2, 1e-4
 INTERVALS = 30
 # A free duration lies within these multiples of the guessed one.
 SHORTEST, LONGEST = 0.1, 4.0
-# The default duration for least effort over the shortest that the limits allow.
+# The default duration for least effort over the least duration estimated from the limits.
 UNHURRIED = 2.0
 
 
@@ -42,8 +42,7 @@ def transfer(
 ) -> Problem:
     """From rest to rest between two postures (nq,), in least time or at the costs of ``effort``.
 
-    duration: s, None: from ``least``, the shortest that the limits allow. Raises InputError if both postures
-    are the same.
+    duration: s, None: from ``least``, estimated from the limits. Raises InputError if both are the same.
     """
     if not least > 0:
         raise InputError(f"start and goal of {name} are the same posture", "allowed: two postures")
@@ -85,14 +84,14 @@ FAMILY = Family(
     phases=("transfer",),
     summary="move an arm between two postures, from rest to rest, in least time or with least torque",
     parameters=(
-        common.goal("time", "effort", meaning="duration, or torques"),
-        common.angle("turn", math.radians(90), "of the tool about the base", (-math.pi, math.pi)),
-        arms.part("out", 0.1, "by how much the goal is farther from the base's axis"),
-        arms.part("up", 0.2, "by how much the goal is higher"),
+        common.goal("time", "effort", meaning="objective: time or torques"),
+        common.angle("turn", math.radians(90), "angle about the base, start to goal", (-math.pi, math.pi)),
+        arms.part("out", 0.1, "outward distance from start to goal"),
+        arms.part("up", 0.2, "upward distance from start to goal"),
         common.duration(
             "duration",
             None,
-            "duration (default: twice what the limits need; for least time its guess, what they need)",
+            "duration, with goal=time its guess (default: estimated from the limits)",
             (1e-3, 60.0),
         ),
     ),

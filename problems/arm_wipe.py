@@ -28,9 +28,9 @@ TOOL = "tool"
 SIZES = {"line": 0.25, "circle": 0.15}
 # The default force takes this share of the torque that gravity leaves at the weakest joint along the path.
 FORCE_SHARE = 0.25
-# The default duration over the shortest that the limits allow.
+# The default duration over the least duration estimated from the limits.
 UNHURRIED = 2.0
-# Width of the sign change of friction, over the mean speed.
+# Slip speed at which friction reverses smoothly, over the mean speed.
 SLIP = 0.1
 # Postures along the path, by inverse kinematics, for the guess.
 KNOTS = 41
@@ -147,24 +147,20 @@ FAMILY = Family(
             "force",
             None,
             "N",
-            "of the tool on the plane, along its normal (default: a quarter of what the arm can)",
+            "normal force of the tool on the plane (default: a quarter of what torque limits allow)",
             (0.0, 1e5),
         ),
         common.friction(0.3),
         common.angle(
             "tilt",
             None,
-            "of the plane from level, facing the arm (default: it faces the tool of the reference)",
+            "tilt of the plane from level towards the arm (default: normal to the tool of the reference)",
             (-math.pi / 2, math.pi / 2),
         ),
-        arms.part(
-            "out", 0.0, "how much farther from the arm's axis than the tool of the reference the plane is"
-        ),
-        arms.part("up", 0.0, "how much higher it is"),
-        common.angle(
-            "lean", math.radians(20), "most that the tool leans off the normal", (1e-3, math.pi / 2)
-        ),
-        common.duration("duration", None, "duration (default: twice what the limits need)", (1e-2, 60.0)),
+        arms.part("out", 0.0, "outward offset of the stroke from the tool of the reference"),
+        arms.part("up", 0.0, "upward offset of the stroke from the tool of the reference"),
+        common.angle("lean", math.radians(20), "largest angle between tool and normal", (1e-3, math.pi / 2)),
+        common.duration("duration", None, "duration (default: estimated from the limits)", (1e-2, 60.0)),
     ),
     build=build,
 )

@@ -1,4 +1,4 @@
-"""Shared by families for any arm: the arm and its tool, poses in units of its reach, paths, limits."""
+"""Shared by the families for arms: the arm and its tool, poses relative to its reach, paths, limits."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ARMS = ("ur5", "panda", "kinova", "irb1600", "z1", "xarm7")
 STEPS = 12
 # Error below which a pose counts as reached, m and rad.
 REACHED = 1e-6
-# Least share of a motor's torque that is assumed to be left for the motion.
+# Least fraction of a motor's torque that is assumed to be left for the motion.
 LEAST_SPARE = 0.1
 # Least assumed lever arm of a joint to a force at the tool, over the reach.
 LEAST_LEVER = 1e-3
@@ -129,7 +129,7 @@ class Arm:
 
 
 def load(name: str) -> Arm:
-    """Return the arm of that name. Raises InputError for other robots."""
+    """Return the arm of that name. Raises InputError if it is not an arm."""
     tool = robots.tool_frame(name)
     return Arm(robot=robots.load(name), tool=tool)
 
@@ -155,7 +155,7 @@ def least_duration(robot: Robot, postures: Sequence[np.ndarray], *, weight: bool
 
 
 def strength(arm: Arm, postures: Sequence[np.ndarray], direction: np.ndarray) -> float:
-    """Force (N) at the tool along ``direction`` (3,) that joints bear besides gravity in all ``postures``."""
+    """Force (N) at the tool along ``direction`` (3,) that joints resist beside gravity in ``postures``."""
     robot, data = arm.robot, arm.robot.model.createData()
     if robot.effort_limit is None:
         return robot.weight
@@ -169,7 +169,7 @@ def strength(arm: Arm, postures: Sequence[np.ndarray], direction: np.ndarray) ->
 
 
 def effort(robot: Robot) -> Term:
-    """Limits of torques, of the drives where the robot has them."""
+    """Torque limits, or those of the drives if the robot has any."""
     return EffortLimits() if robot.drives is None else DriveLimits()
 
 
@@ -199,5 +199,5 @@ def between(
 
 
 def part(name: str, default: float, meaning: str, within: common.Range = (-1.0, 1.0)) -> Parameter:
-    """A length as a part of the arm's reach."""
-    return common.number(name, default, "", f"{meaning}, part of the reach", within)
+    """A length as a fraction of the arm's reach."""
+    return common.number(name, default, "", f"{meaning}, over the reach", within)

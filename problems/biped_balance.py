@@ -36,8 +36,8 @@ INTERVALS = 40
 def pushed(robot: Robot, impulse: np.ndarray) -> np.ndarray:
     """Velocity (nv,) of the standing robot just after an impulse (3,) N s, world, on its base's origin.
 
-    M v = J_b^T p + J_c^T p_c with J_c v = 0: of all velocities that move no foot, the one nearest, in the
-    metric of kinetic energy, to that of the free robot.
+    M v = J_b^T p + J_c^T p_c with J_c v = 0: of all velocities that move no foot, the nearest to that of the
+    free robot in the metric of kinetic energy.
     """
     q, model = robot.reference, robot.model
     mass = pin.crba(model, model.createData(), q)
@@ -45,7 +45,7 @@ def pushed(robot: Robot, impulse: np.ndarray) -> np.ndarray:
     generalized = contact_jacobian(model, q, [(model.names[1], (0, 1, 2))]).T @ impulse
     free = np.linalg.solve(mass, generalized)
     spread = np.linalg.solve(mass, held.T)
-    # Contacts with dependent rows share the impulse.
+    # Linearly dependent contact rows share their impulses.
     return np.asarray(free - spread @ np.linalg.lstsq(held @ spread, held @ free, rcond=None)[0])
 
 
@@ -112,7 +112,9 @@ FAMILY = Family(
             "impulse on the base (default: 0.05 of mass times sqrt(g length))",
             (0.0, 1e4),
         ),
-        common.angle("direction", 0.0, "of the push, from forward to the left", (-math.pi, math.pi)),
+        common.angle(
+            "direction", 0.0, "direction of the push, from forward to the left", (-math.pi, math.pi)
+        ),
         common.choice(
             "recover",
             "keep the feet in place, or step (default: stand on soles, step on points)",

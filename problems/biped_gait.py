@@ -17,12 +17,10 @@ from .gait_common import Style
 # Least height of a foot in mid-swing, and that of the guess, over the robot's length.
 CLEARANCE = 0.05
 GUESS_CLEARANCE = 0.08
-# Froude numbers of a slow walk and of a jog; stride lengths follow from them as in animals.
+# Froude numbers of a slow walk and of a jog; they determine stride lengths as for other animals.
 STYLES = {
-    "walk": Style(
-        froude=0.04, clearance=CLEARANCE, summary="a foot or two on the ground, double support between"
-    ),
-    "run": Style(froude=0.25, clearance=CLEARANCE, summary="a foot or none on the ground"),
+    "walk": Style(froude=0.04, clearance=CLEARANCE, summary="one or two feet on the ground"),
+    "run": Style(froude=0.25, clearance=CLEARANCE, summary="one foot or none on the ground"),
 }
 
 
@@ -64,10 +62,10 @@ def _family(name: str, style: str) -> Family:
         parameters=(
             gait_common.forward(own),
             common.duration(
-                "period", None, "of a cycle, two steps (default: by length and speed)", (0.05, 10)
+                "period", None, "duration of a cycle, two steps (default: from length and speed)", (0.05, 10)
             ),
             gait_common.duty(gait),
-            common.choice("cycle", "solve one step, whose mirror image is the next, or both", "half", "full"),
+            common.choice("cycle", "solve one step, followed by its mirror image, or both", "half", "full"),
             gait_common.clearance("twentieth"),
             common.friction(0.7),
             common.EFFORT_SHARE,

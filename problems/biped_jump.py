@@ -1,8 +1,8 @@
 """Jumps of bipeds, up and forward, from rest to rest on both feet.
 
-As for quadrupeds, with one more cost: little torque swings a trunk far on two hips, and the jump would come
-from this swing, not from the legs. So a cost of a tenth of the torques' keeps the base near the guess's,
-level.
+As those of quadrupeds, with one more cost: a trunk on two hips swings far at little torque, and the jump
+would come from this swing instead of the legs. So the distance of the base from the level one of the guess
+has a cost, with a tenth of the weight on torques.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from trajopt.problem.family import Family
 from . import bipeds, common, quadruped_jump
 from .gait_common import near
 
-# Default forward jumps are limited to the distance of feet in flight, from rest to rest, at this fraction of
-# gravity's acceleration: legs are a third of a humanoid's mass.
+# Limit of the default jump forward: in flight feet move from rest to rest with at most this acceleration over
+# gravity, because legs are a third of a humanoid's mass.
 SWING_ACCELERATION = 2.0
 # Default duration of the push in units of sqrt(l / g): half of a quadruped's, too short to swing.
 STANCE = 1.4
@@ -38,7 +38,7 @@ def _upright(build: Callable[..., Problem], *, goal: str, **values: Any) -> Prob
 
 
 def _forward(build: Callable[..., Problem], **values: Any) -> Problem:
-    """Limits the default distance to that which heavy legs can swing during the flight."""
+    """With the default distance limited to what heavy legs can swing through in flight."""
     problem = build(**values)
     if values["distance"] is not None:
         return problem
@@ -53,7 +53,7 @@ def _family(direction: quadruped_jump.Direction, summary: str) -> Family:
     family = quadruped_jump.family(direction, summary, kind="biped", robots=bipeds.ROBOTS, load=bipeds.biped)
     build = partial(_upright, family.build)
     build = partial(_forward, build) if direction == "forward" else build
-    # The family adds the parameter ``robot`` itself.
+    # `Family` adds the parameter ``robot`` again.
     return replace(family, parameters=family.parameters[1:], build=build)
 
 

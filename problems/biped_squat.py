@@ -52,15 +52,15 @@ FAMILY = Family(
     name="biped-squat",
     robots=bipeds.ROBOTS,
     phases=("squat",),
-    summary="sink by a depth on both feet and rise again, from rest to rest",
+    summary="squat on both feet and rise again, from rest to rest",
     parameters=(
         common.length(
             "depth",
             None,
-            "least depth of the base (default: 0.2 of the length, less where joints end)",
+            "least descent of the base (default: 0.2 of the length, less at joint limits)",
             (0.0, 2.0),
         ),
-        common.duration("duration", None, "of the whole (default: by the robot's length)", (0.05, 60.0)),
+        common.duration("duration", None, "total duration (default: from the robot's length)", (0.05, 60.0)),
         common.friction(0.7),
         common.EFFORT_SHARE,
     ),

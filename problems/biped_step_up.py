@@ -18,17 +18,16 @@ from trajopt.terrain.swing_path import swing_path
 from . import bipeds, common
 
 PHASES = ("shift", "step_1", "double", "step_2", "settle")
-# Height of the box and distance forward, over the robot's length; least distance in soles.
+# Height of the box and displacement forward, over the robot's length; least displacement, over a sole's.
 HEIGHT, FORWARD, SOLES = 0.15, 0.4, 1.6
 # Durations in units of sqrt(l / g).
 SHIFT, STEP, DOUBLE = 3.5, 3.2, 2.0
-# In the guess the base moves by this fraction of the distance towards the standing foot; below, its progress
-# forward and upward at the ends of the phases.
+# In the guess the base shifts this fraction of the distance to the standing foot, and has covered these
+# fractions of its displacement forward and of its rise at the ends of the phases.
 SWAY = 0.7
 DONE_FORWARD, DONE_UP = (0.1, 0.35, 0.65, 0.95), (0.0, 0.2, 0.6, 1.0)
 CLEARANCE = 0.05
-# Distance from the box's edge to the heels that land on it, over the distance forward: room to lift a foot
-# before the edge.
+# The box begins this fraction of the displacement before the heels that land on it: room to lift a foot.
 BEFORE_HEEL = 0.1
 INTERVALS = 50
 
@@ -59,7 +58,7 @@ def build(*, robot: str, friction: float, effort_share: float, **given: float | 
     height, forward, shift, step, double = own.values()
     if not forward > sole:
         raise InputError(
-            f"biped-step-up goes {forward:g} m forward on soles of {sole:g} m", "allowed: more than a sole"
+            f"biped-step-up moves {forward:g} m forward on soles of {sole:g} m", "allowed: more than a sole"
         )
     heel = float(np.mean([place[0] for place in contact_positions(body, body.reference).values()]))
     edge = heel - sole / 2 + (1 - BEFORE_HEEL) * forward
@@ -90,11 +89,13 @@ FAMILY = Family(
     phases=PHASES,
     summary="step onto a box (or down, with a negative height), one foot after the other, and rest",
     parameters=(
-        common.length("height", None, "of the box (default: 0.15 of the robot's length)", (-1.0, 1.0)),
-        common.length("forward", None, "way of the feet (default: 0.4 of the robot's length)", (0.0, 2.0)),
-        common.duration("shift", None, "before the first step, and after the second", (0.05, 10.0)),
-        common.duration("step", None, "of a swing", (0.05, 10.0)),
-        common.duration("double", None, "on both feet between the steps", (0.02, 10.0)),
+        common.length("height", None, "height of the box (default: 0.15 of the robot's length)", (-1.0, 1.0)),
+        common.length(
+            "forward", None, "displacement of the feet (default: 0.4 of the robot's length)", (0.0, 2.0)
+        ),
+        common.duration("shift", None, "duration before the first step, and after the second", (0.05, 10.0)),
+        common.duration("step", None, "duration of a swing", (0.05, 10.0)),
+        common.duration("double", None, "duration of double support", (0.02, 10.0)),
         common.friction(0.7),
         common.EFFORT_SHARE,
     ),

@@ -25,18 +25,18 @@ from trajopt.terrain.flat import FlatGround
 
 from . import bipeds, common
 
-# Margin of the pendulum's ZMP from the edges of the soles, over their size: the robot is not a pendulum.
+# Part of the soles that the pendulum's ZMP keeps away from: the robot is not a pendulum.
 MARGIN = 0.5
-# Height of the guess's swings over the required one.
+# Swings of the guess are higher than required by this factor.
 GUESS_SWING = 1.5
 # Defaults are those of Talos, whose length this is in m; others walk the same at the same Froude number, with
 # lengths in proportion to theirs and times to the root of it.
 LENGTH_OF_DEFAULTS = 1.0193317172808651
 LENGTHS = {"length": 0.2, "clearance": 0.04}
 TIMES = {"step_time": 0.6, "double_support": 0.15, "shift": 0.5, "settle": 0.6}
-# Intervals per second of Talos; rounding adds no interval.
+# Intervals per second for Talos; rounding errors must not add an interval.
 INTERVALS_PER_SECOND, WHOLE = 10, 1e-9
-# Bounds for every part of the walk, s.
+# Range of the duration of every part of the walk, s.
 DURATIONS = (0.05, 5.0)
 
 
@@ -110,12 +110,12 @@ def build(
 
 
 def _time(name: str, meaning: str) -> Parameter:
-    own = f"{meaning} (default: {TIMES[name]:g} s on Talos, others by the root of their length)"
+    own = f"{meaning} (default: {TIMES[name]:g} s on Talos, scaled by sqrt(length))"
     return common.duration(name, None, f"duration {own}", DURATIONS)
 
 
 def _way(name: str, meaning: str, within: common.Range) -> Parameter:
-    own = f"{meaning} (default: {LENGTHS[name]:g} m on Talos, others by their length)"
+    own = f"{meaning} (default: {LENGTHS[name]:g} m on Talos, scaled by length)"
     return common.length(name, None, own, within)
 
 
@@ -123,13 +123,13 @@ FAMILY = Family(
     name="biped-walk",
     robots=("talos", "g1"),
     phases=("shift", "step_1", "double_1", "step_2", "...", "settle"),
-    summary="walk some steps on two soles, the last of which brings the feet side by side, and come to rest",
+    summary="walk some steps on two soles, bring the feet side by side and come to rest",
     parameters=(
         common.number("steps", 4, "", "number of steps", (2, 20)),
-        _way("length", "from one step to the next", (-0.4, 0.4)),
-        common.angle("turn", 0.0, "to the left from one step to the next", (-0.4, 0.4)),
+        _way("length", "step length", (-0.4, 0.4)),
+        common.angle("turn", 0.0, "turn to the left per step", (-0.4, 0.4)),
         _time("step_time", "of a swing"),
-        _time("double_support", "of both feet on the ground between steps"),
+        _time("double_support", "of double support between steps"),
         _time("shift", "from rest to the first step"),
         _time("settle", "from the last touchdown to rest"),
         _way("clearance", "least height of a sole in mid swing", (0.0, 0.2)),

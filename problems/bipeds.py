@@ -1,4 +1,4 @@
-"""Shared by problems of bipeds: the robot with only its legs free, base positions, two steps."""
+"""Shared by the problems of bipeds: the robot with its legs alone, poses of the base, two steps."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ ROBOTS = ("talos", "g1", "bolt")
 def biped(name: str) -> Robot:
     """The robot of that name on its two feet, all joints outside the legs locked at the reference.
 
-    These tasks do not need arms, waist or head, which are dead weight on the trunk. Raises InputError for a
-    robot that is not a biped.
+    These tasks do not need arms, waist or head: they are rigid parts of the trunk. Raises InputError if the
+    robot is not a biped.
     """
     robot = robots.load(name)
     biped_legs(robot)

@@ -1,4 +1,4 @@
-"""Shared by families: parameters, limits, paths of guesses, schedules, and the problem made of them."""
+"""Shared by all families: parameters, limits, paths of guesses, schedules, and the problem itself."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from trajopt_library import robots
 
 # Least height of a foot over the ground in mid-flight, m.
 CLEARANCE = 0.03
-# Weight of impulses at a landing: without it, an impact brakes at no cost in torque.
+# Weight of impulses: without it an impact brakes for free, since torque costs do not include it.
 IMPULSE_WEIGHT = 0.1
 
 Range = tuple[float, float]
@@ -73,11 +73,11 @@ def speed(name: str, default: float | None, meaning: str) -> Parameter:
 
 
 def share(name: str, default: float | None, meaning: str) -> Parameter:
-    """A fraction of a period, strictly between 0 and 1."""
+    """A fraction of a period, neither none nor all of it."""
     return number(name, default, "", meaning, (0.05, 0.95))
 
 
-def friction(default: float, name: str = "friction", meaning: str = "Coulomb coefficient") -> Parameter:
+def friction(default: float, name: str = "friction", meaning: str = "friction coefficient") -> Parameter:
     """A coefficient of friction."""
     return number(name, default, "", meaning, (0.0, 10.0))
 
@@ -85,7 +85,7 @@ def friction(default: float, name: str = "friction", meaning: str = "Coulomb coe
 def hop_durations(
     flight: str, defaults: tuple[float | None, ...] = (None, None, None), longest: float = 3.0
 ) -> tuple[Parameter, ...]:
-    """Durations of stance, flight and landing, s; ``flight`` says where that of the flight comes from."""
+    """Durations of stance, flight and landing, s; ``flight`` says how that of the flight is derived."""
     return (
         duration("stance", defaults[0], "duration of the push", (1e-3, 10.0)),
         duration("flight", defaults[1], f"duration of the flight (default: {flight})", (1e-3, longest)),
@@ -94,24 +94,24 @@ def hop_durations(
 
 
 def choice(name: str, meaning: str, *choices: str) -> Choice:
-    """A word out of some, the first the default."""
+    """One of several words; the first is the default."""
     return Choice(name=name, default=choices[0], choices=choices, meaning=meaning)
 
 
-def goal(*choices: str, meaning: str = "what is best") -> Choice:
-    """What the motion minimises or maximises: names of `trajopt.objectives`, the first the default."""
+def goal(*choices: str, meaning: str = "objective") -> Choice:
+    """The objective: names in `trajopt.terms.objectives`, the first is the default."""
     return choice("goal", meaning, *choices)
 
 
-# One torque limit for all joints, and a share of the robot's own torque limits.
+# One torque limit for all joints, or a fraction of the robot's own torque limits.
 EFFORT = number("effort", None, "N m", "torque limit (default: the URDF's)", (0.0, 1e4))
-EFFORT_SHARE = number("effort_share", 1.0, "", "share of the effort limits to use", (1e-3, 1.0))
-# How contacts land: `hop_schedule` takes ``impact``, and impulses need a separate cost.
+EFFORT_SHARE = number("effort_share", 1.0, "", "usable fraction of the effort limits", (1e-3, 1.0))
+# How contacts land: `hop_schedule` takes ``impact``, which needs a cost on impulses.
 TOUCHDOWN = choice("touchdown", "land at zero foot velocity or by a rigid impact", "soft", "impact")
 
 
 def filled(defaults: Mapping[str, float], given: Mapping[str, float | None]) -> dict[str, float]:
-    """Values of parameters: those that are given, and defaults for those that are None."""
+    """Values of parameters: the given ones, and defaults for those that are None."""
     return {**defaults, **{name: value for name, value in given.items() if value is not None}}
 
 
@@ -144,7 +144,7 @@ class PosturePath:
 
 
 def quadruped(name: str) -> Robot:
-    """The robot of that name, if it stands on four feet. Raises InputError."""
+    """The robot of that name. Raises InputError if it does not stand on four feet."""
     robot = robots.load(name)
     quadruped_legs(robot)
     return robot
@@ -191,7 +191,7 @@ def schedule_of(
 
 
 def freed(schedule: Schedule, *within: Range) -> Schedule:
-    """The schedule with free durations, within these multiples of theirs: one for each phase, or for all."""
+    """The schedule with free durations, within multiples of the nominal ones: for each phase, or for all."""
     bounds = within * len(schedule.phases) if len(within) == 1 else within
     return Schedule(
         tuple(
@@ -202,19 +202,19 @@ def freed(schedule: Schedule, *within: Range) -> Schedule:
 
 
 def contact_cones(robot: Robot) -> tuple[Term, ...]:
-    """Forces of points within pyramids of friction, wrenches of soles within their cones."""
+    """Friction pyramids of point contacts and wrench cones of soles."""
     kinds = {contact.kind for contact in robot.contacts}
     points: tuple[Term, ...] = (FrictionPyramid(),) if "point" in kinds else ()
     return (*points, SoleCone()) if "surface" in kinds else points
 
 
 def share_of_effort(robot: Robot, share: float) -> EffortLimits:
-    """Torques within a share of the robot's limits; a robot without limits stays without."""
+    """Torque limits as a fraction of the robot's; none if the robot has none."""
     return EffortLimits(limit=None if robot.effort_limit is None else share * robot.effort_limit)
 
 
 def effort_of_all(robot: Robot, effort: float | None) -> EffortLimits:
-    """Torques of all joints within ``effort`` N m; None: within the robot's limits."""
+    """Torque limit of ``effort`` N m for all joints; None: the robot's limits."""
     return EffortLimits(limit=None if effort is None else np.full(robot.nu, effort))
 
 
@@ -236,15 +236,15 @@ def problem(
     actuation: Actuation = "torque",
     **settings: Any,
 ) -> Problem:
-    """A motion of least cost within all limits, by default from rest at the reference on level ground.
+    """A motion with costs and all limits, by default from rest in the reference posture on level ground.
 
-    costs: default those of effort. end: a configuration (nq,) for rest, or terms. effort: limits of torques,
-    default the robot's; none for other actuation. cones: of contacts, default `contact_cones`. clearance: of
-    swinging contacts over the terrain in mid-swing, m, None for none. more: further terms. settings: other
-    fields of `Problem`.
+    costs: default `effort_costs`. end: a configuration (nq,) to end in at rest, or terms. effort: torque
+    limits, default the robot's; only with torque as control input. cones: friction terms, default
+    `contact_cones`. clearance: of swing feet over the terrain in mid swing, m, or None. more: further terms.
+    settings: other fields of `Problem`.
     """
     ground = FlatGround() if terrain is None else terrain
-    prices = effort_costs() if costs is None else costs
+    cost_terms = effort_costs() if costs is None else costs
     torques = (EffortLimits() if effort is None else effort,) if actuation == "torque" else ()
     swings: tuple[Term, ...] = ()
     if clearance is not None:
@@ -258,7 +258,16 @@ def problem(
         terrain=ground,
         initial_q=robot.reference if initial_q is None else initial_q,
         initial_v=np.zeros(robot.nv) if initial_v is None else initial_v,
-        terms=(*prices, *torques, PositionLimits(), VelocityLimits(), *touching, *swings, *more, *arrival),
+        terms=(
+            *cost_terms,
+            *torques,
+            PositionLimits(),
+            VelocityLimits(),
+            *touching,
+            *swings,
+            *more,
+            *arrival,
+        ),
         guess=guess,
         actuation=actuation,
         **settings,

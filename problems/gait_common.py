@@ -1,4 +1,4 @@
-"""Shared by gaits: speeds and periods by the robot's size, costs, periodic problems, parameters."""
+"""Shared by the gaits: speeds and periods from the robot's size, costs, periodic problems, parameters."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from trajopt.terrain.flat import FlatGround
 from . import common
 
 ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
-# Height of the guess's swings over the required one.
+# Swings of the guess are higher than required by this factor.
 HIGHER = 1.5
 # Free durations are between these multiples of the nominal ones; their sum, the period, is fixed.
 FREE = (0.6, 1.5)
@@ -34,7 +34,7 @@ TRACKING = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Style:
-    """Defaults of a gait's family: ``froude`` number u^2 / (g l) of its speed u, and its strides.
+    """Defaults of a gait: ``froude`` number u^2 / (g l) of its speed u, and its strides.
 
     ``clearance``: least height of a foot in mid-swing over the robot's length.
 
@@ -62,21 +62,19 @@ class Style:
 
 STYLES = {
     "walk": Style(
-        froude=0.06, summary="one leg after the other, lateral sequence, two or three on the ground"
+        froude=0.06, summary="one leg after the other in lateral sequence, two or three on the ground"
     ),
     "amble": Style(froude=0.16, summary="footfalls of the walk, one or two legs on the ground"),
     "trot": Style(froude=0.16, summary="diagonal legs together"),
     "flying-trot": Style(froude=0.25, summary="diagonal legs together, flight between"),
-    "pace": Style(froude=0.09, summary="legs of a side together"),
+    "pace": Style(froude=0.09, summary="legs of one side together"),
     "bound": Style(froude=0.25, stride=1.9, growth=0.40, summary="hind legs, flight, fore legs, flight"),
     "pronk": Style(froude=0.09, stride=1.9, growth=0.40, summary="all legs together, then flight"),
     "canter": Style(froude=0.36, stride=1.9, growth=0.40, summary="three beats, left lead, one flight"),
-    "gallop": Style(froude=0.49, stride=1.9, growth=0.40, summary="transverse, two flights"),
-    "rotary-gallop": Style(
-        froude=0.49, stride=1.9, growth=0.40, summary="footfalls round the body, two flights"
-    ),
+    "gallop": Style(froude=0.49, stride=1.9, growth=0.40, summary="transverse footfalls, two flights"),
+    "rotary-gallop": Style(froude=0.49, stride=1.9, growth=0.40, summary="rotary footfalls, two flights"),
 }
-# Gaits that the suite runs on one robot only; they work on all.
+# Gaits that the suite runs on one robot only, although all robots can.
 RARE = ("amble", "flying-trot", "canter", "rotary-gallop")
 
 
@@ -118,7 +116,7 @@ def command(
 
 
 def near(motion: Motion, weight: float = TRACKING) -> Term:
-    """Keeps the base, which has no cost otherwise, near that of a motion."""
+    """Cost on the distance of the base, which has no other cost, from that of a motion."""
     return TrackingCost(reference=motion, part="base", weight=weight)
 
 
@@ -133,7 +131,7 @@ def gait_costs(goal: str, robot: Robot, schedule: Schedule, pace: Pace) -> tuple
 
 
 def cycle(asked: Command, mirror: Mapping[str, str] | None, *, free: bool = False) -> Schedule:
-    """One period, or the half whose image under ``mirror`` is the other half; ``free`` shares of phases."""
+    """One period, or half of it with its image under ``mirror`` to follow; ``free``: free durations."""
     bounds = FREE if free else None
     if mirror is None:
         return Schedule(asked.gait.phases(asked.period, duration_bounds=bounds))
@@ -179,13 +177,13 @@ def periodic_problem(
 
 def forward(style: Style) -> Parameter:
     """The commanded velocity of the base forward, m/s."""
-    return common.speed("speed", None, f"forward (default: Froude number {style.froude:g})")
+    return common.speed("speed", None, f"forward speed (default: Froude number {style.froude:g})")
 
 
 def duty(gait: Gait | None = None) -> Parameter:
     """Duty factor of all feet."""
-    default = "the gait's own" if gait is None else f"{gait.duty_of(gait.feet[0]):g}"
-    return common.share("duty", None, f"stance of a foot as part of the period (default: {default})")
+    default = "the gait's" if gait is None else f"{gait.duty_of(gait.feet[0]):g}"
+    return common.share("duty", None, f"duty factor of each foot (default: {default})")
 
 
 def clearance(part: str = "tenth") -> Parameter:
@@ -194,8 +192,8 @@ def clearance(part: str = "tenth") -> Parameter:
     return common.length("clearance", None, meaning, (0.0, 1.0))
 
 
-TURN_RATE = common.number("turn_rate", 0.0, "rad/s", "to the left", (-5.0, 5.0))
-PERIOD = common.duration("period", None, "duration of a cycle (default: by length and speed)", (0.02, 20.0))
+TURN_RATE = common.number("turn_rate", 0.0, "rad/s", "yaw rate to the left", (-5.0, 5.0))
+PERIOD = common.duration("period", None, "duration of a cycle (default: from length and speed)", (0.02, 20.0))
 GOAL = common.goal(
-    "effort", "transport", "smooth", meaning="least torques, cost of transport or accelerations"
+    "effort", "transport", "smooth", meaning="objective: torques, cost of transport or accelerations"
 )

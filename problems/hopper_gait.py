@@ -17,7 +17,7 @@ from trajopt.terrain.swing_profile import smooth_step
 from . import common, hoppers
 from .gait_common import Style, forward
 
-# Strides as of animals in asymmetrical gaits, including hopping kangaroos.
+# Strides as those of animals in asymmetrical gaits, hops of kangaroos included.
 STYLE = Style(froude=0.25, stride=1.9, growth=0.40, clearance=0.05)
 # Free durations are between these multiples of the nominal ones.
 FREE = (0.5, 2.0)
@@ -87,12 +87,12 @@ FAMILY = Family(
     name="hopper-gait",
     robots=hoppers.ROBOTS,
     phases=("stance", "flight"),
-    summary="hopping on one leg, periodic at a commanded speed",
+    summary="hop on one leg, periodic at a commanded speed",
     parameters=(
         forward(STYLE),
-        common.duration("period", None, "duration of a hop (default: by length and speed)", (0.02, 20.0)),
-        common.share("duty", 0.5, "stance as part of the period"),
-        common.choice("durations", "of stance and of flight", "fixed", "free"),
+        common.duration("period", None, "duration of a hop (default: from length and speed)", (0.02, 20.0)),
+        common.share("duty", 0.5, "duty factor"),
+        common.choice("durations", "durations of stance and flight", "fixed", "free"),
         common.goal("effort", "transport", "smooth"),
         common.friction(0.7),
         common.EFFORT_SHARE,

@@ -34,7 +34,7 @@ COSTS = effort_costs(joints_only=True)
 
 
 def _guess(robot: Robot, distance: float, durations: tuple[float, float, float]) -> Motion:
-    """Crouch, leg extension, a parabola, and back to the standing posture, with the foot on its foothold."""
+    """Crouch, stretch, a parabola, and back to the standing posture, the foot on its foothold."""
     stance, flight, landing = durations
     rise, arc = RISE * robot.length, gravity_of(robot.model) * flight**2 / 2
     start = hoppers.standing_foot(robot)
@@ -56,7 +56,7 @@ def _guess(robot: Robot, distance: float, durations: tuple[float, float, float])
 def _schedule(
     foot: str, target: np.ndarray, durations: tuple[float, float, float], goal: str, *, impact: bool
 ) -> Schedule:
-    """Stance, flight and landing on ``target``; durations free except for effort, place free for distance."""
+    """Stance, flight, landing on ``target``, or anywhere for distance; durations free except for effort."""
     schedule = common.hop_schedule({foot: target}, durations, impact=impact)
     if goal != "effort":
         schedule = common.freed(schedule, FREE, FREE_FLIGHT, FREE)
@@ -126,16 +126,16 @@ FAMILY = Family(
     name="hopper-hop",
     robots=hoppers.ROBOTS,
     phases=("stance", "flight", "landing"),
-    summary="hop of a hopper and to rest: onto a foothold, as high or as far as possible",
+    summary="hop once and come to rest: onto a foothold, as high or as far as possible",
     parameters=(
-        common.length("distance", 0.2, "forward displacement; as far as possible: the guess", (-0.6, 0.6)),
+        common.length("distance", 0.2, "forward displacement; with goal=distance its guess", (-0.6, 0.6)),
         common.duration("stance", 0.4, "duration of the push", (1e-2, 5.0)),
         common.duration("flight", 0.3, "duration of the flight", (1e-2, 5.0)),
         common.duration("landing", 0.5, "duration from touchdown to rest", (1e-2, 5.0)),
         common.friction(0.7),
         common.choice(
             "coordinates",
-            "one floating base with contact rows, or a model for each phase",
+            "floating base with contact constraints, or a fixed-base model for each stance",
             "excess",
             "minimal",
         ),

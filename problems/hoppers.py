@@ -1,4 +1,4 @@
-"""Shared by hops: robots on one point foot, in the plane or in space, and their base position."""
+"""Shared by the hops: robots on one point foot, in the plane or in space, and the position of their base."""
 
 from __future__ import annotations
 

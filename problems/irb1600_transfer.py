@@ -18,7 +18,7 @@ from trajopt_library.robots import irb1600
 from . import arms, common
 from .arm_transfer import transfer
 
-# Weights of motor torques and of accelerations, the latter small against mean squares of about 0.1.
+# Motor torques, and a small weight on accelerations: motor torques have mean squares of about 0.1.
 EFFORT = (MotorTorqueCost(weight=1.0), AccelerationCost(weight=1e-3))
 INTERVALS = 40
 
@@ -72,7 +72,7 @@ def build(
 
 def _place(end: str, *place: float) -> tuple[Parameter, ...]:
     return tuple(
-        common.length(f"{end}_{axis}", value, f"tool at the {end}, world {axis}", (-2.0, 2.5))
+        common.length(f"{end}_{axis}", value, f"{end} of the tool, world {axis}", (-2.0, 2.5))
         for axis, value in zip("xyz", place, strict=True)
     )
 
@@ -83,15 +83,17 @@ FAMILY = Family(
     phases=("transfer",),
     summary="bring the tool from one pose to another, from rest to rest, with least effort or in least time",
     parameters=(
-        common.choice("minimise", "copper losses, or time", "effort", "time"),
+        common.choice("minimise", "objective: copper losses or time", "effort", "time"),
         common.duration(
             "duration",
             None,
-            "duration (default: twice what the drives need; for least time, its guess)",
+            "duration, with minimise=time its guess (default: estimated from the drives)",
             (1e-2, 60.0),
         ),
         common.number("payload", 8.0, "kg", "steel cube on the flange", (0.0, 20.0)),
-        common.number("motor_inertia", 0.75, "", "reflected motor inertia over the link's", (0.0, 2.0)),
+        common.number(
+            "motor_inertia", 0.75, "", "reflected motor inertia over that of the moved bodies", (0.0, 2.0)
+        ),
         *_place("start", 0.9, -0.7, 0.5),
         *_place("goal", 0.7, 0.8, 1.1),
         common.angle("tilt", math.pi / 3, "angle of the tool below the horizontal", (-math.pi / 2, math.pi)),

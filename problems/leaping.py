@@ -31,8 +31,8 @@ GROUND_TURN = 0.35
 # The guess pushes for at most this fraction of the stance, and brakes for at most this fraction of the
 # landing.
 PUSH_PART = 0.7
-# Least height of a foot over the ground in mid-flight: the lesser of a fraction of the robot's length and a
-# fraction of the base's free rise, so that slow legs need not be drawn up.
+# Least height of a foot above the ground in mid flight: the lesser of a fraction of the robot's length and a
+# fraction of the base's ballistic rise, so that slow legs need not be drawn up.
 CLEARANCE_PART, FREE_PART = 0.1, 0.5
 # Height of hips and knees above the ground, at least, over the robot's length.
 JOINT_CLEARANCE = 0.15
@@ -55,7 +55,7 @@ def base_path(
     rising, climb = gravity_of(robot.model) * flight / 2, float(end[2] - start[2])
     push_time, push_depth = _push(takeoff, climb / flight + rising, stance)
     brake_time, brake_depth = _push(takeoff, rising - climb / flight, landing)
-    # Displacements before take-off and after touchdown, at constant acceleration.
+    # Fractions of the displacement before take-off and after touchdown, at constant acceleration.
     whole = push_time / 2 + flight + brake_time / 2
     parts = (push_time / 2 / whole, brake_time / 2 / whole)
     up, still = np.array([0.0, 0.0, 1.0]), np.zeros(3)

@@ -18,15 +18,14 @@ from .common import displaced
 
 # Fraction of the legs' remaining extension that the guess uses at take-off and at touchdown.
 EXTENSION_PART = 0.6
-# Heights over which the work of a push is summed; tolerance of the extension over the robot's length.
+# The work of a push is summed over this many heights; tolerance of the extension, over the length.
 PUSH_SAMPLES, EXTENSION_ERROR = 24, 1e-3
 # Least free rise of a flight: this fraction of the robot's length, or the rise with this share of the
 # take-off speed, whichever is less.
 LEAST_FREE_RISE, LEAST_SHARE = 0.02, 0.75
-# A take-off is fast enough if its free rise is this fraction of the length: beyond it, no extension is given
-# up for speed.
+# A take-off is fast enough if its ballistic rise is this fraction of the length: more is no advantage.
 ENOUGH_FREE = 0.05
-# A torque or rate below this fraction of the others' is rounding.
+# A torque or rate this small compared with the others is rounding.
 ROUNDING = 1e-9
 # Error below which inverse kinematics has reached the feet, m.
 REACHED = 1e-6
@@ -39,9 +38,9 @@ SINK_PART, OF_REACHABLE = 0.25, 0.7
 class Takeoff:
     """How fast a robot can leave the ground, feet in place: ``posture`` (nq,) with the base at ``rise`` m.
 
-    ``speed`` m/s is the largest upward one that the work of its torques on the way up, and the rates of its
-    joints there, allow; `across` (forward, to the left, m/s) and ``turn`` rad/s (about the vertical) are
-    those that the rates alone allow. Infinite without limits.
+    ``speed`` m/s is the largest upward speed that the work of its torques in rising, and its joint rates at
+    take-off, allow; `across` (forward, to the left, m/s) and ``turn`` rad/s (about the vertical) are those
+    that the rates alone allow. Infinite without limits.
     """
 
     robot: Robot
@@ -72,15 +71,14 @@ class Takeoff:
 def takeoff(robot: Robot, effort: float | None = None) -> Takeoff:
     """The take-off with the highest apex of the base among the fast ones with some extension left.
 
-    Nearly straight legs lift the base slowly, so that extension alone is not a hop. If none is fast enough,
-    the fastest.
+    Legs that are nearly straight lift the base slowly. If no take-off is fast enough, the fastest one.
 
     Forces are taken to be vertical and the same at all feet, the base level. effort: N m, for all joints.
     Raises InputError for a robot without gravity.
     """
     if not robot.model.gravity.linear.any():
         raise InputError(
-            f"'{robot.name}' is without gravity: a leap does not come down",
+            f"'{robot.name}' is without gravity: it would not come down again",
             "allowed: a model with gravity",
         )
     limit = robot.effort_limit if effort is None else np.full(robot.nu, effort)
@@ -104,7 +102,7 @@ def takeoff(robot: Robot, effort: float | None = None) -> Takeoff:
         for height, q, done in zip(heights, postures, work, strict=True)
         if height >= 0
     ]
-    return max(reversed(found), key=lambda one: one.merit)  # the highest of equals
+    return max(reversed(found), key=lambda one: one.merit)  # of equally good ones the highest
 
 
 def raised(robot: Robot, height: float) -> Posture:

@@ -88,11 +88,11 @@ def build(
 
 def _family(kind: Kind, summary: str) -> Family:
     size = (
-        common.length("width", None, "of the gap", (1e-3, 5.0))
+        common.length("width", None, "width of the gap", (1e-3, 5.0))
         if kind == "gap"
-        else common.length("height", None, "of the box", (1e-3, 2.0))
+        else common.length("height", None, "height of the box", (1e-3, 2.0))
     )
-    meaning = "of the base in flight, from which its duration follows"
+    meaning = "rise of the base in flight, which gives the default flight duration"
     return Family(
         name=f"quadruped-{kind}",
         robots=ROBOTS,

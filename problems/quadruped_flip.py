@@ -1,6 +1,6 @@
 """Full turns of quadrupeds in the air, from feet to feet: a backflip and a barrel roll.
 
-Both leave the ground in two steps, as animals and machines do: one pair of feet lifts first, so that the body
+Both leave the ground in two steps: one pair of feet lifts first, so that the body
 turns about the other; it lands on the pair that lifted first.
 """
 
@@ -42,7 +42,7 @@ SPEED_PART = 1.1
 TILT = math.pi / 4
 # How far legs are drawn up in the guess, over the robot's length.
 TUCK = 0.3
-# Largest error of the body's rotation when upside down in mid-flight, and half way there and back.
+# The body is upside down in mid flight within this angle, and on its side a quarter before and after.
 WITHIN = math.pi / 3
 
 Kind = Literal["backflip", "barrel-roll"]
@@ -184,6 +184,6 @@ def _family(kind: Kind, summary: str) -> Family:
 
 
 FAMILIES = (
-    _family("backflip", "somersault backwards: off the hind feet, all around, onto the front feet"),
-    _family("barrel-roll", "roll about the long axis in the air: off the right feet, onto the left ones"),
+    _family("backflip", "backward somersault from the hind feet onto the front feet"),
+    _family("barrel-roll", "full roll in the air from the right feet onto the left feet"),
 )

@@ -81,7 +81,7 @@ def _family(style: str) -> Family:
         summary=f"{style}, periodic at a commanded speed: {own.summary}",
         parameters=(
             gait_common.forward(own),
-            common.speed("lateral", 0.0, "to the left"),
+            common.speed("lateral", 0.0, "speed to the left"),
             gait_common.TURN_RATE,
             gait_common.PERIOD,
             gait_common.duty(gait),
@@ -98,10 +98,10 @@ def _family(style: str) -> Family:
 
 
 _CYCLE = common.choice(
-    "cycle", "solve a whole cycle, or half of one whose mirror image is the other half", "full", "half"
+    "cycle", "solve a whole cycle, or half of one, followed by its mirror image", "full", "half"
 )
 _FULL = common.choice("cycle", "solve a whole cycle", "full")
-_DURATIONS = common.choice("durations", "shares of the phases in the period", "fixed", "free")
+_DURATIONS = common.choice("durations", "durations of the phases within the period", "fixed", "free")
 _FOOTHOLDS = common.choice(
     "footholds", "feet land anywhere on the ground, or under the hips in mid stance", "free", "planned"
 )

@@ -23,7 +23,7 @@ STANCE, LANDING = 2.7, 3.4
 HEIGHT, LEAST_HEIGHT, FORWARD, SIDEWAYS, TURN = 0.75, 0.4, 1.0, 0.5, math.pi / 2
 # Shares of the largest speeds at take-off: upwards in a jump up, upwards in others, across and turning.
 SHARE_UP, SHARE_LOW, SHARE_ACROSS = 0.75, 0.6, 0.25
-# Motions with free durations are faster and need more intervals for feet that do not drift.
+# Motions with free durations are faster and need more intervals to limit the drift of feet.
 INTERVALS = {"effort": 50, "time": 80}
 
 # Default direction of a jump.
@@ -64,7 +64,7 @@ def build(
 ) -> Problem:
     """Build the jump; see ``FAMILIES`` for the parameters. Raises InputError.
 
-    ``load`` returns the robot of a name if it is of that ``kind``.
+    ``load`` returns the robot of a name, or raises if it is not of that ``kind``.
     """
     body = load(robot)
     takeoff = pushing.takeoff(body, effort)

@@ -102,9 +102,14 @@ FAMILY = Family(
     phases=("rise",),
     summary="rise from lying low on folded legs to standing, feet in place",
     parameters=(
-        common.length("depth", None, "of the base under its standing height at the start", (0.0, 2.0)),
+        common.length(
+            "depth",
+            None,
+            "depth of the base under its standing height at the start (default: the deepest)",
+            (0.0, 2.0),
+        ),
         common.duration("duration", None, "duration; with goal=time its guess", (1e-2, 20.0)),
-        common.goal("effort", "time", meaning="least torques, or least time"),
+        common.goal("effort", "time", meaning="objective: torques or time"),
         common.friction(0.7),
         common.EFFORT,
     ),

@@ -89,7 +89,7 @@ def _waves(own: Walker, *, amplitude: float, wavelength: float, yaw: float, way:
 
 
 def _halton(index: int, base: int) -> float:
-    """Van der Corput's sequence: evenly spread deterministic numbers in (0, 1)."""
+    """Van der Corput's sequence: evenly spread, deterministic numbers in (0, 1)."""
     found, part = 0.0, 1.0
     while index:
         index, digit = divmod(index, base)
@@ -110,7 +110,7 @@ def _count(name: str, default: int, meaning: str) -> Parameter:
 def _family(
     name: str, summary: str, made: Callable[..., Built], *own: Parameter | Choice, kept: bool = True
 ) -> Family:
-    """The family whose terrain and distance ``made`` gives from its ``own`` parameters.
+    """The family whose terrain and distance ``made`` computes from its ``own`` parameters.
 
     kept: the terrain has edges, from which feet keep a margin.
     """
@@ -141,44 +141,47 @@ def _family(
 FAMILIES = (
     _family(
         "quadruped-stairs",
-        "up stairs, or down with a negative rise",
+        "walk up stairs, or down with a negative rise",
         _stairs,
-        _length("rise", "of a step, down if negative", (-0.5, 0.5)),
+        _length("rise", "height of a step, negative: down", (-0.5, 0.5)),
         _length("run", "depth of a tread", (0.05, 2.0)),
         _count("steps", STAIRS, "number of steps"),
     ),
     _family(
         "quadruped-steps",
-        "over steps of any heights",
+        "walk over steps of different heights",
         _steps,
         _length("run", "depth of a tread", (0.05, 2.0)),
-        *(_length(f"height{i}", "of a tread over the ground before them", (-1.0, 1.0)) for i in range(1, 5)),
+        *(
+            _length(f"height{i}", f"height of tread {i} above the ground at the start", (-1.0, 1.0))
+            for i in range(1, 5)
+        ),
     ),
     _family(
         "quadruped-slope",
-        "up a slope between two flats, down with a negative angle, or along an endless one",
+        "walk up a slope between two flats (down with a negative angle), or on an endless one",
         _slope,
-        common.choice("ground", "what is before and behind the slope", "between-flats", "endless"),
-        common.angle("slope", SLOPE, "rises forward", (-0.6, 0.6)),
-        _length("length", "of the slope, or of the way along an endless one, from above", (0.05, 5.0)),
+        common.choice("ground", "slope between flats, or endless", "between-flats", "endless"),
+        common.angle("slope", SLOPE, "angle of the slope, positive: rises forward", (-0.6, 0.6)),
+        _length("length", "horizontal length of the slope, or of the path on an endless one", (0.05, 5.0)),
     ),
     _family(
         "quadruped-stepping-stones",
-        "over two rows of stones of different heights between two banks",
+        "walk over two rows of stones of different heights between two banks",
         _stones,
         _count("stones", STONES, "number of stones in a row"),
-        _length("size", "sides of a stone", (0.02, 2.0)),
-        _length("spacing", "between centres of stones along the way", (0.02, 3.0)),
+        _length("size", "side length of a stone", (0.02, 2.0)),
+        _length("spacing", "distance between stone centres along the path", (0.02, 3.0)),
         _length("uneven", "range of the stones' heights", (0.0, 0.5)),
     ),
     _family(
         "quadruped-waves",
-        "over smooth waves",
+        "walk over smooth waves",
         _waves,
-        _length("amplitude", "of the waves", (0.0, 0.5)),
-        _length("wavelength", "of the waves", (0.1, 20.0)),
+        _length("amplitude", "amplitude of the waves", (0.0, 0.5)),
+        _length("wavelength", "wavelength of the waves", (0.1, 20.0)),
         common.angle("yaw", 0.0, "direction of the waves, to the left of forward", (-math.pi, math.pi)),
-        common.length("way", None, "forward (default: two strides of the gait)", (0.0, 5.0)),
+        common.length("way", None, "forward displacement (default: two strides of the gait)", (0.0, 5.0)),
         kept=False,
     ),
 )

@@ -27,7 +27,7 @@ from trajopt.terrain.flat import FlatGround
 from . import common, gait_common
 from .gait_common import HIGHER, ROBOTS, STYLES, gait_costs
 
-# Intervals per period of the gait, standing included.
+# Intervals per period of the gait, also while standing.
 INTERVALS_PER_PERIOD = 20
 
 STARTS = {"start": True, "stop": False, "go": True}
@@ -121,11 +121,11 @@ def _ends(
 
 
 _SUMMARIES = {
-    "start": "from a stance into a gait, ends in the gait's commanded state",
+    "start": "from a stance into a gait, ending in the gait's commanded state",
     "stop": "from a gait's commanded state to a stance",
     "go": "from a stance through some cycles of a gait to a stance",
 }
-# Periods: one to gain or lose speed and one at full speed, or one for each.
+# One period to gain or lose speed and one at full speed, or one to gain and one to lose it.
 LEAST_CYCLES = 2
 
 
@@ -136,11 +136,13 @@ def _family(kind: str) -> Family:
         phases=tuple(phase.name for phase in _example(kind)),
         summary=f"{kind}: {_SUMMARIES[kind]}",
         parameters=(
-            Choice(name="gait", default="trot", choices=tuple(STYLES), meaning="which gait"),
-            common.number("cycles", 2.0, "", "periods of the gait", (LEAST_CYCLES, 20.0)),
-            common.duration("stand", None, "standing on all feet (default: half a period)", (0.01, 10.0)),
-            common.speed("speed", None, "forward at full pace (default: the gait's)"),
-            common.speed("lateral", 0.0, "to the left at full pace"),
+            Choice(name="gait", default="trot", choices=tuple(STYLES), meaning="name of the gait"),
+            common.number("cycles", 2.0, "", "number of gait periods", (LEAST_CYCLES, 20.0)),
+            common.duration(
+                "stand", None, "duration of standing on all feet (default: half a period)", (0.01, 10.0)
+            ),
+            common.speed("speed", None, "forward speed at full pace (default: the gait's)"),
+            common.speed("lateral", 0.0, "speed to the left at full pace"),
             gait_common.TURN_RATE,
             gait_common.PERIOD,
             gait_common.duty(),

@@ -78,10 +78,10 @@ FAMILY = Family(
     name="solo12-slope",
     robot="solo12",
     phases=("stance", "flight", "landing"),
-    summary="hop along a slope from stance to stance and come to rest, with Coulomb's cone on its normal",
+    summary="hop along a slope and come to rest, with friction cones about its normal",
     parameters=(
-        common.angle("slope", math.radians(20), "rises forward", (-0.7, 0.7)),
-        common.length("distance", 0.1, "along the slope, forward", (-0.5, 0.5)),
+        common.angle("slope", math.radians(20), "angle of the slope, positive: rises forward", (-0.7, 0.7)),
+        common.length("distance", 0.1, "forward displacement along the slope", (-0.5, 0.5)),
         common.length("height", 0.05, "least rise of the base over its start in mid flight", (0.0, 0.4)),
         *common.hop_durations("from the height, at least 0.2", (0.3, None, 0.4), longest=2.0),
         common.friction(0.8),

@@ -1,4 +1,4 @@
-"""Strokes of a tool on a plane, and the tool's direction."""
+"""Strokes on a plane that a tool follows, and its direction meanwhile."""
 
 from __future__ import annotations
 
@@ -58,10 +58,9 @@ class Stroke:
 class StrokeMotion(PointConstraint):
     """A contact that slides follows the stroke in ``duration`` s, smoothly from rest to rest.
 
-    Its acceleration within the plane is that of the stroke at the point's time, J a + Jdot v = x'': an
-    acceleration constraint, as for a fixed contact. From a start on the stroke at rest, its position follows
-    as exactly as the scheme integrates; position constraints, at points or at nodes, would let accelerations
-    oscillate.
+    Its acceleration within the plane is that of the stroke at the point's time, J a + Jdot v = x'': the same
+    level as the constraints of other contacts. From a start on the stroke at rest its position follows to
+    the accuracy of the scheme; constraints on positions, at points or at nodes, make accelerations oscillate.
     """
 
     contact: str
@@ -79,7 +78,7 @@ class StrokeMotion(PointConstraint):
 
 @dataclass(frozen=True, kw_only=True)
 class RestOnStroke(NodeConstraint):
-    """At the end the joints rest, at ``q`` (nq,), in the directions that the contacts' positions leave free.
+    """At the end the joints rest, at ``q`` (nq,), in the directions that the contacts leave free.
 
     `TerminalRest` would also stop the sliding contact, which the stroke does already.
     """

@@ -22,14 +22,13 @@ from . import common
 
 # Default duration in periods of the hanging links: time for some swings, or the guess for least time.
 PERIODS = {"effort": 2.5, "time": 1.5}
-# A swing-up has no posture to keep and no contacts, and has to be fast: rates cost less than for legs.
+# A swing-up has no posture to keep and no contacts, and must be fast to rise: rates cost less than on legs.
 EFFORT = effort_costs(acceleration=1e-3, velocity=3e-3, posture=0.0)
 # Share of the torque that would just hold the links stretched and level.
 WEAK = 0.5
-# Bounds of a free duration, as multiples of the nominal one.
+# Range of a free duration, over the nominal one.
 FREE = (0.2, 2.0)
-# Moments below this fraction of the largest count as zero: real links do not balance exactly along their
-# axis.
+# Moments below this fraction of the largest count as zero: real links do not balance exactly.
 BALANCED = 1e-2
 INTERVALS_PER_PERIOD = 20
 LEAST_INTERVALS = 50
@@ -39,7 +38,7 @@ def _pendulum(robot: Robot) -> tuple[np.ndarray, np.ndarray, float]:
     """Half a turn (nv,) of the first joint from hanging to upright (nq,), and a period, s.
 
     The robot hangs at its reference; the period is of small swings with all joints but the first locked.
-    Raises InputError otherwise.
+    Raises InputError if the robot is not such a pendulum.
     """
     model, data, hanging = robot.model, robot.model.createData(), robot.reference
     if robot.base == "fixed" and robot.nu > 0 and not robot.contacts and model.joints[1].nv == 1:
@@ -54,7 +53,7 @@ def _pendulum(robot: Robot) -> tuple[np.ndarray, np.ndarray, float]:
             inertia = pin.crba(model, data, hanging)[0, 0]
             return turn, way[2], 2 * math.pi * math.sqrt(inertia / moments[1])
     raise InputError(
-        f"robot '{robot.name}' is not a pendulum that hangs at its reference",
+        f"robot '{robot.name}' is not a pendulum that hangs in its reference posture",
         "allowed: a fixed base, and half a turn of the first joint from there to the upright balance",
     )
 
@@ -95,7 +94,7 @@ def _family(name: str, robot: str, summary: str) -> Family:
             common.duration(
                 "duration",
                 None,
-                "duration, for the least time the guess (default: from the period of the hanging links)",
+                "duration, with goal=time its guess (default: from the period of the hanging links)",
                 (1e-2, 60.0),
             ),
             replace(common.EFFORT_SHARE, default=WEAK),
@@ -105,6 +104,8 @@ def _family(name: str, robot: str, summary: str) -> Family:
 
 
 FAMILIES = (
-    _family("double-pendulum", "double_pendulum", "swing two links from hanging to upright, to rest"),
-    _family("acrobot", "acrobot", "swing two links from hanging to upright by a motor between them alone"),
+    _family("double-pendulum", "double_pendulum", "swing two links up from hanging to upright, at rest"),
+    _family(
+        "acrobot", "acrobot", "swing two links up from hanging to upright, with a motor only between them"
+    ),
 )

@@ -1,4 +1,4 @@
-"""Talos lays its left hand on a wall and pushes, or takes a handle on it and pulls, and comes to rest."""
+"""Talos puts its left hand on a wall and pushes, or grasps a handle on it and pulls, and comes to rest."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LOADING_SHARE = 0.5
 def _leaning(robot: Robot, hand: np.ndarray, push: np.ndarray) -> np.ndarray:
     """Posture with both soles in place and the hand at its goal, leaning into the push.
 
-    The centre of mass is moved to balance the moment of ``push`` (3,) N on the hand about the ground.
+    The centre of mass moves to balance the moment of ``push`` (3,) N on the hand about the ground.
     """
     leaning = robot.reference.copy()
     leaning[0] -= push[0] * hand[2] / robot.weight
@@ -95,9 +95,9 @@ FAMILY = Family(
     phases=("reach", "touch", "push"),
     summary="lean on a wall with one hand and push, or hold a handle on it and pull, at rest at the end",
     parameters=(
-        common.length("distance", 0.55, "of the wall, forward", (0.2, 1.2)),
-        common.length("height", 1.2, "of the hand on the wall", (0.5, 1.8)),
-        common.angle("tilt", 0.0, "of the wall's top, away", (-0.6, 0.6)),
+        common.length("distance", 0.55, "distance of the wall ahead", (0.2, 1.2)),
+        common.length("height", 1.2, "height of the hand on the wall", (0.5, 1.8)),
+        common.angle("tilt", 0.0, "tilt of the wall, positive: top away", (-0.6, 0.6)),
         common.number(
             "force",
             80.0,
@@ -105,10 +105,10 @@ FAMILY = Family(
             "least push along the wall's normal; negative: least pull at a handle, a bilateral grasp",
             (-300.0, 300.0),
         ),
-        common.duration("reach", 0.8, "duration until touch", (1e-2, 10.0)),
+        common.duration("reach", 0.8, "duration until touchdown of the hand", (1e-2, 10.0)),
         common.duration("push", 0.4, "duration of the push", (1e-2, 10.0)),
-        common.friction(0.7, meaning="coefficient of the ground"),
-        common.friction(0.5, "wall_friction", "coefficient of the wall"),
+        common.friction(0.7, meaning="friction coefficient of the ground"),
+        common.friction(0.5, "wall_friction", "friction coefficient of the wall"),
     ),
     build=build,
 )

@@ -1,4 +1,4 @@
-"""Shared by walks of quadrupeds over terrain: distance and speed, schedules, terms, parameters."""
+"""Shared by the walks over terrain: distance and speed, schedules, terms, parameters."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MOST_CYCLES = 20
 
 @dataclass(frozen=True, kw_only=True)
 class Walker:
-    """A quadruped and the ``asked`` gait for a walk over terrain; positions (x, y) of feet from above.
+    """A quadruped that walks over terrain in the gait ``asked``; positions of its feet.
 
     ``cycles``: periods of the gait, None: as many as the distance needs.
     """
@@ -79,7 +79,7 @@ class Walker:
         return {"at": (self.edge, 0.0), "friction": self.friction, "margin": self.margin}
 
     def way_across(self, extent: float) -> float:
-        """Distance in m that brings all feet from before terrain of that extent, m, to behind it."""
+        """Distance in m that brings all feet across terrain of that extent, m."""
         hindmost = min(float(place[0]) for place in self.feet.values())
         return self.foremost - hindmost + extent + 2 * ROOM * self.length
 
@@ -106,10 +106,10 @@ def walker(
 
 
 def schedule_for(own: Walker, way: float) -> tuple[Schedule, Pace, int]:
-    """Standing, cycles, standing, the pace that goes ``way`` m forward in them, and how many they are.
+    """Standing, cycles, standing; the pace that moves ``way`` m forward; and the number of cycles.
 
-    The pace grows and falls over the first and the last period. Default number of cycles: the least with
-    strides at full pace no longer than the gait's own.
+    The pace rises over the first period and falls over the last. By default the number of cycles is the least
+    for which strides at full pace are no longer than the gait's.
     """
     counts = range(2, MOST_CYCLES + 1) if own.cycles is None else (own.cycles,)
     gait, period = own.asked.gait, own.asked.period
@@ -123,8 +123,8 @@ def schedule_for(own: Walker, way: float) -> tuple[Schedule, Pace, int]:
         if own.cycles is not None or abs(speed) * period <= own.stride * (1 + 1e-9):
             return schedule, replace(unit, velocity=(speed, 0.0)), cycles
     raise InputError(
-        f"a way of {way:.3g} m is more than {MOST_CYCLES} strides of {own.stride:.3g} m",
-        "allowed: a shorter way",
+        f"a distance of {way:.3g} m is more than {MOST_CYCLES} strides of {own.stride:.3g} m",
+        "allowed: a shorter distance",
     )
 
 
@@ -142,7 +142,7 @@ def problem_over(
     robot, lift = own.robot, own.asked.lift
     schedule, pace, cycles = schedule_for(own, way)
     plan = plan_over_terrain(robot, schedule, pace, terrain, clearance=lift, free=footholds == "free")
-    arcs: tuple[Term, ...] = ()  # over the whole of every swing; over edges `clearance` instead
+    arcs: tuple[Term, ...] = ()  # over whole swings; terrain with edges has `SwingOver` instead
     if not isinstance(terrain, PiecewiseTerrain):
         arcs = swing_arcs(plan.schedule, own.asked.gait.feet, height=lift, terrain=terrain)
     return common.problem(
@@ -166,13 +166,13 @@ def problem_over(
 
 def parameters(*own: Parameter | Choice, margin: bool = True) -> tuple[Parameter | Choice, ...]:
     """Parameters of a family: its ``own``, then those that all share."""
-    kept = common.length("margin", None, "kept from edges (default: 0.05 of the robot's length)", (0.0, 0.5))
+    kept = common.length("margin", None, "distance kept from edges (default: 0.05 of the length)", (0.0, 0.5))
     return (
         *own,
-        common.choice("gait", "which gait", *GAITS),
+        common.choice("gait", "name of the gait", *GAITS),
         common.choice(
             "footholds",
-            "anywhere on the face under planned places (the last one at its place), or at these",
+            "feet land anywhere on the planned face (at last as planned), or on planned footholds",
             "free",
             "planned",
         ),
@@ -180,7 +180,7 @@ def parameters(*own: Parameter | Choice, margin: bool = True) -> tuple[Parameter
             "cycles",
             None,
             "",
-            "periods of the gait (default: by the way and the gait's stride)",
+            "number of gait periods (default: from distance and stride)",
             (1.0, float(MOST_CYCLES)),
         ),
         common.length(

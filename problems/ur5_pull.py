@@ -39,7 +39,7 @@ def _gripping() -> Robot:
 
 
 def _grasping(robot: Robot, board: Surface) -> np.ndarray:
-    """Posture with the gripper on the handle, with the least turn from its start that the board allows."""
+    """Posture with the gripper on the handle, turned from its start as little as the board allows."""
     start = frame_pose(robot, robot.reference, GRIP).rotation
     turn = pin.Quaternion.FromTwoVectors(start[:, 2], board.normal).toRotationMatrix()
     return inverse_kinematics(robot, robot.reference, {GRIP: pin.SE3(turn @ start, board.point)}).q
@@ -83,7 +83,7 @@ def build(
 
 
 def _place(name: str, default: float) -> Parameter:
-    return common.length(name, default, "of the handle, world", (-2.0, 2.0))
+    return common.length(name, default, "position of the handle, world", (-2.0, 2.0))
 
 
 FAMILY = Family(
@@ -98,7 +98,7 @@ FAMILY = Family(
         common.angle(
             "tilt",
             math.radians(30),
-            "of the board's top, away; 0 is a wall, a right angle a table",
+            "tilt of the board, positive: top away; 0 is a wall, a right angle a table",
             (-math.pi / 3, math.pi / 2),
         ),
         common.number("force", 60.0, "N", "least pull along the normal", (0.0, 500.0)),

@@ -14,7 +14,7 @@ from trajopt.terms.context_symbols import ACTUATIONS, Actuation
 from . import arms, common
 from .arm_reach import turns
 
-# Costs available for each control input.
+# Costs for each control input.
 COSTS: dict[Actuation, tuple[Term, ...]] = {
     "torque": (TorqueCost(weight=1.0), AccelerationCost(weight=1e-2)),
     "acceleration": (AccelerationCost(weight=1.0),),
@@ -36,8 +36,8 @@ def build(
 ) -> Problem:
     """Build the reach; see ``FAMILY`` for the parameters.
 
-    The guess ends where inverse kinematics from the start posture gets closest to the goal: a goal out of
-    reach still gives a problem, whose solution then reports the violated row.
+    The guess ends where inverse kinematics from the start posture gets closest to the goal. A goal out of
+    reach still gives a problem, whose solution then reports the violated constraint.
     """
     arm = arms.load("ur5")
     robot = arm.robot
@@ -53,7 +53,7 @@ def build(
         phase="reach",
         costs=COSTS[actuation],
         effort=common.share_of_effort(robot, effort_share),
-        # A velocity source can stop at any time.
+        # With velocity input the arm can stop at any time.
         end=(pose,) if actuation == "velocity" else (rest, pose),
         actuation=actuation,
         default_intervals=30,
@@ -70,7 +70,7 @@ FAMILY = Family(
             common.length(name, default, "goal of the tool, world", (-5.0, 5.0))
             for name, default in (("x", 0.3), ("y", 0.45), ("z", 0.45))
         ),
-        *turns(" from its start orientation"),
+        *turns("its start orientation"),
         common.duration("duration", 1.5, "duration of the motion", (1e-3, 60.0)),
         common.EFFORT_SHARE,
         common.choice("actuation", "control input of the joints", *ACTUATIONS),

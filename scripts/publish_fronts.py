@@ -2,7 +2,7 @@
 
 uv run python -m scripts.publish_fronts              # all, about 25 minutes on a quiet machine
 uv run python -m scripts.publish_fronts solo12-jump  # one of them
-uv run python -m scripts.publish_fronts --resume     # go on after an interruption
+uv run python -m scripts.publish_fronts --resume     # continue after an interruption
 
 Tables go to trajopt/study/sweep/fronts and docs/front, plots to docs/front, and the sections between the
 markers of docs/front.md are rewritten: the fronts, and how much pinned workers disturb each other.

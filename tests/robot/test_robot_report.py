@@ -253,7 +253,7 @@ def test_command_prints_names_files_and_json(tmp_path: Path) -> None:
         (("nobody",), "robot 'nobody' is unknown"),
         (("nobody.urdf",), "does not exist"),
         (("nobody.py",), "does not exist"),
-        (("ur5", "--write", "mine.py"), "--write is for a .urdf file"),
+        (("ur5", "--write", "mine.py"), "--write needs a .urdf file"),
         ((str(URDF), "--base", "wheels"), "base='wheels' is unknown"),
         ((str(URDF), "--write", "mine.txt"), "a .py file in an existing folder"),
         ((str(URDF), "--write", "/nowhere/mine.py"), "a .py file in an existing folder"),

@@ -281,7 +281,7 @@ BAD = {
     "set too": (("--vary", "x=0:1:3", "--set", "x=1"), "both varied and set"),
     "nowhere to go": (("--vary", "x=1:1:3"), "starts where it ends"),
     "no file": (("--vary", "x=0:1:3", "--start", "none.npz"), "does not exist"),
-    "no folder": (("--vary", "x=0:1:3", "--output-dir", __file__), "no folder"),
+    "no folder": (("--vary", "x=0:1:3", "--output-dir", __file__), "not a folder"),
 }
 
 
@@ -294,7 +294,7 @@ BAD_SOLVE = {
     "no ladder": (("--ladder", "fine"), "SCHEME@INTERVALS"),
     "unknown scheme": (("--ladder", "euler@5"), "euler"),
     "too coarse": (("--ladder", "legendre:1@0"), "0 intervals"),
-    "two grids": (("--ladder", "legendre:1@5", "--intervals", "9"), "grid"),
+    "two grids": (("--ladder", "legendre:1@5", "--intervals", "9"), "single mesh"),
     "nothing to compare": (("--compare",), "nothing to compare"),
     "no file": (("--start", "none.npz"), "does not exist"),
 }

@@ -204,7 +204,7 @@ def test_a_sweep_is_written_printed_and_resumed(tmp_path: Path):
         (("s-reach", "--solver", "snopt"), "trajopt: unknown solver 'snopt'; allowed: ipopt, fatrop"),
         (
             ("s-reach", "--intervals", "5,x"),
-            "trajopt: Invalid value for '--intervals': '5,x' is no list of whole",
+            "trajopt: Invalid value for '--intervals': '5,x' is not a list of whole",
         ),
         (
             ("s-reach", "--solver", "ipopt,"),
@@ -261,7 +261,7 @@ def test_ctrl_c_keeps_what_is_there_and_leaves_no_process(package: Path, tmp_pat
         process.popen.send_signal(signal.SIGINT)
         status, _, errors = process.finish()
     assert status == 130
-    assert errors.endswith(f"trajopt: cancelled; --resume --output-dir {tmp_path} goes on\n")
+    assert errors.endswith(f"trajopt: cancelled; continue with --resume --output-dir {tmp_path}\n")
     assert no_task_process_left(package)
     done = rows(tmp_path / "runs.csv")
     assert 0 < len(done) < 14

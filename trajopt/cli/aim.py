@@ -1,4 +1,4 @@
-"""Options of ``trajopt solve`` that replace settings: an accuracy, or a time."""
+"""``trajopt solve --accuracy`` and ``--budget``: settings are chosen from measured fronts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from trajopt.solving.monitoring import Watch
     from trajopt.study.choosing.solve_to import TargetSolve
 
-# Options that are chosen automatically, or have no meaning then.
+# Options that are chosen, and options without a meaning then.
 CHOSEN = ("transcription", "intervals", "tolerance")
 WITHOUT = ("ladder", "compare")
 UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0}
@@ -52,7 +52,7 @@ aim_options = option_group(
         "--budget", type=Seconds(), metavar="TIME", help="Choose settings for this time, e.g. 0.5s."
     ),
     click.option(
-        "--front", metavar="FRONT", help="Measured front to choose from.  [default: the most alike]"
+        "--front", metavar="FRONT", help="Measured front to choose from.  [default: the most similar]"
     ),
 )
 
@@ -61,7 +61,7 @@ def wants_aim(arguments: dict[str, Any]) -> bool:
     """Whether settings are chosen automatically; refuses ``--front`` alone."""
     if arguments["accuracy"] is None and arguments["budget"] is None:
         if arguments["front"] is not None:
-            raise InputError("--front chooses nothing", "allowed: with --accuracy or --budget")
+            raise InputError("--front has no effect here", "allowed: with --accuracy or --budget")
         for name in ("accuracy", "budget", "front"):
             del arguments[name]
         return False
@@ -77,11 +77,11 @@ def solve_aimed(
 
     accuracy, budget, front = (arguments.pop(name) for name in ("accuracy", "budget", "front"))
     if accuracy is not None and budget is not None:
-        raise InputError("--accuracy and --budget are given", "allowed: one of them")
+        raise InputError("--accuracy and --budget are both given", "allowed: one of them")
     where = _allowed_settings(arguments)
     most = arguments["max_time"] * (1 + MAX_ROUNDS)
-    with watched(title, most, log, viewer) as told:
-        settings = {**arguments, "front": front, "where": where, **told}
+    with watched(title, most, log, viewer) as callbacks:
+        settings = {**arguments, "front": front, "where": where, **callbacks}
         if accuracy is not None:
             found = solve_to_accuracy(problem, accuracy, **settings)
         else:
@@ -90,7 +90,7 @@ def solve_aimed(
 
 
 def _allowed_settings(arguments: dict[str, Any]) -> Callable[[Any], bool]:
-    """The named solver and Hessian; removes the options that are chosen from ``arguments``."""
+    """Filter for the named solver and Hessian; removes options that are chosen from ``arguments``."""
     context = click.get_current_context()
 
     def named(name: str) -> bool:
@@ -108,7 +108,7 @@ def _allowed_settings(arguments: dict[str, Any]) -> Callable[[Any], bool]:
 
 
 def _lines(found: TargetSolve) -> list[str]:
-    """The summary of the choice, the rounds and the result."""
+    """Lines of the summary: chosen settings, rounds, result."""
     lines = []
     for choice in found.choices:
         mesh, setting = choice.mesh, choice.measured.setting

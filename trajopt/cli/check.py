@@ -1,4 +1,4 @@
-"""``trajopt check``: a file's figures recomputed, and on request how accurate its motion is."""
+"""``trajopt check``: recompute the figures of a file, and on request the accuracy of its motion."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from trajopt.cli.report import to_json
 
 @click.command("check")
 @click.argument("file", type=Path)
-@click.option("--accuracy", is_flag=True, help="Also integrate the whole motion, and look between points.")
+@click.option("--accuracy", is_flag=True, help="Also report open-loop and local errors.")
 @click.option(
-    "--reference", type=Path, metavar="FILE", help="The same, and compare with a converged solution."
+    "--reference", type=Path, metavar="FILE", help="As --accuracy, and compare with this converged solution."
 )
 @json_option
 def check_command(file: Path, accuracy: bool, reference: Path | None, as_json: bool) -> int:
     """Recompute all figures of FILE with numeric Pinocchio alone.
 
-    With --accuracy also the error of the planned torques integrated over intervals, phases and the whole
-    motion, and what is left of dynamics and constraints between the collocation points. Exit status 1 when
-    a figure is beyond its tolerance; those of accuracy have none.
+    --accuracy adds the open-loop error of the planned torques over intervals, phases and the whole motion,
+    and the residuals of dynamics and constraints between collocation points. Exit status 1 when a figure is
+    beyond its tolerance; the figures of --accuracy have no tolerance.
     """
     from trajopt.certify.check import check
     from trajopt.solution.solution import Solution

@@ -1,12 +1,12 @@
 """The command line: a thin layer over the library.
 
 Exit status: 0 done; 1 ran but not solved (``solve``) or not within tolerance (``check``); 2 bad
-input, with one line on stderr; 130 cancelled by Ctrl-C. ``solve`` goes by the solver's verdict alone: a
-solved problem whose motion a check finds beyond its tolerances is noted in the summary (and in
-``accuracy`` of the JSON), and its exit status is 0, because a finer grid, not another solve, helps.
+input, with one line on stderr; 130 cancelled by Ctrl-C. The exit status of ``solve`` depends on the solver's
+status alone: if the problem is solved but the motion is beyond the tolerances of a check, the summary (and
+``accuracy`` of the JSON) says so and the exit status is 0: a finer mesh is needed, not another solve.
 
-A command's module is imported when the command is looked up, and imports what takes long to load in its
-function: ``--help`` loads neither CasADi, Pinocchio nor NumPy.
+A command's module is imported when the command is looked up, and imports slow libraries inside its function:
+``--help`` loads neither CasADi, Pinocchio nor NumPy.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ COMMANDS = {
 
 
 class CommandLine(click.Group):
-    """A group that imports commands by name and answers bad input with one line and exit status 2."""
+    """A group that imports commands by name and reports bad input in one line with exit status 2."""
 
     @override
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -64,7 +64,7 @@ class CommandLine(click.Group):
     ) -> None:
         extra["standalone_mode"] = False
         with warnings.catch_warnings(), interruptible() as interruption:
-            warnings.simplefilter("ignore")  # deprecations within libraries
+            warnings.simplefilter("ignore")  # deprecations inside libraries
             warnings.simplefilter("always", UserWarning)
             warnings.showwarning = _show_warning
             try:
@@ -72,7 +72,7 @@ class CommandLine(click.Group):
             except (KeyboardInterrupt, click.Abort):
                 status = _cancelled()
             except Exception:
-                if not interruption.pressed:  # else Ctrl-C caused it
+                if not interruption.pressed:  # else the error was caused by Ctrl-C
                     raise
                 status = _cancelled()
         sys.exit(status)

@@ -1,4 +1,4 @@
-"""``trajopt continue``: a problem over a sequence of values of a parameter."""
+"""``trajopt continue``: solve a problem for a sequence of values of a parameter."""
 
 from __future__ import annotations
 
@@ -39,9 +39,11 @@ VARY_FORM = "allowed: NAME=START:STOP:COUNT, such as distance=0.2:0.4:5"
 @click.command("continue")
 @click.argument("problem")
 @click.option("--vary", required=True, metavar="NAME=START:STOP:COUNT", help="The parameter and its values.")
-@click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="Another parameter.")
-@click.option("--compare", is_flag=True, help="Solve every value from its default guess, too.")
-@default_option("--max-halvings", 4, "N", "Of a step that fails.", kind=HALVINGS)
+@click.option(
+    "--set", "settings", multiple=True, metavar="NAME=VALUE", help="A parameter that is not varied."
+)
+@click.option("--compare", is_flag=True, help="Also solve every value from its default guess.")
+@default_option("--max-halvings", 4, "N", "How often a failed step is halved.", kind=HALVINGS)
 @click.option("--start", type=Path, metavar="FILE", help="Solution file to start the first value from.")
 @click.option(
     "--output-dir", type=Path, metavar="DIR", help="Folder for the solution files.  [default: none]"
@@ -65,8 +67,8 @@ def continue_command(
 ) -> int:
     """Solve PROBLEM for a sequence of values of a parameter, each from the last solution.
 
-    A step that fails is halved. With --compare every value is solved from its default guess, too, and
-    the time saved is shown. Exit status 0 when every value is solved, 1 when not.
+    A step that fails is halved. With --compare every value is also solved from its default guess, and the
+    time saved is printed. Exit status 0 when every value is solved, 1 when not.
     """
     from trajopt.problem.catalogue import families
     from trajopt.problem.family import choose
@@ -79,7 +81,7 @@ def continue_command(
     def load(value: float) -> Problem:
         return family.load({**fixed, name: value})
 
-    load(values[0]), load(values[-1])  # raises before anything is solved
+    load(values[0]), load(values[-1])  # bad values are refused before solving
     folder = None if output_dir is None else _folder(output_dir, problem)
     known = None if start is None else solution_of(start)
     arguments |= {"options": options_of(solver_options), "start": known}
@@ -87,8 +89,8 @@ def continue_command(
     viewer = open_viewer(watch)
     each = 2 + 2 * arguments["max_halvings"] + arguments["compare"]
     most = arguments["max_time"] * len(values) * each
-    with watched(problem, most, log, viewer) as told:
-        found = continuation(load, values, **told, **arguments)
+    with watched(problem, most, log, viewer) as callbacks:
+        found = continuation(load, values, **callbacks, **arguments)
     files = {}
     if folder is not None:
         for value, solution in found.solutions.items():
@@ -102,14 +104,14 @@ def continue_command(
 
 
 def parse_vary(family: Family, text: str, fixed: dict[str, str]) -> tuple[str, list[float]]:
-    """Name and values of ``NAME=START:STOP:COUNT``; raises `InputError` for another form or name."""
+    """Name and values of ``NAME=START:STOP:COUNT``; raises `InputError` for bad input."""
     from trajopt.problem.family import Parameter
 
     name, equals, spread = text.partition("=")
     name, parts = name.strip(), spread.split(":")
     count = parts[2] if len(parts) == 3 else ""
     if not (equals and count.isascii() and count.isdigit() and 2 <= int(count) <= MOST_VALUES):
-        raise InputError(f"--vary '{text}' is not of that form", f"{VARY_FORM}, COUNT 2 to {MOST_VALUES}")
+        raise InputError(f"--vary '{text}' has the wrong form", f"{VARY_FORM}, COUNT 2 to {MOST_VALUES}")
     numbers = [one.name for one in family.parameters if isinstance(one, Parameter)]
     parameter = next((one for one in family.parameters if one.name == name), None)
     if not isinstance(parameter, Parameter):
@@ -124,7 +126,7 @@ def parse_vary(family: Family, text: str, fixed: dict[str, str]) -> tuple[str, l
 
 
 def _folder(path: Path, problem: str) -> Path:
-    """The folder, made if it is not there; raises `InputError` if no solution can be written."""
+    """Return the folder, created if missing; raises `InputError` if no solution can be written there."""
     folder = path.expanduser()
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--output-dir {folder} is not a folder", "allowed: a folder, or a new one")

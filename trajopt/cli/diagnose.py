@@ -1,4 +1,4 @@
-"""``trajopt diagnose``: why a problem is hard, or was not solved, in words."""
+"""``trajopt diagnose``: why a problem was not solved, or is hard to solve."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 @click.command("diagnose")
 @click.argument("file", type=Path)
-@click.option("--problem", metavar="NAME", help="The problem of FILE.  [default: the one that it names]")
+@click.option("--problem", metavar="NAME", help="The problem of FILE.  [default: as named in FILE]")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A parameter of --problem.")
 @click.option(
-    "--compile", metavar="LEVEL", help="none, quick or fast.  [default: as FILE was solved if that is cached]"
+    "--compile", metavar="LEVEL", help="none, quick or fast.  [default: as FILE was solved, if cached]"
 )
 @json_option
 def diagnose_command(
@@ -29,9 +29,9 @@ def diagnose_command(
 ) -> None:
     """Say why FILE failed, or what makes its problem hard, and what to try.
 
-    Ranks and conditions of the constraints by phase with the rows that depend on each other, curvature,
-    scaling, active limits, the first value that is not finite, and which rows contradict each other. Exit
-    status 0 whatever is found.
+    Reports rank and condition of the constraints by phase, linearly dependent constraints, curvature,
+    scaling, active limits, the first value that is not finite, and constraints in conflict. Exit status 0
+    whatever is found.
     """
     from trajopt.study.diagnosis.diagnose import diagnose
 
@@ -43,9 +43,7 @@ def diagnose_command(
     click.echo(to_json(diagnosis.to_dict()) if as_json else str(diagnosis))
 
 
-diagnose_option = click.option(
-    "--diagnose", "diagnosed", is_flag=True, help="Say what is wrong, if anything."
-)
+diagnose_option = click.option("--diagnose", "diagnosed", is_flag=True, help="Diagnose the result.")
 
 
 def diagnosis_of(solution: Solution, problem: Problem) -> tuple[dict[str, Any], str]:

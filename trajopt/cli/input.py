@@ -37,14 +37,14 @@ class WholeNumber(click.ParamType):
         try:
             number = int(value)
         except ValueError:
-            self.fail(f"'{value}' is no whole number", param, ctx)
+            self.fail(f"'{value}' is not a whole number", param, ctx)
         if not self.least <= number <= self.most:
             self.fail(f"{number} is not within {self.least} to {self.most}", param, ctx)
         return number
 
 
 COUNT = WholeNumber(0, LARGEST_INTEGER)
-# A finer grid takes tens of gigabytes before anything is solved; each problem has its own minimum.
+# A finer mesh takes tens of gigabytes before solving starts; the least number depends on the problem.
 GRID = WholeNumber(-LARGEST_INTEGER, 100_000)
 THREADS = WholeNumber(1, 1024)
 
@@ -58,7 +58,7 @@ def default_option(
     to: str | None = None,
     kind: click.ParamType | None = None,
 ) -> Callable[[_Command], _Command]:
-    """Return an option with a default that its help shows; ``to`` names its argument of the command."""
+    """Return an option with a default that its help shows; ``to`` names the command's argument."""
     names = (name,) if to is None else (name, to)
     return click.option(*names, default=default, type=kind, metavar=metavar, show_default=True, help=help)
 
@@ -76,27 +76,27 @@ def option_group(*options: Callable[[_Command], _Command]) -> Callable[[_Command
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 solver_option = default_option("--solver", "ipopt", "NAME", "ipopt, fatrop or sqp.")
-compile_option = default_option("--compile", "quick", "LEVEL", "none, quick or fast.")
+compile_option = default_option("--compile", "quick", "LEVEL", "Compilation: none, quick or fast.")
 grid_options = option_group(
     click.option(
         "--transcription", metavar="NAME", help="Scheme, e.g. legendre:2.  [default: the problem's]"
     ),
     click.option(
-        "--intervals", type=GRID, metavar="N", help="Over the whole schedule.  [default: the problem's]"
+        "--intervals", type=GRID, metavar="N", help="Number of intervals in all.  [default: the problem's]"
     ),
     solver_option,
 )
-tolerance_option = default_option("--tol", 1e-6, "TOL", "Tolerance.", to="tolerance")
+tolerance_option = default_option("--tol", 1e-6, "TOL", "Solver tolerance.", to="tolerance")
 function_options = option_group(
     compile_option,
-    default_option("--threads", 1, "N", "For functions.", kind=THREADS),
+    default_option("--threads", 1, "N", "Threads that evaluate functions.", kind=THREADS),
 )
 solver_options = option_group(
     default_option("--max-iterations", 500, "N", "Iteration limit of a solve.", kind=COUNT),
     default_option("--max-time", 600.0, "S", "Time limit of a solve, s."),
     function_options,
     click.option(
-        "--solver-option", "solver_options", multiple=True, metavar="NAME=VALUE", help="The solver's own."
+        "--solver-option", "solver_options", multiple=True, metavar="NAME=VALUE", help="Option of the solver."
     ),
 )
 layout_options = option_group(
@@ -105,9 +105,9 @@ layout_options = option_group(
         "layout",
         flag_value="side-by-side",
         default="overlaid",
-        help="Several files beside each other, not overlaid.",
+        help="Show several files side by side, not overlaid.",
     ),
-    click.option("--label", "labels", multiple=True, metavar="NAME", help="Name of a file, one for each."),
+    click.option("--label", "labels", multiple=True, metavar="NAME", help="Label of each file, in order."),
 )
 
 
@@ -120,18 +120,18 @@ def chosen_problem(name: str, settings: Sequence[str]) -> Problem:
 
 
 def import_in_background(module: str) -> None:
-    """Load a slow module while the solver runs without Python's lock."""
+    """Import a slow module in a thread while the solver, outside Python, runs."""
     threading.Thread(target=importlib.import_module, args=(module,), daemon=True).start()
 
 
 def parse_settings(settings: Sequence[str], option: str) -> dict[str, str]:
-    """Values by name of repeated NAME=VALUE; raises `InputError` for another form or a name given twice."""
+    """Values by name of repeated NAME=VALUE; raises `InputError` for a wrong form or a name given twice."""
     values: dict[str, str] = {}
     for setting in settings:
         name, equals, value = setting.partition("=")
         name = name.strip()
         if not (name and equals):
-            raise InputError(f"{option} '{setting}' is not of that form", "allowed: NAME=VALUE")
+            raise InputError(f"{option} '{setting}' has the wrong form", "allowed: NAME=VALUE")
         if name in values:
             raise InputError(f"{option} gives '{name}' twice: {values[name]} and {value}", "allowed: once")
         values[name] = value

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 @click.command("list")
 @click.argument("problems", nargs=-1, metavar="[PROBLEM]...")
 @click.option("--robot", metavar="NAME", help="Only problems that are tested on that robot.")
-@click.option("--brief", is_flag=True, help="One row a problem: name, robots, summary.")
+@click.option("--brief", is_flag=True, help="One row per problem: name, robots, summary.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def list_command(problems: tuple[str, ...], robot: str | None, brief: bool, as_json: bool) -> None:
-    """List problems with robots, phases and parameters: all, or those whose names fit, as in 'biped-*'."""
+    """List problems with robots, phases and parameters: all, or those that match patterns such as biped-*."""
     from trajopt.problem.catalogue import families
     from trajopt.study.suite.cases import select
 
@@ -32,7 +32,7 @@ def list_command(problems: tuple[str, ...], robot: str | None, brief: bool, as_j
         click.echo(to_json({"problems": [_family_dict(family) for family in listed]}))
     elif brief:
         rows = [(family.name, " ".join(family.robots), family.summary) for family in listed]
-        console().print(plain_table(("problem", "robots", "what it is"), rows, gap=2))
+        console().print(plain_table(("problem", "robots", "summary"), rows, gap=2))
     else:
         shown = console()
         for family in listed:

@@ -12,9 +12,9 @@ from trajopt.solution.output import check_apart
 @click.command("plot")
 @click.argument("files", nargs=-1, required=True, type=Path, metavar="FILE...")
 @click.option(
-    "-o", "--output", required=True, type=Path, metavar="OUT", help="Ends with .png, .svg, .pdf or .html."
+    "-o", "--output", required=True, type=Path, metavar="OUT", help="A .png, .svg, .pdf or .html file."
 )
-@click.option("--label", "labels", multiple=True, metavar="NAME", help="Of each file, in their order.")
+@click.option("--label", "labels", multiple=True, metavar="NAME", help="Label of each file, in order.")
 @click.option(
     "--page",
     "--pages",
@@ -29,7 +29,7 @@ def plot_command(
 ) -> None:
     """Plot the solution in FILE; several FILEs of one robot are overlaid.
 
-    Pages about what the robot does not have (contacts, drives, a base that moves) are left out.
+    Pages that do not apply to the robot (without contacts, drives or a moving base) are left out.
     """
     from trajopt.view.plotting.writing import write_plots
 

@@ -1,4 +1,4 @@
-"""The command line while a solver runs: Ctrl-C, a final deadline, and progress output."""
+"""While a solver runs: Ctrl-C, a final deadline, and the display of iterations."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from trajopt.solving.interruption import GRACE, Interruption, end_at_once, inter
 if TYPE_CHECKING:
     from trajopt.solving.monitoring import Watch
 
-# The value of ``log`` for a line per iteration on stderr.
+# Value of ``log`` for a line per iteration on stderr.
 LINES = "-"
-# The consequence of a second Ctrl-C during a solve.
+# Added to the message of a second Ctrl-C while a problem is solved.
 LOST = ", nothing was written"
 
 
 class SolveControl:
     """The progress callback of `trajopt.solve` that stops on Ctrl-C, and ends a solver that hangs.
 
-    From the first iteration on a press raises nothing: it stops the solver at its iterate. A solver that has
-    not returned ``GRACE`` seconds after its time limit ends the program, with nothing written. That is the
-    last resort: solvers check their limit between steps, FATROP within them too, and one factorisation of a
-    large problem may take long. A solver in another thread cannot be stopped from outside.
+    From the first iteration on, Ctrl-C raises nothing but stops the solver at its iterate. If a solver has
+    not returned ``GRACE`` seconds after its time limit, the program ends and nothing is written. That is the
+    last resort: solvers test their time limit between steps, FATROP within steps too, and one factorisation
+    of a large problem may take long. A solver in another thread cannot be stopped from outside.
     """
 
     def __init__(self, interruption: Interruption, max_time: float) -> None:
@@ -48,7 +48,7 @@ class SolveControl:
 
     @property
     def stopping(self) -> bool:
-        """Whether the solver is asked to stop."""
+        """Whether the solver has been asked to stop."""
         return self._started and self._interruption.pressed
 
     def settle(self) -> None:
@@ -71,10 +71,10 @@ class SolveControl:
 def watched(
     title: str, max_time: float, log: str | None = None, viewer: Watch | None = None
 ) -> Iterator[dict[str, Any]]:
-    """``progress`` and ``watch`` for solves of ``max_time`` s at most; Ctrl-C is as before afterwards.
+    """Yield ``progress`` and ``watch`` for solves of at most ``max_time`` s; restores Ctrl-C afterwards.
 
     What libraries print to stdout goes to stderr. On a terminal the watch shows the convergence. log: a file
-    for a table of all iterations, or ``-`` for a line an iteration on stderr, instead. viewer: another watch.
+    for a table of all iterations, or ``-`` for a line per iteration on stderr instead. viewer: another watch.
     Raises `InputError` for a file that cannot be written, and KeyboardInterrupt at the end if Ctrl-C came
     before the solver started.
     """
@@ -99,7 +99,7 @@ def watched(
             with interruption.raising():
                 yield {"progress": control, "watch": combine_watches(shown, table, viewer)}
         except Exception:
-            interruption.check()  # Ctrl-C may have caused the error
+            interruption.check()  # the error may have been caused by Ctrl-C
             raise
         finally:
             control.cancel_deadline()
@@ -107,14 +107,14 @@ def watched(
 
 
 def runs_to_its_end(work: Callable[[Callable[[], None]], object]) -> bool:
-    """Whether ``work`` is done, False if Ctrl-C ends it: its argument raises after a press."""
+    """Run ``work``; False if Ctrl-C ended it: the function passed to it raises after Ctrl-C."""
     with interruptible() as interruption, interruption.recording():
         try:
             work(interruption.check)
             complete = True
         except KeyboardInterrupt:
             complete = False
-        interruption.answer()  # also one that came after the end
+        interruption.answer()  # also a Ctrl-C after the work was done
     return complete
 
 

@@ -1,4 +1,4 @@
-"""``trajopt reference``: a converged solution that others are compared with."""
+"""``trajopt reference``: a converged solution, to compare others with."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 @click.argument("problem")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A parameter, e.g. yaw=45deg.")
 @default_option("--transcription", "legendre:3", "NAME", "Scheme.", to="scheme")
-@default_option("--solver", "ipopt", "NAME", "As of `solve`.")
+@default_option("--solver", "ipopt", "NAME", "As for `solve`.")
 @default_option("--tol", 1e-9, "TOL", "Tolerance.", to="tolerance")
-@default_option("--objective", 1e-5, "PART", "Agreement, relative.")
-@default_option("--distance", 1e-3, "PART", "Agreement, of the reach.")
-@default_option("--max-time", 600.0, "S", "Time limit in s.")
+@default_option("--objective", 1e-5, "PART", "Agreement of objectives, relative.")
+@default_option("--distance", 1e-3, "PART", "Agreement of motions, over the reach.")
+@default_option("--max-time", 600.0, "S", "Time limit, s.")
 @function_options
 @click.option(
     "-o", "--output", type=Path, metavar="FILE", help="Solution file.  [default: PROBLEM-reference.npz]"
@@ -40,7 +40,7 @@ def reference_command(
 ) -> int:
     """Solve PROBLEM on finer and finer meshes until two agree, and write the finest.
 
-    Exit status 1 when no two do within the time: the reason is printed, and no file written.
+    Exit status 1 when no two agree within the time limit: the reason is printed and no file is written.
     """
     from trajopt.solving.reference import Agreement, NoReferenceError, converged_reference
 

@@ -1,4 +1,4 @@
-"""The command ``trajopt render``."""
+"""``trajopt render``: a replay as a video, a GIF or a picture."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ class PictureSize(click.ParamType):
 @click.option(
     "--size", type=PictureSize(), metavar="WxH", help="Pixels.  [default: 1280x720, a .gif 640x360]"
 )
-@click.option("--fps", type=float, metavar="F", help="Pictures a second.  [default: 30, a .gif 25]")
-@default_option("--speed", 1.0, "S", "1 is real time.")
+@click.option("--fps", type=float, metavar="F", help="Pictures per second.  [default: 30, a .gif 25]")
+@default_option("--speed", 1.0, "S", "Playback speed, 1 is real time.")
 @click.option("--camera", metavar="NAME", help="overview, follow, side, front or top.")
 @click.option("--from", "start", type=float, metavar="S", help="Start there, s of the solution.")
 @click.option("--to", "end", type=float, metavar="S", help="End there, s of the solution.")
@@ -59,7 +59,7 @@ def render_command(
     labels: tuple[str, ...],
     **options: Any,
 ) -> None:
-    """Write the replay of FILE, or of several, to a video, an animated GIF or a picture."""
+    """Write the replay of FILE, or of several files, to a video, an animated GIF or a picture."""
     from trajopt.solution.solution import Solution
     from trajopt.view.replay.render import render
 
@@ -80,7 +80,7 @@ def render_command(
 
 @contextlib.contextmanager
 def _progress(title: str) -> Iterator[Callable[[int, int], None] | None]:
-    """A progress bar on stderr, removed at the end; nothing unless stderr is a terminal."""
+    """Progress bar on stderr, removed at the end; None if stderr is not a terminal."""
     if not sys.stderr.isatty():
         yield None
         return

@@ -1,4 +1,4 @@
-"""The command ``trajopt replay``."""
+"""``trajopt replay``: solutions in Meshcat, live or as a page."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from trajopt.solving.interruption import interruptible
 @click.argument("files", nargs=-1, required=True, type=Path, metavar="FILE...")
 @click.option("--html", type=Path, metavar="OUT", help="Write one self-contained page instead.")
 @click.option("--no-open", is_flag=True, help="Do not open a browser.")
-@default_option("--speed", 1.0, "S", "1 is real time.")
+@default_option("--speed", 1.0, "S", "Playback speed, 1 is real time.")
 @layout_options
 def replay_command(
     files: tuple[Path, ...],
@@ -27,7 +27,7 @@ def replay_command(
     layout: Literal["side-by-side", "overlaid"],
     labels: tuple[str, ...],
 ) -> None:
-    """Show FILE, or several in one picture, in Meshcat until Ctrl-C, or write them to a page."""
+    """Show FILE, or several files in one scene, in Meshcat until Ctrl-C, or write them to a page."""
     from trajopt.view.replay.show import replay, serve
 
     check_apart([html], files)
@@ -42,7 +42,7 @@ def replay_command(
     if shown.html is not None:
         click.echo(f"{shown.html}: {shown.duration:.2f} s, {shown.size / 1e6:.1f} MB")
         return
-    sys.stdout.flush()  # print the address before waiting
+    sys.stdout.flush()  # the address is printed before waiting
     with interruptible() as interruption, interruption.recording():
         click.echo("Ctrl-C stops the server", err=True)
         serve(shown, lambda: interruption.pressed)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from trajopt.certify.report import CheckReport
     from trajopt.solution.solution import Solution
 
-# Columns of a table that goes to a file or a pipe, which has no width.
+# Width in columns of a table that is written to a file or a pipe.
 PIPE_WIDTH = 120
 # Keys of a solution's meta that the JSON of a solve repeats unchanged.
 FROM_META = (
@@ -47,7 +47,7 @@ FROM_META = (
     "parameters",
 )
 
-# A cost of transport beyond this is that of a motion on the spot, and meaningless.
+# A cost of transport beyond this is that of a motion on the spot, for which it means nothing.
 MOST_TRANSPORT = 10.0
 
 # The figures of a check that a summary shows, each with a short name.
@@ -62,7 +62,7 @@ KEY_FIGURES = {
 
 @dataclass(frozen=True)
 class SolveReport:
-    """The outcome of a solve, with notes for its summary and further entries for its JSON."""
+    """Result of a solve, with notes for its summary and additional entries for its JSON."""
 
     solution: Solution
     reached: bool
@@ -84,7 +84,7 @@ def _finite(value: object) -> object:
 
 
 def solve_dict(solution: Solution, report: CheckReport | None, file: Path | None) -> dict[str, Any]:
-    """Return the JSON of a solve; ``accuracy`` and ``file`` are null where there are none."""
+    """Return the JSON of a solve; ``accuracy`` and ``file`` may be null."""
     from trajopt.certify.energy import cost_of_transport, energy
 
     meta = solution.meta
@@ -99,7 +99,7 @@ def solve_dict(solution: Solution, report: CheckReport | None, file: Path | None
 
 
 def console(width: int = PIPE_WIDTH) -> Console:
-    """Return a console for tables; ``width`` columns where it is no terminal."""
+    """Return a console for tables; ``width`` columns if stdout is not a terminal."""
     from rich.console import Console
 
     shown = Console(highlight=False, markup=False)
@@ -121,7 +121,7 @@ def plain_table(titles: Sequence[str], rows: Iterable[Sequence[str]], gap: int =
 
 
 def solve_summary(solution: Solution, report: CheckReport | None, file: Path | None, notes: list[str]) -> str:
-    """Summarise a solve in a few lines: what happened, how good it is, where the file is, what to do next."""
+    """Summarise a solve in a few lines: status, accuracy, file, next commands."""
     from trajopt.transcription.violations import describe_block
 
     meta = solution.meta
@@ -165,7 +165,7 @@ def _line(title: str, text: str) -> str:
 
 
 def _energy(solution: Solution) -> str:
-    """The energy that the joints draw, and the cost of transport of a robot that travels."""
+    """Energy drawn by the joints, and for a robot that travels the cost of transport."""
     from trajopt.certify.energy import cost_of_transport, energy
 
     drawn, transport = energy(solution), cost_of_transport(solution)

@@ -1,4 +1,4 @@
-"""``trajopt robot``: the contents of a description, torques needed to stand, and likely mistakes."""
+"""``trajopt robot``: joints, limits, torques needed to stand, and likely mistakes of a description."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 @click.command("robot")
 @click.argument("robot")
 @click.option(
-    "--base", metavar="KIND", help="Of a URDF: freeflyer, planar, virtual or fixed.  [default: guessed]"
+    "--base", metavar="KIND", help="Base of a URDF: freeflyer, planar, virtual or fixed.  [default: guessed]"
 )
 @click.option(
-    "--write", type=Path, metavar="FILE.py", help="Of a URDF: write a first robot file, to be edited."
+    "--write", type=Path, metavar="FILE.py", help="Write a first robot file for a URDF, to be edited."
 )
 @click.option(
     "--html", type=Path, metavar="OUT", help="Write a page that shows the reference posture at rest."
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 def robot_command(robot: str, base: str | None, write: Path | None, html: Path | None, as_json: bool) -> None:
     """Print joints, limits, contacts, torques needed to stand, and warnings of ROBOT.
 
-    ROBOT is a name (as in --set robot=go2), a .py file with build() -> Robot, or a .urdf file, whose base,
-    feet and posture are then guessed from its geometry: --write makes a .py file of that. Warnings do not
+    ROBOT is a name (as in --set robot=go2), a .py file with build() -> Robot, or a .urdf file, for which
+    base, feet and posture are guessed from the geometry: --write saves them as a .py file. Warnings do not
     change the exit status.
     """
     from trajopt.robot.inspection.report import robot_report
@@ -64,7 +64,9 @@ def _loaded(name: str, base: str | None, write: Path | None) -> Robot:
         return guessed(Path(name), cast("Base | None", base))
     for option, value in (("--base", base), ("--write", write)):
         if value is not None:
-            raise InputError(f"{option} is for a .urdf file, and {name} is none", "a path that ends in .urdf")
+            raise InputError(
+                f"{option} needs a .urdf file, and {name} is not one", "a path that ends in .urdf"
+            )
     from trajopt.robot.catalogue import robot
 
     return robot(name)

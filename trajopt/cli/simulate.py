@@ -1,4 +1,4 @@
-"""``trajopt simulate``: a plan in MuJoCo, with its torques and feedback of the joints."""
+"""``trajopt simulate``: run a plan in MuJoCo with its torques and joint feedback."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from trajopt.solution.output import check_apart, check_output
 @click.argument("file", type=Path)
 @click.option("--output", "-o", type=Path, metavar="SIM", help="Save the simulated motion as a solution.")
 @click.option("--html", type=Path, metavar="BOTH", help="Write a page that shows plan and simulation.")
-@default_option("--cycles", 1, "N", "Of a periodic plan.", kind=COUNT)
-@default_option("--kp", 1.0, "X", "Factor on gains of positions.")
-@default_option("--kd", 1.0, "X", "Factor on gains of rates.")
+@default_option("--cycles", 1, "N", "Cycles of a periodic plan.", kind=COUNT)
+@default_option("--kp", 1.0, "X", "Factor on position gains.")
+@default_option("--kd", 1.0, "X", "Factor on velocity gains.")
 @click.option("--timestep", type=float, metavar="S", help="Longest step of the physics.  [default: derived]")
-@default_option("--control-rate", 1000.0, "HZ", "Of the controller.")
+@default_option("--control-rate", 1000.0, "HZ", "Rate of the controller.")
 @default_option("--friction-scale", 1.0, "X", "Factor on friction.")
 @default_option("--mass-scale", 1.0, "X", "Factor on masses and inertias.")
-@default_option("--noise", 0.0, "SIGMA", "Error of the start.")
+@default_option("--noise", 0.0, "SIGMA", "Noise on the initial state, natural units.")
 @default_option("--seed", 0, "K", "Seed of --noise.", kind=COUNT)
-@default_option("--push", 0.0, "N", "Force on the base to its left, in mid motion.")
+@default_option("--push", 0.0, "N", "Force on the base to its left, halfway, N.")
 @json_option
 def simulate_command(
     file: Path, output: Path | None, html: Path | None, as_json: bool, **settings: Any
 ) -> int:
-    """Run the plan in FILE in MuJoCo and report how it is tracked.
+    """Run the plan in FILE in MuJoCo and report how well it is tracked.
 
     The model is made from the file alone. Exit status 0 when the plan is tracked, 1 when the robot falls or
     ends too far from it, 2 for bad input.

@@ -1,4 +1,4 @@
-"""``trajopt solve``: a problem of the catalogue to a solution file."""
+"""``trajopt solve``: solve a problem of the catalogue and write a solution file."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ if TYPE_CHECKING:
 @default_option("--hessian", "exact", "NAME", "exact, gauss-newton or limited-memory.")
 @tolerance_option
 @default_option("--seed", 0, "K", "Seed of --perturb.", kind=COUNT)
-@default_option("--perturb", 0.0, "SIGMA", "Noise on the guess, scaled units.")
+@default_option("--perturb", 0.0, "SIGMA", "Noise on the guess, in scaled units.")
 @solver_options
-@click.option("--smallest", is_flag=True, help="Solve only what the scene requires, for the whole robot.")
-@click.option("--explain", is_flag=True, help="The same; first say what is modelled, left out, and why.")
+@click.option("--smallest", is_flag=True, help="Solve the smallest model that the task requires.")
+@click.option("--explain", is_flag=True, help="As --smallest; print what is modelled, left out, and why.")
 @click.option("--keep", multiple=True, metavar="JOINT", help="A joint that --smallest must not lock.")
 @warm_options
 @aim_options
@@ -66,19 +66,19 @@ def solve_command(
 ) -> int:
     """Solve PROBLEM and write the solution file.
 
-    PROBLEM is solved as it is built. With --smallest or --explain joints that nothing needs are locked and a
-    symmetric task is solved in the plane; the file holds the motion of the whole robot all the same.
-    With --accuracy or --budget scheme, grid and solver are chosen from measured fronts, what is reached is
-    measured, and the mesh is refined where it falls short of the accuracy.
+    By default PROBLEM is solved as built. With --smallest or --explain, joints that the task does not need
+    are locked and a symmetric task is solved for half of the robot; the file holds the whole robot's motion.
+    With --accuracy or --budget, scheme, mesh and solver are chosen from measured fronts; with --accuracy the
+    error is measured, and the mesh refined until it is small enough.
 
-    Exit status 0 when the solver has solved it, and to the accuracy or in the time that was asked for, 1 when
-    not: the file then holds its last iterate, and its status and worst rows are printed. Ctrl-C stops the
-    solver, keeps that iterate and ends with 1.
+    Exit status 0 when the problem is solved, with --accuracy or --budget within that target, 1 when not: the
+    file then holds the last iterate, and the status and the most violated constraints are printed. Ctrl-C
+    stops the solver, keeps the last iterate and ends with 1.
     """
     options = options_of(solver_options)
     loaded = chosen_problem(problem, settings)
     target = check_output(output or Path(f"{problem}.npz"))
-    if arguments["log"] not in (None, "-"):  # the solution may overwrite the start, a table may not
+    if arguments["log"] not in (None, "-"):  # the solution may overwrite the start file, the table may not
         start, log = arguments.get("start"), Path(arguments["log"])
         check_apart([target, log], [])
         check_apart([log], [Path(start)] if start else [])
@@ -113,7 +113,7 @@ def solve_command(
 
 
 def _saved(solution: Solution, target: Path) -> tuple[Path | None, list[str]]:
-    """Write the solution; an iterate that is not finite has no file, and a note says so."""
+    """Write the solution; an iterate that is not finite is not written, and a note says so."""
     from trajopt.solution.file import consistent_meta
 
     try:
@@ -130,7 +130,7 @@ def _checked(solution: Solution, notes: list[str], advice: str) -> CheckReport |
     from trajopt.certify.check import check
 
     try:
-        with np.errstate(all="ignore"):  # an iterate far from a solution may overflow: its figures show it
+        with np.errstate(all="ignore"):  # an iterate of a failed solve may overflow; its figures show that
             report = check(solution)
     except (TrajoptError, ArithmeticError, ValueError) as error:
         notes.append(f"accuracy cannot be computed: {error}")

@@ -1,4 +1,4 @@
-"""``trajopt suite``: every problem on every robot, compared with earlier results."""
+"""``trajopt suite``: every problem on every robot, compared with regression data."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from trajopt.study.suite.records import SuiteRecords
     from trajopt.study.suite.settings import SuiteSettings
 
-# Width of the table in a file or a pipe: no column is folded.
+# Width in columns of a table that is written to a file or a pipe: no column is folded.
 PIPE_WIDTH = 170
 # Options that take every word up to the next option, as in ``--robots solo12 go2``.
 LISTS = ("--problems", "--robots")
@@ -67,19 +67,19 @@ def _each(option: str, words: str) -> list[str]:
 @click.command(cls=ListCommand)
 @click.option("--problems", multiple=True, metavar="GLOB...", help="Names or patterns.  [default: all]")
 @click.option("--robots", multiple=True, metavar="NAME...", help="Robots, or .py files.  [default: all]")
-@default_option("--perturbed", 0, "K", "Noisy starts of each pair.", kind=COUNT)
-@default_option("--sigma", 0.1, "SIGMA", "Their noise, scaled units.")
-@click.option("--jobs", type=THREADS, metavar="N", help="Processes at a time.  [default: the processors]")
+@default_option("--perturbed", 0, "K", "Perturbed starts per pair.", kind=COUNT)
+@default_option("--sigma", 0.1, "SIGMA", "Noise of perturbed starts, scaled units.")
+@click.option("--jobs", type=THREADS, metavar="N", help="Parallel processes.  [default: all processors]")
 @solver_option
 @default_option("--max-iterations", 500, "N", "Iteration limit.", kind=COUNT)
-@default_option("--max-time", 300.0, "S", "Time limit of a solve.")
+@default_option("--max-time", 300.0, "S", "Time limit of a solve, s.")
 @compile_option
-@click.option("--simulate", is_flag=True, help="Run what is solved of legged robots in MuJoCo, too.")
+@click.option("--simulate", is_flag=True, help="Also run solved plans of legged robots in MuJoCo.")
 @click.option("--output-dir", type=Path, metavar="DIR", help="Write results and solution files there.")
-@click.option("--resume", is_flag=True, help="Go on from the results in --output-dir.")
-@click.option("--update", type=Path, metavar="FILE", help="Write the pairs' bands to FILE.")
+@click.option("--resume", is_flag=True, help="Continue from the results in --output-dir.")
+@click.option("--update", type=Path, metavar="FILE", help="Write the bands of the pairs to FILE.")
 @click.option("--compare", type=Path, metavar="FILE", help="Compare with the bands in FILE.")
-@click.option("--list", "only_list", is_flag=True, help="List the pairs and run none.")
+@click.option("--list", "only_list", is_flag=True, help="List the pairs without solving.")
 @json_option
 def suite(
     problems: tuple[str, ...],
@@ -93,12 +93,12 @@ def suite(
     as_json: bool,
     **arguments: Any,
 ) -> int:
-    """Run every problem on every robot it is for, and print what was found.
+    """Solve every problem on every robot it is made for, and print the results.
 
-    Each pair is solved from its default guess at default settings, checked, and solved from --perturbed noisy
-    starts. With --simulate the plan of every legged robot is run in MuJoCo, too. Exit status 0 when all pairs
-    are solved and within the check (and within their bands with --compare; without them --simulate allows no
-    fall), 1 when not, 130 after Ctrl-C: what is done by then is printed.
+    Each pair is solved from its default guess at default settings, checked, and solved from --perturbed
+    starts. With --simulate the plans of legged robots are also run in MuJoCo. Exit status 0 when all pairs
+    are solved and pass the check (with --compare also within their bands, with --simulate alone without a
+    fall), 1 when not, 130 after Ctrl-C, which prints the results so far.
     """
     from trajopt.problem.catalogue import families
     from trajopt.study.suite import data
@@ -114,11 +114,11 @@ def suite(
         _print_cases(cases, as_json)
         return 0
     if resume and output_dir is None:
-        raise InputError("--resume has no results to go on from", "allowed: with --output-dir DIR")
+        raise InputError("--resume has no results to continue from", "allowed: with --output-dir DIR")
     if settings.simulate:
         from trajopt.certify.simulation.bodies import mujoco_package
 
-        mujoco_package()  # raises before anything is run, as for files that cannot be read or written
+        mujoco_package()  # refused before solving, as are files that cannot be read or written
     target = None if update is None else check_output(update)
     old = data.read(target)[0] if target is not None and target.exists() else {}
     bands = None if compare is None else data.read(compare)[0]
@@ -153,7 +153,7 @@ def _processors() -> int:
 def _run(
     cases: Sequence[Case], settings: SuiteSettings, records: SuiteRecords, resume: bool, jobs: int
 ) -> tuple[list[Outcome], bool]:
-    """Outcomes sorted by pair, and whether they are complete: Ctrl-C leaves those that are done."""
+    """Outcomes sorted by pair, and whether all pairs were run: after Ctrl-C only those finished so far."""
     from trajopt.study.suite.pool import run_all
     from trajopt.study.suite.table import outcome_line
     from trajopt.study.workers.display import TaskDisplay

@@ -1,4 +1,4 @@
-"""``trajopt sweep``: one problem at many settings, timed, its accuracy measured, the front drawn."""
+"""``trajopt sweep``: time and accuracy of one problem at many settings, and their Pareto front."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from trajopt.study.sweep.records import SweepRecords, SweepRequest
     from trajopt.study.sweep.summary import Summary
 
-# Width of the table in a file or a pipe: no column is folded.
+# Width in columns of a table that is written to a file or a pipe: no column is folded.
 PIPE_WIDTH = 150
 PLOT = "front.png"
 
@@ -32,7 +32,7 @@ def _values(kind: Callable[[str], Any], what: str) -> Callable[..., tuple[Any, .
         try:
             found = tuple(kind(word) for word in words)
         except ValueError:
-            raise click.BadParameter(f"'{text}' is no list of {what}", ctx, option) from None
+            raise click.BadParameter(f"'{text}' is not a list of {what}", ctx, option) from None
         if text is not None and not all(words):
             raise click.BadParameter(f"'{text}' has an empty entry", ctx, option)
         return found
@@ -48,25 +48,27 @@ NUMBER_LIST = _values(float, "numbers")
 @click.argument("problem")
 @click.option("--set", "values", multiple=True, metavar="NAME=VALUE", help="A parameter of the problem.")
 @click.option("--transcription", callback=WORD_LIST, metavar="A,B", help="Schemes, e.g. legendre:1,radau:2.")
-@click.option("--intervals", callback=COUNT_LIST, metavar="N,M", help="Numbers over the whole schedule.")
+@click.option("--intervals", callback=COUNT_LIST, metavar="N,M", help="Numbers of intervals in all.")
 @click.option("--solver", callback=WORD_LIST, metavar="A,B", help="ipopt, fatrop, sqp.")
 @click.option("--tol", "tolerance", callback=NUMBER_LIST, metavar="T,U", help="Tolerances.")
 @click.option("--hessian", callback=WORD_LIST, metavar="A,B", help="exact, gauss-newton, limited-memory.")
 @click.option("--compile", callback=WORD_LIST, metavar="A,B", help="none, quick, fast.")
-@click.option("--cone", callback=WORD_LIST, metavar="A,B", help="smooth, pyramid: friction of points.")
+@click.option("--cone", callback=WORD_LIST, metavar="A,B", help="smooth, pyramid: of point contacts.")
 @click.option("--model", callback=WORD_LIST, metavar="A,B", help="full, two-stage: torques after the motion.")
-@click.option("--start", callback=WORD_LIST, metavar="A,B", help="cold, warm: from half the intervals.")
-@click.option("--also", multiple=True, metavar="WORDS", help="One more: 'legendre:1@10 fatrop 1e-3'.")
-@click.option("--full", is_flag=True, help="All combinations of what is named.")
-@default_option("--repeats", 2, "K", "Perturbed starts of a setting.", kind=COUNT)
-@default_option("--perturb", 0.1, "SIGMA", "Their noise, scaled units.", to="sigma")
-@default_option("--max-iterations", 500, "N", "Of each solve.", kind=COUNT)
-@default_option("--max-time", 60.0, "S", "Of each solve.")
+@click.option("--start", callback=WORD_LIST, metavar="A,B", help="cold, warm: start from half the intervals.")
+@click.option("--also", multiple=True, metavar="WORDS", help="Another setting: 'legendre:1@10 fatrop 1e-3'.")
+@click.option("--full", is_flag=True, help="All combinations of the values given.")
+@default_option("--repeats", 2, "K", "Perturbed starts per setting.", kind=COUNT)
+@default_option("--perturb", 0.1, "SIGMA", "Noise of perturbed starts, scaled units.", to="sigma")
+@default_option("--max-iterations", 500, "N", "Iteration limit of a solve.", kind=COUNT)
+@default_option("--max-time", 60.0, "S", "Time limit of a solve, s.")
 @default_option("--reference", 300.0, "S", "Time for the converged reference; 0: none.", to="reference_time")
-@default_option("--jobs", 1, "N", "Timed processes.", kind=THREADS)
-@click.option("--output-dir", type=Path, metavar="DIR", help="Results.  [default: PROBLEM-sweep]")
-@click.option("--resume", is_flag=True, help="Go on in --output-dir.")
-@click.option("--list", "only_list", is_flag=True, help="List the settings and run none.")
+@default_option("--jobs", 1, "N", "Timed processes in parallel.", kind=THREADS)
+@click.option(
+    "--output-dir", type=Path, metavar="DIR", help="Folder for the results.  [default: PROBLEM-sweep]"
+)
+@click.option("--resume", is_flag=True, help="Continue the sweep in --output-dir.")
+@click.option("--list", "only_list", is_flag=True, help="List the settings without solving.")
 @json_option
 def sweep(
     problem: str,
@@ -80,12 +82,12 @@ def sweep(
     as_json: bool,
     **arguments: Any,
 ) -> int:
-    """Solve PROBLEM at many settings: how long each takes, how accurate it is, which are worth having.
+    """Solve PROBLEM at many settings: time and accuracy of each, and the Pareto front.
 
     An axis with one value holds for all settings; axes with several values are varied one at a time around
-    the problem's own setting, schemes with intervals as a grid. Without any a default plan is run. Writes
-    runs.csv, settings.csv, front.csv and front.png. Exit status 0 when the problem's own setting was solved,
-    1 when not, 130 after Ctrl-C: what is done by then is written, and --resume goes on from it.
+    the default setting, schemes and intervals as a grid. Without any axis a default plan is run. Writes
+    runs.csv, settings.csv, front.csv and front.png. Exit status 0 when the default setting was solved, 1 when
+    not, 130 after Ctrl-C: the results so far are written, and --resume continues from them.
     """
     from trajopt.study.suite.versions import versions
     from trajopt.study.sweep.cores import cores_for
@@ -114,7 +116,7 @@ def sweep(
     else:
         _print(plan, records, rows)
     if not complete:
-        click.echo(f"trajopt: cancelled; --resume --output-dir {folder} goes on", err=True)
+        click.echo(f"trajopt: cancelled; continue with --resume --output-dir {folder}", err=True)
         return CANCELLED
     return 0 if any(row.is_default and math.isfinite(row.time) for row in rows) else NOT_REACHED
 
@@ -151,7 +153,7 @@ def _found(plan: SweepPlan, records: SweepRecords, settings: Sequence[dict[str, 
 
 
 def _print(plan: SweepPlan, records: SweepRecords, rows: Sequence[Summary]) -> None:
-    """The table, with notes."""
+    """Print the table, with notes below it."""
     from trajopt.study.sweep.summary import disturbance
     from trajopt.study.sweep.tables import summary_table
 

@@ -1,4 +1,4 @@
-"""Options of ``trajopt solve`` to start from other solutions: a file, or coarser grids."""
+"""``trajopt solve --start`` and ``--ladder``: warm starts from a file, or from coarser meshes."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ LADDER_FORM = "allowed: SCHEME@INTERVALS,..., such as legendre:1@15,legendre:2@5
 
 warm_options = option_group(
     click.option("--start", type=Path, metavar="FILE", help="Solution file to start from."),
-    click.option("--ladder", metavar="GRIDS", help="Coarse to fine, e.g. legendre:1@15,legendre:2@50."),
-    click.option("--compare", is_flag=True, help="With either: solve from the default guess, too."),
+    click.option(
+        "--ladder", metavar="GRIDS", help="Coarse to fine meshes, e.g. legendre:1@15,legendre:2@50."
+    ),
+    click.option("--compare", is_flag=True, help="Also solve from the default guess."),
 )
 
 
@@ -43,15 +45,15 @@ def solve_warm(
     grid = (settings.pop("transcription"), settings.pop("intervals"))
     if ladder is not None and grid != (None, None):
         raise InputError(
-            "--ladder is given with a grid of its own", "allowed: without --transcription, --intervals"
+            "--ladder and a single mesh are both given", "allowed: without --transcription, --intervals"
         )
     if compare and start is None and ladder is None:
         raise InputError("--compare has nothing to compare", "allowed: with --start or --ladder")
     rungs = [grid] if ladder is None else parse_ladder(ladder)
     known = None if start is None else solution_of(start)
     most = settings["max_time"] * (len(rungs) + compare)
-    with watched(title, most, log, viewer) as told:
-        found = solve_ladder(problem, rungs, start=known, compare=compare, **told, **settings)
+    with watched(title, most, log, viewer) as callbacks:
+        found = solve_ladder(problem, rungs, start=known, compare=compare, **callbacks, **settings)
     if len(found.rungs) == 1 and found.cold is None:
         return SolveReport(found.solution, found.solution.success)
     figures = found.to_dict()
@@ -59,18 +61,18 @@ def solve_warm(
 
 
 def parse_ladder(text: str) -> list[tuple[str | None, int | None]]:
-    """Rungs of ``legendre:1@15,legendre:2@50``; raises `InputError` for another form."""
+    """Rungs of ``legendre:1@15,legendre:2@50``; raises `InputError` for a wrong form."""
     rungs: list[tuple[str | None, int | None]] = []
     for rung in text.split(","):
         name, at, count = rung.strip().partition("@")
         if not (name and at and count.isascii() and count.isdigit()):
-            raise InputError(f"rung '{rung}' of --ladder is not of that form", LADDER_FORM)
+            raise InputError(f"rung '{rung}' of --ladder has the wrong form", LADDER_FORM)
         rungs.append((name, int(count)))
     return rungs
 
 
 def _lines(figures: dict[str, Any]) -> list[str]:
-    """The summary of the rungs and of the comparison."""
+    """Lines of the summary: the rungs, and the comparison."""
     lines = [
         f"{rung['transcription']}, {rung['intervals']} intervals: {_found(rung)}" for rung in figures["rungs"]
     ]

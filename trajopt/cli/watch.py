@@ -42,9 +42,9 @@ def open_viewer(watch: bool) -> Viewer | None:
 
 
 def show_until_interrupted(viewer: Viewer | None, solution: Solution) -> None:
-    """Show the solution until Ctrl-C; without a terminal end the viewer: a script must not hang.
+    """Show the solution until Ctrl-C; without a terminal close the viewer at once: a script must not hang.
 
-    It also ends on a Ctrl-C that came too late to stop the solver.
+    A Ctrl-C that came too late to stop the solver closes it too.
     """
     if viewer is None:
         return

@@ -95,7 +95,7 @@ class MeshSolve:
     other_optimum: bool = False
 
     def __str__(self) -> str:
-        text = f"{self.scheme}, {self.intervals} intervals, {self.unknowns} unknowns: {self.status}"
+        text = f"{self.scheme}, {self.intervals} intervals, {self.unknowns} variables: {self.status}"
         text += f" in {self.iterations} iterations, {self.seconds:.1f} s"
         if self.objective is not None:
             text += f", objective {self.objective:.9g}"
