@@ -17,7 +17,7 @@ from trajopt.dynamics.virtual_base import virtual_model
 from trajopt.errors import InputError, first_line
 from trajopt.robot.building import sagittal
 
-# How urdfdom begins a line that says what is wrong.
+# Prefix of urdfdom's error messages.
 COMPLAINT = "Error:"
 
 
@@ -63,7 +63,7 @@ def _stderr_kept(lines: list[str]) -> Iterator[None]:
 
 
 def require_xml(source: Path) -> None:
-    """Raise `InputError`, with line and column, for a file that is no XML: parsers of URDF print lines."""
+    """Raise `InputError`, with line and column, for a file that is not XML: URDF parsers print instead."""
     try:
         ElementTree.parse(source)
     except (ElementTree.ParseError, ValueError) as error:  # the second: an unknown encoding
@@ -73,8 +73,8 @@ def require_xml(source: Path) -> None:
 def read_mjcf(path: str | Path, base: Base | None) -> pin.Model:
     """Read an MJCF file; ``base=None`` takes the base that the file has.
 
-    A file with a free joint of its own gives a floating base, whatever else is asked for:
-    a different ``base`` raises `InputError`. A file without one gets the base asked for.
+    A file with a free joint of its own has a floating base: a different ``base`` raises `InputError`. A file
+    without one gets the requested base.
     """
     source = existing_file(path, "MJCF")
     try:
