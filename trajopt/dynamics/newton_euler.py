@@ -42,7 +42,7 @@ class JointForces:
     force, moment: (n, 3) what the parent link exerts on the link through the joint, N and N m, at the joint's
         origin, in the axes of the link.
     constraint_force, constraint_moment: (n, 3) the part of it that the bearing carries: its component outside
-    the joint's motion subspace. It does no work.
+        the joint's motion subspace. It does no work.
     """
 
     joints: tuple[str, ...]

@@ -54,7 +54,7 @@ class Problem:
         schedule: its contacts over time.
         terrain: the ground.
         initial_q: configuration at the start (nq,). With a ``periodicity`` the start is free, and this is the
-        reference of its rotations and fixes the motion's position in the world.
+            reference of its rotations and fixes the motion's position in the world.
         initial_v: velocity at the start (nv,).
         terms: costs and constraints.
         guess: time in s -> configuration (nq,), a motion that follows the schedule and is defined a little
@@ -66,7 +66,7 @@ class Problem:
             "velocity", where configurations are the state, contacts do not slide and a free base is in static
             balance.
         dynamics: constraints that hold for every motion of this robot, default those of the actuation; a
-        reduced model has its own.
+            reduced model has its own.
         modes: minimal coordinates of phases, by the phase's name.
         periodicity: makes the final state the image of the start, which is then free.
         duration_bounds: (lower, upper) in s of the total duration, some of whose phases are free.

@@ -42,8 +42,8 @@ class Gait:
 
     Args:
         name: of the gait.
-        duty: stance of every foot as a fraction of the period, one number for all or one by foot; 1 never
-        lifts it.
+        duty: stance of every foot as a fraction of the period, one number for all or one per foot; 1 never
+            lifts it.
         offsets: touchdown of every foot as a fraction of the period, taken modulo 1.
 
     Raises:
@@ -104,7 +104,7 @@ class Gait:
         )
 
     def with_duty(self, duty: Mapping[str, float] | float) -> Gait:
-        """This gait with other duty factors, one for all or one by foot."""
+        """This gait with other duty factors, one for all or one per foot."""
         return replace(self, duty=duty)
 
     def stands(self, foot: str, fraction: float) -> bool:

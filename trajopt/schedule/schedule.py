@@ -33,13 +33,13 @@ class Phase:
         impact: whether contacts that begin with the phase land by a rigid impact, in which velocities jump,
             instead of at zero velocity.
         surfaces: what active contacts touch instead of the terrain, by their names: a wall, a step, a
-        handrail.
+            handrail.
         patches: bounded faces, by the contact's name: a contact that begins with the phase lands anywhere on
             its patch, and stays there while it holds.
 
     Raises:
         InputError: for durations that are not positive, and inconsistent contacts, footholds, surfaces or
-        patches.
+            patches.
     """
 
     name: str

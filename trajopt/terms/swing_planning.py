@@ -40,7 +40,7 @@ def swing_clearance(
         terrain: the ground.
         height: clearance in mid swing, m.
         guess: motion t -> q (nq,). On piecewise ground it gives the start and end of each contact's swing
-        where no foothold does, and when it passes edges.
+            where no foothold does, and when it passes edges.
 
     Raises:
         InputError: for a clearance that is negative or not finite.

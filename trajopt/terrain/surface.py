@@ -43,8 +43,8 @@ class Surface:
         normal: from it to the robot (3,), world; made a unit vector.
         friction: Coulomb's coefficient.
         bilateral: whether it holds the contact (a grasp, a handrail, a bolt). Then it transmits any wrench of
-        the contact's kind, and neither friction nor unilateral rows apply; the normal only determines how a
-        contact lands on it.
+            the contact's kind, and neither friction nor unilateral rows apply; the normal only determines how
+            a contact lands on it.
         slip_speed: m/s; with it a point contact slides along the surface, against its friction (see
             `trajopt.terms.sliding`).
 

@@ -1,9 +1,8 @@
 """Problem + mesh -> rows, bounds, scales and groups of point functions: the structure of the NLP.
 
 Rows of stage k, in order: the gap rows ``x_(k+1) - F(x_k, u_k) = 0`` with an identity block in
-x_(k+1); the rows of each collocation point, or of an impact; the rows at node k. Every row is divided by
-its natural unit, every variable is measured in its natural unit, so that one tolerance means the same
-everywhere.
+x_(k+1); the rows of each collocation point, or of an impact; the rows at node k. Every row and every variable
+is measured in its natural unit, so that one tolerance means the same everywhere.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from trajopt.robot.robot import Robot
 
 # Weight of the balance equations relative to the norm of the forces: their residuals do not show in a report.
 BALANCE_WEIGHT = 1e4
-# Tolerance on the base rows: residuals below this fraction of the weight (and weight times length).
+# Base rows with residuals below this fraction of the weight (and weight times length) are in balance.
 BALANCED = 1e-3
 
 

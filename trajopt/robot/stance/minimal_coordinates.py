@@ -146,7 +146,7 @@ def stance_mode(robot: Robot, contact: str, *, anchor: ArrayLike | None = None) 
 
     Raises:
         InputError: for a base other than "freeflyer" or "planar", a sole, a contact that is not on a limb of
-        the base, or a planar robot whose joints from base to contact leave the plane.
+            the base, or a planar robot whose joints from base to contact leave the plane.
         UnsupportedJointError: for a joint on the way with more than one degree of freedom.
     """
     if robot.base not in ("freeflyer", "planar"):
