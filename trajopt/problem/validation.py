@@ -64,7 +64,8 @@ def require_phases(problem: str, robot: Robot, schedule: Schedule) -> None:
     names = schedule.names
     if len(set(names)) != len(names):
         raise InputError(
-            f"problem '{problem}' has two phases of one name: {', '.join(names)}", "allowed: a name each"
+            f"problem '{problem}' has two phases of the same name: {', '.join(names)}",
+            "allowed: different names",
         )
     for phase in schedule.phases:
         for contact in phase.contacts:

@@ -20,7 +20,7 @@ from trajopt.robot.robot import Robot
 
 # A contact this part of the robot's length above the lowest one is a hand or a knee, not a foot.
 LIFTED = 0.1
-# Feet nearer to each other along an axis than this part of the robot's length are not told apart on it.
+# Feet closer along an axis than this fraction of the robot's length cannot be distinguished by it.
 APART = 0.02
 
 # A joint nearer to the one before it than this part of the robot's length is at the same place.

@@ -18,7 +18,7 @@ from trajopt.errors import InputError, first_line
 from trajopt.robot.building import sagittal
 
 # Prefix of urdfdom's error messages.
-COMPLAINT = "Error:"
+ERROR_PREFIX = "Error:"
 
 
 def read_urdf(path: str | Path, base: Base) -> pin.Model:
@@ -26,9 +26,9 @@ def read_urdf(path: str | Path, base: Base) -> pin.Model:
     source = existing_file(path, "URDF")
     require_base(base)
     require_xml(source)
-    said: list[str] = []
+    messages: list[str] = []
     try:
-        with _stderr_kept(said):
+        with _captured_stderr(messages):
             if base == "fixed":
                 return pin.buildModelFromUrdf(str(source))
             if base == "planar":
@@ -36,13 +36,15 @@ def read_urdf(path: str | Path, base: Base) -> pin.Model:
             model = pin.buildModelFromUrdf(str(source), pin.JointModelFreeFlyer())
         return virtual_model(model) if base == "virtual" else model
     except (ValueError, RuntimeError) as error:
-        complaints = [line.removeprefix(COMPLAINT).strip(" .") for line in said if line.startswith(COMPLAINT)]
-        reason = "; ".join(complaints) or first_line(error)
+        errors = [
+            line.removeprefix(ERROR_PREFIX).strip(" .") for line in messages if line.startswith(ERROR_PREFIX)
+        ]
+        reason = "; ".join(errors) or first_line(error)
         raise InputError(f"{source} is not a readable URDF file: {reason}") from None
 
 
 @contextmanager
-def _stderr_kept(lines: list[str]) -> Iterator[None]:
+def _captured_stderr(lines: list[str]) -> Iterator[None]:
     """Add what libraries write to the process's stderr to ``lines``, and pass it on unless they fail."""
     sys.stderr.flush()
     with tempfile.TemporaryFile() as file:

@@ -169,7 +169,7 @@ class Robot:
     def with_locked(self, joints: Sequence[str], reference: ArrayLike | None = None) -> Robot:
         """Return this robot with ``joints`` welded at their value in ``reference`` (nq,), default its own."""
         at = self.reference if reference is None else np.asarray(reference, dtype=float)
-        replace(self, reference=at)  # refuses a reference of wrong shape or outside the limits
+        replace(self, reference=at)  # rejects a reference of wrong shape or outside the limits
         model = building.locked_model(self.model, joints, at)
         q, v = building.joint_entries(self.model, list(model.names)[1:])
         return replace(

@@ -47,7 +47,7 @@ class Target:
         if (self.frame is None) != (self.position is None and self.rotation is None):
             raise InputError("a target has a frame without a place, or a place without a frame", "both")
         if self.frame is None and self.q is None:
-            raise InputError("a target asks for nothing", "a frame's place, or a configuration q")
+            raise InputError("a target is empty", "a frame's place, or a configuration q")
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""

@@ -28,7 +28,7 @@ def solution_of(given: SolutionOrFile) -> Solution:
         return given
     if isinstance(given, str | Path):
         return Solution.load(given)
-    raise InputError(f"{given!r:.60} is no solution", "allowed: a Solution or the path of its file")
+    raise InputError(f"{given!r:.60} is not a solution", "allowed: a Solution or the path of its file")
 
 
 def solutions_of(given: SolutionOrFile | Iterable[SolutionOrFile]) -> list[Solution]:

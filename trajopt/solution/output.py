@@ -48,7 +48,7 @@ def _require_file(target: Path) -> None:
         if target.is_dir():
             raise InputError(f"cannot write {target}: it is a folder", ALLOWED)
         if target.exists() and not target.is_file():
-            raise InputError(f"cannot write {target}: it is no regular file", ALLOWED)
+            raise InputError(f"cannot write {target}: it is not a regular file", ALLOWED)
 
 
 def check_apart(targets: Sequence[Path | None], sources: Sequence[Path]) -> None:
@@ -58,9 +58,9 @@ def check_apart(targets: Sequence[Path | None], sources: Sequence[Path]) -> None
     for target in filter(None, targets):
         place = _place(target)
         if place in read:
-            raise InputError(f"{target} is what is read", "allowed: another name for what is written")
+            raise InputError(f"{target} is an input file", "allowed: another name for the output")
         if place in written:
-            raise InputError(f"{target} is written twice", "allowed: a name of its own for each")
+            raise InputError(f"{target} is written twice", "allowed: different names")
         written.add(place)
 
 

@@ -22,7 +22,7 @@ class Solution:
     """Samples of a motion, grouped by interval in time order: start node, collocation points, end node.
 
     A node shared by two intervals appears twice (limit from the left and from the right). ``a``,
-    ``tau`` and ``f`` at a sample that is no collocation point are values of the interval's
+    ``tau`` and ``f`` at a sample that is not a collocation point are values of the interval's
     interpolating polynomials through its collocation points. SI units; arrays are copied and
     read-only. K samples, I intervals, nc contacts, J impacts.
 

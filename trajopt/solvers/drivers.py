@@ -24,10 +24,10 @@ from trajopt.transcription.compilation import HESSIANS
 from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.transcription import Transcription
 
-# The NLP is scaled by units, so the solvers' own scaling is off; a solution "to an
-# acceptable level" is no solution. The bound relaxation is far below the tolerance. Multipliers
-# start at zero: least-squares estimates at a guess off the constraints are large and make the first
-# Hessians indefinite, which doubles the iterations of IPOPT on the jump.
+# The NLP is scaled by units, so the solvers' own scaling is off; a solution "to an acceptable level" does not
+# count. The bound relaxation is far below the tolerance. Multipliers start at zero: least-squares estimates
+# at a guess off the constraints are large and make the first Hessians indefinite, which doubles the
+# iterations of IPOPT on the jump.
 IPOPT_OPTIONS: dict[str, Option] = {
     "nlp_scaling_method": "none",
     "mu_strategy": "adaptive",

@@ -222,7 +222,7 @@ class Sqp:
         Rows have their values at the end of the first direction. After a rejected correction none is tried
         until a full step is accepted: far from a solution they seldom help.
         """
-        found = self._program(self.evaluator.bent(self.point, q, step.d))
+        found = self._program(self.evaluator.corrected_program(self.point, q, step.d))
         x = self.evaluator.inside(self.point.x + found.d)
         if found.solved and self.filter.takes(self.point.pair, self.evaluator.pair(x), slope, 1.0):
             return self._taken(x, found, slope, 1.0, 2)

@@ -112,8 +112,8 @@ class Evaluator:
             x_high=self.x_high - point.x,
         )
 
-    def bent(self, point: SqpIterate, q: QuadraticProgram, d: np.ndarray) -> QuadraticProgram:
-        """The program with rows through their values at the end of the direction ``d``."""
+    def corrected_program(self, point: SqpIterate, q: QuadraticProgram, d: np.ndarray) -> QuadraticProgram:
+        """The program of a second-order correction: rows take their values at the end of the direction ``d``."""
         g = np.asarray(self.engine.g(self.inside(point.x + d))) - self._jacobian(point) @ d
         return replace(q, low=self.low - g, high=self.high - g)
 

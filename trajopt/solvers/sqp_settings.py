@@ -20,7 +20,7 @@ ALLOWED = {
 class SqpSettings:
     """When to stop, in scaled units: ``tolerance`` of optimality, ``feasibility`` of rows; s.
 
-    early: None, or the violation of rows at which to stop whatever the optimality, after one step at least.
+    early: None, or the violation of rows at which to stop regardless of optimality, after at least one step.
     regularization: initial addition to the Hessian's diagonal.
     """
 

@@ -36,7 +36,7 @@ def swing_clearance(
 
     Args:
         robot: the robot.
-        schedule: who is in contact when.
+        schedule: contacts over time.
         terrain: the ground.
         height: clearance in mid swing, m.
         guess: motion t -> q (nq,). On piecewise ground it gives the start and end of each contact's swing
@@ -160,7 +160,7 @@ def swing_arcs(
     """Terms for the swings of contacts, which may span phases: inside the phases and between them.
 
     Args:
-        schedule: who is in contact when.
+        schedule: contacts over time.
         contacts: names of the contacts.
         height: clearance in mid swing, m.
         terrain: flat or smooth ground.

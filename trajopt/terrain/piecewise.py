@@ -42,7 +42,7 @@ class PiecewiseTerrain:
         for face in self.faces:
             if not face.surface.normal[2] > 0 or face.surface.bilateral:
                 raise InputError(
-                    f"face '{face.name}' of the terrain looks down, is vertical or holds contacts",
+                    f"face '{face.name}' of the terrain points down, is vertical or holds contacts",
                     "allowed: ground to stand on, normal with z > 0; Phase.patches and surfaces for others",
                 )
 

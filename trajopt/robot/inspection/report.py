@@ -1,4 +1,4 @@
-"""A robot in figures: joints, limits, contacts, torques needed to stand, and what looks wrong."""
+"""A robot in figures: joints, limits, contacts, torques needed to stand, and likely mistakes."""
 
 from __future__ import annotations
 
