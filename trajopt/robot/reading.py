@@ -18,7 +18,7 @@ from trajopt.errors import InputError, first_line
 from trajopt.robot.building import sagittal
 
 # Prefix of urdfdom's error messages.
-ERROR_PREFIX = "Error:"
+PREFIX = "Error:"
 
 
 def read_urdf(path: str | Path, base: Base) -> pin.Model:
@@ -36,9 +36,7 @@ def read_urdf(path: str | Path, base: Base) -> pin.Model:
             model = pin.buildModelFromUrdf(str(source), pin.JointModelFreeFlyer())
         return virtual_model(model) if base == "virtual" else model
     except (ValueError, RuntimeError) as error:
-        errors = [
-            line.removeprefix(ERROR_PREFIX).strip(" .") for line in messages if line.startswith(ERROR_PREFIX)
-        ]
+        errors = [line.removeprefix(PREFIX).strip(" .") for line in messages if line.startswith(PREFIX)]
         reason = "; ".join(errors) or first_line(error)
         raise InputError(f"{source} is not a readable URDF file: {reason}") from None
 

@@ -113,7 +113,7 @@ class Evaluator:
         )
 
     def corrected_program(self, point: SqpIterate, q: QuadraticProgram, d: np.ndarray) -> QuadraticProgram:
-        """The program of a second-order correction: rows take their values at the end of the direction ``d``."""
+        """The program of a second-order correction: rows take their values at the end of ``d``."""
         g = np.asarray(self.engine.g(self.inside(point.x + d))) - self._jacobian(point) @ d
         return replace(q, low=self.low - g, high=self.high - g)
 
