@@ -134,7 +134,7 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
         [
             at("progress:SolveControl.__call__", UNSOLVED, count=2),
             at("solving:prepare", UNSOLVED, count=2),
-            at("continuation:_saved", CANCELLED),
+            at("solution:Solution.save", CANCELLED),
         ],
     ),
     "replay": (
