@@ -33,11 +33,11 @@ class InputError(TrajoptError):
 
 
 def not_among(known: Iterable[str], name: str, what: str) -> InputError:
-    """The error of a name that is none of those known, with the one that may have been meant.
+    """The error for an unknown name, with the known name it is close to.
 
     Args:
-        known: names that are allowed; of many, such as a robot's frames, only the closest are listed.
-        name: the one given.
+        known: allowed names; of many, such as a robot's frames, only the closest are listed.
+        name: the unknown one.
         what: beginning of the message.
     """
     names = list(known)
