@@ -4,7 +4,7 @@ uv run python -m scripts.publish_fronts              # all, about 25 minutes on 
 uv run python -m scripts.publish_fronts solo12-jump  # one of them
 uv run python -m scripts.publish_fronts --resume     # go on after an interruption
 
-Tables go to trajopt/sweep/fronts and docs/front, plots to docs/front, and the sections between the markers of
+Tables go to trajopt/study/sweep/fronts and docs/front, plots to docs/front, and the sections between the markers of
 docs/front.md are written anew: the fronts, and how much pinned workers disturb each other.
 """
 

@@ -21,7 +21,7 @@ from trajopt.study.suite.physics import FELL, OFF, TRACKED, WORDS, Physics
 from trajopt.study.suite.records import SuiteRecords
 from trajopt.study.suite.run import SIMULATED, run_stages
 from trajopt.study.suite.settings import SuiteSettings
-from trajopt.study.suite.table import line, outcome_table, summary
+from trajopt.study.suite.table import outcome_line, outcome_table, summary
 from trajopt.study.suite.versions import versions
 
 pytest.importorskip("mujoco")
@@ -120,7 +120,7 @@ def test_an_outcome_with_physics_survives_json_and_a_resumed_run(tmp_path: Path)
 
 
 def test_line_table_and_summary_tell_of_physics():
-    assert "tracked in physics, base 4 mm off at the end" in line(found())
+    assert "tracked in physics, base 4 mm off at the end" in outcome_line(found())
     outcomes = [found(), found(FELL, detail="it fell at 0.500 s"), found("", detail="cannot be simulated")]
     assert summary(outcomes)["physics"] == {TRACKED: 1, OFF: 0, FELL: 1}
     assert summary([outcome_of()])["physics"] is None

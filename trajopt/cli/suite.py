@@ -155,7 +155,7 @@ def _run(
 ) -> tuple[list[Outcome], bool]:
     """Outcomes sorted by pair, and whether they are all: Ctrl-C leaves those that are done."""
     from trajopt.study.suite.pool import run_all
-    from trajopt.study.suite.table import line
+    from trajopt.study.suite.table import outcome_line
     from trajopt.study.workers.display import TaskDisplay
 
     known = records.open(resume=resume)
@@ -170,7 +170,7 @@ def _run(
                 for outcome in running:
                     records.add(outcome)
                     outcomes.append(outcome)
-                    display.finished(outcome.name, f"{len(outcomes)}/{len(cases)} {line(outcome)}")
+                    display.finished(outcome.name, f"{len(outcomes)}/{len(cases)} {outcome_line(outcome)}")
         records.close()
 
     complete = runs_to_its_end(run)

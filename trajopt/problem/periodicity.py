@@ -14,7 +14,7 @@ except one for every rotation: its norm at the start.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -85,15 +85,8 @@ class Periodicity:
     def describe(self, robot: Robot, origin: np.ndarray) -> dict[str, Any]:
         """JSON-able description for a solution file; ``origin`` (3,) m is a point of the axis or plane."""
         index, sign = self.images(robot)
-        return {
-            "index": index.tolist(),
-            "sign": sign.tolist(),
-            "translation": self.translation,
-            "velocity": self.velocity,
-            "turn": self.turn,
-            "mirror": self.mirror,
-            "origin": np.asarray(origin, dtype=float).tolist(),
-        }
+        place = np.asarray(origin, dtype=float).tolist()
+        return {"index": index.tolist(), "sign": sign.tolist(), **asdict(self), "origin": place}
 
 
 def _same(n: int) -> tuple[np.ndarray, np.ndarray]:

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from trajopt.certify.accuracy.measures import Accuracy, measure
-from trajopt.errors import InputError
+from trajopt.errors import require_positive
 from trajopt.problem.problem import Problem
+from trajopt.solution.descriptions import jsonable
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.input import solution_of
 from trajopt.solution.solution import Solution
@@ -67,18 +68,16 @@ class Round:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able; an error that is not finite is None."""
-        errors = None
-        if self.errors is not None:
-            errors = [error if math.isfinite(error) else None for error in self.errors]
-        return {
+        found = {
             "transcription": self.mesh.transcription,
-            "intervals": list(self.mesh.counts),
+            "intervals": self.mesh.counts,
             "variables": self.variables,
             "iterations": self.iterations,
             "wall_time_s": self.wall_time,
             "status": self.status,
-            "errors_m": errors,
+            "errors_m": self.errors,
         }
+        return dict(jsonable(found))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,11 +102,10 @@ class Refinement:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able."""
-        error = self.error
         return {
             "target_m": self.target,
             "reached": self.reached,
-            "error_m": error if math.isfinite(error) else None,
+            "error_m": jsonable(self.error),
             "why": self.why,
             "rounds": [own.to_dict() for own in self.rounds],
         }
@@ -121,12 +119,6 @@ def largest_error(accuracy: Accuracy | None) -> float:
 def phase_errors(accuracy: Accuracy) -> tuple[float, ...]:
     """Error of each phase in m: open loop from its planned start, or the drift of its contacts."""
     return tuple(max(own.open_loop.position, own.foot_drift or 0.0) for own in accuracy.phases)
-
-
-def require_positive(value: float, name: str, unit: str) -> None:
-    """Raise `InputError` for a goal that is no positive number."""
-    if not (isinstance(value, int | float) and math.isfinite(value) and value > 0):
-        raise InputError(f"{name} is {value!r} {unit}", "allowed: finite and > 0")
 
 
 def coarse_mesh(problem: Problem) -> Mesh:
@@ -174,7 +166,7 @@ def refine(
     Raises:
         InputError: For a target that is no length, and as `trajopt.solve` does.
     """
-    require_positive(target, "accuracy", "m")
+    require_positive("accuracy", target, "m")
     tolerance = tolerance_for(target, problem.robot.length) if tolerance is None else tolerance
     loop = _Loop(problem, float(target), raise_degree, {**settings, "tolerance": tolerance})
     known = None if start is None else solution_of(start)

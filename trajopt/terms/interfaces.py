@@ -36,8 +36,6 @@ class Term:
 
     acts_at_points: ClassVar[bool] = True
     acts_at_impacts: ClassVar[bool] = False
-    # Whether ``phases`` selects where the term acts; a term at one moment rejects it.
-    acts_in_phases: ClassVar[bool] = True
 
     phases: tuple[str, ...] | None = None
 

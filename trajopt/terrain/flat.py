@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -42,9 +42,4 @@ class FlatGround:
 
     def describe(self) -> dict[str, object]:
         """JSON-able description for a solution file."""
-        return {
-            "kind": "flat",
-            "height": self.height,
-            "normal": list(self.normal),
-            "friction": self.friction,
-        }
+        return {"kind": "flat", **asdict(self), "normal": list(self.normal)}

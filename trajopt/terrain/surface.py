@@ -115,13 +115,8 @@ class Surface:
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
-        described: dict[str, Any] = {
-            "point": self.point.tolist(),
-            "normal": self.normal.tolist(),
-            "friction": self.friction,
-            "bilateral": self.bilateral,
-        }
-        return described if self.slip_speed is None else {**described, "slip_speed": self.slip_speed}
+        given = {name: value for name, value in vars(self).items() if value is not None}
+        return given | {"point": self.point.tolist(), "normal": self.normal.tolist()}
 
     @classmethod
     def from_description(cls, described: Any) -> Surface:

@@ -104,20 +104,9 @@ class Accuracy:
         return None if self.comparison is None else self.comparison.distance
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able figures by name, then lists by interval and by phase; inf and NaN become None."""
-        names = (
-            "open_loop", "open_loop_orientation", "open_loop_joints", "open_loop_farthest",
-            "open_loop_motion", "open_loop_motion_orientation", "open_loop_motion_joints",
-            "open_loop_motion_farthest", "interval_error", "collocation_error", "base_error",
-            "actuated_error", "contact_error", "position_gap", "velocity_gap", "foot_drift",
-            "violation_between", "violations", "objective_gap", "distance",
-        )  # fmt: skip
-        figures = {name: getattr(self, name) for name in names}
-        figures["comparison"] = None if self.comparison is None else asdict(self.comparison)
-        figures["interval_errors"] = self.interval_errors.tolist()
-        figures["collocation_errors"] = self.collocation_errors.tolist()
-        figures["phases"] = [asdict(phase) for phase in self.phases]
-        return jsonable(figures)
+        """JSON-able figures by name, with lists by interval and by phase; inf and NaN become None."""
+        derived = ("interval_error", "collocation_error", "violation_between", "objective_gap", "distance")
+        return jsonable({name: getattr(self, name) for name in derived} | asdict(self))
 
 
 def measure(solution: SolutionOrFile, reference: SolutionOrFile | None = None) -> Accuracy:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from trajopt.certify.accuracy.measures import Accuracy, measure
+from trajopt.errors import require_positive
 from trajopt.problem import Problem
+from trajopt.solution.descriptions import jsonable
 from trajopt.solution.solution import Solution
 from trajopt.solving.ladder import INTERRUPTED
-from trajopt.solving.refine import Round, largest_error, refine, require_positive
+from trajopt.solving.refine import Round, largest_error, refine
 from trajopt.solving.solving import solve
 from trajopt.solving.verdicts import is_usable_start
 from trajopt.study.choosing.choice import ChosenSetting, choices_by_time, choose_for_accuracy
@@ -63,7 +64,7 @@ class TargetSolve:
             "goal": self.goal,
             "wanted": self.wanted,
             "reached": self.reached,
-            "error_m": self.error if math.isfinite(self.error) else None,
+            "error_m": jsonable(self.error),
             "spent_s": self.spent,
             "why": self.why,
             "choices": [choice.to_dict() for choice in self.choices],
@@ -87,7 +88,7 @@ def solve_to_accuracy(
     that may be chosen. ``settings`` are those of `trajopt.solve` but its grid, solver and tolerance.
     Raises InputError for an accuracy that is no length, and as `trajopt.solve` does.
     """
-    require_positive(accuracy, "accuracy", "m")
+    require_positive("accuracy", accuracy, "m")
     wanted = float(accuracy)
     choice = choose_for_accuracy(problem, accuracy, front=front, where=where)
     first = solve(problem, mesh=choice.mesh, start=start, label="chosen mesh", **choice.solver, **settings)
@@ -120,7 +121,7 @@ def solve_within(
     Building and compiling, which happen once, do not count; `Solution.meta` has their times. Arguments as of
     `solve_to_accuracy`. Raises InputError for a budget that is no time, and as `trajopt.solve` does.
     """
-    require_positive(budget, "budget", "s")
+    require_positive("budget", budget, "s")
     settings.pop("max_time", None)
     remaining = choices_by_time(problem, front=front, where=where)
     tried: list[ChosenSetting] = []

@@ -13,7 +13,7 @@ from rich.table import Table
 from trajopt.study.suite.outcome import Outcome
 from trajopt.study.suite.physics import WORDS, in_words
 from trajopt.study.suite.settings import SuiteSettings
-from trajopt.study.workers.display import plain_table
+from trajopt.study.workers.display import figure_table
 
 # Columns of a table with the names of the figures, of the longest ones.
 NAMED_WIDTH = 140
@@ -25,7 +25,7 @@ COLUMNS = (
 )
 
 
-def line(outcome: Outcome) -> str:
+def outcome_line(outcome: Outcome) -> str:
     """One pair in a line."""
     parts = []
     if outcome.own is not None:
@@ -56,7 +56,7 @@ def outcome_table(outcomes: Sequence[Outcome], width: int) -> Table:
     rows = [_cells(outcome) for outcome in sorted(outcomes, key=lambda one: (one.problem, one.robot))]
     left = ("problem", "robot", "solved", "by its figure", "failure", "physics")
     shown = [{title: cell for title, cell in row.items() if title not in hidden} for row in rows]
-    return plain_table(shown, left, whole=("problem", "robot"))
+    return figure_table(shown, left, whole=("problem", "robot"))
 
 
 def _cells(outcome: Outcome) -> dict[str, str]:

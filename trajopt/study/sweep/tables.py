@@ -20,7 +20,7 @@ from trajopt.study.sweep.records import SweepResults
 from trajopt.study.sweep.result import TimedRun
 from trajopt.study.sweep.setting import Setting
 from trajopt.study.sweep.summary import Summary
-from trajopt.study.workers.display import plain_table
+from trajopt.study.workers.display import figure_table
 
 FOLDED = "dominated by"
 RUNS, SETTINGS, FRONT = "runs.csv", "settings.csv", "front.csv"
@@ -135,7 +135,7 @@ def summary_table(summaries: Iterable[Summary]) -> Table:
     rows = list(summaries)
     default = next((row.time for row in rows if row.is_default), math.nan)
     ordered = sorted(rows, key=lambda row: (not row.on_front, not row.is_measured, _last(row.time)))
-    return plain_table([_cells(row, default) for row in ordered], ("setting", FOLDED), fold=(FOLDED,))
+    return figure_table([_cells(row, default) for row in ordered], ("setting", FOLDED), fold=(FOLDED,))
 
 
 def _last(time: float) -> float:

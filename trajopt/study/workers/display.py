@@ -10,7 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table
 
 
-def plain_table(
+def figure_table(
     rows: Sequence[Mapping[str, str]],
     left: Collection[str],
     *,

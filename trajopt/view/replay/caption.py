@@ -20,7 +20,7 @@ def caption_lines(
 
     Kinds are "", "run", "quiet", "warned" or "failed"; ``weight_arrow`` is the length of a weight's arrow, m.
     """
-    notes = [line(note, "warned")] if note else []
+    notes = [caption_line(note, "warned")] if note else []
     return [*_about(runs), *_scales(motions, weight_arrow), *notes]
 
 
@@ -38,14 +38,16 @@ def _about(runs: Sequence[DrawnSolution]) -> list[Line]:
         usual = name.replace(" – ", " ")  # as runs are called that are given no label
         told = len(set(names)) == 1 or run.label == usual
         said = run.label if told else f"{run.label}: {name}"
-        lines += [line(said, "run", f"#{run.colour:06x}"), *_state(run.solution)]
+        lines += [caption_line(said, "run", f"#{run.colour:06x}"), *_state(run.solution)]
     return lines
 
 
 def _state(solution: Solution) -> list[Line]:
-    lines = [line(solution_line(solution), "quiet")]
+    lines = [caption_line(solution_line(solution), "quiet")]
     if not solution.meta.get("success", True):
-        lines.append(line(f"not solved: {str(solution.meta.get('status')).replace('_', ' ')}", "failed"))
+        lines.append(
+            caption_line(f"not solved: {str(solution.meta.get('status')).replace('_', ' ')}", "failed")
+        )
     return lines
 
 
@@ -75,15 +77,15 @@ def _scales(motions: Sequence[ReplayMotion], weight_arrow: float) -> list[Line]:
     weights = dict.fromkeys(f"{motion.weight:.1f} N" for motion in motions)
     if any(motion.force.shape[1] for motion in motions):
         text = f"forces: {weight_arrow:.2f} m is the weight, {' or '.join(weights)}"
-        lines.append(line(text, "quiet", f"#{FORCE_COLOUR:06x}"))
+        lines.append(caption_line(text, "quiet", f"#{FORCE_COLOUR:06x}"))
     struck = [motion for motion in motions if motion.impact.any()]
     if struck:
         scales = dict.fromkeys(f"{motion.weight * FLASH:.2f} N s" for motion in struck)
         text = f"impulses: {weight_arrow:.2f} m is {' or '.join(scales)}"
-        lines.append(line(text, "quiet", f"#{IMPULSE_COLOUR:06x}"))
+        lines.append(caption_line(text, "quiet", f"#{IMPULSE_COLOUR:06x}"))
     return lines
 
 
-def line(text: str, kind: str = "", colour: str = "") -> Line:
+def caption_line(text: str, kind: str = "", colour: str = "") -> Line:
     """Return a line of the caption."""
     return {"text": text, "kind": kind, "colour": colour}

@@ -15,7 +15,7 @@ from trajopt.robot.building import reach
 from trajopt.solution.solution import Solution
 from trajopt.solving.monitoring import Iterate
 from trajopt.view.replay.arrows import TRAIL_COLOURS
-from trajopt.view.replay.caption import line, title
+from trajopt.view.replay.caption import caption_line, title
 from trajopt.view.replay.commands import Animation, Recorder, ViewerCommand
 from trajopt.view.replay.copies import GHOST_COLOUR, draw_copy, messages_below
 from trajopt.view.replay.layers import layer
@@ -65,7 +65,7 @@ class IterateScene:
             new = True
         if self._problem is None:
             return None
-        facts = self._facts | {"lines": [line(text, kind) for text, kind in _words(iterate, len(t))]}
+        facts = self._facts | {"lines": [caption_line(text, kind) for text, kind in _words(iterate, len(t))]}
         if len(t):
             motion = IterateMotion(model=self._model, t=t, q=q, phase=phase, frames=self._frames)
             vis = meshcat.Visualizer(window=recorder)
