@@ -1,4 +1,4 @@
-"""The extension of trajopt/native/engine: a sparse NLP of small functions at many stages, and its solvers."""
+"""The extension of trajopt/solvers/engine: a sparse NLP of small functions at many stages, and its solvers."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, TypedDict

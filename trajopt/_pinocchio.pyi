@@ -1,4 +1,4 @@
-"""The extension of trajopt/native/pinocchio_casadi; each function returns a serialised casadi.Function."""
+"""The extension of trajopt/dynamics/pinocchio_casadi; each function returns a serialised casadi.Function."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-// Undoes trajopt/replay/meshes.py: geometry of three.js from meshes in few bytes.
+// Undoes trajopt/view/replay/meshes.py: geometry of three.js from meshes in few bytes.
 
 const CREASE = Math.cos(35 * Math.PI / 180);  // faces that meet at a larger angle keep their edge
 const NORMAL_LEVELS = 254;
