@@ -1,4 +1,4 @@
-"""Robots by name: a file for each, with its ``KIND``, ``build() -> Robot`` and, of an arm, its ``TOOL``."""
+"""Robots by name: a file for each, with its ``KIND``, ``build() -> Robot`` and, for an arm, its ``TOOL``."""
 
 from __future__ import annotations
 
@@ -71,16 +71,16 @@ def tool_frame(name: str) -> str:
     """Return the name of an arm's tool frame: its module's ``TOOL``.
 
     A file at a path may leave it out: then it is the last frame behind the last joint. Raises `InputError`
-    for what is not an arm, and as `load`.
+    for a robot that is not an arm, and as `load`.
     """
     if kind(name) != "arm":
-        raise InputError(f"robot '{name}' has no tool: it is no arm", "arms: " + ", ".join(names("arm")))
+        raise InputError(f"robot '{name}' has no tool: it is not an arm", "arms: " + ", ".join(names("arm")))
     given = getattr(_module(name), "TOOL", None)
     model = load(name).model
     carried = [frame.name for frame in model.frames if frame.parentJoint == model.njoints - 1]
     tool = carried[-1] if given is None else given
     if not model.existFrame(tool):
-        raise InputError(f"TOOL of {name} is {tool!r}, no frame of the model", ", ".join(carried))
+        raise InputError(f"TOOL of {name} is {tool!r}, not a frame of the model", ", ".join(carried))
     return str(tool)
 
 
@@ -92,8 +92,8 @@ def feet(robot: Robot) -> tuple[str, ...]:
 def legs_only(robot: Robot) -> Robot:
     """Return the robot with its feet as its only contacts, and all joints that carry no foot locked.
 
-    What a task on legs alone needs of a humanoid: Talos with its left arm welded in the reference. A robot
-    that has nothing else is returned as it is.
+    For tasks on legs alone with a humanoid: Talos with its left arm welded in the reference. A robot with
+    feet alone is returned unchanged.
     """
     standing = feet(robot)
     model = robot.model
@@ -121,7 +121,7 @@ def _module(name: str) -> ModuleType:
         return _from_file(path, path.stat().st_mtime_ns)
     if name.endswith((".urdf", ".xml")):
         made = "trajopt robot FILE.urdf --write FILE.py makes one of a URDF"
-        raise InputError(f"'{name}' is a description, no robot", f"a .py file with build(): {made}")
+        raise InputError(f"'{name}' is a description, not a robot", f"a .py file with build(): {made}")
     if name not in names():
         raise InputError(
             f"robot '{name}' is unknown", "a .py file with build(), or one of " + ", ".join(names())
@@ -131,7 +131,7 @@ def _module(name: str) -> ModuleType:
 
 @lru_cache(maxsize=16)
 def _from_file(path: Path, _changed: int) -> ModuleType:
-    """Run a file as a module, once for each state of it."""
+    """Run a file as a module, once for each version of it."""
     specification = importlib.util.spec_from_file_location(f"robot_file_{path.stem}", path)
     if specification is None or specification.loader is None:
         raise InputError(f"robot file {path} cannot be imported", "a file that ends in .py")

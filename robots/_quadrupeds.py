@@ -1,4 +1,4 @@
-"""Quadrupeds that are built alike: those of Unitree and of ANYbotics, described in example-robot-data."""
+"""Quadrupeds with the same construction: those of Unitree and ANYbotics in example-robot-data."""
 
 from __future__ import annotations
 

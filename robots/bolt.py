@@ -20,8 +20,8 @@ SIDES = {"left": "FL", "right": "FR"}
 HIP, KNEE = 0.86076393, -1.57079633  # rad
 INWARDS = 0.3  # rad
 
-# Bolt is built of Solo12's actuators; its URDF's 1000 N m and 1000 rad/s are placeholders. Torque at the
-# largest current, rate without load at the 24 V of the robot's supply.
+# Bolt uses Solo12's actuators; its URDF's 1000 N m and 1000 rad/s are placeholders. Torque at the
+# largest current, no-load rate at the 24 V of the robot's supply.
 TORQUE = solo12.GEAR_RATIO * solo12.TORQUE_CONSTANT * solo12.CURRENT_LIMIT
 SUPPLY = 24.0  # V
 

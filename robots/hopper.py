@@ -17,7 +17,7 @@ FOOT = "foot"
 TORSO_MASS, TORSO_LENGTH = 7.0, 0.4
 THIGH_MASS, THIGH_LENGTH = 2.0, 0.35
 SHANK_MASS, SHANK_LENGTH = 1.0, 0.35
-# Links are slender boxes: their thickness as part of their length.
+# Links are slender boxes: their thickness as a fraction of their length.
 SLENDERNESS = 0.2
 # The torso's centre of mass lies above the hip by this part of its length.
 TORSO_CENTRE = 0.25
@@ -48,7 +48,7 @@ def build() -> Robot:
 
 
 def add_torso(model: pin.Model, base: int) -> None:
-    """Hang the torso on the joint ``base``, its hip at the joint's origin."""
+    """Attach the torso to the joint ``base``, its hip at the joint's origin."""
     model.addJointFrame(base)
     torso = _box(TORSO_MASS, TORSO_LENGTH)
     model.appendBodyToJoint(base, torso, _at(0.0, TORSO_CENTRE * TORSO_LENGTH))
@@ -56,7 +56,7 @@ def add_torso(model: pin.Model, base: int) -> None:
 
 
 def add_leg(model: pin.Model, parent: int, placement: pin.SE3) -> None:
-    """Hang thigh, shank and foot on the joint ``parent``: hip and knee turn about y of ``placement``."""
+    """Attach thigh, shank and foot to the joint ``parent``: hip and knee turn about y of ``placement``."""
     hip = add_joint(model, parent, "hip", placement, HIP_RANGE, pin.JointModelRY())
     model.appendBodyToJoint(hip, _box(THIGH_MASS, THIGH_LENGTH), _at(0.0, -THIGH_LENGTH / 2))
     model.addBodyFrame("thigh", hip, pin.SE3.Identity(), -1)
@@ -69,8 +69,8 @@ def add_leg(model: pin.Model, parent: int, placement: pin.SE3) -> None:
 def standing() -> dict[str, float]:
     """Hip and knee (rad) of the posture whose centre of mass, the torso upright, lies over the foot.
 
-    With the thigh leaning forward by t and the shank by t - knee, foot and centre of mass are at
-    ``a sin(t) + b sin(t - knee) = 0`` of each other.
+    With the thigh leaning forward by t and the shank by t - knee, foot and centre of mass are aligned if
+    ``a sin(t) + b sin(t - knee) = 0``.
     """
     mass = TORSO_MASS + THIGH_MASS + SHANK_MASS
     a = THIGH_LENGTH * (1 - (THIGH_MASS / 2 + SHANK_MASS) / mass)

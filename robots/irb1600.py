@@ -83,9 +83,9 @@ def build(*, payload: float = 0.0, motor_inertia: float = 0.75, material: str = 
     """Return the arm with a fixed base and a drive on each joint.
 
     payload: mass of a solid steel cube on the flange, kg; the robot is rated for 8.
-    motor_inertia: reflected rotor inertia n^2 I_r over the link's inertia, which is here that of all that
-        moves behind the joint about its axis, in the reference posture and without payload (what the
-        motor was sized for); the lecture says 0.5 to 1.
+    motor_inertia: reflected rotor inertia n^2 I_r over the link's inertia, here that of everything behind the
+        joint about its axis, in the reference posture and without payload (what the motor was sized for); the
+        lecture says 0.5 to 1.
     material: of the links, a name of `trajopt.robot.actuators.beams.DENSITY`.
 
     Raises `InputError` for a payload or a share below zero, or an unknown material.

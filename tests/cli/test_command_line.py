@@ -235,7 +235,7 @@ def test_output_is_refused_before_anything_else_of_the_solve(tmp_path: Path) -> 
         file / "x.npz": "is not a folder",
         Path("/proc/x.npz"): "cannot write /proc/x.npz",
         tmp_path: "it is a folder",
-        Path("/dev/null"): "no regular file",
+        Path("/dev/null"): "not a regular file",
         tmp_path / ("n" * 250): "too long",
     }
     for place, words in places.items():
@@ -270,9 +270,9 @@ def test_replay_writes_a_page(hop_file: Path, tmp_path: Path) -> None:
     assert "<html" in page.read_text()[:1000]
     assert_refused(invoke("replay", hop_file, "--html", tmp_path / "none" / "x.html"), "none/x.html")
     before = hop_file.read_bytes()
-    assert_refused(invoke("replay", hop_file, "--html", hop_file), "is what is read")
+    assert_refused(invoke("replay", hop_file, "--html", hop_file), "is an input file")
     assert hop_file.read_bytes() == before
-    assert_refused(invoke("replay", hop_file, "--html", "/dev/null"), "no regular file")
+    assert_refused(invoke("replay", hop_file, "--html", "/dev/null"), "not a regular file")
     assert_refused(invoke("replay", hop_file, "--html", page, "--speed", "1e-9"), "a higher speed")
 
 
@@ -291,6 +291,6 @@ def test_a_log_replaces_neither_the_solution_nor_the_start(hop_file: Path, tmp_p
     before = hop_file.read_bytes()
     solve = ("solve", "hopper-hop", "--compile", "none", "--log", hop_file)
     assert_refused(invoke(*solve, "-o", hop_file), "written twice")
-    assert_refused(invoke(*solve, "-o", tmp_path / "new.npz", "--start", hop_file), "is what is read")
+    assert_refused(invoke(*solve, "-o", tmp_path / "new.npz", "--start", hop_file), "is an input file")
     assert hop_file.read_bytes() == before
     assert not (tmp_path / "new.npz").exists()

@@ -71,7 +71,7 @@ def test_bad_input_is_refused_in_one_line(
 def test_the_file_that_is_read_is_not_replaced(tmp_path: Path, file: Path) -> None:
     same = tmp_path / "arm.png"
     same.write_bytes(file.read_bytes())
-    assert_refused(plot(same, "-o", same), "is what is read")
+    assert_refused(plot(same, "-o", same), "is an input file")
     assert same.read_bytes() == file.read_bytes()
 
 

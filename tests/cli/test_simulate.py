@@ -80,7 +80,7 @@ def test_page_shows_plan_and_simulation(stand, tmp_path):
         (["PLAN", "--kp", "-1"], "kp of a simulation is -1; allowed: 0 to 1e+06"),
         (["PLAN", "--cycles", "0"], "cycles of a simulation is 0; allowed: a whole number >= 1"),
         (["PLAN", "--cycles", "2"], "the solution is not periodic; allowed: --cycles 1"),
-        (["PLAN", "-o", "PLAN"], "is what is read"),
+        (["PLAN", "-o", "PLAN"], "is an input file"),
         (["PLAN", "-o", "x.npz", "--html", "./x.npz"], "x.npz is written twice"),
         (["PLAN", "--noise", "a lot"], "Invalid value for '--noise'"),
         (["PLAN", "-o", "/no/such/folder/x.npz"], "cannot write /no/such/folder/x.npz"),

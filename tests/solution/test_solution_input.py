@@ -24,7 +24,7 @@ def test_one_solution_its_file_and_several_are_taken(hop, tmp_path):
 
 
 def test_what_is_no_solution_is_named():
-    with pytest.raises(InputError, match=r"3.5 is no solution; allowed: a Solution or the path"):
+    with pytest.raises(InputError, match=r"3.5 is not a solution; allowed: a Solution or the path"):
         solutions_of(3.5)
 
 

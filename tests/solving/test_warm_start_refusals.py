@@ -42,7 +42,7 @@ def test_phases_of_other_names_are_mapped_by_order():
 
 @pytest.mark.parametrize("start", [5, {}, b"file"])
 def test_a_start_that_is_no_solution_is_refused(start):
-    with pytest.raises(InputError, match="is no solution; allowed: a Solution or the path"):
+    with pytest.raises(InputError, match="is not a solution; allowed: a Solution or the path"):
         trajopt.solve(reach(), compile="none", start=start)
 
 

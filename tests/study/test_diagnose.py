@@ -306,7 +306,7 @@ def test_bad_input_is_refused_in_one_line():
         diagnose(solution)
     with pytest.raises(InputError, match="other joints"):
         diagnose(solution, lean())
-    with pytest.raises(InputError, match="3 is no solution"):
+    with pytest.raises(InputError, match="3 is not a solution"):
         diagnose(3)  # type: ignore[arg-type]
 
 

@@ -62,7 +62,7 @@ def landing_at(foothold: tuple[float, float, float]) -> Schedule:
 
 BAD = {
     "no face": (lambda: PiecewiseTerrain(faces=()), "at least one"),
-    "two faces of one name": (lambda: PiecewiseTerrain(faces=STAIRS.faces[:1] * 2), "one name"),
+    "two faces of one name": (lambda: PiecewiseTerrain(faces=STAIRS.faces[:1] * 2), "the same name"),
     "unknown face": (lambda: STAIRS.face("roof"), "step1"),
     "wall as ground": (
         lambda: PiecewiseTerrain(

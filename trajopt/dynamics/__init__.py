@@ -2,5 +2,5 @@
 
 from trajopt.versions import check_installation
 
-# The extension loads only beside the wheels that it was compiled against: said in one line, not by a crash.
+# The extension needs the wheels it was compiled against: a mismatch gives a one-line error, not a crash.
 check_installation()

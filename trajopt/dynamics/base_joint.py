@@ -19,7 +19,7 @@ BASE_ROWS: dict[Base, int] = {"freeflyer": 6, "virtual": 6, "planar": 3, "fixed"
 BASE_COORDINATES: dict[Base, int] = {"freeflyer": 7, "virtual": 6, "planar": 4, "fixed": 0}
 # The joint that carries the base link: the last of the virtual ones.
 BASE_JOINT: dict[Base, int] = {"freeflyer": 1, "virtual": 6, "planar": 1, "fixed": 0}
-# How many entries of q, the first ones, are the position of the base.
+# Number of leading entries of q that are the position of the base.
 BASE_POSITION: dict[Base, int] = {"freeflyer": 3, "virtual": 3, "planar": 2, "fixed": 0}
 # Parsers write "no limit" as the largest double or as infinity; no robot reaches this.
 UNLIMITED = 1e20
@@ -31,7 +31,7 @@ ROWS = 6
 
 
 def require_base(base: str) -> None:
-    """Raise `InputError` for a kind of base that is none of ``BASES``."""
+    """Raise `InputError` for a kind of base that is not in ``BASES``."""
     if base not in BASES:
         raise InputError(f"base={base!r} is unknown", "one of " + ", ".join(repr(name) for name in BASES))
 

@@ -1,6 +1,6 @@
 """Lagrange's equations derived from the energies of the links, as CasADi functions of a numeric model.
 
-The only input is where the links are: the placements of their centres of mass at a configuration. Velocities
+The only input is the placements of the links' centres of mass at a configuration. Velocities
 are time derivatives of these (by algorithmic differentiation), energies are sums over the links,
 
     K = sum 1/2 m |c'|^2 + 1/2 omega^T I omega  (+ 1/2 sum armature_j v_j^2),     P = - sum m g^T c,
@@ -15,8 +15,8 @@ spherical joint ``v = Jr(x) x'`` with the right Jacobian of its group, and at ``
 ``v' = x''`` hold because ``d/dt Jr x' = - 1/2 [x', x'] = 0``; so the generalised forces are Pinocchio's for
 every joint. Armature multiplies ``x'`` there: rotors do not turn with the body, as in Pinocchio.
 
-Every function is built once for each content of a model, takes q (nq,), v and a (nv,) in Pinocchio's
-conventions and SI units, and raises `UnsupportedJointError` for a joint that `rigid_body` does not know.
+Every function is built once per model content, takes q (nq,), v and a (nv,) in Pinocchio's
+conventions and SI units, and raises `UnsupportedJointError` for a joint that `rigid_body` does not support.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from trajopt.dynamics.model_content import once_per_content
 
 @dataclass(frozen=True, kw_only=True)
 class _Motion:
-    """The links' centres of mass near a configuration, one column a joint; ``x``, ``rate`` are symbols."""
+    """The links' centres of mass near a configuration, one column per joint; ``x``, ``rate`` are symbols."""
 
     q: ca.SX
     x: ca.SX
@@ -142,8 +142,8 @@ def coriolis_matrix(model: pin.Model) -> ca.Function:
     """``(q, v) -> C`` (nv, nv) of the Christoffel symbols: C v are the Coriolis and centrifugal forces.
 
     With q' = v it is ``C_kj = 1/2 sum_i (dD_kj/dq_i + dD_ki/dq_j - dD_ij/dq_k) v_i``, and D' - 2 C is skew
-    symmetric. Where v = Jr x' the same in x, less ``D Jr'``, which keeps both properties with D' the rate of
-    the matrix in v, and changes nothing in C v.
+    symmetric. Where v = Jr x', the same in x, minus ``D Jr'``: this keeps both properties, with D' the rate
+    of the matrix in v, and leaves C v unchanged.
     """
     motion = _motion(model)
     q, x, rate = motion.q, motion.x, motion.rate

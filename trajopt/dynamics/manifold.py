@@ -70,7 +70,7 @@ class Joint:
 
     @property
     def is_counted(self) -> bool:
-        """Whether the coordinate counts whole turns that q does not."""
+        """Whether the coordinate counts whole turns, which q does not."""
         return self.kind == "continuous"
 
     @property
@@ -123,7 +123,7 @@ class Coordinates:
 
     @property
     def n_node(self) -> int:
-        """Size of a node's state: 4 a rotation, the additive positions, and nv rates."""
+        """Size of a node's state: 4 per rotation, the additive positions, and nv rates."""
         return 4 * self.n_rotations + len(self.additive_index) + self.nv
 
     def split_node(self, x: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -235,7 +235,7 @@ class Coordinates:
     def symbolic_node(self, q: ca.SX, v: ca.SX, counted: Mapping[str, ca.SX] = MappingProxyType({})) -> ca.SX:
         """Symbolic node state (n_node,) of q (nq,) and v (nv,), as ``node_from_pinocchio``.
 
-        ``counted`` are angles of continuous joints, by name, whose whole turns q does not tell.
+        ``counted`` are angles of continuous joints, by name: q does not contain their whole turns.
         """
         rotations, xi, rates = [], ca.SX.zeros(self.nv), v + 0
         for joint in self.joints:

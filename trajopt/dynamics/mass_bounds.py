@@ -1,7 +1,7 @@
-"""Bounds of the mass matrix: lowest I <= M(q) <= highest I over postures, and before any posture is known.
+"""Bounds of the mass matrix, lowest I <= M(q) <= highest I: over given postures, and over all postures.
 
-Eigenvalues of M mix kg, kg m and kg m^2 where joints slide and turn, or with a floating base; they are the
-bounds of ``v^T M v`` for a v measured in SI units.
+Eigenvalues of M mix kg, kg m and kg m^2 where joints translate and rotate, or with a floating base; they are
+the bounds of ``v^T M v`` for a v measured in SI units.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from trajopt.dynamics.model_content import joint_kind
 from trajopt.dynamics.structure import mass_matrix_at
 from trajopt.errors import InputError
 
-# Number of sliding and turning directions of each kind of joint, by the beginning of its name.
+# Number of translational and rotational directions of each kind of joint, by the beginning of its name.
 _DIRECTIONS = {
     "FreeFlyer": (3, 3),
     "Planar": (2, 1),
@@ -29,7 +29,7 @@ _DIRECTIONS = {
 
 @dataclass(frozen=True, kw_only=True)
 class EigenvalueRange:
-    """Extreme eigenvalues of M among postures, and the postures (nq,) that have them."""
+    """Extreme eigenvalues of M over postures, and the postures (nq,) that attain them."""
 
     lowest: float
     highest: float
@@ -63,9 +63,9 @@ def eigenvalue_range(model: pin.Model, postures: np.ndarray) -> EigenvalueRange:
 def random_postures(model: pin.Model, count: int, seed: int) -> np.ndarray:
     """Postures (count, nq) within the position limits, uniform in coordinates.
 
-    Directions that turn without limits are drawn within half a turn of neutral. A base that slides without
-    limits stays where it is, since M does not depend on it. Raises `InputError` where a joint behind one that
-    turns slides without limits, since no interval is natural.
+    Rotations without limits are drawn within half a turn of neutral. A base that translates without limits
+    stays at neutral, since M does not depend on it. Raises `InputError` for an unlimited prismatic joint
+    behind a rotating one, since no interval is natural.
     """
     generator = np.random.default_rng(seed)
     lowest, highest = np.full(model.nv, -np.pi), np.full(model.nv, np.pi)
@@ -78,7 +78,7 @@ def random_postures(model: pin.Model, count: int, seed: int) -> np.ndarray:
             lowest[rows], highest[rows] = lower[entries] - neutral[entries], upper[entries] - neutral[entries]
         elif sliding and _is_turned(model, index):
             raise _unlimited(model, index)
-        elif sliding:  # its angles too: M does not depend on a base's place
+        elif sliding:  # its angles too: M does not depend on the base's pose
             lowest[rows], highest[rows] = 0.0, 0.0
     steps = generator.uniform(lowest, highest, (count, model.nv))
     return np.array([pin.integrate(model, neutral, step) for step in steps]).reshape(count, model.nq)
@@ -88,7 +88,7 @@ def a_priori_bounds(model: pin.Model) -> MassBounds:
     """Bounds of M's eigenvalues for all postures, from masses, lever arms and inertias alone.
 
     With ``r_jL`` the longest possible distance from joint j to the centre of mass of link L (the sum of the
-    lengths between, and of the travel of sliding joints between),
+    lengths and of the travel of prismatic joints between them),
 
         lambda_max <= sum_L [ m_L sum_j (sliding_j + turning_j r_jL^2) + lambda_max(I_L) sum_j turning_j ]
                       + max armature
@@ -96,9 +96,9 @@ def a_priori_bounds(model: pin.Model) -> MassBounds:
     over the joints j that carry L, because the largest eigenvalue is at most the trace. From below, the
     pivots of M are at least each link's own inertia in its joint (articulated inertias only add), so that
     ``lambda_min >= det M ((n - 1) / tr M)^(n - 1)``; and it is at least the smallest armature. A link without
-    inertia of its own about its joint, and without armature, leaves 0. Constant bounds exist for revolute
-    joints; a joint that slides behind one that turns needs position limits, or `InputError` is raised, as it
-    is for a model without joints.
+    inertia about its own joint, and without armature, gives 0. Constant bounds exist for revolute joints; a
+    prismatic joint behind a rotating one needs position limits. Raises `InputError` without these, and for a
+    model without joints.
     """
     if not model.nv:
         raise InputError(f"the model '{model.name}' has no joints", "at least one")
@@ -114,7 +114,7 @@ def a_priori_bounds(model: pin.Model) -> MassBounds:
 
 
 def _largest_trace(model: pin.Model) -> float:
-    """Bound of the trace of M without armature."""
+    """Upper bound of the trace of M without armature."""
     total = 0.0
     for link in range(1, model.njoints):
         inertia = model.inertias[link]
@@ -146,12 +146,12 @@ def _directions(model: pin.Model, index: int) -> tuple[int, int]:
 
 
 def _is_turned(model: pin.Model, index: int) -> bool:
-    """Whether a joint before this one turns, so that M depends on how far this one has slid."""
+    """Whether a joint before this one rotates, so that M depends on this one's displacement."""
     return any(_directions(model, before)[1] for before in list(model.supports[index])[1:-1])
 
 
 def _travel(model: pin.Model, index: int) -> float:
-    """Longest way from its zero that a sliding joint's limits allow, m."""
+    """Largest distance from zero that a prismatic joint's limits allow, m."""
     joint, (lower, upper) = model.joints[index], position_limits(model)
     entries = slice(joint.idx_q, joint.idx_q + joint.nq)
     farthest = np.maximum(np.abs(lower[entries]), np.abs(upper[entries]))

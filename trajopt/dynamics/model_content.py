@@ -23,7 +23,7 @@ SUPPORTED_JOINTS = (
 _NO_AXIS = (0.0, 0.0, 0.0)
 _CLOSE_NAMES = 5
 _CLOSE_CUTOFF = 0.4  # of difflib's similarity, below its default 0.6: frame names are long
-_CACHED_FUNCTIONS = 64  # of each decorated function
+_CACHED_FUNCTIONS = 64  # per decorated function
 
 
 def joint_kind(model: pin.Model, index: int) -> str:

@@ -1,4 +1,4 @@
-"""Numeric quantities of a Pinocchio model that several parts ask for: weight and contact forces."""
+"""Numeric quantities of a Pinocchio model that several modules use: weight and contact forces."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ def contact_jacobian(
 ) -> np.ndarray:
     """Rows (n, nv) of the contacts' frame Jacobians at q (nq,), world-aligned axes.
 
-    ``contacts`` are frame names with their dimension, 3 (linear) or 6 (linear, angular), or with the
-    numbers of the rows to take.
+    ``contacts`` are frame names with their dimension, 3 (linear) or 6 (linear, angular), or with the indices
+    of the rows to take.
     """
     data = model.createData()
     blocks = [np.zeros((0, model.nv))]
     for frame, taken in contacts:
         rows = range(taken) if isinstance(taken, int) else taken
         jacobian = pin.computeFrameJacobian(model, data, q, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED)
-        blocks.append(jacobian.reshape(6, model.nv)[list(rows)])  # one joint alone gives a vector
+        blocks.append(jacobian.reshape(6, model.nv)[list(rows)])  # a single joint gives a vector
     return np.vstack(blocks)
 
 

@@ -1,4 +1,4 @@
-"""The recursive Newton-Euler method link by link: joint forces and what the joints' bearings carry.
+"""The recursive Newton-Euler method link by link: joint forces and the constraint forces in the bearings.
 
 Forward from the root, in the axes of each link ``i`` (its parent is ``p``, its origin at joint ``i``),
 
@@ -14,8 +14,8 @@ balance of each link about its centre of mass,
     n_i = sum R n_child - f_i x c_i + sum (R f_child) x (c_i - r_child) + I_i alpha_i + omega_i x I_i omega_i
 
 (Spong, Hutchinson, Vidyasagar, "Robot Modeling and Control", 2006, section 7.6; there for revolute joints,
-where ``r' = r'' = 0``). Classical accelerations and forces, no spatial algebra: `pin.rnea` is an independent
-computation of the same.
+where ``r' = r'' = 0``). Classical accelerations and forces, no spatial algebra: `pin.rnea` computes the same
+independently.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ _LINK = "link"
 
 @dataclass(frozen=True, kw_only=True)
 class JointForces:
-    """What every joint carries. Row k belongs to joint k + 1 of the model, the name ``joints[k]``.
+    """Forces at every joint. Row k belongs to joint k + 1 of the model, named ``joints[k]``.
 
     tau: (nv,) generalised force of the actuators, N m or N, with the part that accelerates rotors (armature).
     force, moment: (n, 3) what the parent link exerts on the link through the joint, N and N m, at the joint's
         origin, in the axes of the link.
-    constraint_force, constraint_moment: (n, 3) the part of it that the bearing carries: what is left without
-        the joint's own directions. It does no work.
+    constraint_force, constraint_moment: (n, 3) the part of it that the bearing carries: its component outside
+        the joint's motion subspace. It does no work.
     """
 
     joints: tuple[str, ...]
@@ -95,12 +95,12 @@ def newton_euler(
     """``(q, v, a, w) -> (tau, force, moment, constraint_force, constraint_moment)`` on SX.
 
     ``w`` stacks the wrenches on ``frames`` as `rigid_body.fused` takes them: 0, 3 or 6 entries each, world
-    axes. Outputs as in `JointForces`, one column a joint. Built once for each content of a model. Raises
-    `InputError` for a frame or a wrench size, `UnsupportedJointError` for a joint.
+    axes. Outputs as in `JointForces`, one column per joint. Built once per model content. Raises `InputError`
+    for an unknown frame or wrench size, `UnsupportedJointError` for an unsupported joint.
     """
     if len(frames) != len(wrench_kinds) or not set(wrench_kinds) <= set(rigid_body.WRENCH_SIZES):
         raise InputError(
-            f"wrench sizes {list(wrench_kinds)} for frames {list(frames)}", "one of 0, 3, 6 a frame"
+            f"wrench sizes {list(wrench_kinds)} for frames {list(frames)}", "one of 0, 3, 6 per frame"
         )
     pairs = zip(frames, wrench_kinds, strict=True)
     return _function(model, tuple(frame_content(model, name, size) for name, size in pairs))
@@ -108,7 +108,7 @@ def newton_euler(
 
 @dataclass(frozen=True, kw_only=True)
 class _Link:
-    """Motion of a link: all vectors in its own axes, but ``position`` of its origin in the parent's."""
+    """Motion of a link, in its own axes, except ``position``: that of its origin, in the parent's axes."""
 
     rotation: ca.SX  # to the parent's axes
     position: ca.SX
@@ -140,7 +140,7 @@ def _function(model: pin.Model, outer: tuple) -> ca.Function:
 
 
 def _forward(model: pin.Model, q: ca.SX, v: ca.SX, a: ca.SX) -> list[_Link]:
-    """Motion of every link from the root outwards; the root itself rests."""
+    """Motion of every link from the root outwards; the root itself is at rest."""
     rest, axes = ca.SX.zeros(3), ca.SX.eye(3)
     root = _Link(
         rotation=axes, position=rest, world_rotation=axes, omega=rest, alpha=rest, acceleration=rest,
@@ -173,7 +173,7 @@ def _moved(model: pin.Model, index: int, parent: _Link, q: ca.SX, v: ca.SX, a: c
 
 
 def _single_joint(model: pin.Model, index: int) -> pin.Model:
-    """A model of that joint alone: its motion in world axes is the relative motion in the parent's."""
+    """A model of that joint alone: its motion in world axes is the relative motion in the parent's axes."""
     single = pin.Model()
     joint = single.addJoint(0, model.joints[index], model.jointPlacements[index], model.names[index])
     single.addFrame(pin.Frame(_LINK, joint, 0, pin.SE3.Identity(), pin.OP_FRAME))

@@ -1,13 +1,13 @@
-"""A floating model hung up at another of its bodies: the same tree, seen from a contact point.
+"""A floating model re-rooted at another of its bodies: the same tree, seen from a contact point.
 
 A joint of one degree of freedom places its child in its parent at ``M exp(S q)``. Seen from the child
 the parent is at ``exp(-S q) M^-1``. With T a half turn about an axis perpendicular to S,
-``exp(-S q) = T exp(S q) T^-1``: the joint of the same kind, placed at T. So coordinate, rate, torque,
-armature and limits of a turned-round joint are those of the joint itself, and keep its name.
+``exp(-S q) = T exp(S q) T^-1``: the joint of the same kind, placed at T. So a reversed joint keeps the name,
+coordinate, rate, torque, armature and limits of the original.
 
-Pinocchio's own graphs (``pin.graph``) turn joints round too, but want the robot as a graph to begin with,
+Pinocchio's own graphs (``pin.graph``) reverse joints too, but need the robot as a graph to begin with,
 and version 4.1 leaves a body's inertia at its joint where the body's frame lies elsewhere
-(`docs/modelling/coordinates.md`), as it does behind every joint turned round.
+(`docs/modelling/coordinates.md`), as it does behind every reversed joint.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ JOINT_ROWS = (
 
 @dataclass(frozen=True)
 class Body:
-    """Where a body of the old model is: its joint in the new model, its old frame in that joint's."""
+    """Where a body of the old model is: its joint in the new model, its old frame in that joint's frame."""
 
     joint: int
     placement: pin.SE3
@@ -40,13 +40,13 @@ class Body:
 def path_to_base(model: pin.Model, joint: int) -> list[int]:
     """Return the joints from ``joint`` up to the base, joint 1, both included.
 
-    Raises `UnsupportedJointError` for one on the way that has not one degree of freedom.
+    Raises `UnsupportedJointError` for one with more than one degree of freedom.
     """
     path = [joint]
     while path[-1] != 1:
         if path[-1] == 0:
             raise InputError(
-                f"the contact on joint '{model.names[joint]}' does not hang on the base", "a limb of the base"
+                f"the contact on joint '{model.names[joint]}' is not on a limb of the base", "one on a limb"
             )
         path.append(int(model.parents[path[-1]]))
     for index in path[:-1]:
@@ -72,8 +72,8 @@ def reroot(
     """Return ``model`` standing on ``frame``: a ``passive`` joint there, at ``root`` in the world.
 
     The passive joint comes first, then the joints from there to the base, then the limbs; all but the
-    first keep name, coordinate and rows. At the passive joint's neutral the frame's body is turned as in
-    the neutral configuration of ``model``. Frames are kept; `BASE_FRAME` is where joint 1 was. Raises
+    first keep name, coordinate and rows. At the passive joint's neutral the frame's body has its orientation
+    from the neutral configuration of ``model``. Frames are kept; `BASE_FRAME` is where joint 1 was. Raises
     `InputError`, `UnsupportedJointError`.
     """
     foot = model.frames[model.getFrameId(frame)]
@@ -87,7 +87,7 @@ def reroot(
     bodies = {path[0]: Body(first, pin.SE3(turned, -turned @ foot.placement.translation))}
     for child, parent in pairwise(path):
         bodies[parent] = _turned_round(model, new, child, bodies[child])
-    for joint in reversed(path):  # the base's limbs first: Pinocchio wants a depth-first order
+    for joint in reversed(path):  # the base's limbs first: Pinocchio needs a depth-first order
         _hang_limbs(model, new, joint, path, bodies)
     for joint, body in bodies.items():
         new.appendBodyToJoint(body.joint, model.inertias[joint], body.placement)
@@ -100,14 +100,14 @@ def reroot(
 
 
 def _turned_round(model: pin.Model, new: pin.Model, child: int, body: Body) -> Body:
-    """Add the joint of ``child`` from its other side; returns where the parent's body then is."""
+    """Add the joint of ``child`` reversed; returns where the parent's body then is."""
     half_turn = _half_turn(joint_motion(model.joints[child]))
     added = new.addJoint(body.joint, model.joints[child], body.placement * half_turn, model.names[child])
     return Body(added, half_turn.inverse() * model.jointPlacements[child].inverse())
 
 
 def _half_turn(motion: pin.Motion) -> pin.SE3:
-    """Half a turn about an axis perpendicular to that of the joint, which it turns round."""
+    """Half a turn about an axis perpendicular to that of the joint, which it reverses."""
     axis = motion.angular if np.any(motion.angular) else motion.linear
     perpendicular = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     perpendicular /= np.linalg.norm(perpendicular)
@@ -117,7 +117,7 @@ def _half_turn(motion: pin.Motion) -> pin.SE3:
 def _hang_limbs(
     model: pin.Model, new: pin.Model, joint: int, path: list[int], bodies: dict[int, Body]
 ) -> None:
-    """Add what hangs on ``joint`` beside the path, and mark where its bodies are."""
+    """Add the limbs on ``joint`` off the path, and record where their bodies are."""
     limbs = {joint}
     for index in range(1, model.njoints):
         parent = int(model.parents[index])

@@ -1,10 +1,10 @@
 """Pinocchio's algorithms as CasADi functions of a numeric model.
 
-Every function takes a ``pin.Model`` (built or edited by whatever means; lock joints by passing the
-reduced model) and returns a ``casadi.Function`` of SX, built once for each content of a model, in
-Pinocchio's conventions: configuration q (nq), velocity v (nv) and acceleration a (nv), SI units. All of
-them raise ``UnsupportedJointError`` for a joint they do not know, and those that take a frame
-``InputError`` for a name that the model does not have.
+Every function takes a ``pin.Model`` (built or edited by any means; lock joints by passing the reduced model)
+and returns a ``casadi.Function`` of SX, built once per model content, in Pinocchio's conventions:
+configuration q (nq), velocity v (nv) and acceleration a (nv), SI units. All of them raise
+``UnsupportedJointError`` for an unsupported joint, and those that take a frame raise ``InputError`` for a
+name that the model does not have.
 
 ``reference`` is Pinocchio's reference frame of a motion: "world_aligned" (world axes at the frame's
 origin), "local" (the frame's axes and origin) or "world" (spatial, at the world's origin).
@@ -39,13 +39,13 @@ def fused(model: pin.Model, frames: Sequence[str], wrench_kinds: Sequence[int]) 
     - ``w`` stacks, for each frame, its wrench of size 0 (none), 3 (force) or 6 (force, moment):
       N and Nm on the robot, world-aligned axes, at the frame's origin;
     - ``tau`` (nv) is ``RNEA(q, v, a) - sum J^T w``, the model's gravity included;
-    - the other outputs have one column a frame: ``rotation`` (9, column-major) and ``position`` (3)
+    - the other outputs have one column per frame: ``rotation`` (9, column-major) and ``position`` (3)
       in the world; ``velocity`` (6: linear, angular) and ``acceleration`` (6: classical linear,
       angular) in world-aligned axes at the frame's origin.
     """
     if len(frames) != len(wrench_kinds) or not set(wrench_kinds) <= set(WRENCH_SIZES):
         raise InputError(
-            f"wrench sizes {list(wrench_kinds)} for frames {list(frames)}", "one of 0, 3, 6 a frame"
+            f"wrench sizes {list(wrench_kinds)} for frames {list(frames)}", "one of 0, 3, 6 per frame"
         )
     pairs = zip(frames, wrench_kinds, strict=True)
     return _fused(model_content(model), tuple(frame_content(model, name, size) for name, size in pairs))
@@ -143,7 +143,7 @@ def _in_reference(name: str, model: pin.Model, frame_name: str, reference: str) 
 
 @lru_cache(maxsize=_CACHED_FUNCTIONS)
 def _kinetic_energy(model: tuple) -> Function:
-    """Links and rotors apart: Pinocchio 4.1 leaves out the rotor of a revolute joint of any axis."""
+    """Links and rotors separately: Pinocchio 4.1 leaves out the rotor of a revolute joint of any axis."""
     joints, armature, gravity = model
     links = _of_model("kinetic_energy", (joints, (0.0,) * len(armature), gravity))
     q, v = links.sx_in(0), links.sx_in(1)

@@ -9,9 +9,9 @@ free-flyer. The transport of wrenches and momenta from G to B is
     X = [ R^T                  0   ]
         [ -R^T [p - c]x       R^T  ]        R, p: orientation and origin of B in the world
 
-and with the momentum h_G = A_G v, the base rows of M are ``J_b^T X A_G``: momentum as the base's coordinates
-see it (Orin, Goswami, Lee, "Centroidal dynamics of a humanoid robot", 2013). Armature is not momentum: rotors
-add only to the diagonal of M.
+and with the momentum h_G = A_G v, the base rows of M are ``J_b^T X A_G``: momentum in the base's coordinates
+(Orin, Goswami, Lee, "Centroidal dynamics of a humanoid robot", 2013). Armature is not momentum: rotors add
+only to the diagonal of M.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from trajopt.dynamics.base_joint import BASE_JOINT, BASE_ROWS, base_of
 from trajopt.dynamics.model_content import joint_kind, once_per_content
 from trajopt.errors import InputError
 
-# Relative part of gravity that a base cannot follow, and of a base Jacobian's smallest singular value.
+# Relative tolerance on the part of gravity a base cannot follow, and on a base Jacobian's singular values.
 UNREACHABLE = 1e-9
 SINGULAR = 1e-9
 
@@ -62,7 +62,7 @@ class MomentumMaps:
     """Momentum matrices at a configuration, and the maps between their frames.
 
     centroidal: (6, nv), A_G: linear and angular momentum in world axes about the centre of mass.
-    base_from_centroidal: (6, 6), X of the module: a wrench or momentum at G, seen in B.
+    base_from_centroidal: (6, 6), X of the module: a wrench or momentum at G, expressed in B.
     base_jacobian: (6, nb), J_b of the module.
     placement: B in the world.
     """
@@ -102,7 +102,7 @@ class MomentumMaps:
 
 @dataclass(frozen=True, kw_only=True)
 class KineticEnergy:
-    """Kinetic energy in J, in two ways.
+    """Kinetic energy in J, computed in two ways.
 
     translation, rotation: (n,), ``1/2 m |v_c|^2`` and ``1/2 omega^T I omega`` of the link of joint k + 1.
     armature: ``1/2 sum armature_j v_j^2``, rotors turning with their joints.
@@ -123,7 +123,7 @@ def mass_matrix_at(model: pin.Model, q: np.ndarray) -> np.ndarray:
 
 
 def mass_blocks(model: pin.Model, q: np.ndarray, base_joint: str | None = None) -> MassBlocks:
-    """Blocks of M at q (nq,), apart for base and joints. Raises `InputError` for a wrong base or shape."""
+    """Blocks of M at q (nq,), split into base and joints. Raises `InputError` for a wrong base or shape."""
     matrix, rows = mass_matrix_at(model, q), base_joint_and_rows(model, base_joint)[1]
     return MassBlocks(base=matrix[:rows, :rows], coupling=matrix[:rows, rows:], joints=matrix[rows:, rows:])
 
@@ -158,7 +158,8 @@ def coriolis_matrix_at(model: pin.Model, q: np.ndarray, v: np.ndarray) -> np.nda
     """C (nv, nv) with ``C v`` the Coriolis and centrifugal forces and ``M' - 2 C`` skew symmetric.
 
     Pinocchio's, which is the Christoffel form. It leaves out the rate of the axes of a spherical ZYX joint,
-    so with one of these it is `lagrange.coriolis_matrix`. Raises `UnsupportedJointError` as `rigid_body`.
+    so models with such a joint get `lagrange.coriolis_matrix`. Raises `UnsupportedJointError` as
+    `rigid_body`.
     """
     require_shapes(model, q=q, v=v)
     if any(joint_kind(model, index) == "SphericalZYX" for index in range(1, model.njoints)):
@@ -243,7 +244,7 @@ def base_joint_and_rows(model: pin.Model, base_joint: str | None) -> tuple[int, 
         raise InputError(f"virtual joints before '{base_joint}' carry mass", "massless ones")
     others = [index for index in range(joint + 1, model.njoints) if joint not in model.supports[index]]
     if others:
-        raise InputError(f"joint '{model.names[others[0]]}' does not hang on '{base_joint}'", "all must")
+        raise InputError(f"joint '{model.names[others[0]]}' is not behind '{base_joint}'", "all must be")
     return joint, model.joints[joint].idx_v + model.joints[joint].nv
 
 

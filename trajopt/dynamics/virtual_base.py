@@ -6,9 +6,9 @@ Jacobian times the rates,
 
     [p'; omega] = diag(I, J_w) [p'; phi'],     J_w = [e_i, R_i e_j, R_i R_j e_k]
 
-The outer axes of J_w close up as the middle angle b goes to a right angle: the singular values of J_w are
-1 and sqrt(1 +- |sin b|). The least of them is the **gimbal margin**: rates of the angles are up to its
-inverse times the angular velocity, and at zero, gimbal lock, the joint-space inertia is singular.
+The outer axes of J_w become parallel as the middle angle b approaches a right angle: the singular values of
+J_w are 1 and sqrt(1 +- |sin b|). The least of them is the **gimbal margin**: rates of the angles are up to
+its inverse times the angular velocity, and at zero, gimbal lock, the joint-space inertia is singular.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from trajopt.errors import InputError
 DEFAULT_ORDER = "ZYX"
 
 # Below this margin the angles' rates are over twenty times the angular velocity and their accelerations
-# four hundred times: what a scheme of a few points an interval resolves of them says nothing any more.
+# four hundred times: a scheme with a few points per interval no longer resolves them.
 LEAST_MARGIN = 0.05
 
 Triple = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -98,7 +98,7 @@ def _reached(t: np.ndarray, b: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray
     h = np.diff(t)
     start, step, first, last = b[:-1], np.diff(b), rate[:-1] * h, rate[1:] * h
     cubic, square = first + last - 2 * step, 3 * step - 2 * first - last
-    # Extremes where 3 cubic s^2 + 2 square s + first = 0; roots in the form that does not cancel.
+    # Extremes where 3 cubic s^2 + 2 square s + first = 0; roots in the form without cancellation.
     root = np.sqrt(np.maximum(square**2 - 3 * cubic * first, 0.0))
     stable = -(square + np.copysign(root, square))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -174,7 +174,7 @@ def to_free_flyer(model: pin.Model, q: np.ndarray, v: np.ndarray, a: np.ndarray)
     change = rotation.T @ rotation_jacobian_rate(order, q[3:6], v[3:6])
     linear, omega = rotation.T @ v[:3], jacobian @ v[3:6]
     acceleration = rotation.T @ a[:3] - np.cross(omega, linear)
-    # (d/dt R^T J_w) phi' = R^T J_w' phi': omega is its own cross product with itself.
+    # (d/dt R^T J_w) phi' = R^T J_w' phi': the cross product of omega with itself is zero.
     turned = jacobian @ a[3:6] + change @ v[3:6]
     quaternion = pin.Quaternion(rotation).coeffs()
     return (
@@ -190,7 +190,7 @@ def from_free_flyer(
     """Coordinates of a virtual base with that ``order`` from those of a free-flyer.
 
     ``near`` (3,) rad: take the angles nearest to these, as in `angles_of`. Raises `InputError` in gimbal
-    lock where a velocity or acceleration is not zero: no rates of the angles make them.
+    lock where a velocity or acceleration is not zero: no angle rates produce them.
     """
     require_order(order)
     rotation = pin.Quaternion(*q[[6, 3, 4, 5]]).toRotationMatrix()

@@ -1,4 +1,4 @@
-"""Newton's and Euler's equations of the whole robot, and what the base rows of the dynamics are of them.
+"""Newton's and Euler's equations of the whole robot, and their relation to the base rows of the dynamics.
 
 The rate of momentum about the centre of mass is the wrench of gravity and contacts (Featherstone, "Rigid Body
 Dynamics Algorithms", 2008, section 2.12): joint torques do not appear. Frames and the transport to the base
@@ -43,10 +43,10 @@ class WholeBodyBalance:
 
     @property
     def missing(self) -> np.ndarray:
-        """(6,): the wrench that the motion needs and nothing named gives.
+        """(6,): the wrench that the motion needs beyond gravity and contacts.
 
-        Zero in a consistent motion of a floating base; what the bearings of a fixed or planar base carry;
-        its base rows, ``momentum.base_rows(missing)``, are ``base_rows``, whatever the motion.
+        Zero in a consistent motion of a floating base; the reaction in the bearings of a fixed or planar
+        base. Its base rows, ``momentum.base_rows(missing)``, are ``base_rows`` for every motion.
         """
         return self.momentum_rate - self.gravity - self.contacts
 

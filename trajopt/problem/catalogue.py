@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def families() -> dict[str, Family]:
     """Return all families by name, sorted; a package that cannot be loaded is left out with a warning.
 
-    Raises `TrajoptError` when there is none, or when two packages use one name.
+    Raises `TrajoptError` when there is none, or when two packages use the same name.
     """
     found: dict[str, Family] = {}
     origin: dict[str, str] = {}
@@ -44,7 +44,7 @@ def _families_of(entry: EntryPoint) -> Mapping[str, Family]:
         offered: Mapping[str, Family] = entry.load().families()
     except VersionMismatchError:
         raise
-    except Exception as error:  # whatever a foreign package raises must not take the others down
+    except Exception as error:  # an error in one package must not affect the others
         reason = f"{type(error).__name__}: {error}"
         warnings.warn(f"problems of '{entry.value}' cannot be loaded: {reason}", stacklevel=3)
         return {}

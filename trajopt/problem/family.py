@@ -14,7 +14,7 @@ from trajopt.errors import InputError
 if TYPE_CHECKING:
     from trajopt.problem.problem import Problem
 
-# Unit -> what may be written for it and for it per second, and its size in that unit.
+# Unit -> how it and its rate per second may be written, and the size of each in that unit.
 _SUFFIXES = {
     "rad": {"deg": math.pi / 180, "rad": 1.0},
     "m": {"m": 1.0, "cm": 0.01, "mm": 0.001},
@@ -78,7 +78,7 @@ class Parameter:
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """A parameter of a family that is one word out of ``choices``."""
+    """A parameter of a family that is one of the words ``choices``."""
 
     name: str
     default: str
@@ -104,7 +104,7 @@ class RobotName:
     choices: tuple[str, ...]
 
     name: ClassVar[str] = "robot"
-    meaning: ClassVar[str] = "name of a robot, or a .py file with build(); listed are those it is tested on"
+    meaning: ClassVar[str] = "name of a robot, or a .py file with build(); tested ones are listed"
     unit: ClassVar[str] = ""
     lower: ClassVar[None] = None
     upper: ClassVar[None] = None
@@ -128,7 +128,7 @@ class Family:
         summary: one line of help.
         parameters: what may be chosen.
         build: takes every parameter by name and returns the problem. The problem gets the parameters' values;
-            ``build`` states only those that it derives.
+            ``build`` sets only those that it derives.
         robot: name of the only or default robot.
         robots: names of the robots on which the family is tested, the default first.
 
@@ -178,7 +178,7 @@ def choose(families: Mapping[str, Family], name: str) -> Family:
 
 
 def not_among(known: Iterable[str], name: str, what: str) -> InputError:
-    """The error of a name that is none of those known, with the one that may have been meant."""
+    """The error for an unknown name, with the known name it is close to."""
     names = list(known)
     close = difflib.get_close_matches(name, names, 1)
     hint = f"did you mean {close[0]}? " if close else ""

@@ -1,14 +1,14 @@
 """Periodic motions: the final state is the image of the initial one, which is free.
 
-The image is a translation, a turn about the vertical, or a reflection in the vertical plane of the start's
+The image is a translation, a turn about the vertical, or a reflection in the vertical plane of the initial
 heading (half a cycle of a symmetric gait). With the state in the coordinates of a node (quaternion, additive
 positions, rates: world linear, body angular velocity) each of these is linear:
 
     p' = Rz p + t          pdot' = Rz pdot         omega' = omega         q' = q_z q          (turn)
-    x' = s_i x_(i)         (y and what mirrors it change sign; left and right joints trade places)
+    x' = s_i x_(i)         (y and its like change sign; left and right joints swap)
 
-Of the quaternions, whose norms are one, the vector parts relative to the start's reference say all; so all
-rows are linear, and there is one nonlinear row for every rotation: its norm at the start.
+For unit quaternions the vector parts relative to the start's reference suffice; so all rows are linear,
+except one for every rotation: its norm at the start.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from trajopt.schedule.schedule import Phase, Schedule
 
 # Contacts are each other's mirror images within this part of the robot's length: real robots have small
-# offsets from one side to the other, and a half cycle only needs to know which foot is which.
+# offsets from one side to the other, and a half cycle only needs to match the feet.
 PAIRED = 5e-2
 
 
@@ -176,7 +176,7 @@ def _require_base(robot: Robot, rotations: int, periodicity: Periodicity) -> Non
 
 
 def _translated(robot: Robot, n: int) -> np.ndarray:
-    """What a world translation (3,) adds to the additive positions (n, 3)."""
+    """Change of the additive positions (n, 3) per world translation (3,)."""
     moved = np.zeros((n, 3))
     if robot.base == "planar":
         moved[[0, 1], [0, 2]] = 1.0
@@ -223,7 +223,7 @@ def landing_at_start(robot: Robot, schedule: Schedule, periodicity: Periodicity)
     Contacts that hold across the end have landed within the cycle.
 
     Raises:
-        InputError: for a contact that never lands: its place would follow from no row, or from two.
+        InputError: for a contact that never lands: its position would follow from no row, or from two.
     """
     images = {contact.name: contact.name for contact in robot.contacts}
     if periodicity.mirror:

@@ -46,7 +46,7 @@ from trajopt.terrain.terrain import Ground, Terrain
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """Everything a transcription needs, and nothing of how it is transcribed or solved.
+    """Everything a transcription needs, independent of how it is transcribed or solved.
 
     Args:
         name: for reports and files.
@@ -54,26 +54,26 @@ class Problem:
         schedule: its contacts over time.
         terrain: the ground.
         initial_q: configuration at the start (nq,). With a ``periodicity`` the start is free, and this is the
-            reference of its rotations and says where in the world the motion is.
+            reference of its rotations and fixes the motion's position in the world.
         initial_v: velocity at the start (nv,).
         terms: costs and constraints.
         guess: time in s -> configuration (nq,), a motion that follows the schedule and is defined a little
-            beyond its ends. Rates follow by differences, contact forces by a distribution that carries it.
+            beyond its ends. Rates follow by differences, contact forces by a distribution that balances it.
         parameters: values of the family's parameters.
-        default_intervals: number of intervals where the caller states none.
-        default_transcription: transcription where the caller states none.
+        default_intervals: number of intervals if the caller gives none.
+        default_transcription: transcription if the caller gives none.
         actuation: the control input: "torque"; "acceleration", where no term may depend on torques; or
             "velocity", where configurations are the state, contacts do not slide and a free base is in static
             balance.
-        dynamics: rows that make it a motion of this robot, default those of the actuation; a reduced model
-            brings its own.
+        dynamics: constraints that hold for every motion of this robot, default those of the actuation; a
+            reduced model has its own.
         modes: minimal coordinates of phases, by the phase's name.
         periodicity: makes the final state the image of the start, which is then free.
         duration_bounds: (lower, upper) in s of the total duration, some of whose phases are free.
         payloads: what the robot carries in phases, by the phase's name.
 
     Raises:
-        InputError: where parts do not fit each other.
+        InputError: for parts that are inconsistent.
     """
 
     name: str
@@ -132,7 +132,7 @@ class Problem:
         require_reach(robot, self.terms, standing)
 
     def guess_at(self, t: float) -> np.ndarray:
-        """The guess (nq,) at ``t`` s. Raises InputError, which names the time, if it is no configuration."""
+        """The guess (nq,) at ``t`` s. Raises InputError with the time if it is not a configuration."""
         what, given = f"guess of problem '{self.name}' at t = {t:.6g} s", self.guess(t)
         try:
             q = np.array(given, dtype=float)
@@ -163,7 +163,7 @@ class Problem:
         return found
 
     def robot_in(self, phase: str) -> Robot:
-        """The robot in a phase: with what it carries there."""
+        """The robot in a phase, with the payload it carries there."""
         return self._loaded.get(phase, self.robot)
 
     @cached_property
@@ -193,7 +193,7 @@ class Problem:
 
     @property
     def motion_rows(self) -> tuple[PointConstraint, ...]:
-        """The dynamics: rows that make it a motion of the robot."""
+        """The dynamics: constraints that hold for every motion of the robot."""
         if self.dynamics is not None:
             return self.dynamics
         still = ContactVelocity() if self.actuation == "velocity" else ContactAcceleration()
@@ -203,7 +203,7 @@ class Problem:
     def surfaces_of(self, phase: int) -> dict[str, Ground]:
         """What every contact of a phase touches, by the contact's name.
 
-        A contact that stands since the start and for which nothing is named touches the terrain there.
+        A contact that stands from the start and for which nothing is stated touches the terrain there.
         """
         starts, schedule = self._starts, self.schedule
         names = schedule.phases[phase].contacts
@@ -211,7 +211,7 @@ class Problem:
 
     @property
     def _starts(self) -> dict[str, np.ndarray]:
-        """Where contacts stand at the start, m; on flat ground and of a free start nobody asks."""
+        """Where contacts stand at the start, m; not needed on flat ground and with a free start."""
         if isinstance(self.terrain, FlatGround) or self.periodicity is not None:
             return {}
         return contact_positions(self.robot, self.initial_q)
@@ -243,7 +243,7 @@ class Problem:
     def free_directions(self) -> tuple[int, ...]:
         """Horizontal coordinates of the base along which a periodic motion may be shifted: 0 is x, 1 is y.
 
-        None where something says where in the world the motion is: footholds, or a terrain that is no plane.
+        None where footholds, or a terrain that is not a plane, fix the motion's position in the world.
         """
         placed = any(phase.footholds or phase.patches for phase in self.schedule.phases)
         if self.periodicity is None or placed or not isinstance(self.terrain, FlatGround):
@@ -253,7 +253,7 @@ class Problem:
         return (0,) if self.robot.base == "planar" or self.periodicity.mirror else (0, 1)
 
     def _start_rows(self) -> tuple[NodeConstraint, ...]:
-        """A free start has unit rotations, and contacts that land with it."""
+        """Rows of a free start: unit rotations, and contacts that land there."""
         if self.periodicity is None:
             return ()
         first = self.schedule.phases[0].name

@@ -1,4 +1,4 @@
-"""Validation of problems: parts that do not fit each other, and goals that cannot be reached."""
+"""Validation of problems: inconsistent parts, and goals that cannot be reached."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ from trajopt.terms.interfaces import PointConstraint, Term
 from trajopt.terms.limits import PositionLimits
 from trajopt.terms.terminal import TerminalState
 
-# A start may exceed a limit by what a check allows: this part of it, at least this many rad, m, rad/s or m/s.
+# A start may exceed a limit by what a check allows: this fraction of it, at least this much, rad, m, rad/s,
+# m/s.
 LIMIT_SLACK = 1e-6
-# A goal may have contacts this part of the robot's length away from where they stand, and places may be as
-# much further apart than the links are long: what a check allows of feet that drift, on a robot of a metre.
+# A goal may have contacts this fraction of the robot's length away from where they stand, and places may be
+# further apart than the links by as much: what a check allows feet to drift, on a robot of a metre.
 PLACE_SLACK = 1e-3
 
 
@@ -46,7 +47,7 @@ def checked_vector(what: str, values: np.ndarray, size: int) -> np.ndarray:
 
 
 def require_terms(problem: str, terms: Sequence[Term]) -> None:
-    """Raise `InputError` for what is neither a cost nor a constraint."""
+    """Raise `InputError` for terms that are neither costs nor constraints."""
     for term in terms:
         if not isinstance(term, Term):
             raise InputError(f"a term of problem '{problem}' is {term!r}", "allowed: costs and constraints")
@@ -59,11 +60,12 @@ def require_phase(schedule: Schedule, name: str, what: str) -> None:
 
 
 def require_phases(problem: str, robot: Robot, schedule: Schedule) -> None:
-    """Raise `InputError` for two phases of one name, and contacts that the robot does not have."""
+    """Raise `InputError` for two phases with the same name, and contacts that the robot does not have."""
     names = schedule.names
     if len(set(names)) != len(names):
         raise InputError(
-            f"problem '{problem}' has two phases of one name: {', '.join(names)}", "allowed: a name each"
+            f"problem '{problem}' has two phases of the same name: {', '.join(names)}",
+            "allowed: different names",
         )
     for phase in schedule.phases:
         for contact in phase.contacts:
@@ -71,7 +73,7 @@ def require_phases(problem: str, robot: Robot, schedule: Schedule) -> None:
 
 
 def require_actuation(robot: Robot, schedule: Schedule, actuation: str, initial_v: np.ndarray) -> None:
-    """Raise `InputError` for an unknown actuation, or a velocity source in what it cannot model."""
+    """Raise `InputError` for an unknown actuation, or a phase that a velocity source cannot model."""
     if actuation not in ACTUATIONS:
         raise InputError(f"actuation {actuation!r} is unknown", f"allowed: {', '.join(ACTUATIONS)}")
     if actuation != "velocity":
@@ -96,7 +98,7 @@ def require_modes(
     start: tuple[np.ndarray, np.ndarray],
     contact_place: Callable[[str, int], np.ndarray | None],
 ) -> None:
-    """Raise `InputError` for a mode of another robot or place than its phase, or that the start contradicts.
+    """Raise `InputError` for a mode whose robot or place is not its phase's, or that the start contradicts.
 
     Args:
         problem: its name.
@@ -135,7 +137,7 @@ def require_modes(
 
 
 def require_no_impacts(schedule: Schedule) -> None:
-    """Raise `InputError` for a phase that begins with an impact, of dynamics that hold no contacts."""
+    """Raise `InputError` for a phase that begins with an impact, if the dynamics hold no contacts."""
     for phase in schedule.phases:
         if phase.impact:
             raise InputError(
@@ -193,7 +195,7 @@ def checked_duration_bounds(
 def require_start(
     problem: str, robot: Robot, q: np.ndarray, v: np.ndarray, rows: Sequence[PointConstraint]
 ) -> None:
-    """Raise `InputError` for a start that is no configuration, or beyond limits that the problem states.
+    """Raise `InputError` for a start that is not a configuration, or beyond limits that the problem imposes.
 
     Args:
         problem: its name.
@@ -238,7 +240,7 @@ def _require_within(
 
 
 def _require_joint_range(robot: Robot, what: tuple[str, str], q: np.ndarray) -> None:
-    """All limits of the robot, those too that are so wide that no rows state them."""
+    """All limits of the robot, including those so wide that no rows impose them."""
     rows = np.full((3, robot.nv), np.nan)
     for joint in Coordinates(robot.model).joints:
         if joint.kind == "plain" and joint.v.start >= robot.n_unactuated:
@@ -250,7 +252,7 @@ def _require_joint_range(robot: Robot, what: tuple[str, str], q: np.ndarray) -> 
 def require_goals(
     robot: Robot, terms: Sequence[Term], phase: str, standing: Mapping[str, np.ndarray]
 ) -> None:
-    """Raise `InputError` for a final configuration that has contacts elsewhere than where they stand.
+    """Raise `InputError` for a final configuration whose contacts are not where they stand.
 
     Goals constrain only the directions that contacts leave free: a goal that contradicts the contacts would
     be dropped silently. ``phase`` is the last one, ``standing`` are the places (3,) m of its contacts.
@@ -273,11 +275,11 @@ def require_goals(
 def require_reach(
     robot: Robot, terms: Sequence[Term], standing: Mapping[str, Mapping[str, np.ndarray]]
 ) -> None:
-    """Raise `InputError` for places further apart than the links between them are long.
+    """Raise `InputError` for places further apart than the length of the links between them.
 
-    Contacts that stand at once, and the frame of a `FramePose` with them and with the world. Only what no
-    posture reaches is refused; a place that only limits, or other places, put out of reach is not.
-    ``standing``: by phase, in order, the places (3,) m of contacts.
+    Contacts that stand at once, and the frame of a `FramePose` with them and with the world. Only places that
+    no posture reaches are rejected, not those out of reach because of limits or other places. ``standing``:
+    by phase, in order, the places (3,) m of contacts.
     """
     last = list(standing)[-1]
     poses = [term for term in terms if isinstance(term, FramePose) and term.position is not None]

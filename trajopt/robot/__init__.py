@@ -1,6 +1,6 @@
 """The robot: its model, contacts, limits and reference posture; actuators, stances and collision shapes.
 
-The room is also the function that loads a robot from the catalogue: ``trajopt.robot("go2")``.
+The package is also the function that loads a robot from the catalogue: ``trajopt.robot("go2")``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 class _CallableRoom(ModuleType):
-    """A package that can be called, for Python makes ``trajopt.robot`` the package once it is imported."""
+    """A package that can be called, because importing it makes ``trajopt.robot`` the package."""
 
     def __call__(self, name: str) -> Robot:
         """Return the robot of that name, or of a ``.py`` file that builds one. Raises `InputError`."""

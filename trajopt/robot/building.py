@@ -35,7 +35,7 @@ SAGITTAL = pin.SE3(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]
 
 
 def within_plane(model: pin.Model, contacts: tuple[Contact, ...]) -> tuple[Contact, ...]:
-    """Return contacts without the rows that a planar base leaves without meaning: none for other bases.
+    """Return contacts without the rows that mean nothing on a planar base; unchanged for other bases.
 
     A contact on a limb that can leave the plane (an abducted leg) keeps them: its foot could slide sideways.
     """
@@ -53,7 +53,7 @@ def within_plane(model: pin.Model, contacts: tuple[Contact, ...]) -> tuple[Conta
 
 
 def leaving_plane(model: pin.Model, axis: int, q: np.ndarray) -> set[int]:
-    """Joints behind the root that at q (nq,) leave the planes across the world's axis number ``axis``."""
+    """Joints behind the root whose motion at q (nq,) leaves planes normal to the world's axis ``axis``."""
     data = model.createData()
     pin.computeJointJacobians(model, data, q)
     found = set()
@@ -141,8 +141,8 @@ def reference_posture(
 
     ``posture`` is a whole configuration (nq,), taken as it is; or the joints behind the base
     (nq - base) in order or by name (joints not named stay at neutral), or None for neutral
-    within the limits. Then the base is level, at x = y = 0, as high as puts the lowest of
-    the contact ``frames`` at height 0.
+    within the limits. Then the base is level, at x = y = 0, at the height that puts the lowest of the contact
+    ``frames`` at 0.
     """
     if posture is not None and not isinstance(posture, Mapping):
         given = np.array(posture, dtype=float)

@@ -19,8 +19,8 @@ GROUP = "trajopt.problems"
 def robot(name: str) -> Robot:
     """The robot of that name, or of a ``.py`` file that builds one.
 
-    A package's module may offer ``robot(name) -> Robot``, which raises InputError for a name that it does not
-    know: so does this where none of them knows it. A package that cannot be loaded is passed over.
+    A package's module may offer ``robot(name) -> Robot``, which raises InputError for an unknown name; this
+    function raises it if no package knows the name. A package that cannot be loaded is skipped.
     """
     found = _from_packages("robot", name)
     if found is None:
@@ -29,17 +29,17 @@ def robot(name: str) -> Robot:
 
 
 def robot_kind(name: str) -> str | None:
-    """Kind of a robot by name, or of a ``.py`` file that builds one; None where no package knows robots.
+    """Kind of a robot by name, or of a ``.py`` file that builds one; None where no package offers robots.
 
-    A package's module may offer ``robot_kind(name) -> str``, which raises InputError for a name that it does
-    not know: so does this where none of them knows it. A package that cannot be loaded is passed over.
+    A package's module may offer ``robot_kind(name) -> str``, which raises InputError for an unknown name;
+    this function raises it if no package knows the name. A package that cannot be loaded is skipped.
     """
     found = _from_packages("robot_kind", name)
     return None if found is None else str(found)
 
 
 def _from_packages(function: str, name: str) -> object:
-    """The first answer of a package that has a function of that name; None where none has one."""
+    """The first result of the packages' functions of that name; None where there is no such function."""
     unknown: InputError | None = None
     for entry in entry_points(group=GROUP):
         try:

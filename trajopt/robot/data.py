@@ -1,4 +1,4 @@
-"""Where robot descriptions and their meshes lie on this machine, in a form that travels."""
+"""Where robot descriptions and their meshes lie on this machine, in a portable form."""
 
 from __future__ import annotations
 

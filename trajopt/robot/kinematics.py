@@ -1,4 +1,4 @@
-"""Numeric kinematics: where frames are, and by damped Gauss-Newton postures that bring them elsewhere."""
+"""Numeric kinematics: frame poses, and inverse kinematics by damped Gauss-Newton."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from trajopt.robot.robot import Robot
 Targets = Mapping[str, pin.SE3 | np.ndarray]
 
 # Levenberg-Marquardt: the damping starts small against joint Jacobians of order one, shrinks on
-# success, grows on failure; an error below the tolerance is rounding to a guess.
+# success, grows on failure; an error below the tolerance does not matter to a guess.
 FIRST_DAMPING = 1e-6
 # Keeps the normal equations of a redundant arm regular, four digits above rounding.
 LEAST_DAMPING = 1e-12
@@ -38,7 +38,7 @@ def frame_pose(robot: Robot, q: np.ndarray, frame: str) -> pin.SE3:
     Raises:
         InputError: for an unknown frame; it lists close names.
     """
-    frame_content(robot.model, frame)  # checks the name: Pinocchio answers an unknown one past the end
+    frame_content(robot.model, frame)  # checks the name: for an unknown one Pinocchio's index is past the end
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, q)
     return data.oMf[robot.model.getFrameId(frame)].copy()
@@ -105,7 +105,7 @@ def inverse_kinematics(robot: Robot, q: np.ndarray, targets: Targets, *, move_ba
 
 
 def _held_by_limits(robot: Robot, q: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """Which directions (nv,) descent would leave the position limits in: joints at a limit, pushed outwards.
+    """Directions (nv,) in which descent would leave the position limits: joints at a limit, pushed outwards.
 
     Without them a step minimises over the others, and the search ends where no allowed direction descends
     (projected Newton: Bertsekas, SIAM J. Control and Optimization 20, 1982).
@@ -142,13 +142,14 @@ def _jacobian(model: pin.Model, data: pin.Data, q: np.ndarray, targets: Targets)
             blocks.append(pin.Jlog6(relative) @ pin.getFrameJacobian(model, data, frame, pin.LOCAL))
         else:
             blocks.append(pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3])
-    return np.concatenate(blocks).reshape(-1, model.nv)  # one joint alone gives vectors
+    return np.concatenate(blocks).reshape(-1, model.nv)  # a single joint gives vectors
 
 
 # Starts of the search for branches: the eight branches of a six-joint arm each attract some per cent of
 # them, so that missing one of this many is improbable (docs/modelling/irb1600.md counts).
 STARTS = 256
-# Postures of one branch, each refined to ``TOLERANCE``, differ by rounding over the least singular value.
+# Postures of one branch, each refined to ``TOLERANCE``, differ by rounding divided by the least singular
+# value.
 SAME_BRANCH = 1e-4
 # Representatives of the continuum of a redundant arm are this far apart, rad or m.
 SEPARATION = 1.0
@@ -171,16 +172,16 @@ def inverse_kinematics_branches(
     limits reaches the targets.
 
     Nothing proves that all are found; more ``starts`` find what fewer may miss. At a singularity, where
-    branches meet, convergence is slow and what counts as different is a matter of ``separation``.
+    branches meet, convergence is slow and ``separation`` decides what counts as different.
 
     Args:
         robot: the robot; its base stays where it is in ``near``.
-        targets: as of `inverse_kinematics`.
+        targets: as in `inverse_kinematics`.
         near: configuration (nq,), default the reference.
         starts: how many postures of a Halton sequence over the joints, so deterministic, to search from.
         separation: how far representatives of a continuum are apart, norm over the joints, rad and m; default
-            1.0. Of other arms, how far two branches are apart that count as different.
-        turns: whether a branch comes in every whole turn of a joint within its limits, too.
+            1.0. For other arms, the distance from which two branches count as different.
+        turns: whether to return a branch in every whole turn of a joint within its limits, too.
 
     Raises:
         InputError: for ``starts`` below one.

@@ -18,9 +18,9 @@ from trajopt.errors import InputError
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 
-# A contact this part of the robot's length above the lowest one is no foot but a hand or a knee.
+# A contact this part of the robot's length above the lowest one is a hand or a knee, not a foot.
 LIFTED = 0.1
-# Feet nearer to each other along an axis than this part of the robot's length are not told apart on it.
+# Feet closer along an axis than this fraction of the robot's length cannot be distinguished by it.
 APART = 0.02
 
 # A joint nearer to the one before it than this part of the robot's length is at the same place.
@@ -54,7 +54,7 @@ def feet_in_base(robot: Robot, q: np.ndarray | None = None) -> dict[str, np.ndar
     """Positions (3,) of the robot's feet in axes of its base, m, by contact name.
 
     At ``q`` (nq,), default the reference. Feet are the contacts that stand: hands and knees, which are
-    higher by a tenth of the robot's length or more, are left out. Of a robot in a plane along the world's
+    higher by a tenth of the robot's length or more, are left out. For a robot in a plane, along the world's
     axes. Raises `InputError` for a robot on a fixed base, or without contacts.
     """
     if robot.base == "fixed" or not robot.contacts:

@@ -249,7 +249,7 @@ def keepers(robot: Robot, mirror: Mirror, q: np.ndarray) -> tuple[int, ...]:
 
 
 def _leftward(model: pin.Model, data: pin.Data, joint: int, y0: float) -> tuple[float, int]:
-    """How far a limb's mass lies to the left; of two on the plane the first counts as left."""
+    """How far a limb's mass lies to the left; of two limbs on the plane the first counts as left."""
     com = data.oMi[joint].act(data.com[joint])
     return float(com[1] - y0), -joint
 

@@ -1,4 +1,4 @@
-"""How far apart two places on a robot can be: never more than the links between them are long."""
+"""Upper bound on the distance of two points on a robot: the lengths of the links between them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from trajopt.dynamics.model_content import frame_content, joint_kind
 
-# Joints that turn about a point of their parent: the distance from it stays what it is.
+# Joints that rotate about a point of their parent: the distance from it is constant.
 TURNING = ("RX", "RY", "RZ", "RUBX", "RUBY", "RUBZ", "RevoluteUnaligned", "RevoluteUnboundedUnaligned",
            "Spherical", "SphericalZYX")  # fmt: skip
 
@@ -29,7 +29,7 @@ class LinkPoint:
         return cls(int(found.parentJoint), np.array(found.placement.translation))
 
     def root(self, model: pin.Model) -> LinkPoint:
-        """Where the first joint on the way to it hangs, in the world."""
+        """Where the first joint on the path to it is attached, in the world."""
         way = _to_root(model, self.joint)
         if len(way) == 1:
             return self
@@ -39,8 +39,8 @@ class LinkPoint:
 def longest_between(model: pin.Model, one: LinkPoint, other: LinkPoint) -> float:
     """Upper bound on the distance in m between two places, over all configurations; inf where there is none.
 
-    The sum of the lengths from joint to joint on the way from one to the other; joints that slide have no
-    bound, whatever their limits.
+    The sum of the lengths from joint to joint on the path between them; prismatic joints have no bound,
+    whatever their limits.
     """
     ancestors = set(_to_root(model, one.joint))
     top = next(joint for joint in _to_root(model, other.joint) if joint in ancestors)
@@ -56,7 +56,7 @@ def _to_root(model: pin.Model, joint: int) -> list[int]:
 
 
 def _climb(model: pin.Model, place: LinkPoint, top: int) -> tuple[np.ndarray, float]:
-    """Point of the body ``top`` at which the branch of a place hangs, and the length from there to it."""
+    """Point of the body ``top`` where the branch of a place is attached, and the length from there to it."""
     joint, point, length = place.joint, place.point, 0.0
     while joint != top:
         turns = joint_kind(model, joint) in TURNING

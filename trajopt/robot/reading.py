@@ -17,8 +17,8 @@ from trajopt.dynamics.virtual_base import virtual_model
 from trajopt.errors import InputError, first_line
 from trajopt.robot.building import sagittal
 
-# How urdfdom begins a line that says what is wrong.
-COMPLAINT = "Error:"
+# Prefix of urdfdom's error messages.
+PREFIX = "Error:"
 
 
 def read_urdf(path: str | Path, base: Base) -> pin.Model:
@@ -26,9 +26,9 @@ def read_urdf(path: str | Path, base: Base) -> pin.Model:
     source = existing_file(path, "URDF")
     require_base(base)
     require_xml(source)
-    said: list[str] = []
+    messages: list[str] = []
     try:
-        with _stderr_kept(said):
+        with _captured_stderr(messages):
             if base == "fixed":
                 return pin.buildModelFromUrdf(str(source))
             if base == "planar":
@@ -36,13 +36,13 @@ def read_urdf(path: str | Path, base: Base) -> pin.Model:
             model = pin.buildModelFromUrdf(str(source), pin.JointModelFreeFlyer())
         return virtual_model(model) if base == "virtual" else model
     except (ValueError, RuntimeError) as error:
-        complaints = [line.removeprefix(COMPLAINT).strip(" .") for line in said if line.startswith(COMPLAINT)]
-        reason = "; ".join(complaints) or first_line(error)
+        errors = [line.removeprefix(PREFIX).strip(" .") for line in messages if line.startswith(PREFIX)]
+        reason = "; ".join(errors) or first_line(error)
         raise InputError(f"{source} is not a readable URDF file: {reason}") from None
 
 
 @contextmanager
-def _stderr_kept(lines: list[str]) -> Iterator[None]:
+def _captured_stderr(lines: list[str]) -> Iterator[None]:
     """Add what libraries write to the process's stderr to ``lines``, and pass it on unless they fail."""
     sys.stderr.flush()
     with tempfile.TemporaryFile() as file:
@@ -63,7 +63,7 @@ def _stderr_kept(lines: list[str]) -> Iterator[None]:
 
 
 def require_xml(source: Path) -> None:
-    """Raise `InputError`, with line and column, for a file that is no XML: parsers of URDF print lines."""
+    """Raise `InputError`, with line and column, for a file that is not XML: URDF parsers print instead."""
     try:
         ElementTree.parse(source)
     except (ElementTree.ParseError, ValueError) as error:  # the second: an unknown encoding
@@ -73,8 +73,8 @@ def require_xml(source: Path) -> None:
 def read_mjcf(path: str | Path, base: Base | None) -> pin.Model:
     """Read an MJCF file; ``base=None`` takes the base that the file has.
 
-    A file with a free joint of its own gives a floating base, whatever else is asked for:
-    a different ``base`` raises `InputError`. A file without one gets the base asked for.
+    A file with a free joint of its own has a floating base: a different ``base`` raises `InputError`. A file
+    without one gets the requested base.
     """
     source = existing_file(path, "MJCF")
     try:

@@ -27,7 +27,7 @@ from trajopt.robot.validation import require_contacts, require_inertias, require
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Robot:
-    """A robot as the problems see it. Arrays are copied and read-only.
+    """A robot as problems use it. Arrays are copied and read-only.
 
     Args:
         name: word for tables and files.
@@ -43,11 +43,11 @@ class Robot:
         passive: joints without actuator (an ankle that is a contact, the shoulder of an acrobot), behind
             the base rows and before every other joint.
         given_length: characteristic length in m; None takes the one that `length` measures.
-        drives: a `Drive` or None for each actuated row (nu), or None; put on with `with_drives`.
+        drives: a `Drive` or None for each actuated row (nu), or None; set with `with_drives`.
 
     Raises:
         InputError: for an unknown frame, a wrong shape, a number that is not finite, a reference outside the
-            limits, or two contacts of one name.
+            limits, or two contacts with the same name.
     """
 
     name: str
@@ -139,9 +139,9 @@ class Robot:
         """Characteristic length in m, the scale of lengths and (with gravity) of time.
 
         The mean height of the base above the contact frames in the reference posture, for a
-        robot that moves on contacts. Otherwise (fixed base, no contacts, or a base that does
-        not stand above them) the reach: the longest sum of link lengths from the root to any
-        frame or centre of mass. 1 m if the model has no extent. ``given_length`` overrides it.
+        robot that moves on contacts. Otherwise (fixed base, no contacts, or a base that is not above them)
+        the reach: the longest sum of link lengths from the root to any frame or centre of mass. 1 m if the
+        model has no extent. ``given_length`` overrides it.
         """
         if self.given_length is not None:
             return self.given_length
@@ -169,7 +169,7 @@ class Robot:
     def with_locked(self, joints: Sequence[str], reference: ArrayLike | None = None) -> Robot:
         """Return this robot with ``joints`` welded at their value in ``reference`` (nq,), default its own."""
         at = self.reference if reference is None else np.asarray(reference, dtype=float)
-        replace(self, reference=at)  # refuses a reference of wrong shape or outside the limits
+        replace(self, reference=at)  # rejects a reference of wrong shape or outside the limits
         model = building.locked_model(self.model, joints, at)
         q, v = building.joint_entries(self.model, list(model.names)[1:])
         return replace(
@@ -255,7 +255,7 @@ class Robot:
             passive: names of joints without actuator, which must come first.
 
         Raises:
-            InputError: for a missing or malformed file and whatever `Robot` refuses.
+            InputError: for a missing or malformed file, and as `Robot`.
         """
         model = read_urdf(path, base)
         source = Path(path).expanduser().absolute()

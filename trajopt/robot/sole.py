@@ -31,7 +31,7 @@ def pressure_rows(force: Sequence[Any], moment: Sequence[Any], size: tuple[float
 def yaw_rows(
     force: Sequence[Any], moment: Sequence[Any], size: tuple[float, float], friction: Any
 ) -> list[Any]:
-    """Eight expressions that are >= 0 where friction can carry the yaw moment beside the rest.
+    """Eight expressions that are >= 0 where friction can carry the yaw moment in addition to the rest.
 
     With half sizes X, Y and the pyramid's coefficient mu,
 
@@ -39,8 +39,9 @@ def yaw_rows(
         mu (X + Y) f_z - |Y f_x + mu m_x| - |X f_y + mu m_y| - m_z >= 0
 
     Caron, Pham, Nakamura, "Stability of surface contacts for humanoid robots: closed-form formulae of
-    the contact wrench cone for rectangular support areas", ICRA 2015, eqs. 13-15. With the friction and
-    the pressure rows these are all wrenches that forces inside the pyramid, anywhere on the sole, add up to.
+    the contact wrench cone for rectangular support areas", ICRA 2015, eqs. 13-15. With the friction and the
+    pressure rows these describe all wrenches that forces inside the pyramid, anywhere on the sole, can
+    produce.
     """
     length, width = size
     rows = []
@@ -56,7 +57,7 @@ def centre_of_pressure(force: np.ndarray, moment: np.ndarray, normal: np.ndarray
     """From the contact frame's origin to the centre of pressure, ``n x m / (n . f)``, (..., 3) in m.
 
     ``force``, ``moment`` (..., 3) at that origin and the unit ``normal`` (..., 3) of the surface in the same
-    axes. Infinite or NaN where nothing presses.
+    axes. Infinite or NaN without a normal force.
     """
     pressure = np.sum(np.asarray(normal) * force, axis=-1, keepdims=True)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Natural units of a robot: what scales unknowns, rows and costs."""
+"""Natural units of a robot: scales of variables, rows and costs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ UNREACHABLE = 30.0
 
 
 class Units:
-    """Natural units from weight m g, length l and g, of ``robot`` or of the one it is a ``part`` of.
+    """Natural units from weight m g, length l and g, of ``robot``, or of the one it is ``part_of``.
 
     ``position``, ``velocity``, ``acceleration`` are arrays (nv,) over the local coordinates (m or rad and
     their derivatives), ``generalized_force`` (nv,) their forces (N or N m); ``force`` in N, ``torque`` in

@@ -1,4 +1,4 @@
-"""What a robot must be: contacts that exist, limits that are not empty, a reference within them."""
+"""Validation of robots: contacts that exist, limits that are not empty, a reference within them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ UNIT_SLACK = 1e-6
 
 
 def require_contacts(robot: str, model: pin.Model, contacts: Sequence[Contact]) -> None:
-    """Raise `InputError` for two contacts of one name, or one at a frame that does not exist."""
+    """Raise `InputError` for two contacts with the same name, or one at a frame that does not exist."""
     names = [contact.name for contact in contacts]
     for name in names:
         if names.count(name) > 1:
@@ -31,9 +31,9 @@ def require_contacts(robot: str, model: pin.Model, contacts: Sequence[Contact]) 
 
 
 def require_inertias(robot: str, model: pin.Model) -> None:
-    """Raise `InputError` for a mass, inertia, armature or gravity no body has, or a robot without mass.
+    """Raise `InputError` for an unphysical mass, inertia, armature or gravity, or a robot without mass.
 
-    One link without mass or inertia is allowed: inverse dynamics asks for no inverse of the mass matrix.
+    One link without mass or inertia is allowed: inverse dynamics needs no inverse of the mass matrix.
     """
     for joint in range(1, model.njoints):
         inertia, where = model.inertias[joint], f"moved by joint '{model.names[joint]}' of '{robot}'"

@@ -1,4 +1,4 @@
-"""Who touches when: phases and their contacts, gaits, footholds, targets of contacts."""
+"""Contact schedules: phases and their contacts, gaits, footholds, targets of contacts."""
 
 import lazy_loader
 

@@ -1,7 +1,7 @@
 """Schedules that begin or end a gait: standing, some cycles, standing.
 
-A gait that starts from a stance lifts each foot when its first swing is due: until then it stands. One that
-stops leaves each foot where it lands last.
+In a gait that starts from a stance each foot stands until its first swing. In one that stops each foot stays
+where it lands last.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def _stances(gait: Gait, foot: str, origin: float, cycles: int) -> _Stances:
 
 
 def _from_standing(stances: list[_Stances]) -> tuple[list[_Stances], float]:
-    """Every foot stands until its first lift-off from time 0 on; the time of the first of all."""
+    """Every foot stands until its first lift-off from time 0 on; the time of the earliest of these."""
     found, first = [], math.inf
     for own in stances:
         later = [times for times in own.times if times[1] > -SIMULTANEOUS]
@@ -102,7 +102,7 @@ def _from_standing(stances: list[_Stances]) -> tuple[list[_Stances], float]:
 
 
 def _to_standing(stances: list[_Stances], end: float) -> tuple[list[_Stances], float]:
-    """Every foot stands from its last touchdown up to ``end`` on; the time of the last of all."""
+    """Every foot stands from its last touchdown before ``end`` on; the time of the latest of these."""
     found, last = [], -math.inf
     for own in stances:
         earlier = [times for times in own.times if times[0] < end + SIMULTANEOUS]

@@ -1,9 +1,9 @@
-"""Gaits: who is on the ground when, from duty factors and phase offsets, for any set of feet.
+"""Gaits: which feet are on the ground when, from duty factors and phase offsets, for any set of feet.
 
-A gait is periodic. A foot's *duty factor* is the part of the period in which it stands, its *offset* the
-time of its touchdown as a part of the period (Alexander, "The gaits of bipedal and quadrupedal animals",
+A gait is periodic. A foot's *duty factor* is the fraction of the period in which it stands, its *offset* the
+time of its touchdown as a fraction of the period (Alexander, "The gaits of bipedal and quadrupedal animals",
 Int. J. Robotics Research 3, 1984; Hildebrand, "The quadrupedal gaits of vertebrates", BioScience 39, 1989).
-Events of two feet at one time are one event; between events lie the phases of a schedule.
+Simultaneous events of two feet are one event; between events lie the phases of a schedule.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from types import MappingProxyType
 from trajopt.errors import InputError, require_finite, require_positive
 from trajopt.schedule.schedule import Phase
 
-# Events nearer than this part of the period are one event: rounding of sums of decimal fractions.
+# Events closer than this fraction of the period are one event: rounding of sums of decimal fractions.
 SIMULTANEOUS = 1e-9
-# A support shorter than this part of the period is refused: two events are meant to be one, or a duty
-# factor is misstated. A millisecond in a tenth of a second is also less than a step of any grid.
+# A support shorter than this fraction of the period is rejected: two events are meant to be one, or a duty
+# factor is wrong. A millisecond in a tenth of a second is also less than a step of any grid.
 SHORTEST = 0.01
 # Names of supports by the number of feet on the ground.
 SUPPORTS = ("flight", "single", "double", "triple", "quadruple")
@@ -29,7 +29,7 @@ SUPPORTS = ("flight", "single", "double", "triple", "quadruple")
 
 @dataclass(frozen=True)
 class SupportPhase:
-    """A part of a gait's period with a constant set of feet on the ground; both are parts of the period."""
+    """A part of a gait's period with a constant set of feet on the ground; all in fractions of the period."""
 
     begin: float
     part: float
@@ -42,12 +42,12 @@ class Gait:
 
     Args:
         name: of the gait.
-        duty: stance of every foot as a part of the period, one number for all or one by foot; 1 never lifts
-            it.
-        offsets: touchdown of every foot as a part of the period, taken modulo 1.
+        duty: stance of every foot as a fraction of the period, one number for all or one per foot; 1 never
+            lifts it.
+        offsets: touchdown of every foot as a fraction of the period, taken modulo 1.
 
     Raises:
-        InputError: for duty factors out of range, or other feet than those of the offsets.
+        InputError: for duty factors out of range, or feet other than those of the offsets.
     """
 
     name: str
@@ -90,7 +90,7 @@ class Gait:
         return self.duty[foot]
 
     def on(self, names: Mapping[str, str]) -> Gait:
-        """This gait on feet of other names: ``names`` maps each of its feet to a contact's."""
+        """This gait on other feet: ``names`` maps each of its feet to the name of a contact."""
         unknown = set(self.feet) - set(names)
         if unknown or len({names[foot] for foot in self.feet}) < len(self.feet):
             raise InputError(
@@ -104,11 +104,11 @@ class Gait:
         )
 
     def with_duty(self, duty: Mapping[str, float] | float) -> Gait:
-        """This gait with other duty factors, one for all or one by foot."""
+        """This gait with other duty factors, one for all or one per foot."""
         return replace(self, duty=duty)
 
     def stands(self, foot: str, fraction: float) -> bool:
-        """Whether the foot is on the ground at a part of the period; its lift-off itself is in the air."""
+        """Whether the foot is on the ground at a fraction of the period; at lift-off it is in the air."""
         since = (fraction - self.offsets[foot] + SIMULTANEOUS) % 1.0
         return self.duty_of(foot) == 1 or since < self.duty_of(foot)
 
@@ -148,7 +148,7 @@ class Gait:
         return start
 
     def _events(self, begin: float) -> list[float]:
-        """Times of touchdowns and lift-offs after ``begin``, parts of the period, each once, 0 the first."""
+        """Times of touchdowns and lift-offs after ``begin``, fractions of the period, each once, 0 first."""
         times = [0.0]
         for foot in self.feet:
             if self.duty_of(foot) < 1:
@@ -157,7 +157,7 @@ class Gait:
         return [0.0] + [b for a, b in pairwise(wrapped) if b - a > SIMULTANEOUS]
 
     def is_symmetric(self, mirror: Mapping[str, str]) -> bool:
-        """Whether both sides do the same half a period apart; ``mirror``: each foot's other side."""
+        """Whether left and right move alike, half a period apart; ``mirror``: each foot's opposite."""
         return all(
             abs(self.duty_of(foot) - self.duty_of(mirror[foot])) < SIMULTANEOUS
             and abs(math.remainder(self.offsets[foot] + 0.5 - self.offsets[mirror[foot]], 1.0)) < SIMULTANEOUS
@@ -180,7 +180,7 @@ class Gait:
             period: s.
             cycles: number of periods.
             start: foot whose touchdown begins the schedule, see `supports`.
-            duration_bounds: free durations of the phases as parts of the nominal ones (lower, upper).
+            duration_bounds: free durations of the phases as fractions of the nominal ones (lower, upper).
 
         Raises:
             InputError: for numbers out of range, or a foot that is never lifted.
@@ -203,7 +203,7 @@ class Gait:
             period: s.
             mirror: the foot on the other side, for every foot.
             start: foot whose touchdown begins the schedule, see `supports`.
-            duration_bounds: free durations of the phases as parts of the nominal ones (lower, upper).
+            duration_bounds: free durations of the phases as fractions of the nominal ones (lower, upper).
 
         Raises:
             InputError: for a gait that is not symmetric.
@@ -223,9 +223,9 @@ def phases_of(
     """Phases that follow each other as given.
 
     Args:
-        supports: the feet on the ground and the part of the period of each.
+        supports: the feet on the ground and the fraction of the period of each.
         period: s.
-        bounds: free durations as parts of the nominal ones (lower, upper), None for fixed ones.
+        bounds: free durations as fractions of the nominal ones (lower, upper), None for fixed ones.
 
     Raises:
         InputError: for a period that is not positive, or bounds without 1 between them.

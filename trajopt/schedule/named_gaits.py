@@ -46,7 +46,7 @@ QUADRUPED = _by_name(
     _quadruped("bound", 0.4, hind=(0.0, 0.0), front=(0.5, 0.5)),
     _quadruped("pronk", 0.6, hind=(0.0, 0.0), front=(0.0, 0.0)),
     _quadruped("gallop", 0.3, hind=(0.0, 0.1), front=(0.5, 0.6)),  # transverse: fore feet as the hind feet
-    _quadruped("rotary-gallop", 0.3, hind=(0.0, 0.1), front=(0.6, 0.5)),  # footfalls go round the body
+    _quadruped("rotary-gallop", 0.3, hind=(0.0, 0.1), front=(0.6, 0.5)),  # footfalls go around the body
     _quadruped("canter", 0.4, hind=(0.25, 0.0), front=(0.5, 0.25)),  # three beats, left lead
 )
 
@@ -61,7 +61,7 @@ HOPPER = _by_name(Gait(name="hop", duty=0.5, offsets={"foot": 0.0}))
 def gait_of(robot: Robot, name: str) -> Gait:
     """The gait of that name on the feet of a robot: a quadruped, a biped or a hopper.
 
-    Raises `InputError` for another number of feet, or a name that is none of this kind's gaits.
+    Raises `InputError` for another number of feet, or a name that is not a gait for that number of feet.
     """
     feet = feet_in_base(robot)
     if len(feet) == 4:

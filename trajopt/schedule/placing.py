@@ -1,4 +1,4 @@
-"""A schedule laid onto terrain: its footholds on the ground, or free on the faces under them."""
+"""A schedule placed on terrain: its footholds on the ground, or free on the faces under them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Contact-mode schedules: who is in contact, and for how long."""
+"""Contact-mode schedules: which contacts are active, and for how long."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ class Phase:
         duration_bounds: (lower, upper) in s, which make the duration free.
         impact: whether contacts that begin with the phase land by a rigid impact, in which velocities jump,
             instead of at zero velocity.
-        surfaces: what active contacts touch instead of the terrain, a wall, a step, a handrail, by their
-            names.
+        surfaces: what active contacts touch instead of the terrain, by their names: a wall, a step, a
+            handrail.
         patches: bounded faces, by the contact's name: a contact that begins with the phase lands anywhere on
             its patch, and stays there while it holds.
 
     Raises:
-        InputError: for durations that are not positive, and contacts, footholds, surfaces or patches that do
-            not fit each other.
+        InputError: for durations that are not positive, and inconsistent contacts, footholds, surfaces or
+            patches.
     """
 
     name: str
@@ -128,10 +128,10 @@ class Phase:
         return self.surfaces.get(contact)
 
     def surface(self, contact: str, terrain: Terrain) -> Ground:
-        """What an active contact touches by what this phase alone says of it, else the terrain.
+        """What an active contact touches according to this phase alone, else the terrain.
 
-        In order: its surface or its patch's, the terrain at its foothold, the terrain. See `Schedule.surface`
-        for contacts that hold since an earlier phase.
+        In this order: its surface or its patch's, the terrain at its foothold, the terrain. See
+        `Schedule.surface` for contacts that hold from an earlier phase.
         """
         own = self.own_surface(contact)
         if own is not None:
@@ -191,7 +191,7 @@ class Schedule:
 
     @property
     def time_scales(self) -> tuple[int | None, ...]:
-        """Index of the time scale of every phase: free durations are counted, the others have None."""
+        """Index of the time scale of every phase of free duration, None for the others."""
         free = [phase.duration_bounds is not None for phase in self.phases]
         return tuple(sum(free[:i]) if own else None for i, own in enumerate(free))
 
@@ -202,7 +202,7 @@ class Schedule:
         terrain: Terrain,
         starts: Mapping[str, np.ndarray] = MappingProxyType({}),
     ) -> Ground:
-        """What an active contact touches: what the phase names, or what it landed on.
+        """What an active contact touches: the surface its phase states, or the one it landed on.
 
         A patch, or the terrain under a foothold, holds as long as the contact does.
 
@@ -210,7 +210,7 @@ class Schedule:
             index: of the phase.
             contact: its name.
             terrain: the ground.
-            starts: where contacts stand at the start (3,), m, by name, for those without any of these.
+            starts: where contacts stand at the start (3,), m, by name, for those with none of these.
         """
         own = self.phases[index].own_surface(contact)
         if own is not None:
@@ -232,7 +232,7 @@ class Schedule:
     def require_steady_surfaces(
         self, terrain: Terrain, starts: Mapping[str, np.ndarray] = MappingProxyType({})
     ) -> None:
-        """Raise InputError if a contact stays active from one phase to the next but on another plane."""
+        """Raise InputError if a contact stays active into the next phase but on another plane."""
         for index, (before, after) in enumerate(pairwise(self.phases)):
             for name in set(before.contacts) & set(after.contacts):
                 surfaces = [self.surface(i, name, terrain, starts) for i in (index, index + 1)]
@@ -248,7 +248,7 @@ class Schedule:
                     )
 
     def new_contacts(self, index: int) -> tuple[str, ...]:
-        """Contacts that begin with phase ``index``; those of the first phase hold already."""
+        """Contacts that begin with phase ``index``; none in the first phase, whose contacts hold already."""
         if index == 0:
             return ()
         before = self.phases[index - 1].contacts
@@ -284,7 +284,7 @@ class Schedule:
 
 
 def _same_patch(before: Patch | None, named: Patch | None) -> bool:
-    """Whether a patch named again is the one before; naming none is always right."""
+    """Whether a patch stated again is the one before; stating none is always right."""
     if named is None or named is before:
         return True
     return before is not None and before.describe() == named.describe()

@@ -19,11 +19,11 @@ from trajopt.terrain.terrain import Terrain
 def require_standing(
     robot: Robot, schedule: Schedule, terrain: Terrain, starts: Mapping[str, np.ndarray]
 ) -> None:
-    """Raise `InputError` for a contact on piecewise or smooth ground that is nowhere, or not possible.
+    """Raise `InputError` for a contact on piecewise or smooth ground that has no place, or an impossible one.
 
     ``starts`` (3,) m are where contacts stand at the start, by name; none where the start is free. On
-    piecewise ground a contact that lands needs a patch, a surface or a foothold; soles do not lie on curved
-    ground; footholds on the terrain lie on it.
+    piecewise ground a contact that lands needs a patch, a surface or a foothold; soles cannot stand on curved
+    ground; footholds on the terrain must lie on it.
     """
     if isinstance(terrain, FlatGround):
         return
@@ -38,7 +38,7 @@ def require_standing(
                 )
             foothold = phase.footholds.get(name)
             if schedule.beginning(name, index) == 0 and name in starts:
-                terrain.surface_at(starts[name])  # it refuses holes
+                terrain.surface_at(starts[name])  # raises over a hole
             lands = name in schedule.new_contacts(index)
             if foothold is None and lands and isinstance(terrain, PiecewiseTerrain):
                 raise InputError(

@@ -1,6 +1,6 @@
-"""Targets: goals of places and postures at single moments, as recorded in a solution's meta.
+"""Targets: positions, orientations and postures to reach at single moments, as recorded in a solution's meta.
 
-Terms state theirs by `Term.targets`; footholds of the schedule are targets too. ``meta["goals"]`` is a list
+Terms give theirs by `Term.targets`; footholds of the schedule are targets too. ``meta["goals"]`` is a list
 of {frame, position, rotation, q, phase}, each null where there is none.
 """
 
@@ -28,7 +28,7 @@ class Target:
         phase: name of the phase at whose beginning the goal holds; None for the end of the schedule.
 
     Raises:
-        InputError: for other shapes, or nothing stated.
+        InputError: for other shapes, or an empty target.
     """
 
     frame: str | None = None
@@ -47,7 +47,7 @@ class Target:
         if (self.frame is None) != (self.position is None and self.rotation is None):
             raise InputError("a target has a frame without a place, or a place without a frame", "both")
         if self.frame is None and self.q is None:
-            raise InputError("a target asks for nothing", "a frame's place, or a configuration q")
+            raise InputError("a target is empty", "a frame's place, or a configuration q")
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""

@@ -1,4 +1,4 @@
-"""The motion that was found, and its file."""
+"""The solution of a problem, and its file."""
 
 import lazy_loader
 

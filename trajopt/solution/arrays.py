@@ -12,7 +12,7 @@ import pinocchio as pin
 from trajopt.errors import InputError
 
 _Record = TypeVar("_Record")
-# Field -> dtype of every array that has one row a sample.
+# Field -> dtype of every array that has one row per sample.
 SAMPLED: dict[str, type] = {
     "t": float,
     "phase": int,
@@ -33,14 +33,14 @@ OTHERS: dict[str, type] = {
     "row_place": int,
     "bound_multiplier": float,
 }
-# What a solution may lack.
+# Arrays that a solution may lack.
 OPTIONAL = ("impulse", "impact_index", "row_multiplier", "row_place", "bound_multiplier")
 
 
 def read_only(given: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Return copies of a solution's arrays that cannot be written, of their types; without those it may lack.
+    """Return read-only copies of a solution's arrays in their types, without absent optional ones.
 
-    Raises `InputError` for what is no array of its type, or has not one row a sample where it must.
+    Raises `InputError` for a value that is not an array of its type, or does not have one row per sample.
     """
     found: dict[str, np.ndarray] = {}
     for name, dtype in {**SAMPLED, **OTHERS}.items():
@@ -62,7 +62,7 @@ def read_only(given: Mapping[str, Any]) -> dict[str, np.ndarray]:
 
 
 def rows_of(record: _Record, rows: slice | int | list[int]) -> _Record:
-    """Return a record of arrays with these rows of each."""
+    """Return the record with only these rows of each array."""
     return type(record)(**{name: array[rows] for name, array in vars(record).items()})
 
 

@@ -1,4 +1,4 @@
-"""How near a robot comes to obstacles and to itself, by Coal, at the samples of a solution and between."""
+"""Distances of a robot from obstacles and from itself, by Coal, at the samples of a solution and between."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pinocchio as pin
 from trajopt.solution.descriptions import scene_of_meta
 from trajopt.solution.solution import Solution
 
-# Between two samples a motion is looked at this often.
+# Number of configurations tested between two samples.
 FINER = 4
 
 

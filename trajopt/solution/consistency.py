@@ -1,4 +1,4 @@
-"""What makes a solution consistent: keys, shapes, finite numbers, times in order."""
+"""Consistency of a solution: keys, shapes, finite numbers, times in order."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def _wrong_descriptions(arrays: _Arrays, model: pin.Model, meta: dict[str, Any])
 
 
 def _wrong_phases(arrays: _Arrays, meta: dict[str, Any]) -> str:
-    """Optional keys of meta: the name of each phase, and what is carried in which phases."""
+    """Optional keys of meta: the name of each phase, and the payloads with their phases."""
     names, count = meta.get("phase_names"), int(arrays["phase"][-1]) + 1
     if names is not None and not (
         isinstance(names, list) and len(names) == count and all(isinstance(name, str) for name in names)

@@ -61,7 +61,7 @@ def _jsonable(value: Any) -> Any:
 
 
 def read_solution_file(path: str | Path) -> tuple[dict[str, Any], str, dict[str, np.ndarray]]:
-    """Read meta, the model's text and arrays; raises `SolutionFileError`, one line; see `Solution.load`."""
+    """Read meta, the model's text and arrays; raises a one-line `SolutionFileError`; see `Solution.load`."""
     source = Path(path).expanduser()
     arrays = _arrays(source)
     meta = _meta(source, arrays)

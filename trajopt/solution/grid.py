@@ -9,14 +9,14 @@ from trajopt.solution.solution import Solution
 from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt.transcription.schemes import Scheme
 
-# Widths that a file's times tell are equal up to the rounding of the times.
+# Widths computed from a file's times are equal up to the rounding of the times.
 SAME_WIDTH = 1e-9
 
 
 def mesh_of(solution: Solution) -> Mesh:
-    """The mesh on which a solution was made; raises InputError where its meta names no scheme that is known.
+    """The mesh on which a solution was made; raises InputError where its meta names no known scheme.
 
-    Files without it have one scheme, and tell the widths by their times.
+    Files without a mesh have one scheme; their times give the widths.
     """
     described = solution.meta.get("mesh")
     if described is not None:

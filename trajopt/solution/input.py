@@ -1,4 +1,4 @@
-"""Solutions as functions take them: objects or files, one or several, and motions that can be shown."""
+"""Solutions as arguments: objects or files, one or several, and motions that can be shown."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ UNIT = 1e-2
 
 
 def solution_of(given: SolutionOrFile) -> Solution:
-    """Return the solution that is meant: ``given`` itself, or the one in the file at that path.
+    """Return a solution: ``given`` itself, or the one in the file at that path.
 
     Raises `InputError` for anything else, `SolutionFileError` for a file that cannot be read.
     """
@@ -28,18 +28,18 @@ def solution_of(given: SolutionOrFile) -> Solution:
         return given
     if isinstance(given, str | Path):
         return Solution.load(given)
-    raise InputError(f"{given!r:.60} is no solution", "allowed: a Solution or the path of its file")
+    raise InputError(f"{given!r:.60} is not a solution", "allowed: a Solution or the path of its file")
 
 
 def solutions_of(given: SolutionOrFile | Iterable[SolutionOrFile]) -> list[Solution]:
-    """Return the solutions that are meant: ``given`` is one as in `solution_of`, or several of them."""
+    """Return a list of solutions: ``given`` is one as in `solution_of`, or several of them."""
     if isinstance(given, Iterable) and not isinstance(given, str):
         return [solution_of(one) for one in given]
     return [solution_of(given)]
 
 
 def consistent_solution(given: SolutionOrFile) -> Solution:
-    """Return the solution that is meant, its consistency tested.
+    """Return a solution as `solution_of`, its consistency tested.
 
     Raises `SolutionFileError` for a file, `InputError` for a solution, that is inconsistent or not finite.
     """
@@ -52,7 +52,7 @@ def consistent_solution(given: SolutionOrFile) -> Solution:
 
 
 def require_motion(solution: Solution) -> Solution:
-    """Return the solution; raises `InputError` for one that is too short or no finite motion."""
+    """Return the solution; raises `InputError` for one that is too short or not finite."""
     if solution.n_samples < 2:
         raise InputError(f"the solution has {solution.n_samples} samples", "allowed: two or more")
     for name in ("t", "q", "v", "a", "tau", "f"):

@@ -6,8 +6,8 @@ through its values at the collocation points; rates and positions are its integr
     xi'(s) = xi'_k + h int_0^s y,        xi(s) = xi_k + h s xi'_k + h^2 int_0^s int_0^r y,
 
 and torques and wrenches are the polynomials through theirs. Where these integrals do not end at the
-interval's planned end (the classic schemes integrate the velocity by the rule of the acceleration) a ramp
-over it takes up the difference, so that the motion passes through its nodes.
+interval's planned end (the classic schemes integrate the velocity by the rule of the acceleration) a linear
+ramp closes the gap, so that the motion passes through its nodes.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class IntervalInterpolant:
 
 
 def interval_interpolant(plan: Solution, number: int) -> IntervalInterpolant:
-    """Return the polynomials of the interval ``number`` of a plan whose rotations are of unit norm."""
+    """Return the polynomials of the interval ``number`` of a plan whose rotations have unit norm."""
     rows, model = plan.intervals[number], plan.model
     points, fractions = collocation_fractions(plan, number)
     order = 1 if plan.meta.get("actuation") == "velocity" else 2
@@ -102,7 +102,7 @@ def interval_interpolant(plan: Solution, number: int) -> IntervalInterpolant:
 
 
 def _without_turns(model: pin.Model, apart: np.ndarray) -> np.ndarray:
-    """The difference (nv,) without whole turns of the angles that q has as cosine and sine."""
+    """The difference (nv,) without whole turns of the angles that q stores as cosine and sine."""
     for joint in list(model.joints)[1:]:
         if joint.shortname() == "JointModelPlanar" or (joint.nq, joint.nv) == (2, 1):
             angle = joint.idx_v + joint.nv - 1
@@ -132,19 +132,19 @@ def sample_interval(plan: Solution, number: int, fractions: np.ndarray) -> Motio
 
 
 def joined(parts: Sequence[MotionSample]) -> dict[str, np.ndarray]:
-    """Return the arrays of motions one after the other, by name."""
+    """Return the concatenated arrays of motions, by name."""
     return {name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])}
 
 
 def resampled(plan: Solution, fractions: np.ndarray, sample: Sampler = sample_interval) -> Solution:
     """Return the same motion with samples at fractions of every interval, each marked as a point.
 
-    It is for figures alone: it has no impulses and no multipliers, and rows of the dynamics do not vanish at
+    It serves figures only: it has no impulses and no multipliers, and rows of the dynamics do not vanish at
     its points.
 
     Args:
-        plan: the motion, with rotations of unit norm.
-        fractions: (n,) from 0 to 1, both of which make the samples start and end with the nodes.
+        plan: the motion, with unit rotations.
+        fractions: (n,) from 0 to 1, including both so that the samples start and end at nodes.
         sample: gives the samples of one interval.
     """
     parts = [sample(plan, number, fractions) for number in range(plan.n_intervals)]

@@ -13,7 +13,7 @@ from trajopt.solution.arrays import rows_of
 from trajopt.solution.interpolation import IntervalInterpolant, MotionSample, interval_interpolant
 from trajopt.solution.solution import Solution
 
-# Part of a phase by which a time is moved inwards to find its interval: a time at a node belongs to two.
+# Fraction of a phase by which a time is moved inwards to find its interval: a node belongs to two.
 INSIDE = 1e-9
 
 
@@ -28,7 +28,7 @@ class SolutionMotion:
         object.__setattr__(self, "solution", self.solution.normalized())
 
     def __call__(self, t: float) -> np.ndarray:
-        """Return the configuration at time ``t``; before the start and after the end that of the end."""
+        """Return the configuration at time ``t``; outside the motion that at its nearer end."""
         return self._sample(int(self.solution.interval_at(t)), t).q
 
     def span(self, phase: int) -> tuple[float, float]:
@@ -55,7 +55,7 @@ class SolutionMotion:
 def motion_of(solution: Solution) -> Motion:
     """Return the motion of a solution as a guess or a reference: a time in s -> configuration (nq,).
 
-    Times before the start and after the end give the ends.
+    Times outside the motion give its ends.
     """
     return SolutionMotion(solution)
 
@@ -63,7 +63,7 @@ def motion_of(solution: Solution) -> Motion:
 def geodesic_motion(solution: Solution, robot: Robot) -> Motion:
     """Return the motion of a solution as a reference or a guess for ``robot``, at its own times.
 
-    Beyond its ends it stays. Raises `InputError` if the robot has other joints.
+    Beyond its ends it is constant. Raises `InputError` if the robot has other joints.
     """
     names = (list(solution.model.names), list(robot.model.names))
     if names[0] != names[1] or solution.model.nq != robot.nq:

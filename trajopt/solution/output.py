@@ -1,4 +1,4 @@
-"""Files that are written: the place checked before anything is computed, then written whole or not at all."""
+"""Output files: the path is checked before anything is computed; then written completely or not at all."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def check_output(path: Path) -> Path:
     """The path, if a file can be written there; raises `InputError` before anything is computed."""
     target = path.expanduser()
     _require_file(target)
-    try:  # as it will be written: under another name beside it, then renamed
+    try:  # as in writing: under another name beside it, then renamed
         tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.").cleanup()
     except OSError as error:
         reason = _reason(target) or error.strerror or str(error)
@@ -27,9 +27,9 @@ def check_output(path: Path) -> Path:
 
 @contextlib.contextmanager
 def replacing(target: Path) -> Iterator[Path]:
-    """Give a file to write, and move it to ``target`` at the end; after an error what was there stays.
+    """Give a file to write, and move it to ``target`` at the end; after an error the old file stays.
 
-    The file has the target's name, in a temporary folder beside it. Raises `InputError`, one line, if it
+    The file has the target's name, in a temporary folder beside it. Raises a one-line `InputError` if it
     cannot be written.
     """
     _require_file(target)
@@ -43,29 +43,29 @@ def replacing(target: Path) -> Iterator[Path]:
 
 
 def _require_file(target: Path) -> None:
-    """Raise `InputError` where something other than a file is in the way."""
-    with contextlib.suppress(OSError):  # as of a name that is too long, which writing will tell
+    """Raise `InputError` where something other than a file has that path."""
+    with contextlib.suppress(OSError):  # such as a name that is too long, which writing reports
         if target.is_dir():
             raise InputError(f"cannot write {target}: it is a folder", ALLOWED)
         if target.exists() and not target.is_file():
-            raise InputError(f"cannot write {target}: it is no regular file", ALLOWED)
+            raise InputError(f"cannot write {target}: it is not a regular file", ALLOWED)
 
 
 def check_apart(targets: Sequence[Path | None], sources: Sequence[Path]) -> None:
-    """Raise `InputError` where what is written would replace what is read, or is one file twice."""
+    """Raise `InputError` where an output would replace an input, or two outputs are one file."""
     read = {_place(source) for source in sources}
     written: set[Path] = set()
     for target in filter(None, targets):
         place = _place(target)
         if place in read:
-            raise InputError(f"{target} is what is read", "allowed: another name for what is written")
+            raise InputError(f"{target} is an input file", "allowed: another name for the output")
         if place in written:
-            raise InputError(f"{target} is written twice", "allowed: a name of its own for each")
+            raise InputError(f"{target} is written twice", "allowed: different names")
         written.add(place)
 
 
 def _place(path: Path) -> Path:
-    with contextlib.suppress(OSError, RuntimeError):  # a loop of links, a home that is not known
+    with contextlib.suppress(OSError, RuntimeError):  # a loop of links, an unknown home
         return path.expanduser().resolve()
     return path
 

@@ -22,26 +22,26 @@ class Solution:
     """Samples of a motion, grouped by interval in time order: start node, collocation points, end node.
 
     A node shared by two intervals appears twice (limit from the left and from the right). ``a``,
-    ``tau`` and ``f`` at a sample that is no collocation point are values of the interval's
+    ``tau`` and ``f`` at a sample that is not a collocation point are values of the interval's
     interpolating polynomials through its collocation points. SI units; arrays are copied and
     read-only. K samples, I intervals, nc contacts, J impacts.
 
     meta: JSON-able facts: names, limits, terrain, solver, versions (see `trajopt.solution.file`).
     model_text: ``pin.Model.saveToString()`` of the model that was optimised.
     t: (K,) s. phase, interval: (K,) index. interval_t: (I, 2) start and end.
-    collocation: (K,) the rows of the dynamics hold here.
+    collocation: (K,) the dynamics are imposed here.
     q, v, a: (K, nq), (K, nv), (K, nv) in Pinocchio's convention.
     tau: (K, nu) torques of the actuated rows, which come last in v.
     f: (K, nc, 6) force N and moment N m of the surroundings on the robot, world-aligned axes at
-        the contact frame's origin; zero when inactive, but for the wrench of a payload that it carries.
+        the contact frame's origin; zero when inactive, except the wrench of a payload that it carries.
     active: (K, nc) the contact is active.
     impulse, impact_index: (J, nc, 6) N s and N m s, (J,) sample just after; None without impacts.
     row_multiplier, row_place, bound_multiplier: multipliers of the NLP's rows (R,), for each row its block
-        (a name in ``row_names`` of meta), stage and point (R, 3), and multipliers of the bounds of unknowns
+        (a name in ``row_names`` of meta), stage and point (R, 3), and multipliers of the bounds of variables
         (X,), in the solver's scaled units; a warm start uses them. None where there are none.
 
-    Raises `InputError` for an array that is not of these numbers or dimensions. The full test
-    of consistency is `consistency.inconsistency`, made when a file is written and read.
+    Raises `InputError` for an array of another type or number of rows. The full test of consistency,
+    `consistency.inconsistency`, runs when a file is written or read.
     """
 
     meta: dict[str, Any]
@@ -75,7 +75,7 @@ class Solution:
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """All arrays by name, without those that the solution lacks."""
+        """All arrays by name, without those that are None."""
         named = {name: getattr(self, name) for name in (*SAMPLED, *OTHERS)}
         return {name: array for name, array in named.items() if array is not None}
 
@@ -131,12 +131,12 @@ class Solution:
         return range(int(self.interval[rows.start]), int(self.interval[rows.stop - 1]) + 1)
 
     def interval_at(self, t: ArrayLike) -> np.ndarray:
-        """Return the numbers of the intervals at ``t`` (s): at a node the later one, outside the ends."""
+        """Return the numbers of the intervals at ``t`` (s): the later one at a node, the nearest outside."""
         found = np.searchsorted(self.interval_t[:, 0], t, side="right") - 1
         return np.clip(found, 0, self.n_intervals - 1)
 
     def with_arrays(self, **arrays: np.ndarray | None) -> Solution:
-        """Return the same solution with other arrays; the model is not read from its text anew."""
+        """Return the same solution with other arrays; the model is not read from its text again."""
         made = replace(self, **arrays)  # type: ignore[arg-type]
         made.__dict__["model"] = self.model
         return made
@@ -149,7 +149,7 @@ class Solution:
         """Return the configuration at time ``t`` (s), for display: geodesics between samples.
 
         A scalar gives (nq,), an array (n,) gives (n, nq). Times outside the motion give its ends;
-        at a node shared by two intervals the later one counts.
+        a node shared by two intervals belongs to the later one.
         """
         times = np.asarray(t, dtype=float)
         last = np.clip(np.searchsorted(self.t, times.ravel(), side="right") - 1, 0, self.n_samples - 2)
@@ -165,7 +165,7 @@ class Solution:
         return configuration
 
     def save(self, path: str | Path) -> Path:
-        """Write the file (version 1) at once or not at all; return its path.
+        """Write the file (version 1) completely or not at all; return its path.
 
         Raises `InputError` if the place cannot be written or the solution is inconsistent.
         """
@@ -173,6 +173,6 @@ class Solution:
 
     @classmethod
     def load(cls, path: str | Path) -> Solution:
-        """Read a file; raises `SolutionFileError`, one line, if anything about it is wrong."""
+        """Read a file; raises a one-line `SolutionFileError` if anything in it is wrong."""
         meta, model_text, arrays = file.read_solution_file(path)
         return cls(meta=meta, model_text=model_text, **arrays)

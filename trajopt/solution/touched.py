@@ -1,4 +1,4 @@
-"""What every contact of a solution touches, sample by sample: from its meta to arrays."""
+"""Surface that every contact of a solution touches, sample by sample: from its meta to arrays."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from trajopt.terrain.surface import UP, Surface
 
 @dataclass(frozen=True, kw_only=True)
 class TouchedSurfaces:
-    """Planes at K samples of nc contacts: the terrain's under it, or that of the phase where it has its own.
+    """Planes at K samples of nc contacts: the terrain's under it, or the one that its phase states.
 
     point, normal (K, nc, 3) m; friction (K, nc); bilateral (K, nc): transmits any wrench; known (K, nc):
-    there is one at all (in a hole, or without terrain, normals are up, and heights unknown). slip (K, nc):
-    slip speed, m/s, of a surface along which the contact slides, NaN where it is held.
+    whether there is a plane (in a hole, or without terrain, normals are up, and heights unknown). slip (K,
+    nc): slip speed, m/s, of a surface along which the contact slides, NaN where it is held.
     """
 
     point: np.ndarray
@@ -46,8 +46,8 @@ def touched_surfaces(
 ) -> TouchedSurfaces:
     """Read terrain, friction and surfaces of a consistent solution. Raises `SolutionFileError`.
 
-    ``position`` (K, nc, 3) m: of the contacts; ground that is no plane is what lies under them.
-    ``phases`` (K,): of the times of these positions where they are not the samples.
+    ``position`` (K, nc, 3) m: of the contacts; ground that is not a plane is taken under them.
+    ``phases`` (K,): of these positions if they are not those of the samples.
     """
     frames, rows = list(plan.contact_frames), plan.phase if phases is None else phases
     point, normal, known = _ground(terrain_of(plan.meta["terrain"]), position)
@@ -65,7 +65,7 @@ def touched_surfaces(
 
 
 def _ground(terrain: GroundShape | None, position: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Point, normal (K, nc, 3) of the ground under contacts, and where there is any; a hole is none."""
+    """Point, normal (K, nc, 3) of the ground under contacts, and where there is any; not in a hole."""
     size = position.shape
     if terrain is None or isinstance(terrain, Surface):
         plane = terrain or Surface(point=np.zeros(3), normal=np.array(UP))

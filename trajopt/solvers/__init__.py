@@ -1,1 +1,1 @@
-"""Solvers of the sparse NLP: one driver a solver, one result for all."""
+"""Solvers of the sparse NLP: one driver per solver, one result type for all."""

@@ -1,8 +1,8 @@
 """A Hessian without negative curvature, for programs that cannot be solved with the exact one.
 
-The Hessian is block diagonal: no function of the NLP depends on unknowns of two stages. A share of every
-block's negative eigenvalues is removed. Replacing them by their magnitudes makes steps far too short: what
-is bilinear, such as a force times its lever, has eigenvalues in pairs of both signs.
+The Hessian is block diagonal: no function of the NLP depends on variables of two stages. A share of every
+block's negative eigenvalues is removed. Replacing them by their magnitudes makes steps far too short:
+bilinear terms, such as a force times its lever, have pairs of eigenvalues of both signs.
 """
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ from scipy.sparse.csgraph import connected_components
 from trajopt.transcription.nlp import Nlp
 
 # The least share of negative curvature that is removed; the factors by which it grows until a program is
-# solved, and shrinks from step to step. After n smaller ones in a row that failed it stays for 2^n - 1 steps.
+# solved, and shrinks from step to step. After n failures in a row of a smaller one it stays for 2^n - 1
+# steps.
 LEAST, MORE, LESS = 1e-2, 8.0, 2.0
 MOST_FAILURES = 3
 
 
 @dataclass(frozen=True)
 class _Blocks:
-    """Blocks of one size: places of the Hessian's nonzeros in them, and of their lower triangles outside.
+    """Blocks of one size: indices of the Hessian's nonzeros in them, and of their lower triangles.
 
     ``entries`` are nonzeros of the Hessian, ``at`` (block, row, column) of each; ``lower`` (row, column) of
     a block's lower triangle.
@@ -46,7 +47,7 @@ class ConvexifiedHessian:
         graph = sparse.csr_matrix((ones, (nlp.hessian_row, nlp.hessian_column)), shape=(n, n))
         count, block = connected_components(graph, directed=False)
         sizes = np.bincount(block, minlength=count)
-        order = np.argsort(block, kind="stable")  # unknowns by block, in their order
+        order = np.argsort(block, kind="stable")  # variables by block, in their order
         first = np.cumsum(sizes) - sizes
         within = np.empty(n, dtype=np.int64)
         within[order] = np.arange(n) - first[block[order]]
@@ -82,7 +83,7 @@ class ConvexifiedHessian:
 
 
 class ConvexificationShare:
-    """The share of negative curvature that is removed from step to step: as little as the programs need."""
+    """The share of negative curvature removed from step to step: as little as the programs require."""
 
     def __init__(self) -> None:
         self.share = 0.0
@@ -90,9 +91,9 @@ class ConvexificationShare:
         self._lowering = False
 
     def shares(self) -> Iterator[float]:
-        """Shares to try in turn for one step: a bit less than it took last, then more, up to all.
+        """Shares to try in turn for one step: less than the last step needed, then more, up to all.
 
-        After one that was too small the last is kept for a while: a program without a solution is costly.
+        After one that was too small the last is kept for some steps: a program without a solution is costly.
         """
         last, self._lowering = self.share, self._patience == 0
         if self._lowering:

@@ -24,10 +24,10 @@ from trajopt.transcription.compilation import HESSIANS
 from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.transcription import Transcription
 
-# The NLP comes scaled by units, so the solvers' own scaling is off; a solution "to an
-# acceptable level" is no solution. The bound relaxation is far below the tolerance. Multipliers
-# start at zero: least-squares estimates at a guess off the constraints are large and make the first
-# Hessians indefinite, which doubles the iterations of IPOPT on the jump.
+# The NLP is scaled by units, so the solvers' own scaling is off; a solution "to an acceptable level" does not
+# count. The bound relaxation is far below the tolerance. Multipliers start at zero: least-squares estimates
+# at a guess off the constraints are large and make the first Hessians indefinite, which doubles the
+# iterations of IPOPT on the jump.
 IPOPT_OPTIONS: dict[str, Option] = {
     "nlp_scaling_method": "none",
     "mu_strategy": "adaptive",
@@ -38,8 +38,8 @@ IPOPT_OPTIONS: dict[str, Option] = {
     "sb": "yes",
 }
 # Slacks start further inside their bounds than FATROP's own 1e-2: a guess sits on limits it will leave. The
-# pivot tolerance calls a stage's rows dependent early enough that its linear algebra seldom repeats a step.
-# Curvature in proportion to a short step is positive all the same: FATROP's own least pivot, 1e-6, takes it
+# pivot tolerance treats a stage's rows as dependent early enough that its linear algebra seldom repeats a
+# step. Curvature proportional to a short step is small but positive: FATROP's own least pivot, 1e-6, takes it
 # for negative on fine meshes and regularises every step (docs/scaling.md).
 FATROP_OPTIONS: dict[str, Option] = {
     "print_level": 0,
@@ -49,9 +49,9 @@ FATROP_OPTIONS: dict[str, Option] = {
     "linsol_pivot_tol": 1e-10,
 }
 
-# A start from another solution (docs/warm-starts.md). IPOPT's own distance from bounds, 1e-2, and its own
-# start multipliers throw away what the solution knows. With the solution's multipliers iterates stay where
-# they are; without them a small first barrier keeps them there.
+# A start from another solution (docs/warm-starts.md). IPOPT's default distance from bounds, 1e-2, and its
+# default initial multipliers discard the solution's information. With the solution's multipliers iterates
+# stay where they are; without them a small first barrier keeps them there.
 IPOPT_WARM: dict[str, Option] = {
     "warm_start_init_point": "yes",
     "warm_start_bound_push": 1e-5,
@@ -68,8 +68,8 @@ IPOPT_WARM_WITHOUT_MULTIPLIERS: dict[str, Option] = {
     "slack_bound_push": 1e-5,
     "slack_bound_frac": 1e-5,
 }
-# FATROP takes no multipliers of bounds, and those of rows alone gain nothing. A smaller barrier takes fewer
-# iterations where it succeeds, and stalls now and then.
+# FATROP takes no multipliers of bounds, and those of rows alone gain nothing. A smaller barrier needs fewer
+# iterations where it succeeds, but sometimes stalls.
 FATROP_WARM: dict[str, Option] = {"mu_init": 1e-3, "bound_push": 3e-3, "bound_frac": 3e-3}
 
 _IPOPT_STATUS = {
@@ -163,7 +163,8 @@ def _fatrop(
         "max_iter": stop.max_iterations,
         "max_wall_time": stop.max_time,
         # A barrier acts at every point alike: the objective, whose points weigh less on finer meshes, is
-        # scaled to a mean weight of one. Else the first barrier is stronger, the last less accurate there.
+        # scaled to a mean weight of one. Otherwise the first barrier is stronger and the last less accurate
+        # on fine meshes.
         "objective_scale": 1.0 / mesh_weight(t),
         **options,
     }
@@ -176,7 +177,7 @@ def _fatrop(
 
 # The Hessian that is approximated from gradients, and the solver that can do so.
 LIMITED_MEMORY, MAKES_HESSIANS = "limited-memory", "ipopt"
-# Figures that have one name in the engine and in the result.
+# Figures with the same name in the engine and in the result.
 SAME_NAMES = (
     "x", "lam_g", "lam_x", "iterations", "wall_time", "function_time", "primal", "dual", "complementarity",
 )  # fmt: skip
@@ -199,7 +200,7 @@ def run_solver(
 ) -> Result:
     """Solve from ``x0`` with the solver of that name; ``warm`` where ``x0`` comes from another solution.
 
-    Raises InputError for an unknown solver or option, and for a Hessian that the solver cannot do with.
+    Raises InputError for an unknown solver or option, and for a Hessian that the solver does not support.
     """
     if solver not in SOLVERS:
         raise InputError(f"unknown solver '{solver}'", f"allowed: {', '.join(SOLVERS)}")
@@ -211,7 +212,7 @@ def run_solver(
 
 
 def check_hessian(solver: str, hessian: str) -> None:
-    """Raise InputError for an unknown Hessian, or one that the solver cannot do with."""
+    """Raise InputError for an unknown Hessian, or one that the solver does not support."""
     if hessian not in HESSIANS:
         raise InputError(f"unknown Hessian '{hessian}'", f"allowed: {', '.join(HESSIANS)}")
     if hessian == LIMITED_MEMORY and solver != MAKES_HESSIANS:

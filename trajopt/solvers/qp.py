@@ -1,16 +1,15 @@
-"""Quadratic programs of SQP steps, solved by PIQP with the unknowns in their order in time.
+"""Quadratic programs of SQP steps, solved by PIQP with the variables in their order in time.
 
     min over d   1/2 d^T (H + delta 1) d + c^T d   with   low <= J d <= high,   x_low <= d <= x_high
 
 PIQP (Schwan, Jiang, Kuhn, Jones, "PIQP: A Proximal Interior-Point Quadratic Programming Solver", CDC 2023)
 factorises H + rho 1 + J_e^T J_e / epsilon + J_i^T W J_i, with J_e the equations and J_i the inequalities, by
 a block Cholesky factorisation that follows the stages (Schwan, Kuhn, Jones, "Exploiting Multistage
-Optimization Structure in Proximal Solvers", 2025). So H must be positive on the directions that the
-equations leave free, not everywhere: the Hessian of the Lagrangian is given as it is, with no projection
-that would take Newton's rate of convergence away. Rows that depend on each other do no harm, nor do rows
-that join the ends.
+Optimization Structure in Proximal Solvers", 2025). So H must be positive definite only on the null space of
+the equations: the Hessian of the Lagrangian is used as it is, without a projection that would lose Newton's
+rate of convergence. Linearly dependent rows do no harm, nor do rows that couple the ends.
 
-The elastic program may miss every row at a price of one a unit, with the objective times ``share``:
+The elastic program may violate every row at a price of one per unit, with the objective times ``share``:
 
     min over d, s   share (1/2 d^T (H + delta 1) d + c^T d) + sum s
     with   low <= J d + s_low - s_high <= high,   s >= 0,   x_low <= d <= x_high
@@ -26,8 +25,8 @@ from scipy import sparse
 
 from trajopt.transcription.nlp import Nlp
 
-# Interior-point iterations of one program: those that can be solved take 10 to 30, and to find out that
-# there is no feasible point takes 30 to 40.
+# Interior-point iterations of one program: those that can be solved take 10 to 30, detecting that there is no
+# feasible point takes 30 to 40.
 MOST_ITERATIONS = 40
 
 
@@ -46,7 +45,7 @@ class QuadraticProgram:
 
 @dataclass(frozen=True, kw_only=True)
 class QpStep:
-    """A program's solution: step, multipliers of rows and of bounds, and ``missed``, the elastic sum of s.
+    """A program's solution: step, multipliers of rows and of bounds, and ``missed``, the sum of slacks s.
 
     ``infeasible``: the rows contradict each other or the bounds. ``iterations`` are of the interior point.
     """
@@ -96,9 +95,9 @@ class _Curvature:
 
 
 class StageQp:
-    """Programs of one NLP: patterns are set up once, every further program only brings its numbers.
+    """Programs of one NLP: patterns are set up once, further programs only change the numbers.
 
-    ``pattern``: row and column of the nonzeros of H, if they are not those of the NLP's Hessian.
+    ``pattern``: row and column of the nonzeros of H, if different from those of the NLP's Hessian.
     """
 
     def __init__(self, nlp: Nlp, pattern: tuple[np.ndarray, np.ndarray] | None = None) -> None:
@@ -134,7 +133,7 @@ class StageQp:
         return self._step(self.solver.result, 1.0)
 
     def elastic(self, q: QuadraticProgram, delta: float, share: float, accuracy: float) -> QpStep:
-        """The elastic program: slacks blow stages up, so by a factorisation for any sparse matrix."""
+        """The elastic program, by a general sparse factorisation, since slacks enlarge the stages."""
         count = self.slack.shape[1]
         curvature = share * self.curvature.filled(q.hessian, delta)
         solver = _solver(piqp.KKTSolver.sparse_ldlt)

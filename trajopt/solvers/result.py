@@ -11,12 +11,12 @@ import numpy as np
 from trajopt.solvers.status import Status
 
 Option = str | int | float
-# Called at every iteration with its figures and a function that returns the unknowns there (empty where the
+# Called at every iteration with its figures and a function that returns the variables there (empty where the
 # solver does not give them), to be called before the callback returns. False stops at the iterate.
 Callback = Callable[[dict[str, float], Callable[[], np.ndarray]], bool]
 
-# IPOPT meets rows more tightly than optimality, so that a solution passes a check at its tolerance.
-# FATROP stalls at that: it works at the edge of its linear algebra's accuracy.
+# IPOPT gets a tighter tolerance on rows than on optimality, so that a solution passes a check at its
+# tolerance. FATROP stalls at that, which is at the limit of its linear algebra's accuracy.
 FEASIBILITY_SHARE = 0.1
 
 

@@ -1,15 +1,15 @@
-"""Sequential quadratic programming with a filter line search, for few and cheap steps from a good start.
+"""Sequential quadratic programming with a filter line search, for few and cheap steps from a good guess.
 
 Each step solves a quadratic program of the problem's stages (see `qp`) with the NLP's own Hessian: the
 exact one of the Lagrangian, or Gauss-Newton's. A filter decides how far to go (see `sqp_filter`), after a
-second-order correction where the whole step makes the rows worse. Where the program has no feasible
-point, or no step along its direction is taken, the step comes from an elastic program, which may miss rows
-at a price, and must make the rows better; where that cannot be done the problem is infeasible nearby
+second-order correction where the full step increases the violation. Where the program has no feasible
+point, or no step along its direction is taken, the step comes from an elastic program, which may violate rows
+at a price, and must reduce their violation; where that is impossible the problem is locally infeasible
 (Nocedal and Wright, "Numerical Optimization", 2006, chapter 18; Fletcher and Leyffer, "Nonlinear programming
 without a penalty function", Mathematical Programming 91, 2002).
 
-The diagonal gets ``delta`` more where curvature is wrong: a program that is not solved, a direction along
-which the objective rises, a short step.
+``delta`` is added to the diagonal where the curvature is wrong: after a program that is not solved, a
+direction along which the objective rises, or a short step.
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ from trajopt.transcription.nlp import Nlp
 # for a program that is not solved.
 FIRST_DELTA, DELTA_GROWTH, SHORT_STEP_DELTA, MOST_DELTA = 1e-4, 4.0, 1.0, 1e4
 UNSOLVED_DELTA = 1e-2
-# What the diagonal gets where negative curvature is removed.
+# Added to the diagonal where negative curvature is removed.
 CONVEX_DELTA = 1e-4
-# Steps shorter than this share of their direction call for curvature; the shortest that are tried.
+# Steps shorter than this share of their direction increase delta; the shortest that are tried.
 SHORT, SHORTEST, SHORTEST_ELASTIC = 0.2, 1e-3, 1e-6
-# The elastic program: its first and least share of the objective, the part of the violation that may remain
-# for its share to be accepted, and its curvature, in natural units.
+# The elastic program: its first and least share of the objective, the fraction of the violation that may
+# remain for the share to be accepted, and its curvature, in natural units.
 FIRST_SHARE, LEAST_SHARE, ACCEPTED, ELASTIC_DELTA = 0.1, 1e-4, 0.9, 1e-2
-# A reduction of the violation by less than this part is none: the rows have a stationary point.
+# With a smaller relative reduction of the violation, the point is a stationary point of the violation.
 STATIONARY = 1e-6
-# Larger multipliers only mean that rows contradict each other: the Hessian does without them.
+# Larger multipliers only mean that rows contradict each other: they are set to zero for the Hessian.
 LARGEST_MULTIPLIER = 1e6
-# Programs are solved to this part of the errors so far, never less well than that, nor better than to this
-# part of the tolerance.
+# Accuracy of programs: this fraction of the present errors, the least accuracy, and the finest as a fraction
+# of the tolerance.
 QP_SHARE, LEAST_QP_ACCURACY, FINEST_QP = 1e-3, 1e-4, 1e-2
-# A direction so short is at the limit of rounding: values along it carry no information.
+# A direction this short is at the level of rounding: values along it carry no information.
 TINY = 1e-9
 
 
@@ -64,7 +64,7 @@ class SqpOutcome:
     program_time: float
 
 
-class _Stopped(Exception):  # noqa: N818 - it is no error
+class _Stopped(Exception):  # noqa: N818 - it is not an error
     """The reason why no further step is taken."""
 
 
@@ -90,7 +90,7 @@ class Sqp:
         self.delta = self.settings.regularization
 
     def run(self, x: np.ndarray, lam_g: np.ndarray, lam_x: np.ndarray) -> SqpOutcome:
-        """Solve from ``x``, moved into its bounds, and multipliers of rows and bounds."""
+        """Solve from ``x``, projected onto its bounds, and multipliers of rows and bounds."""
         self.deadline = time.perf_counter() + self.settings.max_time
         self.point = self.evaluator.at(x, lam_g, lam_x)
         self.filter = Filter(self.point.pair.theta, 1e-3 * self.settings.feasibility)
@@ -115,7 +115,7 @@ class Sqp:
         )
 
     def _report_and_test(self) -> None:
-        """Report the iterate; stop there if it is good enough, or the time is up."""
+        """Report the iterate; stop there if it has converged, or the time is up."""
         point, settings = self.point, self.settings
         errors = self.errors = self.evaluator.errors(point)
         seen = {
@@ -175,7 +175,7 @@ class Sqp:
         return None
 
     def _is_descent(self, q: QuadraticProgram, step: QpStep) -> bool:
-        """Whether the program was solved, and the step is not uphill from where the rows hold."""
+        """Whether the program was solved, and the step descends where the rows hold."""
         holds = self.point.pair.theta <= self.filter.negligible
         uphill = holds and float(q.gradient @ step.d) >= 0 and np.abs(step.d).max() > TINY
         return step.solved and not uphill
@@ -194,13 +194,13 @@ class Sqp:
         return known, StageQp(self.nlp, (known.row, known.column))
 
     def _more_curvature(self, least: float, most: float) -> bool:
-        """Raise delta, up to ``most``; False where it was there."""
+        """Raise delta, up to ``most``; False where it was there already."""
         before = self.delta
         self.delta = max(before, min(most, max(least, 2 * DELTA_GROWTH * before)))
         return self.delta > before
 
     def _line_search(self, q: QuadraticProgram, step: QpStep) -> SqpIterate | None:
-        """The first point along a direction that the filter takes, or None."""
+        """The first point along a direction that the filter accepts, or None."""
         here, slope = self.point.pair, float(q.gradient @ step.d)
         share, trials = 1.0, 0
         while share >= SHORTEST:
@@ -217,12 +217,12 @@ class Sqp:
         return None
 
     def _corrected(self, q: QuadraticProgram, step: QpStep, slope: float) -> SqpIterate | None:
-        """The point after a direction with the rows' curvature, if the filter takes it.
+        """The point after a second-order correction, if the filter accepts it.
 
-        Rows have their values at the first direction's end. After one that is not taken none is tried until
-        a whole step is: far from a solution they seldom help.
+        Rows have their values at the end of the first direction. After a rejected correction none is tried
+        until a full step is accepted: far from a solution they seldom help.
         """
-        found = self._program(self.evaluator.bent(self.point, q, step.d))
+        found = self._program(self.evaluator.corrected_program(self.point, q, step.d))
         x = self.evaluator.inside(self.point.x + found.d)
         if found.solved and self.filter.takes(self.point.pair, self.evaluator.pair(x), slope, 1.0):
             return self._taken(x, found, slope, 1.0, 2)
@@ -230,7 +230,7 @@ class Sqp:
         return None
 
     def _taken(self, x: np.ndarray, step: QpStep, slope: float, share: float, trials: int) -> SqpIterate:
-        """Go to ``x``; the filter, the multipliers and delta follow."""
+        """Go to ``x``; update the filter, the multipliers and delta."""
         point, here = self.point, self.point.pair
         if not self.filter.about_objective(here, slope, share):
             self.filter.keep(here)
@@ -247,7 +247,7 @@ class Sqp:
         return self.evaluator.at(x, lam_g, lam_x)
 
     def _elastic_step(self) -> SqpIterate:
-        """A step that makes the rows better; stops where there is none."""
+        """A step that reduces the violation of the rows; stops where there is none."""
         here = self.point.pair
         if here.theta <= self.filter.negligible:
             raise _Stopped("NoStep")

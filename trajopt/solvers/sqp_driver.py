@@ -32,7 +32,7 @@ def solve_sqp(
     callback: Callback,
     warm: WarmMultipliers | None,
 ) -> Result:
-    """Solve from ``x0``, moved into its bounds, and the multipliers of ``warm``.
+    """Solve from ``x0``, projected onto its bounds, and the multipliers of ``warm``.
 
     Raises ValueError for an option that is unknown or not allowed.
     """

@@ -1,24 +1,23 @@
-"""The filter that decides which steps of an SQP are taken.
+"""The filter that decides which steps of an SQP are accepted.
 
-A point is a pair: theta, the sum of violations of all rows, and f, the objective. A step is taken when it
-improves on the present point in one of the two, and on every pair kept before: no penalty weighs one
-against the other. Rules and constants are those of Wächter and Biegler, "On the implementation of an
-interior-point filter line-search algorithm for large-scale nonlinear programming", Mathematical
-Programming 106, 2006, sections 2.3 and 2.4, with the objective in place of their barrier function.
+A point is a pair: theta, the sum of violations of all rows, and f, the objective. A step is accepted if it
+improves one of the two over the present point, and over every pair kept before: no penalty weighs one against
+the other. Rules and constants are those of Wächter and Biegler, "On the implementation of an interior-point
+filter line-search algorithm for large-scale nonlinear programming", Mathematical Programming 106, 2006,
+sections 2.3 and 2.4, with the objective in place of their barrier function.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-# Margins by which theta, and f by theta, must improve; Armijo's constant; and the powers of the test
-# whether a step is about the objective.
+# Margins by which theta, and f by theta, must improve; Armijo's constant; and the powers of the switching
+# condition.
 THETA_MARGIN = 1e-5
 F_MARGIN = 1e-5
 ARMIJO = 1e-4
 SLOPE_POWER, THETA_POWER = 2.3, 1.1
-# Points are never let further off than this multiple of where the solve began; steps about the objective
-# are taken nearer than that one.
+# Largest theta allowed, and largest for the switching condition, as multiples of max(1, initial theta).
 FURTHEST, NEAR = 10.0, 1e-4
 # Relative rounding error of an objective that is a sum of thousands of terms.
 ROUNDING = 1e-11
@@ -47,12 +46,12 @@ class Filter:
         self.pairs = [p for p in self.pairs if p.theta < new.theta or p.f < new.f] + [new]
 
     def forbids(self, there: FilterEntry) -> bool:
-        """Whether a kept pair is as good in both respects; so a pair that is not finite is forbidden."""
+        """Whether a kept pair is as good in both respects; a pair that is not finite is forbidden, too."""
         improves = all(there.theta <= p.theta or there.f <= p.f for p in self.pairs)
         return not (there.theta <= self.furthest and there.f < float("inf") and improves)
 
     def takes(self, here: FilterEntry, there: FilterEntry, slope: float, share: float) -> bool:
-        """Whether the step from ``here`` by ``share`` of a direction is taken; ``slope`` of f along it."""
+        """Whether the step from ``here`` by ``share`` of a direction is accepted; ``slope`` of f along it."""
         if self.forbids(there):
             return False
         noise = ROUNDING * max(1.0, abs(here.f))
@@ -64,7 +63,7 @@ class Filter:
         return improves or there.f <= here.f - F_MARGIN * here.theta
 
     def about_objective(self, here: FilterEntry, slope: float, share: float) -> bool:
-        """Whether a step promises so much of the objective that it must keep that promise."""
+        """Switching condition: whether a step's predicted descent makes Armijo's condition apply."""
         if not (slope < 0 and here.theta <= self.near):
             return False
         return share * (-slope) ** SLOPE_POWER > here.theta**THETA_POWER

@@ -1,4 +1,4 @@
-"""Iterates of the SQP: the NLP's functions there, how optimal they are, and the programs made of them."""
+"""Iterates of the SQP: the NLP's functions there, their KKT errors, and their quadratic programs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LARGE_MEAN = 100.0
 
 @dataclass(frozen=True, kw_only=True)
 class SqpIterate:
-    """An iterate: unknowns, multipliers, violation and f (``pair``), rows, and nonzeros of derivatives."""
+    """An iterate: variables, multipliers, violation and f (``pair``), rows, and nonzeros of derivatives."""
 
     x: np.ndarray
     lam_g: np.ndarray
@@ -30,7 +30,7 @@ class SqpIterate:
 
     @property
     def is_finite(self) -> bool:
-        """Whether all values and first derivatives are."""
+        """Whether all values and first derivatives are finite."""
         return all(np.isfinite(part).all() for part in (self.pair.f, self.g, self.gradient, self.jacobian))
 
 
@@ -60,7 +60,7 @@ class Evaluator:
         self.matrix = sparse.csr_matrix((nothing, nlp.column, starts), shape=shape)
 
     def inside(self, x: np.ndarray) -> np.ndarray:
-        """The nearest point within the bounds of the unknowns."""
+        """The nearest point within the bounds of the variables."""
         return np.clip(x, self.x_low, self.x_high)
 
     def pair(self, x: np.ndarray) -> FilterEntry:
@@ -69,7 +69,7 @@ class Evaluator:
         return FilterEntry(float(_outside(g, self.low, self.high).sum()), f)
 
     def at(self, x: np.ndarray, lam_g: np.ndarray, lam_x: np.ndarray) -> SqpIterate:
-        """The iterate at ``x``, moved into its bounds."""
+        """The iterate at ``x``, projected onto its bounds."""
         x = self.inside(x)
         return SqpIterate(
             x=x,
@@ -82,7 +82,7 @@ class Evaluator:
         )
 
     def errors(self, point: SqpIterate) -> KktErrors:
-        """How far the iterate is from what a solution fulfils (Karush, Kuhn and Tucker)."""
+        """Residuals of the Karush-Kuhn-Tucker conditions at the iterate."""
         slope = point.gradient + self._jacobian(point).T @ point.lam_g + point.lam_x
         products = np.concatenate(
             [
@@ -112,8 +112,8 @@ class Evaluator:
             x_high=self.x_high - point.x,
         )
 
-    def bent(self, point: SqpIterate, q: QuadraticProgram, d: np.ndarray) -> QuadraticProgram:
-        """The program with rows through their values at the end of the direction ``d``."""
+    def corrected_program(self, point: SqpIterate, q: QuadraticProgram, d: np.ndarray) -> QuadraticProgram:
+        """The program of a second-order correction: rows take their values at the end of ``d``."""
         g = np.asarray(self.engine.g(self.inside(point.x + d))) - self._jacobian(point) @ d
         return replace(q, low=self.low - g, high=self.high - g)
 
@@ -129,7 +129,7 @@ def _outside(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarra
 def _complementarity(
     multiplier: np.ndarray, value: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> np.ndarray:
-    """Multiplier times distance from the bound it is of; the multiplier itself where there is none."""
+    """Multiplier times distance from its bound; the multiplier itself where there is no bound."""
     bound = np.where(multiplier > 0, high, low)
     with np.errstate(invalid="ignore"):
         product = np.abs(multiplier * (bound - value))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from trajopt.errors import is_number
 from trajopt.solvers.result import FEASIBILITY_SHARE, StoppingCriteria
 
-# Options with what they allow; a whole number is a number, too.
+# Options with what they allow; whole numbers count as numbers.
 ALLOWED = {
     "early": "a number > 0, of violation in natural units",
     "max_sqp": "a whole number of steps >= 0",
@@ -20,8 +20,8 @@ ALLOWED = {
 class SqpSettings:
     """When to stop, in scaled units: ``tolerance`` of optimality, ``feasibility`` of rows; s.
 
-    early: None, or the violation of rows at which to stop whatever the optimality, after one step at least.
-    regularization: what is added to the Hessian's diagonal to begin with.
+    early: None, or the violation of rows at which to stop regardless of optimality, after at least one step.
+    regularization: initial addition to the Hessian's diagonal.
     """
 
     tolerance: float

@@ -15,14 +15,14 @@ class Status(Enum):
     )
     ITERATION_LIMIT = "the iteration limit was reached: raise --max-iterations, or start from a better guess"
     TIME_LIMIT = "the time limit was reached: raise --max-time, or use fewer intervals"
-    EARLY = "stopped early, as asked: rows hold as well as that, the motion is not optimal"
+    EARLY = "stopped early, as requested: rows hold to the requested violation, the motion is not optimal"
     INTERRUPTED = "stopped by the user: the iterate at that moment is kept, it is not a solution"
     NOT_FINITE = (
         "a function value or derivative is not finite: look at the block named, and at the guess there"
     )
-    STEP_FAILED = "no step makes progress any more: try another solver, a finer grid or a perturbed start"
+    STEP_FAILED = "no step makes progress: try another solver, a finer grid or a perturbed start"
     INACCURATE = (
-        "the solver says solved but rows are violated beyond tolerance: tighten --tol or change the solver"
+        "the solver reports success but rows are violated beyond tolerance: tighten --tol, change the solver"
     )
     COARSE_GRID = (
         "the rows hold at the points, but between them contacts move further than a plan may err: use more "
@@ -32,9 +32,10 @@ class Status(Enum):
         "the virtual joints of the base pass gimbal lock, where their rates have no bound: use "
         "base='freeflyer', or another order of the angles' axes"
     )
-    UNBOUNDED = "iterates diverge: a cost or limit is missing that bounds the motion or the forces"
+    UNBOUNDED = "iterates diverge: a cost or limit that bounds the motion or the forces is missing"
     INVALID = (
-        "the problem has more equations than unknowns, or the solver refused it: look at goals that repeat"
+        "the problem has more equality constraints than variables, or the solver refused it: look for a goal "
+        "stated twice"
     )
     FAILED = "the solver stopped for another reason: see the solver's own status"
 

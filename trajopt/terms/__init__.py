@@ -1,4 +1,4 @@
-"""Costs and constraints, one idea a file.
+"""Costs and constraints, one idea per file.
 
 Dynamics: `BaseDynamics`, `ContactAcceleration`, `ContactVelocity`, `ImpactDynamics`.
 Limits: `PositionLimits`, `VelocityLimits`, `EffortLimits`, `DriveLimits`.
@@ -8,11 +8,11 @@ Running costs: `AccelerationCost`, `VelocityCost`, `PostureCost`, `TorqueCost`, 
 Constraints at nodes: `ContactLanding`; `FramePose`, `FrameHeight`, `FrameVelocity`, `FrameDirection`,
     `FramesAbove`; `TerminalState`, `TerminalRest`, `TerminalVelocity`, `TerminalPosture`.
 Swings: `SwingClearance` within phases and `SwingArc` across phases, over flat or smooth ground; `SwingOver`
-    ground with edges; `swing_arcs` and `swing_clearance` make them for a whole schedule.
+    ground with edges; `swing_arcs` and `swing_clearance` create them for a whole schedule.
 Costs at nodes: `FrameHeightCost`, `DistanceCost`.
 Obstacles: `Clearance`.
 Goals as terms: `goal_terms`, `effort_costs`.
-Interfaces for own terms: `Term`, `Cost`, `PointConstraint`, `NodeConstraint`, `NodeCost`, with
+Interfaces for user-defined terms: `Term`, `Cost`, `PointConstraint`, `NodeConstraint`, `NodeCost`, with
     `Context`, `NodePlace` and `Rows`.
 """
 

@@ -18,7 +18,7 @@ from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import PointConstraint, Rows, Term
 
-# What smoothing may take off a distance, over the robot's length: a millimetre on an arm of one metre.
+# Error of smoothing in a distance, over the robot's length: a millimetre on an arm of one metre.
 SMOOTHING = 1e-3
 
 
@@ -26,9 +26,9 @@ SMOOTHING = 1e-3
 class Clearance(PointConstraint):
     """Pairs of a collision scene keep a distance at every collocation point.
 
-    Distances are smooth and on the safe side, see `distances`: a pair that meets its row is ``margin`` apart,
-    and one that is ``margin`` and 2e-3 of the robot's length apart meets its row. Obstacles and margin are
-    parameters: moving them compiles nothing.
+    Distances are smooth and on the safe side, see `distances`: a pair that satisfies its row is at least
+    ``margin`` apart, and one that is ``margin`` and 2e-3 of the robot's length apart satisfies its row.
+    Obstacles and margin are parameters: moving them needs no compilation.
 
     Args:
         scene: all capsules and obstacles; a check of the solution measures all of it.
@@ -36,7 +36,7 @@ class Clearance(PointConstraint):
         margin: least distance, m.
 
     Raises:
-        InputError: for a negative margin or a pair that the scene does not have.
+        InputError: for a negative margin or a pair that is not in the scene.
     """
 
     scene: CollisionScene

@@ -1,4 +1,4 @@
-"""What a term sees at one point: symbols of the state, and of the robot's functions of it.
+"""Inputs of a term at one point: symbols of the state, and of the robot's functions of it.
 
 Terms are written in two layers. The robot's functions (generalised forces, contact placements, velocities,
 accelerations) are *symbols* here; their graph is joined, and differentiated, once for all terms in
@@ -32,25 +32,24 @@ class Context(Parameters):
 
     At a collocation point the inputs ``z`` are (rotations, xi, xi', xi'', wrenches, time scale); at a node
     they are its variables; at an impact (rotations, xi, rates before, jump of the rates, impulses,
-    time scale). Entries that a problem does not have (the time scale of a fixed duration, xi'' of a velocity
-    source) are left out.
-    ``xi`` (nv) are local coordinates (see `trajopt.dynamics.manifold`), ``dxi``, ``ddxi`` their derivatives
-    in true time; ``q``, ``v``, ``a`` are Pinocchio's. Wrenches act on the robot, in world axes at the contact
-    frame's origin, N and N m (impulses N s and N m s).
+    time scale). Entries that a problem lacks (the time scale of a fixed duration, xi'' of a velocity source)
+    are left out. ``xi`` (nv) are local coordinates (see `trajopt.dynamics.manifold`), ``dxi``, ``ddxi`` their
+    derivatives in true time; ``q``, ``v``, ``a`` are Pinocchio's. Wrenches act on the robot, in world axes at
+    the contact frame's origin, N and N m (impulses N s and N m s).
 
     Args:
-        robot: in the coordinates of this place.
+        robot: in the coordinates used here.
         coordinates: of the robot.
-        contacts: active ones with unknown wrenches.
-        node: short for ``place=Place.NODE``.
-        place: what the symbols are of, default a collocation point.
+        contacts: active ones whose wrenches are variables.
+        node: shorthand for ``place=Place.NODE``.
+        place: where the symbols are evaluated, default a collocation point.
         time_scales: number of time scales in a node, and the index of this phase's (None in nominal time).
         actuation: the control input.
         surfaces: what every active contact touches, by its name.
         mode: minimal coordinates of the phase, None for the whole robot's.
         kept_rows: rows of each contact's motion that are independent of the others', by its name; default
             all.
-        near: a node's state (n_node,) whose whole turns goals continue; None counts none.
+        near: a node's state (n_node,) from which goals take their whole turns; None for no whole turns.
     """
 
     def __init__(
@@ -111,7 +110,7 @@ class Context(Parameters):
 
     @property
     def rates(self) -> ca.SX:
-        """Rates (nv,) as a change of coordinates maps them: zero where a node has none."""
+        """Rates (nv,) that a change of coordinates maps: zero where a node has none."""
         return self._rates
 
     @property
@@ -137,7 +136,7 @@ class Context(Parameters):
         return (*self.contacts, self._mode.embedded)
 
     def contact(self, name: str) -> Contact:
-        """The contact of that name, of this place's coordinates or embedded in them. Raises `InputError`."""
+        """The contact of that name, in these coordinates or embedded in them. Raises `InputError`."""
         for contact in self.loaded_contacts:
             if contact.name == name:
                 return contact
@@ -233,7 +232,7 @@ class Context(Parameters):
     def generalized_forces(self) -> ca.SX:
         """RNEA(q, v, a) minus the contacts' J^T w, (nv,): base rows first, then joint torques.
 
-        Of a velocity source RNEA(q, 0, 0) - J^T w, statics; at an impact M (v+ - v-) - J^T impulses.
+        For a velocity source RNEA(q, 0, 0) - J^T w, statics; at an impact M (v+ - v-) - J^T impulses.
         """
         if self._generalized_forces is None:
             self._generalized_forces = ca.SX.sym("tau", self.coordinates.nv)
@@ -241,7 +240,7 @@ class Context(Parameters):
 
     @property
     def base_rows(self) -> ca.SX:
-        """Unactuated rows of the generalised forces; dynamics holds where they vanish."""
+        """Unactuated rows of the generalised forces; the dynamics hold where they vanish."""
         return self.generalized_forces[: self.robot.n_unactuated]
 
     @property
@@ -262,26 +261,26 @@ class Context(Parameters):
         return self._frames[name]
 
     def square(self, residual: ca.SX, weight: ca.SX) -> None:
-        """Record a least-squares part of a cost for Gauss-Newton: its weights are held fixed.
+        """Record a least-squares part of a cost for Gauss-Newton: its weights count as constants.
 
         Args:
             residual: (n,).
-            weight: one number or (n,), nowhere negative.
+            weight: one number or (n,), >= 0.
         """
         self._squares.append((residual, weight * ca.SX.ones(residual.numel())))
 
     @property
     def squares(self) -> tuple[ca.SX, ca.SX]:
-        """Residuals (n,) and weights (n,) of all costs here; at a point, of the rate in nominal time."""
+        """Residuals (n,) and weights (n,) of all costs here; at a point, of the cost rate in nominal time."""
         rate = self.time_scale if self.place is Place.POINT else ca.SX(1)
         residuals = ca.vertcat(ca.SX(0, 1), *[residual for residual, _ in self._squares])
         return residuals, rate * ca.vertcat(ca.SX(0, 1), *[weight for _, weight in self._squares])
 
     def contact_acceleration(self, contact: Contact) -> ca.SX:
-        """Classical acceleration of an active contact (held rows), in axes that may be turned.
+        """Classical acceleration of an active contact (held rows), in world or base axes.
 
-        The axes are the base link's for a free-flyer, the world's otherwise. That is enough for rows that
-        vanish, and cheaper, since no orientation enters.
+        The axes are the base link's for a free-flyer, the world's otherwise. That suffices for rows that
+        vanish, and is cheaper, since no orientation enters.
         """
         if contact not in self._accelerations:
             self._accelerations[contact] = ca.SX.sym(f"a_{contact.name}", len(self.held_rows(contact)))
@@ -303,7 +302,7 @@ class Context(Parameters):
         return self._frames
 
     def wrench_column(self) -> ca.SX:
-        """Wrenches of the contacts with unknown ones in one column, 3 or 6 entries each."""
+        """Wrenches that are variables in one column, 3 or 6 entries per contact."""
         return ca.vertcat(*[self.wrenches[contact.name] for contact in self.contacts])
 
     def dynamics_symbols(self) -> ca.SX:
@@ -317,7 +316,7 @@ class Context(Parameters):
 
     @property
     def has_free_flyer(self) -> bool:
-        """Whether the root is a free-flyer in world axes, the world's only joint, and axes may be turned."""
+        """Whether the root is a free-flyer in world axes, the world's only joint: base axes may be used."""
         model = self.robot.model
         roots = [i for i in range(1, model.njoints) if model.parents[i] == 0]
         return (

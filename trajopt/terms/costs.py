@@ -98,7 +98,7 @@ class TimeCost(Cost):
 class ImpulseCost(Cost):
     """Impulses over weight times sqrt(l / g), once at every impact.
 
-    It makes landings soft, and determines the impulses of redundant contacts.
+    It makes landings soft and the impulses of redundant contacts unique.
     """
 
     acts_at_points: ClassVar[bool] = False

@@ -36,8 +36,8 @@ class DriveLimits(PointConstraint):
         |tau_m / stall_torque + omega_m / no_load_speed| <= 1        |tau_m / torque_limit| <= 1
 
     with tau_m the motor torque of what the drive delivers (friction included); for a joint without one, the
-    robot's effort limit. Beside `EffortLimits` the same row would come twice. Rows that cannot bind are left
-    out, by the measure of `Units`; the check verifies them.
+    robot's effort limit. Together with `EffortLimits` the same row would appear twice. Rows that cannot bind,
+    as judged by `Units`, are left out; the check verifies them.
     """
 
     @override
@@ -59,9 +59,9 @@ class DriveLimits(PointConstraint):
 
 
 def _drive_rows(drive: Drive, units: Units) -> list[np.ndarray]:
-    """Factors of (torque, rate), joint side, that make voltage and current over their limits.
+    """Factors of (torque, rate), joint side, that give voltage and current as fractions of their limits.
 
-    Only as far as these can be reached. Factors are parameters: another voltage needs no new code.
+    Only for limits that can be reached. Factors are parameters: another voltage needs no new code.
     """
     reach = min(drive.torque_limit, units.unreachable_torque / abs(drive.gear_ratio))
     speed = abs(drive.gear_ratio) * units.unreachable_velocity

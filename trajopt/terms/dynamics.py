@@ -15,7 +15,7 @@ from trajopt.terms.interfaces import PointConstraint, Rows
 
 @dataclass(frozen=True, kw_only=True)
 class BaseDynamics(PointConstraint):
-    """The unactuated rows of the dynamics vanish: the Newton-Euler equations of the whole body."""
+    """The unactuated rows of the dynamics vanish: the Newton-Euler equations of the whole robot."""
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:

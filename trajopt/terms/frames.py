@@ -171,7 +171,7 @@ class FrameDirection(AtMoment, NodeConstraint):
         fraction: of the phase's duration, see `AtMoment`.
 
     Raises:
-        InputError: for vectors without direction, and numbers out of range.
+        InputError: for zero vectors, and numbers out of range.
     """
 
     frame: str

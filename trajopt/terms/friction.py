@@ -19,8 +19,8 @@ from trajopt.terms.context import Context
 from trajopt.terms.interfaces import PointConstraint, Rows
 from trajopt.terrain.smooth import CurvedSurface
 
-# Part of the weight below which a smooth cone of friction is rounded off: a violation of 1e-9, what solvers
-# leave, is then a force of 3e-6 at most (3e-5 of a squared cone). With a sharper apex IPOPT takes several
+# Fraction of the weight below which the apex of a friction cone is smoothed: a violation of 1e-9, typical of
+# solvers, is then a force of 3e-6 at most (3e-5 of a squared cone). With a sharper apex IPOPT needs several
 # times the iterations where forces start at zero (talos-wall: 16 at 1e-2, 102 at 1e-3).
 APEX = 1e-2
 
@@ -50,7 +50,7 @@ class ContactConstraint(PointConstraint):
             require_not_negative(f"friction of {self.name}", self.friction)
 
     def _unilateral_contacts(self, context: Context) -> Iterator[Contact]:
-        """Active contacts that the term is about."""
+        """Active contacts on which the term acts."""
         chosen = None if self.contacts is None else [context.contact(name) for name in self.contacts]
         for contact in context.loaded_contacts:
             if context.slides_on(contact) is not None or context.surface(contact).bilateral:
@@ -63,7 +63,7 @@ class ContactConstraint(PointConstraint):
 
 
 def _turning(contact: Contact) -> tuple[int, ...]:
-    """Axes of a sole about which it transmits a moment: in a plane only the one across it."""
+    """Axes of a sole about which it transmits a moment: in a plane only the one normal to it."""
     return (0, 1, 2) if contact.dimension == 6 else tuple(row - 3 for row in contact.rows if row > 2)
 
 
@@ -76,7 +76,7 @@ def surface_force(context: Context, contact: Contact) -> ca.SX:
     """Force (3,) of an active contact along the two tangents and the normal of its surface, N.
 
     World axes on level ground; on other planes the axes are parameters, so that one compiled function serves
-    any normal; on curved ground they follow from where the contact is.
+    any normal; on curved ground they follow from the contact's position.
     """
     surface, force = context.surface(contact), contact_force(context, contact)
     if isinstance(surface, CurvedSurface):
@@ -87,10 +87,10 @@ def surface_force(context: Context, contact: Contact) -> ca.SX:
 
 @dataclass
 class _ConeRows:
-    """Rows that are >= 0, and what a contact without friction does not transmit, which is zero.
+    """Rows that are >= 0, and rows that are zero: forces that a contact without friction cannot transmit.
 
     Without friction the sides of a pyramid are pairs of inequalities that leave no interior, and the smooth
-    cone has no gradient: solvers fail on both, where they do not on equations.
+    cone has no gradient: solvers fail on both, but not on equations.
     """
 
     parts: list[ca.SX] = field(default_factory=list)

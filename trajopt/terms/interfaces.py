@@ -26,7 +26,7 @@ from trajopt.terms.context import Context
 
 @dataclass(frozen=True, kw_only=True)
 class Term:
-    """What costs and constraints share.
+    """Common interface of costs and constraints.
 
     A term about contact forces may also act on the impulses of an impact with which one of its phases begins.
 
@@ -104,7 +104,7 @@ class Rows:
             unit: natural unit of each row.
 
         Raises:
-            InputError: for bounds that are NaN, or above each other.
+            InputError: for bounds that are NaN, or lower above upper.
         """
         n = expression.numel()
         low, high, size = (

@@ -18,7 +18,7 @@ from trajopt.terrain.smooth import CurvedSurface
 from trajopt.terrain.surface import Surface
 from trajopt.terrain.terrain import Ground, Terrain
 
-# An edge asks nothing of a robot in a plane when its normal's part in that plane is below this.
+# An edge gives a planar robot no row if the part of its normal in the robot's plane is below this.
 ACROSS = 1e-6
 
 
@@ -34,8 +34,8 @@ def along_normal(context: Context, surface: Surface, columns: ca.SX) -> ca.SX:
 class ContactLanding(NodeConstraint):
     """New contacts of a phase lie on their surface, patch or foothold and do not move.
 
-    The surface is what the phase names for the contact, else the terrain; a sole lies flat on it. On a patch
-    a point keeps the margin from every edge, and so do the four corners of a sole.
+    The surface is the one that the phase states for the contact, else the terrain; a sole lies flat on it. On
+    a patch a point, or each corner of a sole, keeps the margin from every edge.
 
     Args:
         phase: name of the phase, at whose first node the rows are.
@@ -107,7 +107,7 @@ def _on_ground(context: Context, ground: Ground, position: ca.SX, length: float)
 def _inside(context: Context, units: Units, contact: Contact, patch: Patch) -> list[Rows]:
     """Rows of every edge for the contact's point or corners.
 
-    The distance from the plane has its own row, so these speak of directions in the plane alone: independent
+    The distance from the plane has its own row, so these rows use directions in the plane only: independent
     of it. A robot that moves in a plane of the world gets no rows for edges along that plane.
     """
     moves = [row for row in contact.rows if row < 3]
@@ -126,7 +126,7 @@ def contact_points(context: Context, contact: Contact) -> list[ca.SX]:
 
 
 def _tilting_axes(contact: Contact, held: tuple[int, ...]) -> list[int]:
-    """Axes of a sole (0: x, 1: y) that must lie in its surface: of a planar robot the one in its plane."""
+    """Axes of a sole (0: x, 1: y) that must lie in its surface: for a planar robot the one in its plane."""
     if contact.dimension == 6:
         return [0, 1][: sum(row > 2 for row in held)]
     return [0 if row == 4 else 1 for row in held if row in (3, 4)]

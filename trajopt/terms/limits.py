@@ -21,7 +21,7 @@ from trajopt.terms.interfaces import PointConstraint, Rows
 def _rows_within(
     values: Callable[[], ca.SX], lower: np.ndarray, upper: np.ndarray, unit: np.ndarray
 ) -> Rows | None:
-    """Rows of the ``values`` that have a finite limit; values that have none are not built."""
+    """Rows of the ``values`` with a finite limit; the other values are not built."""
     bound = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
     if len(bound) == 0:
         return None

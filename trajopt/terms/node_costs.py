@@ -1,6 +1,6 @@
 """Costs at single nodes: how high a frame is at one moment, how far it is at the end.
 
-They are linear in a quantity over its natural unit, with a minus sign for what is to be large: with a weight
+They are linear in a quantity over its natural unit, negative for a quantity to maximise: with a weight
 of one, a rise by the robot's length is worth as much as torques of weight times length for sqrt(l/g).
 """
 
@@ -80,7 +80,7 @@ class DistanceCost(NodeCost):
         direction: in the world (3,), normalised.
 
     Raises:
-        InputError: for a vector without direction.
+        InputError: for a zero vector.
     """
 
     frame: str

@@ -1,4 +1,4 @@
-"""Constraints at nodes: their interface, and where a node lies in its phase."""
+"""Constraints at nodes: their interface, and the place of a node in its phase."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class NodePlace:
         return len(self.fractions) - 1
 
     def nearest(self, fraction: float) -> int:
-        """Index of the phase's own node nearest to a fraction of it; its last node is the next phase's."""
+        """Index of the phase's node nearest to a fraction of it; the last node belongs to the next phase."""
         distances = np.abs(np.array(self.fractions) - fraction)
         found = int(np.flatnonzero(distances <= distances.min() + SAME_FRACTION)[0])
         return found if self.ends_schedule else min(found, self.count - 1)
@@ -94,5 +94,5 @@ class AtMoment(Term):
         object.__setattr__(self, "phases", (self.phase,))
 
     def acts_at(self, place: NodePlace) -> bool:
-        """Whether this is the node."""
+        """Whether this is that node."""
         return place.phase.name == self.phase and place.index == place.nearest(self.fraction)

@@ -8,9 +8,9 @@
     smooth      accelerations, squared
     track       distance from a reference motion
 
-What a goal leaves undetermined is decided by a hundredth of the costs of `effort`; by a tenth beside time,
-height and distance, which have no curvature of their own: without it torques jump from limit to limit, and a
-robot without torque limits could jump to any height.
+To make the motion unique, a hundredth of the costs of `effort` is added; a tenth for time, height and
+distance, which have no curvature of their own: without it torques jump from limit to limit, and a robot
+without torque limits could jump to any height.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from trajopt.terms.tracking import TrackingCost
 Goal = Literal["effort", "time", "height", "distance", "transport", "smooth", "track"]
 GOALS: tuple[Goal, ...] = get_args(Goal)
 
-# Part of the costs of effort beside another goal: enough to decide, little enough not to be felt; and
-# beside a goal that is linear, for which a tenth of that means up to three times the iterations and motions
-# that need finer grids (docs/modelling/objectives.md).
+# Factor of the costs of effort added to another goal: enough to make the motion unique, too little to change
+# it; and to a linear goal, for which a tenth of that means up to three times the iterations and motions that
+# need finer grids (docs/modelling/objectives.md).
 REST, REST_OF_LINEAR = 1e-2, 1e-1
 
 
@@ -45,7 +45,7 @@ def effort_costs(
     """Costs of effort: torques, and small weights on everything else, so that the optimum is unique.
 
     Args:
-        acceleration: weight of accelerations beside the torques' one.
+        acceleration: weight of accelerations, where that of torques is one.
         velocity: weight of rates.
         posture: weight of the distance from the reference posture.
         joints_only: whether accelerations and rates of the base are left out.
@@ -84,7 +84,7 @@ def goal_terms(
         travel: distance that the motion has to cover, m, for "transport".
         reference: q(t) (nq,), for "track".
         effort: costs of effort, default `effort_costs()`.
-        rest: their factor beside another goal, default ``REST`` or ``REST_OF_LINEAR``.
+        rest: their factor when added to another goal, default ``REST`` or ``REST_OF_LINEAR``.
 
     Raises:
         InputError: for an unknown goal, or one without its argument.
@@ -108,7 +108,7 @@ def _main_term(
     travel: float | None,
     reference: Motion | None,
 ) -> Term:
-    """What the goal itself is, of weight one."""
+    """The term of the goal itself, of weight one."""
     if goal == "smooth":
         return AccelerationCost(weight=1.0)
     if goal == "time":

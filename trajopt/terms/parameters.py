@@ -1,4 +1,4 @@
-"""Numbers of terms that may change without anything being compiled again."""
+"""Numbers of terms that may change without recompilation."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from trajopt.errors import InputError
 
 
 class Parameters:
-    """Symbols of parameters in the order in which terms asked for them, and their numeric values."""
+    """Symbols of parameters in the order in which terms created them, and their numeric values."""
 
     def __init__(self) -> None:
         self._parameters: list[ca.SX] = []
         self._values: list[np.ndarray | Callable[[float], np.ndarray]] = []
 
     def parameter(self, value: np.ndarray | float) -> ca.SX:
-        """A symbol whose numeric ``value`` may change without anything being compiled again."""
+        """A symbol whose numeric ``value`` may change without recompilation."""
         array = np.atleast_1d(np.asarray(value, dtype=float))
         if not np.all(np.isfinite(array)):
             raise InputError(f"a term's parameter is {array}", "allowed: finite numbers")
@@ -43,7 +43,7 @@ class Parameters:
 
     @property
     def parameter_values(self) -> np.ndarray:
-        """Their numeric values; of those that vary the values at the schedule's start."""
+        """Their numeric values; of varying ones those at the schedule's start."""
         return self.parameter_values_at(0.0)
 
     def parameter_values_at(self, t: float) -> np.ndarray:

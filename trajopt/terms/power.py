@@ -1,8 +1,8 @@
 """Power drawn by drives: mechanical power of the joints, heat in the windings, energy and cost of transport.
 
 The mechanical power of a joint is p = tau rate, where tau is what its drive delivers (with joint friction). A
-part ``recovered`` of the power that flows back counts: 1 all of it (a lossless battery), 0 none, and -1 means
-that braking costs as much as driving, |p|, as in most figures of cost of transport:
+fraction ``recovered`` of the power that flows back counts: 1 all of it (a lossless battery), 0 none, and -1
+means that braking costs as much as driving, |p|, as in most figures of cost of transport:
 
     drawn(p) = (1 + recovered) / 2 p + (1 - recovered) / 2 |p|
 
@@ -26,7 +26,7 @@ from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Cost
 
-# Width over which |p| is rounded at zero, in natural units of power: a tenth as wide takes Newton's method
+# Width over which |p| is rounded at zero, in natural units of power: with a tenth of it Newton's method needs
 # three times the iterations for a cost of transport 3 % lower (docs/modelling/objectives.md). The rounded |p|
 # is too small by at most this.
 SMOOTHING = 0.1
@@ -44,7 +44,7 @@ def _heat(drive: Drive) -> float:
 
 
 def require_recovered(recovered: float) -> None:
-    """Raise `InputError` for a recovered part of power outside -1 to 1."""
+    """Raise `InputError` for a recovered fraction of power outside -1 to 1."""
     if not -1 <= recovered <= 1:
         raise InputError(f"recovered part of power is {recovered:g}", "allowed: -1 to 1")
 
@@ -59,7 +59,7 @@ class PowerCost(Cost):
 
     Args:
         weight: dimensionless.
-        recovered: part of the power that flows back, -1 to 1, see this module.
+        recovered: fraction of the power that flows back, -1 to 1, see this module.
         smoothing: > 0 in natural units of power: sqrt(p^2 + smoothing^2) - smoothing replaces |p|.
 
     Raises:

@@ -5,7 +5,7 @@ it follows from its normal part f_n >= 0 and its velocity v_t within the surface
 
     f = f_n (n - mu v_t / sqrt(|v_t|^2 + v_s^2))
 
-which is Coulomb's law for speeds far above v_s, and smooth where the contact stops or turns round: at v_s the
+which is Coulomb's law for speeds far above v_s, and smooth where the contact stops or reverses: at v_s the
 friction is 1 / sqrt 2 of what it is at high speed (the regularisation of Andersson, Soederberg and
 Bjoerklund, Tribology International 40, 2007, without their static peak). A contact without slip speed sticks.
 """
@@ -34,7 +34,7 @@ def sliding_surfaces(phase: Phase) -> dict[str, Surface]:
 
 
 def require_sliding(robot: Robot, schedule: Schedule, actuation: str, modes: tuple[str, ...]) -> None:
-    """Raise `InputError` where a contact slides that cannot.
+    """Raise `InputError` for a sliding contact where sliding is not supported.
 
     Args:
         robot: the robot.
@@ -59,7 +59,7 @@ def require_sliding(robot: Robot, schedule: Schedule, actuation: str, modes: tup
 
 @dataclass(frozen=True, kw_only=True)
 class SlidingFriction(PointConstraint):
-    """Friction law of this module at every sliding contact: the force pushes and opposes the motion.
+    """Friction law of this module at every sliding contact: the force is unilateral and opposes the motion.
 
     Rows are over the weight. Part of the dynamics where a schedule has such contacts, see
     `Problem.motion_rows`.

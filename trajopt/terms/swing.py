@@ -1,11 +1,11 @@
 """Swing clearance: contacts in the air stay above the ground, at nodes.
 
-The least height follows `swing_profile` over the swing: zero and flat where the foot leaves and lands. Over
+The least height follows `swing_profile` over the swing: zero and flat at lift-off and touchdown. Over
 flat and smooth ground a swing is one phase (`SwingClearance`), or spans several (`SwingArc`). Over piecewise
 ground (`SwingOver`) a foot that has to pass an edge stays on its side of it until it is as high as the ground
-behind, and, going down, keeps that height until it has passed. At one node at least both hold, so between any
-two nodes one of them holds at both ends: no interval cuts the edge. All of these rows are linear in the
-foot's position. The terms for all swings of a schedule: `trajopt.terms.swing_planning`.
+behind it; on the way down it keeps that height until it has passed the edge. At one node at least both hold,
+so between any two nodes one of them holds at both ends: no interval cuts the edge. All of these rows are
+linear in the foot's position. The terms for all swings of a schedule: `trajopt.terms.swing_planning`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from trajopt.terrain.swing_profile import require_clearance, swing_profile
 from trajopt.terrain.terrain import Ground
 
 LEVEL = np.array(UP)
-# Rounding of times of nodes, as a part of a swing.
+# Rounding of times of nodes, as a fraction of a swing.
 SAME_TIME = 1e-9
 
 
@@ -78,7 +78,7 @@ class SwingClearance(NodeConstraint):
         ground = self.terrain.surface
         heights = ca.vertcat(*_heights(context, ground, points))
         if isinstance(ground, Surface) and ground.height:
-            # Over the ground, not the origin: solvers relax a bound in proportion to its size.
+            # Measured from the ground, not the origin: solvers relax a bound in proportion to its size.
             heights -= context.parameter(ground.height)
         least = self.height * swing_profile(place.fraction)
         return Rows.create(heights, least, np.inf, units.length)
@@ -98,7 +98,7 @@ class SwingArc(NodeConstraint):
     """Swinging contacts stay above flat or smooth ground over swings that may span several phases.
 
     Heights are those of `SwingClearance`, over the fraction of the whole swing. Nothing is imposed where a
-    swing begins and ends: the contact's stance says where it is. `swing_arcs` makes these terms.
+    swing begins and ends: the contact's stance determines its position. `swing_arcs` creates these terms.
 
     Args:
         height: least height in mid swing, m.
@@ -144,9 +144,9 @@ class SwingCrossing:
         begin: nominal time of the lift-off, s.
         end: nominal time of the touchdown, s.
         parts: (begin, duration) of the phases of the swing, s, by their names.
-        ground: what lies between the two footholds.
+        ground: the ground between the two footholds.
         risen: fraction of the swing at which the foot is at the top, before the first edge.
-        sinking: fraction up to which it stays there, behind the last edge.
+        sinking: fraction at which it starts to descend, behind the last edge.
     """
 
     contact: str
@@ -188,7 +188,7 @@ class SwingCrossing:
             return [first, (ground.rise.normal, ground.rise.offset)]
         if ground.fall is not None and s >= sinking - half:
             return [first, (ground.fall.normal, ground.fall.offset)]
-        # All nodes of a swing have as many rows: this one is never active beside the first.
+        # All nodes of a swing have the same number of rows: this one is never active if the first holds.
         return [first, (LEVEL, ground.top - height)]
 
 
@@ -202,13 +202,13 @@ def _above(plane: Surface, lift: float) -> tuple[np.ndarray, float]:
 class SwingOver(NodeConstraint):
     """Feet stay above piecewise ground over their swings, and cut no edge between the nodes.
 
-    The clearance follows `swing_profile`; it holds for all four corners of a sole. `swing_clearance` makes
+    The clearance follows `swing_profile`; it holds for all four corners of a sole. `swing_clearance` creates
     these terms.
 
     Args:
         height: clearance in mid swing, m.
         swings: all swings.
-        between_phases: whether the term acts where one phase of a swing goes over into the next, or at the
+        between_phases: whether the term acts where one phase of a swing passes into the next, or at the
             nodes inside the phases.
     """
 

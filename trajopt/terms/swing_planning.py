@@ -1,4 +1,4 @@
-"""Swing terms of a whole schedule: which contacts swing when, and over what."""
+"""Swing terms of a whole schedule: which contacts swing when, and over what ground."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from trajopt.terrain.swing_path import crossing_of
 from trajopt.terrain.swing_profile import require_clearance
 from trajopt.terrain.terrain import Ground, Terrain
 
-# Distance kept from an edge in units of the clearance, and at most this part of what there is at lift-off.
+# Distance kept from an edge in units of the clearance, at most this fraction of the distance at lift-off.
 FROM_EDGE, OF_WAY = 0.5, 0.5
-# Samples of the guess's swing in which it is seen to pass an edge.
+# Number of samples of the guess's swing in which to find where it passes an edge.
 SAMPLES = 101
 
 
@@ -36,10 +36,10 @@ def swing_clearance(
 
     Args:
         robot: the robot.
-        schedule: who is in contact when.
+        schedule: contacts over time.
         terrain: the ground.
         height: clearance in mid swing, m.
-        guess: motion t -> q (nq,). On piecewise ground it says from where to where each contact swings,
+        guess: motion t -> q (nq,). On piecewise ground it gives the start and end of each contact's swing
             where no foothold does, and when it passes edges.
 
     Raises:
@@ -97,7 +97,7 @@ def _foothold(
     starts: dict[str, np.ndarray],
     guessed: np.ndarray,
 ) -> tuple[np.ndarray, Surface]:
-    """Where a contact of a phase stands, as far as is known, and the plane there."""
+    """Where a contact of a phase stands, if known, and the plane there."""
     ground: Ground = schedule.surface(index, name, terrain, starts)
     begins = schedule.beginning(name, index)
     place = schedule.phases[begins].footholds.get(name, guessed)
@@ -136,7 +136,7 @@ def _swing(
 
 
 def _kept_from(edge: Edge | None, points: np.ndarray, height: float) -> Edge | None:
-    """The edge with a distance to keep from it, less than all of the foot has at its end of the swing."""
+    """The edge with a distance to keep from it, less than the whole foot has at that end of the swing."""
     if edge is None:
         return None
     keep = min(FROM_EDGE * height, OF_WAY * max(float(edge.distance(points).min()), 0.0))
@@ -160,7 +160,7 @@ def swing_arcs(
     """Terms for the swings of contacts, which may span phases: inside the phases and between them.
 
     Args:
-        schedule: who is in contact when.
+        schedule: contacts over time.
         contacts: names of the contacts.
         height: clearance in mid swing, m.
         terrain: flat or smooth ground.

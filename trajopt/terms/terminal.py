@@ -150,7 +150,7 @@ HORIZONTAL = {"planar": (0, -1), "freeflyer": (0, 1)}
 class TerminalPosture(NodeConstraint):
     """The motion ends in a given posture wherever a contact has landed, without turning.
 
-    Rows are in the directions that active contacts leave free, as of `TerminalState`. The base is a
+    Rows are in the directions that active contacts leave free, as in `TerminalState`. The base is a
     free-flyer or planar, in the world's axes.
 
     Args:

@@ -24,7 +24,7 @@ from trajopt.terms.interfaces import Cost
 Part = Literal["all", "joints", "base"]
 PARTS: tuple[Part, ...] = get_args(Part)
 
-# Clips are written with few digits: norms of their rotations are one within this.
+# Motion clips are written with few digits: norms of their rotations are one within this.
 NORMALIZED = 1e-4
 
 
@@ -32,13 +32,14 @@ NORMALIZED = 1e-4
 class TrackingCost(Cost):
     """Distance of the configuration from a reference motion.
 
-    Angles in rad, lengths over the robot's; 2 sin(angle / 2) of an angle that counts no turns, and along its
-    axis of a rotation: smooth, and independent of a quaternion's sign.
+    Angles in rad, lengths over the robot's; 2 sin(angle / 2) for an angle without whole turns and, along its
+    axis, for a rotation: smooth, and independent of a quaternion's sign.
 
     Args:
         weight: dimensionless.
         reference: q(t) (nq,) of nominal time, s, from the schedule's start: where durations are free the
-            reference stretches with its phase. Its values are parameters: another one compiles nothing.
+            reference stretches with its phase. Its values are parameters: another reference needs no
+            compilation.
         part: "all" coordinates, those of the "joints" or of the "base".
 
     Raises:
@@ -94,11 +95,11 @@ def key_frames(robot: Robot, times: Sequence[float], configurations: np.ndarray)
 
     Args:
         robot: the robot.
-        times: of the key frames (n,), s, rising.
+        times: of the key frames (n,), s, increasing.
         configurations: at these times (n, nq).
 
     Raises:
-        InputError: for times that do not rise, configurations of another size, and rotations that are not
+        InputError: for times that do not increase, configurations of another size, and rotations that are not
             unit.
     """
     at, rows = np.array(times, dtype=float), np.atleast_2d(np.array(configurations, dtype=float))

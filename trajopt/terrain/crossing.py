@@ -1,9 +1,9 @@
-"""What lies under a swing over piecewise ground: how high it is, and which edges must not be cut.
+"""Ground under a swing over piecewise terrain: its height, and the edges that must not be cut.
 
 Seen along the straight line from lift-off to touchdown the ground is a polyline with jumps. Where it is
 nowhere above the planes of both ends (one plane, or a valley) a foot above these planes is above the ground.
-Otherwise something stands between: the foot rises to its top before it passes the edge at which that begins,
-and sinks below the top after it has passed the edge at which it ends.
+Otherwise there is an obstacle: the foot rises to its top before it passes the edge where the obstacle begins,
+and descends below the top after it has passed the edge where the obstacle ends.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ NO_DIRECTION = 1e-9
 class Edge:
     """A vertical plane through an edge: positions p (3,) with ``normal @ p >= offset`` are on the free side.
 
-    ``normal`` (3,) is horizontal and of unit length; ``part`` of the way, counted from
-    the free end, at which the line meets the edge.
+    ``normal`` (3,) is horizontal and of unit length; ``part``: fraction of the way, from the free end, at
+    which the line meets the edge.
     """
 
     normal: np.ndarray
@@ -40,10 +40,10 @@ class Edge:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Crossing:
-    """Ground between two places of a foot: planes at both ends, and the top of what stands between.
+    """Ground between two positions of a foot: planes at both ends, and the top of the obstacle between.
 
-    ``top`` in m is None where nothing does. ``rise``: the edge before which the foot rises to the top, None
-    where it starts there; ``fall``: the edge behind which it sinks, None where it ends there.
+    ``top`` in m is None without an obstacle. ``rise``: the edge before which the foot rises to the top, None
+    where it starts there; ``fall``: the edge behind which it descends, None where it ends there.
     """
 
     first: Surface
@@ -55,7 +55,7 @@ class Crossing:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Piece:
-    """The ground from a ``begin`` to an ``end`` part of the way; ``face`` is None in a hole."""
+    """The ground from a ``begin`` to an ``end`` fraction of the way; ``face`` is None in a hole."""
 
     begin: float
     end: float
@@ -65,7 +65,7 @@ class _Piece:
 def crossing(
     terrain: PiecewiseTerrain, start: np.ndarray, end: np.ndarray, first: Surface, last: Surface
 ) -> Crossing:
-    """What lies between ``start`` and ``end`` (3,) m, which are on the planes ``first`` and ``last``."""
+    """The ground between ``start`` and ``end`` (3,) m, which are on the planes ``first`` and ``last``."""
     pieces = [piece for piece in _pieces(terrain, start, end) if piece.face is not None]
     ends = [(_level(first, start), _level(first, end)), (_level(last, start), _level(last, end))]
     heights = [
@@ -121,7 +121,7 @@ def _pieces(terrain: PiecewiseTerrain, start: np.ndarray, end: np.ndarray) -> li
 
 
 def _stops(face: Patch, start: np.ndarray, end: np.ndarray) -> list[float]:
-    """Parts of the way, inside it, at which the line meets lines of a face's edges, seen from above."""
+    """Fractions in (0, 1) of the way at which it meets the lines of a face's edges, seen from above."""
     outside = [[_to_edge(face, i, point) for point in (start, end)] for i in range(len(face.vertices))]
     parts = [a / (a - b) for a, b in outside if abs(a - b) > NO_DIRECTION]
     return [part for part in parts if 0 < part < 1]
@@ -145,7 +145,7 @@ def _reversed(piece: _Piece) -> _Piece:
 
 
 def _place(pieces: list[_Piece], heights: list[tuple[float, float]], above: list[float], top: float) -> float:
-    """Part of the way at which the ground first rises over the start's plane; else where it is at the top."""
+    """Fraction of the way at which the ground first rises over the start's plane, or else reaches the top."""
     for piece, over in zip(pieces, above, strict=True):
         if over > SAME_PLANE:
             return piece.begin
@@ -157,7 +157,7 @@ def _place(pieces: list[_Piece], heights: list[tuple[float, float]], above: list
 
 
 def _edge(part: float, pieces: list[_Piece], start: np.ndarray, end: np.ndarray) -> Edge | None:
-    """The edge that the way meets at ``part``, free on the start's side; None if the start is beyond it."""
+    """The edge met at the fraction ``part``, free on the start's side; None if the start is beyond it."""
     if part <= CRACK:
         return None
     point, way = start + part * (end - start), (end - start) * [1, 1, 0]

@@ -13,7 +13,7 @@ from trajopt.errors import InputError, finite_array, is_number, numbers_of, requ
 from trajopt.terrain.surface import SAME_PLANE, UP, Surface
 
 # Sine of the turn at a corner below which three corners are on one line (or turn the wrong way): rounding of
-# corners that were computed, far below any polygon that is meant to turn there.
+# computed corners, far below any intended turn.
 STRAIGHT = 1e-9
 DESCRIBED = ("name", "surface", "vertices", "margin")
 
@@ -26,11 +26,11 @@ class Patch:
         surface: the plane.
         vertices: corners (n, 3), n >= 3, m, world, in the plane and in order around it, either way; they are
             kept counter-clockwise about the normal.
-        margin: distance in m that a contact which lands on it keeps from every edge.
+        margin: distance in m that a contact landing on it keeps from every edge.
         name: for reports and `PiecewiseTerrain.face`.
 
     Raises:
-        InputError: for corners off the plane or in no convex order, and a margin that leaves no area.
+        InputError: for corners off the plane or not in convex order, and a margin that leaves no area.
     """
 
     surface: Surface
@@ -171,7 +171,7 @@ def _require_convex(directions: np.ndarray, normal: np.ndarray, name: str) -> No
 
 
 def cut_polygon(points: np.ndarray, inward: np.ndarray, offset: float) -> np.ndarray:
-    """Part (k, 3) of a convex polygon with inward @ p >= offset: Sutherland and Hodgman's clipping."""
+    """The part (k, 3) of a convex polygon with inward @ p >= offset: Sutherland and Hodgman's clipping."""
     kept: list[np.ndarray] = []
     for a, b in zip(points, np.roll(points, -1, axis=0), strict=True):
         over = (float(inward @ a - offset), float(inward @ b - offset))

@@ -13,7 +13,7 @@ from trajopt.terrain.obstacle import ObstacleAxes, PlanePoint, require_lengths
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import UP, Surface
 
-# How far flats before and beyond an obstacle reach, m: farther than any motion of one plan.
+# Extent of the flats before and beyond an obstacle, m: farther than the motion of any plan.
 REACH = 20.0
 # Positions this far outside a polygon still stand on it, m: two faces that share an edge leave no crack.
 CRACK = 1e-9
@@ -23,9 +23,9 @@ CRACK = 1e-9
 class PiecewiseTerrain:
     """Ground of one or more faces with different names; the first is the one to stand on by default.
 
-    The ground at (x, y) is the highest face there. Where there is no face is a hole without a bottom: its
-    height is -inf, nothing penetrates there, and no contact can stand. Risers between faces are not faces: a
-    point lower than the highest face at its (x, y) penetrates by the whole difference. Raises `InputError`.
+    The ground at (x, y) is the highest face there. Without a face there is a bottomless hole: its height is
+    -inf, nothing penetrates there, and no contact can stand. Risers between faces are not faces: a point
+    lower than the highest face at its (x, y) penetrates by the whole difference. Raises `InputError`.
     """
 
     faces: tuple[Patch, ...]
@@ -34,15 +34,15 @@ class PiecewiseTerrain:
         object.__setattr__(self, "faces", tuple(self.faces))
         if not self.faces or not all(isinstance(face, Patch) for face in self.faces):
             raise InputError(
-                "a piecewise terrain has no faces, or others than patches", "allowed: patches, at least one"
+                "a piecewise terrain has no faces, or some are no patches", "allowed: patches, at least one"
             )
         names = self.names
         if len(set(names)) != len(names):
-            raise InputError(f"two faces of a terrain have one name: {', '.join(names)}")
+            raise InputError(f"two faces of a terrain have the same name: {', '.join(names)}")
         for face in self.faces:
             if not face.surface.normal[2] > 0 or face.surface.bilateral:
                 raise InputError(
-                    f"face '{face.name}' of the terrain looks down, is vertical or holds contacts",
+                    f"face '{face.name}' of the terrain points down, is vertical or holds contacts",
                     "allowed: ground to stand on, normal with z > 0; Phase.patches and surfaces for others",
                 )
 
@@ -159,7 +159,7 @@ class PiecewiseTerrain:
         friction: float = 0.7,
         margin: float = 0.0,
     ) -> PiecewiseTerrain:
-        """``steps`` risers of ``rise`` m (negative: down), treads of ``run`` m: faces as of `steps`."""
+        """``steps`` risers of ``rise`` m (negative: down), treads of ``run`` m: faces as in `steps`."""
         if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
             raise InputError(f"stairs have {steps!r} steps", "allowed: a whole number, at least 1")
         require_finite("rise of stairs", rise, "m")
@@ -209,7 +209,7 @@ class PiecewiseTerrain:
     ) -> PiecewiseTerrain:
         """A hole of ``width`` m in the direction of travel, from ``at`` (x, y) m on: ``before``, ``beyond``.
 
-        ``height``: of the ground beyond it over that before it, m.
+        ``height``: of the ground beyond it above that before it, m.
         """
         require_lengths(width=width)
         place = ObstacleAxes(at, yaw, friction, margin)

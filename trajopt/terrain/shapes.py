@@ -1,4 +1,4 @@
-"""Analytic shapes of smooth ground: heights over (x, y), their gradients, and the same in symbols."""
+"""Analytic shapes of smooth ground: heights over (x, y) and their gradients, numeric and symbolic."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Shape(ABC):
 
     @abstractmethod
     def symbolic(self, x: ca.SX, y: ca.SX, parameter: ParameterOf) -> ca.SX:
-        """Height in symbols; numbers of the shape enter through ``parameter``."""
+        """Symbolic height; the shape's numbers enter through ``parameter``."""
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description."""

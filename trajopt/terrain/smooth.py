@@ -1,4 +1,4 @@
-"""Smooth ground z = h(x, y): a sum of analytic shapes, its normals, and it as something to touch."""
+"""Smooth ground z = h(x, y): a sum of analytic shapes, its normals, and its contact surface."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class SmoothTerrain:
         object.__setattr__(self, "shapes", tuple(self.shapes))
         if not self.shapes or not all(isinstance(shape, Shape) for shape in self.shapes):
             raise InputError(
-                "a smooth terrain has no shapes, or some are none", "allowed: shapes, at least one"
+                "a smooth terrain has no shapes, or some that are not shapes", "allowed: shapes, at least one"
             )
         require_not_negative("friction coefficient", self.friction)
 
     @property
     def surface(self) -> CurvedSurface:
-        """The ground as something that contacts touch."""
+        """The ground as a surface that contacts touch."""
         return CurvedSurface(self)
 
     def surface_at(self, point: np.ndarray) -> CurvedSurface:
@@ -51,7 +51,7 @@ class SmoothTerrain:
         return np.asarray(raw / np.linalg.norm(raw, axis=-1, keepdims=True))
 
     def symbolic_height(self, x: ca.SX, y: ca.SX, parameter: ParameterOf) -> ca.SX:
-        """Height in symbols; the shapes' numbers enter through ``parameter``."""
+        """Symbolic height; the shapes' numbers enter through ``parameter``."""
         return sum((shape.symbolic(x, y, parameter) for shape in self.shapes), ca.SX(0))
 
     def describe(self) -> dict[str, Any]:
@@ -71,7 +71,7 @@ class SmoothTerrain:
 
 @dataclass(frozen=True)
 class CurvedSurface:
-    """Smooth ground as what a point contact touches: its normal depends on where the contact is."""
+    """Smooth ground as the surface of a point contact: its normal depends on where the contact is."""
 
     ground: SmoothTerrain
     bilateral: ClassVar[bool] = False
@@ -103,7 +103,7 @@ class CurvedSurface:
         return position[2] - self.ground.symbolic_height(position[0], position[1], parameter)
 
     def symbolic_frame(self, position: ca.SX, parameter: ParameterOf) -> ca.SX:
-        """Columns tangent, tangent, normal (3, 3) at a position (3,): `frame_of_normal` in symbols."""
+        """Columns tangent, tangent, normal (3, 3) at a position (3,): symbolic `frame_of_normal`."""
         x, y = ca.SX.sym("x"), ca.SX.sym("y")
         height = self.ground.symbolic_height(x, y, parameter)
         slopes = ca.gradient(height, ca.vertcat(x, y))

@@ -1,4 +1,4 @@
-"""A plane that a contact touches: where it lies, where it points, how rough it is."""
+"""A plane that a contact touches: its position, normal and friction."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 from trajopt.errors import InputError, finite_array, is_number, require_not_negative
 
 UP = (0.0, 0.0, 1.0)
-# Two surfaces are one plane within this distance, m, and this error of the normal: rounding of what
-# forward kinematics gives, far below what a leg is positioned to.
+# Two surfaces are one plane within this distance, m, and this error of the normal: rounding of forward
+# kinematics, far below the positioning accuracy of a leg.
 SAME_PLANE = 1e-6
 
 
@@ -42,9 +42,9 @@ class Surface:
         point: any point on it (3,), m, world.
         normal: from it to the robot (3,), world; made a unit vector.
         friction: Coulomb's coefficient.
-        bilateral: whether it holds the contact (a grasp, a handrail, a bolt). Then it transmits any wrench
-            that the contact's kind has, and neither friction nor unilateral rows apply; the normal only says
-            how a contact lands on it.
+        bilateral: whether it holds the contact (a grasp, a handrail, a bolt). Then it transmits any wrench of
+            the contact's kind, and neither friction nor unilateral rows apply; the normal only determines how
+            a contact lands on it.
         slip_speed: m/s; with it a point contact slides along the surface, against its friction (see
             `trajopt.terms.sliding`).
 

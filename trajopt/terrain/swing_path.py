@@ -16,16 +16,16 @@ from trajopt.terrain.surface import Surface
 from trajopt.terrain.swing_profile import require_clearance, smooth_step
 from trajopt.terrain.terrain import Terrain
 
-# Parts of the swing's time at which the foot is as high as the top, and from which it sinks.
+# Fractions of the swing time at which the foot has reached the top, and from which it descends.
 RISEN, SINKING = 0.35, 0.65
-# The guess passes an edge at this part of the way to it: with room before the edge.
+# Fraction of the way to an edge that the guess covers before it is as high as the top.
 BEFORE_EDGE = 0.8
 # Height of the guess's arc over the least clearance: above it at every time between RISEN and SINKING.
 OVER_CLEARANCE = 1.5
-# Swings whose ground is kept.
+# Number of swings whose ground is cached.
 KEPT = 1024
 
-# A smooth step's inverse, by table.
+# Inverse of the smooth step, as a table.
 TIMES = np.linspace(0.0, 1.0, 201)
 DONE = np.array([smooth_step(float(time)) for time in TIMES])
 
@@ -35,8 +35,8 @@ SwingPath = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
 def swing_path(terrain: Terrain, clearance: float, reach: float = 0.0) -> SwingPath:
     """Path of a swinging foot: (name, start (3,), end (3,), s) -> position (3,), m, world; s from 0 to 1.
 
-    It rises to the highest ground between its ends before it meets it, and sinks behind it; on top of that
-    an arc that is ``clearance`` m over smooth or flat ground and over edges. ``reach``: how far the foot
+    It rises to the highest ground between its ends before reaching it, and descends behind it; added to that
+    is an arc that is ``clearance`` m over smooth or flat ground and over edges. ``reach``: how far the foot
     extends before and behind its position, m, half a sole's length. For `legged_guess`.
     """
     require_clearance(clearance)
@@ -53,7 +53,7 @@ def swing_path(terrain: Terrain, clearance: float, reach: float = 0.0) -> SwingP
 
 
 def crossing_of(terrain: Terrain, start: np.ndarray, end: np.ndarray) -> Crossing:
-    """What lies between two positions (3,) m; on ground without edges only the planes under them."""
+    """The ground between two positions (3,) m; on ground without edges only the planes under them."""
     planes = [_plane(terrain, point) for point in (start, end)]
     if isinstance(terrain, PiecewiseTerrain):
         return crossing(terrain, start, end, *planes)
@@ -61,7 +61,7 @@ def crossing_of(terrain: Terrain, start: np.ndarray, end: np.ndarray) -> Crossin
 
 
 def _reached(ground: Crossing, start: tuple[float, ...], end: tuple[float, ...], reach: float) -> Crossing:
-    """The same ground with the parts of the way at which the foot's front or back meets the edges."""
+    """The same ground with the fractions of the way at which the foot's front or back meets the edges."""
     way = math.hypot(end[0] - start[0], end[1] - start[1])
 
     def met(edge: Edge | None) -> Edge | None:
@@ -95,7 +95,7 @@ def _over(
 
 
 def _warped(ground: Crossing, s: float) -> float:
-    """Time of the horizontal way: delayed so that edges are passed between RISEN and SINKING."""
+    """Time of the horizontal motion: delayed so that edges are passed between RISEN and SINKING."""
     begin, end = 0.0, 1.0
     rise, fall = _time_before(ground.rise), _time_before(ground.fall)
     if rise is not None and rise < RISEN:
@@ -106,5 +106,5 @@ def _warped(ground: Crossing, s: float) -> float:
 
 
 def _time_before(edge: Edge | None) -> float | None:
-    """Time at which a smooth step has gone BEFORE_EDGE of the part of the way to an edge."""
+    """Time at which a smooth step has covered BEFORE_EDGE of the way to an edge."""
     return None if edge is None else float(np.interp(BEFORE_EDGE * edge.part, DONE, TIMES))

@@ -1,4 +1,4 @@
-"""Profiles over the course of a swing: the least height as a part of the clearance, and a smooth step."""
+"""Profiles over the course of a swing: the least height as a fraction of the clearance, and a smooth step."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ def require_clearance(clearance: float) -> None:
 
 
 def swing_profile(s: float) -> float:
-    """16 s^2 (1 - s)^2 at the part ``s`` of a swing: one in mid swing, zero and flat at its ends.
+    """16 s^2 (1 - s)^2 at the fraction ``s`` of a swing: one in mid swing, zero and flat at its ends.
 
     Flat, because a foot begins and ends its swing at rest: with a profile of finite slope there, such as
     4 s (1 - s), the height at the first node after lift-off is proportional to the step, and the acceleration
-    that it takes inversely proportional: the optimum would have no limit as meshes get finer.
+    needed is inversely proportional to it: the optimum would have no limit as the mesh is refined.
     """
     return 16.0 * s * s * (1.0 - s) ** 2
 

@@ -1,4 +1,4 @@
-"""What is linear in the unknowns: scales, gathers of points, ends and impacts, and the additive defects."""
+"""The part linear in the variables: scales, gathers of points, ends and impacts, and additive defects."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from trajopt.transcription.timeline import NodeLayout, StageKind
 
 @dataclass(frozen=True)
 class Collocation:
-    """The collocation map of a layout's schemes between scaled unknowns, in the robot's units.
+    """The collocation map of a layout's schemes between scaled variables, in the robot's units.
 
-    ``units`` are those of every form's robot, by identity of the robot.
+    ``units`` are those of every form's robot, keyed by the robot's identity.
     """
 
     layout: Layout
@@ -53,12 +53,12 @@ class Collocation:
 
     @cached_property
     def scale(self) -> np.ndarray:
-        """Natural unit of each unknown (n_unknowns,)."""
+        """Natural unit of each variable (n_unknowns,)."""
         windows = [self.window_scale(k) for k in range(self.layout.n_stages)]
         return np.concatenate([*windows, self.node_scale(self.layout.forms[-1])])
 
     def point_gather(self, stage: int, i: int) -> sparse.csr_matrix:
-        """Return the map to z of a point: rotations, xi, xi', xi'', wrenches, own time scale."""
+        """Return the map to z of a point: rotations, xi, xi', xi'', wrenches, the phase's time scale."""
         layout, phase = self.layout, int(self.layout.phase_of[stage])
         scheme, form = layout.scheme_of(phase), layout.form_of(phase)
         lower = self._lower_derivatives(stage, scheme.c[i], scheme.A1[i], scheme.A2[i])
@@ -68,7 +68,7 @@ class Collocation:
         return sparse.csr_matrix(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(stage))
 
     def impact_gather(self, k: int) -> sparse.csr_matrix:
-        """Return the map to z of an impact: rotations, xi, rates, their jump, impulses, own time scale."""
+        """Return the map to z of an impact: rotations, xi, rates, their jump, impulses, the time scale."""
         layout, form = self.layout, self.layout.forms[k]
         eye = np.eye(layout.window_size(k))
         jump, impulse = eye[layout.local_jump(k)], eye[layout.local_impulse(k)]
@@ -76,7 +76,7 @@ class Collocation:
         return sparse.csr_matrix(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(k))
 
     def node_gather(self, form: NodeLayout) -> sparse.csr_matrix:
-        """Return the map to z of a node: its own unknowns."""
+        """Return the map to z of a node: its own variables."""
         return sparse.csr_matrix(np.diag(self.node_scale(form)))
 
     def end_gather(self, stage: int) -> sparse.csr_matrix:
@@ -93,9 +93,9 @@ class Collocation:
         others: list[tuple[np.ndarray, sparse.coo_matrix]],
         n_rows: int,
     ) -> sparse.csr_matrix:
-        """Rows (n_rows, n_unknowns): identity of the next node minus the map of what is linear.
+        """Rows (n_rows, n_unknowns): identity of the next node minus the linear part of the map to it.
 
-        ``others`` are further linear rows: their numbers and coefficients over all unknowns.
+        ``others`` are further linear rows: their indices and coefficients over all variables.
         """
         layout = self.layout
         rows = [numbers[matrix.row] for numbers, matrix in others]
@@ -116,7 +116,7 @@ class Collocation:
         return sparse.csr_matrix(entries, shape=(n_rows, layout.n_unknowns))
 
     def _linear_map(self, k: int) -> np.ndarray:
-        """What of the next node (size, window) is linear in the window of stage k, unscaled."""
+        """Linear part (size, window) of the map from the window of stage k to the next node, unscaled."""
         layout, form, kind = self.layout, self.layout.forms[k], self.layout.stages[k].kind
         eye = np.eye(layout.window_size(k))
         block = np.zeros((layout.forms[k + 1].size, layout.window_size(k)))
@@ -139,7 +139,7 @@ class Collocation:
         return self._lower_derivatives(k, 1.0, scheme.b1, scheme.b2)
 
     def _lower_derivatives(self, k: int, c: float, a1: np.ndarray, a2: np.ndarray) -> list[np.ndarray]:
-        """Maps (nv, window) to xi, and to xi' where that is no unknown, at fraction c of interval k."""
+        """Maps (nv, window) to xi, and to xi' where that is not a variable, at fraction c of interval k."""
         layout, form = self.layout, self.layout.forms[k]
         phase, h = layout.stages[k].phase, layout.steps[k]
         eye = np.eye(layout.window_size(k))

@@ -2,11 +2,11 @@
 
 Three levels trade compile time for evaluation time: ``none`` (CasADi's virtual machine, no
 compiler), ``quick`` and ``fast`` (the C compiler's -O1, and -O3 with -ffast-math). An entry is named
-by a hash of the point function's graph, the versions of what made it, the level and the compiler, so
-that nothing stale is ever read; entries are written to a temporary folder and renamed, so that
-processes may share the cache. An entry whose files are not those that were written (a full disk, a
-lost machine) is made anew: a truncated library would crash the process that loads it. The graph
-does not know the scheme, the step or the number of intervals, so neither does the entry.
+by a hash of the point function's graph, the versions of what made it, the level and the compiler, so that
+nothing stale is ever read; entries are written to a temporary folder and renamed, so that processes may share
+the cache. An entry whose files are not those that were written (a full disk, a crash) is built again: a
+truncated library would crash the process that loads it. The graph does not depend on the scheme, the step or
+the number of intervals, so neither does the entry.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ FLAGS = {
 LEVELS = tuple(FLAGS)
 DEFAULT_LEVEL = "quick"
 FUNCTION_NAMES = ("value", "first", "second")
-# Hessians to choose from; a solver makes the last one up from gradients.
+# Hessians to choose from; a solver approximates the last one from gradients.
 HESSIANS = ("exact", "gauss-newton", "limited-memory")
 DEFAULT_HESSIAN = "exact"
 # Functions of an entry, by its kind. With another Hessian than the exact one value and first are taken from
-# the exact one's entry if it is there: nothing is compiled that is not needed, nor twice.
+# the exact one's entry if present: nothing is compiled needlessly or twice.
 ENTRIES = {"exact": FUNCTION_NAMES, "first-order": ("value", "first"), "gauss-newton": ("gauss_newton",)}
 # Functions whose intermediate values are C array entries instead of local variables: gcc's register
 # allocation then takes half the time on a Jacobian, at the same speed of the code. On a Hessian it
@@ -64,9 +64,9 @@ ENTRY = "entry.json"
 
 @dataclass(frozen=True)
 class CompiledPoint:
-    """Where the three functions of a point live, and the patterns of their derivatives.
+    """Where the three functions of a point are stored, and the patterns of their derivatives.
 
-    The second is of the chosen Hessian; zero where the solver makes its own.
+    The second is of the chosen Hessian; zero where the solver approximates its own.
 
     ``sources`` maps value, first, second to serialised text (virtual machine) or to
     (library, name); ``c_bytes`` is the size of the generated C, 0 without.
@@ -81,7 +81,7 @@ class CompiledPoint:
 
 @dataclass(frozen=True)
 class CompilationReport:
-    """What a call cost: seconds of building graphs and of the C compiler, and hits in the cache."""
+    """Cost of a call: seconds for building graphs and for the C compiler, and cache hits."""
 
     level: str
     build_time: float
@@ -107,7 +107,7 @@ def compiler() -> tuple[str, str] | None:
 
 
 def effective_level(level: str) -> str:
-    """The level that can be had here: ``none`` where there is no C compiler. Raises InputError."""
+    """The level available here: ``none`` where there is no C compiler. Raises InputError."""
     if level not in LEVELS:
         raise InputError(f"unknown compile level '{level}'", f"allowed: {', '.join(LEVELS)}")
     if level != "none" and compiler() is None:
@@ -120,7 +120,7 @@ def effective_level(level: str) -> str:
 
 @lru_cache(maxsize=1)
 def _maker() -> str:
-    """What makes an entry besides the graph: versions, and the code of the chain rule."""
+    """What an entry depends on besides the graph: versions, and the code of the chain rule."""
     versions = [importlib.metadata.version(name) for name in ("casadi", "libpinocchio")]
     return "|".join([*versions, Path(stage_functions.__file__).read_text(encoding="utf-8")])
 
@@ -150,9 +150,9 @@ def entry_key(point: PointFunction, level: str, kind: str = "exact") -> str:
 def compile_points(
     points: Iterable[PointFunction], level: str = DEFAULT_LEVEL, hessian: str = DEFAULT_HESSIAN
 ) -> tuple[dict[str, CompiledPoint], CompilationReport]:
-    """Derivatives of all points, by the entry key of the exact Hessian, from the cache or made now.
+    """Derivatives of all points, by the entry key of the exact Hessian, from the cache or compiled now.
 
-    Raises InputError for a level or a Hessian that is not known.
+    Raises InputError for an unknown level or Hessian.
     """
     level, folder = effective_level(level), cache_directory()
     if hessian not in HESSIANS:
@@ -197,7 +197,7 @@ def _kinds(point: PointFunction, level: str, hessian: str) -> tuple[str, ...]:
 
 
 class _Job:
-    """One entry in the making: start() builds graphs and starts C compilers, which finish() joins."""
+    """An entry being built: start() builds graphs and starts C compilers, which finish() joins."""
 
     def __init__(self, key: str, point: PointFunction, kind: str, level: str, folder: Path) -> None:
         self.point, self.kind, self.level = point, kind, level
@@ -262,11 +262,11 @@ class _Job:
         (self.temporary / ENTRY).write_text(json.dumps(self.entry), encoding="utf-8")
         if self.final.exists() and not _intact(self.final):
             self._set_aside()
-        with contextlib.suppress(OSError):  # another process was first: its entry is as good
+        with contextlib.suppress(OSError):  # another process was first: its entry serves as well
             self.temporary.rename(self.final)
 
     def discard(self) -> None:
-        """Stop compilers that still run and remove what was not moved into place."""
+        """Stop compilers that still run and remove files that were not moved into place."""
         for process in self.processes:
             if process.poll() is None:
                 process.kill()
@@ -274,9 +274,9 @@ class _Job:
         shutil.rmtree(self.temporary, ignore_errors=True)
 
     def _set_aside(self) -> None:
-        """Take a damaged entry away; a process that has loaded it keeps its own view of the files."""
+        """Move a damaged entry aside; a process that has loaded it keeps its own view of the files."""
         aside = Path(tempfile.mkdtemp(prefix=f".{self.final.name}.", dir=self.final.parent))
-        with contextlib.suppress(OSError):  # another process took it away
+        with contextlib.suppress(OSError):  # another process moved it
             self.final.rename(aside / "damaged")
         shutil.rmtree(aside, ignore_errors=True)
 
@@ -287,7 +287,7 @@ def _digest(file: Path) -> str:
 
 
 def _intact(entry: Path) -> bool:
-    """Whether an entry is there with the very files that were written."""
+    """Whether an entry exists, with exactly the files that were written."""
     try:
         files = json.loads((entry / ENTRY).read_text(encoding="utf-8"))["files"]
         return all(_digest(entry / name) == digest for name, digest in files.items())
@@ -323,7 +323,7 @@ def _load(key: str, entries: Sequence[Path]) -> CompiledPoint:
 
 
 def _no_hessian(first: ca.Function) -> ca.Function:
-    """Zero in place of a Hessian that no solver asks for."""
+    """Zero in place of a Hessian that no solver uses."""
     n_z, n_p, n_rows = first.numel_in(0), first.numel_in(1), first.numel_out(1)
     inputs = [ca.SX.sym("z", n_z), ca.SX.sym("p", n_p), ca.SX.sym("sigma"), ca.SX.sym("lam", n_rows)]
     return ca.Function("second", inputs, [ca.SX(n_z, n_z)])

@@ -1,4 +1,4 @@
-"""From a motion q(t) to a guess of all unknowns: rates by differences, forces that carry the motion."""
+"""From a motion q(t) to a guess of all variables: rates by differences, forces that balance the motion."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
 from trajopt.transcription.variable_bounds import start_of
 
-# Step of the differences that turn q(t) into v and a, s: errors far below a guess's own.
+# Step of the differences that turn q(t) into v and a, s: errors far below those of a guess.
 DIFFERENCE_STEP = 1e-3
 
 _State = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 class MotionSource(Protocol):
-    """A motion from which unknowns are made, in SI units and in the coordinates of each node's form."""
+    """A motion from which variables are computed, in SI units and in the coordinates of each node's form."""
 
     def node_state(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return configuration and velocity at node k, Pinocchio's."""
+        """Return configuration and velocity at node k, in Pinocchio's convention."""
 
     def at_point(self, k: int, i: int, node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return highest derivative and wrenches at point i of interval k, which starts at ``node``."""
 
     def impulses(self, k: int) -> np.ndarray | None:
-        """Return the impulses of the impact that is stage k; None for the least that carry the jump."""
+        """Return the impulses of the impact that is stage k; None for the least ones that cause the jump."""
 
 
 def unknowns_from_motion(
     layout: Layout, source: MotionSource, time_scales: np.ndarray, near: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return the unscaled unknowns (n_unknowns,) of a motion.
+    """Return the unscaled variables (n_unknowns,) of a motion.
 
     Quaternion signs and whole turns continue from node to node.
 
     Args:
-        layout: where the unknowns are.
+        layout: where the variables are.
         source: the motion.
         time_scales: (n_time_scales,) durations of the free phases over their nominal ones.
         near: the coordinates' state that the first node continues; None where that is free.
@@ -81,7 +81,7 @@ def _fill_impact(
 
 
 def initial_guess(transcription: Transcription) -> np.ndarray:
-    """Return scaled unknowns (n_unknowns,) from the problem's guess; the start is the problem's own."""
+    """Return scaled variables (n_unknowns,) from the problem's guess; the start is that of the problem."""
     time_scales = np.ones(transcription.layout.forms[0].n_time_scales)
     unknowns = unknowns_from_motion(transcription.layout, _ProblemGuess(transcription), time_scales)
     return unknowns / transcription.scale
@@ -89,7 +89,7 @@ def initial_guess(transcription: Transcription) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _ProblemGuess(MotionSource):
-    """The guess q(t) of a problem: rates by differences, forces that carry the motion."""
+    """The guess q(t) of a problem: rates by differences, forces that balance the motion."""
 
     transcription: Transcription
 
@@ -141,8 +141,8 @@ class _ProblemGuess(MotionSource):
 def node_phase(layout: Layout, k: int) -> int:
     """Phase whose motion node k follows.
 
-    Of two phases that meet there, the one with more contacts: its feet do not move. Across an impact
-    each side has its own.
+    Of two phases that meet there, the one with more contacts: its feet do not move. At an impact each side
+    has its own phase.
     """
     adjacent = layout.adjacent_intervals(k)
     if adjacent.before is None or adjacent.after is None:
@@ -155,7 +155,7 @@ def node_phase(layout: Layout, k: int) -> int:
 
 
 def _carrying_wrenches(layout: Layout, phase: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """Least wrenches at active contacts whose base rows carry the motion (nothing for a fixed base)."""
+    """Least wrenches at active contacts that balance the base rows of the motion (zero for a fixed base)."""
     robot, contacts = layout.form_of(phase).robot, layout.contacts[phase]
     n = robot.n_unactuated
     if n == 0 or not contacts:
@@ -167,7 +167,7 @@ def _carrying_wrenches(layout: Layout, phase: int, q: np.ndarray, v: np.ndarray,
 
 
 def perturbed(transcription: Transcription, x: np.ndarray, seed: int, sigma: float) -> np.ndarray:
-    """The guess with normal noise of standard deviation ``sigma`` in scaled units, fixed unknowns left alone.
+    """The guess with normal noise of standard deviation ``sigma`` in scaled units, fixed variables unchanged.
 
     Rotations are normalised again, so that the perturbed guess is on the manifold; free durations stay
     within their bounds, the same at all nodes.

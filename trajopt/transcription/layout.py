@@ -1,8 +1,8 @@
-"""Where every unknown sits: the only index arithmetic of the toolkit.
+"""Index of every variable: the only index arithmetic of the library.
 
-Unknowns are ordered in time: node 0, controls of stage 0, node 1, ..., node N. A node holds what its form
-says (see ``timeline``); the controls of an interval hold, for each point, the highest derivative y (nv) of
-the local coordinates and the wrenches of the phase's contacts; those of an impact the jump of the rates
+Variables are ordered in time: node 0, controls of stage 0, node 1, ..., node N. A node holds the entries of
+its form (see ``timeline``); the controls of an interval hold, for each point, the highest derivative y (nv)
+of the local coordinates and the wrenches of the phase's contacts; those of an impact the jump of the rates
 (nv) and the impulses; a change of coordinates has none.
 """
 
@@ -40,7 +40,7 @@ class Layout:
     """Index ranges of one transcription on ``mesh``: schemes and intervals of each phase.
 
     ``order`` of the equations of motion: 2, or 1 for a velocity source, whose nodes have no rates.
-    ``closed``: the ends are compared, so their rates are in true time.
+    ``closed``: the two ends are compared, so their rates are in true time.
     """
 
     robot: Robot
@@ -67,7 +67,7 @@ class Layout:
 
     @property
     def n_stages(self) -> int:
-        """Number of stages; there is one node more."""
+        """Number of stages; there is one more node."""
         return len(self.stages)
 
     @property
@@ -110,7 +110,7 @@ class Layout:
 
     @cached_property
     def contacts(self) -> tuple[tuple[Contact, ...], ...]:
-        """Active contacts of each phase that have wrenches: those that its coordinates do not embed."""
+        """Active contacts of each phase that have wrenches: those not embedded in its coordinates."""
         return tuple(
             tuple(
                 self.form_of(i).robot.contact(name)
@@ -152,16 +152,16 @@ class Layout:
 
     @property
     def n_unknowns(self) -> int:
-        """Number of unknowns."""
+        """Number of variables."""
         return int(self.node_offset[-1]) + self.forms[-1].size
 
     def node(self, k: int) -> slice:
-        """Unknowns of node k."""
+        """Variables of node k."""
         start = int(self.node_offset[k])
         return slice(start, start + self.forms[k].size)
 
     def window(self, k: int) -> slice:
-        """Unknowns of stage k: its start node and its controls."""
+        """Variables of stage k: its start node and its controls."""
         return slice(int(self.node_offset[k]), int(self.node_offset[k]) + self.window_size(k))
 
     def window_size(self, k: int) -> int:
@@ -202,7 +202,7 @@ class Layout:
         return q, v, a
 
     def place(self, k: int) -> NodePlace | None:
-        """Phase and fraction of node k, None where it repeats another; between phases it is the later's."""
+        """Phase and fraction of node k, None where it repeats another; between phases the later one's."""
         found = self.timeline.places[k]
         if found is None:
             return None
@@ -227,7 +227,7 @@ class Layout:
         )
 
     def times(self, unknowns: np.ndarray) -> np.ndarray:
-        """Time of each node in s (n_stages + 1,), from unscaled unknowns."""
+        """Time of each node in s (n_stages + 1,), from unscaled variables."""
         return np.concatenate([[0.0], np.cumsum(self.steps * self.time_scales(unknowns)[self.phase_of])])
 
     def place_phase(self, k: int) -> int:
@@ -245,6 +245,6 @@ class Layout:
         return self.forms[0].coordinates
 
     def time_scales(self, unknowns: np.ndarray) -> np.ndarray:
-        """Duration over nominal duration of every phase, (n_phases,), from unscaled unknowns."""
+        """Duration over nominal duration of every phase, (n_phases,), from unscaled variables."""
         values = unknowns[self.node(0)][self.forms[0].time_scales]
         return np.array([1.0 if index is None else values[index] for index in self.schedule.time_scales])

@@ -42,7 +42,7 @@ class PhaseMesh:
 
     @classmethod
     def uniform(cls, scheme: str, count: int) -> PhaseMesh:
-        """``count`` intervals of one width."""
+        """``count`` intervals of equal width."""
         return cls(scheme=scheme, widths=(1.0 / count,) * count)
 
     @cached_property
@@ -59,7 +59,7 @@ class PhaseMesh:
 
     @property
     def is_uniform(self) -> bool:
-        """Whether all intervals have one width."""
+        """Whether all intervals have the same width."""
         return len(set(self.widths)) == 1
 
     @property
@@ -77,12 +77,12 @@ class PhaseMesh:
         return PhaseMesh(scheme=name, widths=self.widths)
 
     def describe(self) -> dict[str, Any]:
-        """JSON-able; of equal intervals only their number."""
+        """JSON-able; for equal intervals only their number."""
         return {"scheme": self.scheme, "intervals": self.count if self.is_uniform else list(self.widths)}
 
     @classmethod
     def from_description(cls, given: Mapping[str, Any]) -> PhaseMesh:
-        """From what `describe` says."""
+        """The mesh that `describe` wrote."""
         intervals = given["intervals"]
         if isinstance(intervals, int):
             return cls.uniform(given["scheme"], intervals)
@@ -105,7 +105,7 @@ class Mesh:
     def uniform(cls, transcription: str, counts: Sequence[int]) -> Mesh:
         """Equal intervals in each phase.
 
-        transcription: one scheme for all phases, or one a phase, separated by commas. Raises InputError.
+        transcription: one scheme for all phases, or one per phase, separated by commas. Raises InputError.
         """
         names = [name.strip() for name in transcription.split(",")]
         if len(names) not in (1, len(counts)):
@@ -118,7 +118,7 @@ class Mesh:
 
     @property
     def transcription(self) -> str:
-        """Name of the scheme; of several, one a phase, separated by commas."""
+        """Name of the scheme; if there are several, one per phase, separated by commas."""
         names = [phase.scheme for phase in self.phases]
         return names[0] if len(set(names)) == 1 else ",".join(names)
 
@@ -128,7 +128,7 @@ class Mesh:
         return tuple(phase.count for phase in self.phases)
 
     def describe(self) -> list[dict[str, Any]]:
-        """JSON-able, one entry a phase."""
+        """JSON-able, one entry per phase."""
         return [phase.describe() for phase in self.phases]
 
 

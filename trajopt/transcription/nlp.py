@@ -16,11 +16,11 @@ from trajopt.transcription.transcription import FunctionGroup, Transcription
 
 @dataclass(frozen=True, kw_only=True)
 class Nlp:
-    """The NLP ready to be solved, in scaled unknowns and rows.
+    """The NLP ready to be solved, in scaled variables and rows.
 
     ``engine`` evaluates it; ``row``, ``column`` name the Jacobian's nonzeros, ``hessian_row``,
-    ``hessian_column`` those of the lower triangle of the Lagrangian's Hessian, or of what
-    stands for it: ``hessian`` is one of ``compilation.HESSIANS``.
+    ``hessian_column`` those of the lower triangle of the Lagrangian's Hessian, or of its replacement:
+    ``hessian`` is one of ``compilation.HESSIANS``.
     """
 
     transcription: Transcription
@@ -33,7 +33,7 @@ class Nlp:
 
 
 class _Pattern:
-    """Union of many entries (row, column); gives each entry its place among the sorted nonzeros."""
+    """Union of many entries (row, column); gives each entry's index among the sorted nonzeros."""
 
     def __init__(self, width: int) -> None:
         self.width, self.keys = width, [np.zeros(0, dtype=np.int64)]

@@ -1,8 +1,8 @@
 """Redundant contact rows: those that depend on others are left out of the problem.
 
 Two points of one body, the four corners of a foot, four feet on legs that move in parallel planes: their
-velocities depend on each other wherever the contacts hold, so that the rows of all have no full rank (no
-LICQ). Forces keep all components; what they share among redundant contacts is for costs to decide.
+velocities depend on each other wherever the contacts hold, so that their rows together are rank deficient (no
+LICQ). Forces keep all components; costs decide how redundant contacts share them.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_poses, inverse_kinematics
 from trajopt.robot.robot import Robot
 
-# What remains of a row of unit length when others are taken off: less is no row of its own to a solver. Feet
-# that fix an angle to second order only (the roll of a base on legs in parallel planes) leave the root of the
+# Norm of a row of unit length after projecting out the others: with less it counts as dependent. Feet that
+# fix an angle to second order only (the roll of a base on legs in parallel planes) leave the root of the
 # asymmetry of a description file, a thousandth; corners of a foot of a few centimetres leave more.
 INDEPENDENT = 1e-2
-# Postures about the given one that tell a dependence of the contacts from one of the posture (straight
-# legs): as many, displaced by this much (rad, m), with the contacts where they were.
+# Postures around the given one that distinguish a dependence of the contacts from one of the posture
+# (straight legs): their number and displacement (rad, m), with the contacts where they were.
 SAMPLES, SPREAD = 3, 0.2
 # Heights first, so that a foot of several points still lies flat; then sliding, then turning.
 ORDER = (2, 0, 1, 3, 4, 5)
@@ -74,7 +74,7 @@ def _ordered(before: Sequence[Contact], after: Sequence[Contact]) -> list[tuple[
 def _neighbours(
     robot: Robot, q: np.ndarray, contacts: Sequence[Contact], places: Mapping[str, np.ndarray]
 ) -> list[np.ndarray]:
-    """Postures around q (nq,) with the contacts where they hold: a point's origin, a sole's pose."""
+    """Postures around q (nq,) with the contacts in place: a point's origin, a sole's pose."""
     model, generator = robot.model, np.random.default_rng(0)
     poses = contact_poses(robot, q)
     targets: dict[str, pin.SE3 | np.ndarray] = {}
@@ -94,7 +94,7 @@ def _unit_row(robot: Robot, q: np.ndarray, contact: Contact, row: int) -> np.nda
 
 
 def _without(line: np.ndarray, basis: Sequence[np.ndarray]) -> np.ndarray:
-    """What is left of a row after its projections on orthonormal ones, twice for rounding."""
+    """Remainder of a row after projecting out orthonormal ones, twice to reduce rounding."""
     for _ in range(2):
         for direction in basis:
             line = line - (direction @ line) * direction

@@ -1,9 +1,9 @@
 """The robot's functions at one point as a chain of layers, from local coordinates to forces.
 
 For a free-flyer the inverse dynamics and the contacts' accelerations need no orientation once all is
-in base axes, and the base's own velocity not at all: bodies feel no uniform motion. Gravity enters as
+in base axes, and do not depend on the base's own velocity (Galilean invariance). Gravity enters as
 an acceleration of the base, s = R^T (p'' - g), and wrenches are turned into base axes. So three layers
-replace one graph over (q, v, a, w), and the rigid-body algorithm is differentiated over 10 inputs less:
+replace one graph over (q, v, a, w), and the rigid-body algorithm is differentiated over 10 fewer inputs:
 
     z -> (quaternion, omega, omega', p'', joints, w)             exponential coordinates
       -> (omega, s, omega', joints, R^T w, R^T g)                base axes
@@ -41,7 +41,8 @@ def robot_layers(context: Context, expression: ca.SX) -> tuple[ca.SX, _Layers]:
 def _plain_layers(context: Context, used: list[int]) -> _Layers:
     """Layers z -> (q, v, a, w) -> o.
 
-    Where dynamics feel no velocity (statics, impacts), it enters frames alone; an impact feels no gravity.
+    Where the dynamics do not depend on velocity (statics, impacts), it enters frames alone; impacts have no
+    gravity.
     """
     wrench = context.wrench_column()
     sizes = [part.numel() for part in (context.q, context.v, context.a, wrench)]
@@ -72,7 +73,7 @@ def _still(context: Context, frames: list[str], dimensions: list[int]) -> ca.Fun
 
 
 def _frames(context: Context) -> tuple[list[str], list[int]]:
-    """Frames of the fused function: active contacts with their wrenches, then those terms ask for."""
+    """Frames of the fused function: active contacts with their wrenches, then those that terms use."""
     frames = [contact.frame for contact in context.contacts]
     dimensions = [3 if contact.kind == "point" else 6 for contact in context.contacts]
     extra = [name for name in context.frames if name not in frames]
@@ -80,7 +81,7 @@ def _frames(context: Context) -> tuple[list[str], list[int]]:
 
 
 def _base_axes_layers(context: Context, used: list[int]) -> _Layers:
-    """The base's own velocity p' enters nowhere: dynamics feel no uniform motion."""
+    """The base's own velocity p' enters nowhere (Galilean invariance)."""
     joints = ca.vertcat(context.q[7:], context.v[6:], context.a[6:])
     wrench = context.wrench_column()
     quaternion = quaternion_product(context.rotations[:4], exp_quaternion(context.xi[3:6]))
@@ -96,7 +97,7 @@ def _base_axes_layers(context: Context, used: list[int]) -> _Layers:
 def _to_base_axes(context: Context, n_joints: int, n_wrench: int) -> ca.Function:
     """(quaternion, omega, omega', p'', joints, w) -> (omega, s, omega', joints, w, R^T g), base axes.
 
-    s = R^T (p'' - g) is the acceleration that the base feels.
+    s = R^T (p'' - g) is the proper acceleration of the base.
     """
     cuts = np.cumsum([0, 4, 3, 3, 3, n_joints, n_wrench]).tolist()
     s = ca.SX.sym("s", cuts[-1])
@@ -111,7 +112,7 @@ def _to_base_axes(context: Context, n_joints: int, n_wrench: int) -> ca.Function
 def _at_identity(context: Context, n_joints: int, n_wrench: int, used: list[int]) -> ca.Function:
     """(omega, s, omega', joints, w, R^T g) -> (tau, contact accelerations), base axes.
 
-    Pinocchio sees no gravity here: s holds it, and a contact's acceleration gets it back.
+    Pinocchio's gravity is zero here: s contains gravity, which is added back to contact accelerations.
     """
     n_v = context.coordinates.nv - 6
     cuts = np.cumsum([0, 3, 6, n_joints - 2 * n_v, n_v, n_v, n_wrench, 3]).tolist()

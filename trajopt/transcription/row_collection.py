@@ -24,7 +24,7 @@ class RowInfo:
 
 @dataclass(frozen=True)
 class LinearRows:
-    """Linear rows at a node: ``coefficients`` (n, n_unknowns) over scaled unknowns, scaled bounds (n,)."""
+    """Linear rows at a node: ``coefficients`` (n, n_unknowns) over scaled variables, scaled bounds (n,)."""
 
     name: str
     node: int
@@ -34,7 +34,7 @@ class LinearRows:
 
 
 def over_unknowns(layout: Layout, blocks: Iterable[tuple[int, np.ndarray]]) -> sparse.coo_matrix:
-    """Rows over all unknowns from blocks over nodes, (node, (n, size))."""
+    """Rows over all variables from blocks over nodes, (node, (n, size))."""
     rows, columns, values, n = [], [], [], 0
     for node, block in blocks:
         local, n = sparse.coo_matrix(block), len(block)
@@ -78,7 +78,7 @@ class RowCollection:
         return np.arange(first, self.count, dtype=np.int32)
 
     def info(self) -> RowInfo:
-        """Where every row belongs."""
+        """Block, stage and point of every row."""
         return RowInfo(
             names=tuple(self.names),
             block=np.concatenate(self.block),

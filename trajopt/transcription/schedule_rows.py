@@ -1,4 +1,4 @@
-"""Linear rows over the whole schedule: how a periodic motion closes, how long all of it takes."""
+"""Linear rows over the whole schedule: closing of a periodic motion, bounds of the total duration."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def schedule_rows(problem: Problem, layout: Layout, collocation: Collocation) ->
 
 
 def _closing(problem: Problem, layout: Layout, collocation: Collocation) -> LinearRows:
-    """Rows left z_N - right z_0 - velocity * duration = constant, each in the unit of what it compares."""
+    """Rows left z_N - right z_0 - velocity * duration = constant, each in the unit of its entries."""
     assert problem.periodicity is not None
     made = closing_map(problem.robot, problem.periodicity, problem.initial_q)
     form, last = layout.forms[0], layout.forms[-1]

@@ -9,8 +9,8 @@ length h, the scheme gives at point i and at the interval's end
 Gauss-Legendre and Radau IIA are collocation of the acceleration: A1 and A2 are the integrals and
 double integrals of the Lagrange polynomials through the points (de Boor and Swartz, "Collocation
 at Gaussian points", 1973: order 2 s and 2 s - 1 at the nodes). The classic schemes integrate the
-velocity by the same rule as the acceleration, A2 = A1 A1, as when q' = v is collocated apart
-(Betts, "Practical Methods for Optimal Control", 2010, ch. 4).
+velocity by the same rule as the acceleration, A2 = A1 A1, as when q' = v is collocated separately (Betts,
+"Practical Methods for Optimal Control", 2010, ch. 4).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Values and derivatives of all terms at one point, by a chain rule that keeps the graph small.
 
-With z the inputs of the point, o = R(z) the robot's functions that terms ask for, and the terms
+With z the inputs of the point, o = R(z) the robot's functions that terms use, and the terms
 L(z, o, p), phi(z, o, p), let gamma = sigma L + lambda^T phi and J = dR/dz. Then
 
     d phi / dz = phi_z + phi_o J
@@ -16,8 +16,8 @@ back from H = gamma_oo and mu = gamma_o,
 
     H <- D_k^T H D_k + sum_i mu_i R_k,i'',      mu <- D_k^T mu
 
-Gauss-Newton's Hessian of costs that are weighted squares, sum_i w_i r_i(z, o)^2, keeps the slopes of the
-residuals alone, whatever the rows: 2 sigma (r_z + r_o J)^T diag(w) (r_z + r_o J), which is nowhere negative.
+Gauss-Newton's Hessian of costs that are weighted squares, sum_i w_i r_i(z, o)^2, keeps only the slopes of the
+residuals, whatever the rows: 2 sigma (r_z + r_o J)^T diag(w) (r_z + r_o J), which is positive semidefinite.
 """
 
 from __future__ import annotations
@@ -114,12 +114,12 @@ class _Chain:
 
 
 def _mirrored(symmetric: ca.SX) -> ca.SX:
-    """The same matrix with its upper triangle taken from the lower: the upper's graph is dropped."""
+    """The same matrix with its upper triangle copied from the lower: the upper's graph is dropped."""
     return ca.tril2symm(ca.tril(symmetric))
 
 
 class Derivatives:
-    """Functions of one point that the engine evaluates, each built when it is asked for."""
+    """Functions of one point that the engine evaluates, each built on first use."""
 
     def __init__(self, point: PointFunction) -> None:
         self._point = point

@@ -41,7 +41,7 @@ class StageTerms:
 
 @dataclass(frozen=True)
 class TermFunctions:
-    """Point functions of one transcription; ``units`` by identity of the robot they measure."""
+    """Point functions of one transcription; ``units`` are keyed by the identity of their robot."""
 
     problem: Problem
     layout: Layout
@@ -129,7 +129,7 @@ class TermFunctions:
         return after.coordinates.symbolic_node(q, v, shared)
 
     def redundant(self) -> dict[str, list[str]]:
-        """Return the redundant rows of contacts, which are left out, in words, by phase."""
+        """Return, by phase, names of the redundant rows of contacts, which are left out."""
         axes, found = ("x", "y", "z", "rx", "ry", "rz"), {}
         for index, phase in enumerate(self.problem.schedule.phases):
             kept = self.kept_rows(index)
@@ -167,9 +167,9 @@ class TermFunctions:
 
     @cached_property
     def _unwrapped_guess(self) -> dict[int, np.ndarray]:
-        """The guess at nodes of coordinates that count whole turns: goals mean the turn nearest to it.
+        """The guess at nodes of coordinates that count whole turns: goals refer to the nearest turn.
 
-        A motion that is guessed to turn all around ends so, and one past the angle pi does not turn back.
+        A motion whose guess makes a full turn ends there, and one past the angle pi does not turn back.
         """
         found: dict[int, np.ndarray] = {}
         before: dict[int, np.ndarray] = {}
@@ -206,7 +206,7 @@ class TermFunctions:
 
 
 def _of(term: Term, phase: str, build: Callable[..., _Built], *arguments: object) -> _Built:
-    """What a term gives in a phase; what it refuses bears its name. Raises InputError."""
+    """Result of a term in a phase. Raises InputError, with the term's name."""
     try:
         return build(*arguments)
     except InputError as error:

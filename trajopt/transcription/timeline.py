@@ -4,9 +4,9 @@ A stage leads from one node to the next. An *interval* is a stretch of motion wi
 Between two phases there may be *transitions*, which take no time: an *impact* (velocities jump, the
 configuration does not) and a *change* of coordinates or of the time scale that rates are measured in.
 
-Rates and their unknown derivatives are measured in nominal time: a phase of free duration T runs at the
-time scale s = T / T_nominal, so that x' = s v and x'' = s^2 a, and what collocation does stays linear in the
-unknowns; the time scale of every free phase is a constant entry of all nodes.
+Rates and their derivatives, which are variables, are measured in nominal time: a phase of free duration T
+runs at the time scale s = T / T_nominal, so that x' = s v and x'' = s^2 a, and collocation stays linear in
+the variables; the time scale of every free phase is a constant entry of all nodes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from trajopt.transcription.mesh import Mesh
 
 
 class StageKind(Enum):
-    """What happens from a stage's node to the next."""
+    """What happens between a stage's node and the next."""
 
     INTERVAL = "interval"
     IMPACT = "impact"
@@ -74,7 +74,7 @@ class NodeLayout:
         return len(self.rotations) + len(self.additive) + len(self.rates) + self.n_time_scales
 
     def state(self, node: np.ndarray) -> np.ndarray:
-        """The coordinates' own state (rotations, additive, rates) of a node or of nodes (n, size).
+        """State of the coordinates (rotations, additive, rates) of a node or of nodes (n, size).
 
         Rates are in true time; zero where the node has none.
         """
@@ -102,7 +102,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Timeline:
-    """Stages, the form of every node (one more), and the phase and index that a node stands for.
+    """Stages, the form of every node (one more), and the phase and index of every node.
 
     ``places[k]`` is (phase, index of the node within the phase), or None for a node between two
     transitions that repeats another.
@@ -153,7 +153,7 @@ class _Builder:
         self.places.append(place)
 
     def begin(self, own: NodeLayout) -> None:
-        """The first node; of a closed motion in true time, in which both ends can be compared."""
+        """The first node; for a closed motion in true time, in which both ends can be compared."""
         if self.closed and own.time_scale is not None:
             self.node(self.form(self.of_phase[0], None), (0, 0))
             self.change(0, own)

@@ -1,8 +1,8 @@
-"""Problem + mesh -> rows, bounds, scales and groups of point functions: an NLP without numbers of its own.
+"""Problem + mesh -> rows, bounds, scales and groups of point functions: the structure of the NLP.
 
 Rows of stage k, in order: the gap rows ``x_(k+1) - F(x_k, u_k) = 0`` with an identity block in
-x_(k+1); the rows of each collocation point, or of an impact; the rows at node k. Every row is divided by
-its natural unit, every unknown is measured in its own, so that one tolerance means the same everywhere.
+x_(k+1); the rows of each collocation point, or of an impact; the rows at node k. Every row and every variable
+is measured in its natural unit, so that one tolerance means the same everywhere.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from trajopt.transcription.variable_bounds import scaled_rate_limits, variable_b
 class FunctionGroup:
     """One point function at the same place of several stages.
 
-    ``gather`` (n_z, window) maps a window's scaled unknowns to z; ``stages`` (n,) are the intervals or
+    ``gather`` (n_z, window) maps a window's scaled variables to z; ``stages`` (n,) are the intervals or
     nodes; ``rows`` (n, n_rows) are row indices of the NLP; ``row_scale`` (n_rows,); ``parameters``
     (n, n_p); ``cost_weight`` (n,).
     """
@@ -47,12 +47,12 @@ class FunctionGroup:
 
 @dataclass(frozen=True, kw_only=True)
 class Transcription:
-    """The NLP's structure: unknowns, rows, groups, linear part, bounds; all in scaled units.
+    """The NLP's structure: variables, rows, groups, linear part, bounds; all in scaled units.
 
-    ``gap_rows`` (one array a stage) and ``linear`` (n_rows, n_unknowns) are the defects' rows and the part
-    of all rows that is linear in the unknowns. ``scale`` (n_unknowns,) turns a scaled unknown into SI.
+    ``gap_rows`` (one array per stage) and ``linear`` (n_rows, n_unknowns) are the defects' rows and the part
+    of all rows that is linear in the variables. ``scale`` (n_unknowns,) turns a scaled variable into SI.
     ``redundant`` names, by phase, rows of contacts that depend on others (see ``redundancy``).
-    ``objective_unit``: the groups' costs are over it, see `objective_unit`.
+    ``objective_unit``: the groups' costs are divided by it, see `objective_unit`.
     """
 
     problem: Problem
@@ -71,7 +71,7 @@ class Transcription:
     objective_unit: float
 
     def stage_sizes(self) -> tuple[list[int], list[int], list[int]]:
-        """Numbers of states, controls and path rows of each stage, as structured solvers want them."""
+        """Numbers of states, controls and path rows of each stage, as structured solvers need them."""
         layout = self.layout
         states = [form.size for form in layout.forms]
         controls = [layout.n_control(k) for k in range(layout.n_stages)]
@@ -199,7 +199,7 @@ class Transcriber:
                 )
 
     def _alike(self, phase: int) -> Iterator[np.ndarray]:
-        """Intervals of a phase by their width: those of one width share the collocation map."""
+        """Intervals of a phase by their width: those of equal width share the collocation map."""
         stages = self.layout.intervals_of(phase)
         steps = self.layout.steps[stages]
         for step in np.unique(steps):
@@ -270,7 +270,7 @@ class Transcriber:
 
 
 def objective_unit(problem: Problem) -> float:
-    """The largest weight of a cost, 1 without any: what a solver sees is the objective over it.
+    """The largest weight of a cost, 1 without costs: the solver gets the objective divided by it.
 
     Only ratios of weights mean something. A solver's tolerance is absolute: with weights of 1e-9 it would
     call any feasible point optimal, and with 1e9 none.
@@ -283,7 +283,7 @@ def objective_unit(problem: Problem) -> float:
 def _gap_group(
     point: PointFunction, gather: sparse.csr_matrix, stages: np.ndarray, rows: np.ndarray, scale: np.ndarray
 ) -> FunctionGroup:
-    """What is not linear of the map to the next node, x_next - F = 0; ``scale`` of the rows' entries."""
+    """Nonlinear part of the map to the next node, x_next - F = 0; ``scale`` of the rows' entries."""
     return FunctionGroup(
         point=point,
         gather=gather,
@@ -307,7 +307,7 @@ def transcribe(
         problem: what to transcribe.
         transcription: a scheme by name for all phases, or one for each, separated by commas.
         intervals: number of intervals over the whole schedule.
-        mesh: instead of both, schemes and intervals of each phase.
+        mesh: schemes and intervals of each phase, instead of both.
 
     Raises:
         InputError: for an unknown scheme, fewer intervals than phases, or a mesh that does not fit.

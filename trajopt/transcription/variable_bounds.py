@@ -1,8 +1,8 @@
-"""Bounds of the unknowns: limits that hold at nodes, free durations, and the fixed start.
+"""Bounds of the variables: limits that hold at nodes, free durations, and the fixed start.
 
-A scheme with a point at an interval's start or end states a limit there as a row already: the node
-gets no bound then, which would repeat the row. Where rates are measured in the time scale of a free duration,
-a limit of the true rate is no bound but a linear row: |x'| <= s limit.
+A scheme with a point at an interval's start or end already imposes a limit there as a row: the node then gets
+no bound, which would repeat the row. Where rates are measured in the time scale of a free duration, a limit
+of the true rate is not a bound but a linear row: |x'| <= s limit.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def variable_bounds(
 def _node_values(
     form: NodeLayout, at: _Bounded, positions: np.ndarray, rates: np.ndarray, free: float
 ) -> np.ndarray:
-    """A node of bounds on local positions and rates (nv,), ``free`` elsewhere; scaled rates have none."""
+    """A node's bounds on local positions and rates (nv,), ``free`` elsewhere; scaled rates have none."""
     values = np.full(form.size, free)
     if at.positions:
         values[form.additive] = positions[form.coordinates.additive_index]
@@ -52,7 +52,7 @@ def _node_values(
 def _fix_start(
     problem: Problem, layout: Layout, collocation: Collocation, lower: np.ndarray, upper: np.ndarray
 ) -> None:
-    """The start is fixed, but for moving rates in a free time scale; time scales are within their bounds."""
+    """The start is fixed, except nonzero rates in a free time scale; time scales are within their bounds."""
     form = layout.forms[0]
     own_lower, own_upper = lower[layout.node(0)], upper[layout.node(0)]
     for phase, time_scale in zip(layout.schedule.phases, layout.schedule.time_scales, strict=True):
@@ -75,7 +75,7 @@ def _fix_start(
 def _fix_place(
     problem: Problem, form: NodeLayout, scale: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> None:
-    """A periodic motion may be anywhere unless something says where: its base starts over its place."""
+    """Fix the initial base position of a periodic motion in its free directions."""
     place = form.coordinates.node_from_pinocchio(problem.initial_q, problem.initial_v)
     for row in problem.free_directions:
         entry = form.additive[row]
@@ -130,7 +130,7 @@ def _scaled_rate_limit(
 
 @dataclass(frozen=True)
 class _Bounded:
-    """A node at which a limit of positions, of rates, or of both is stated."""
+    """A node at which a limit of positions, of rates, or of both is imposed."""
 
     node: int
     positions: bool
@@ -138,7 +138,7 @@ class _Bounded:
 
 
 def _bounded_nodes(term: PointConstraint, layout: Layout) -> list[_Bounded]:
-    """Nodes after the start at which a term's limits are stated, once for every state of the motion.
+    """Nodes after the start at which a term's limits are imposed, once for every state of the motion.
 
     Where intervals meet, with changes of coordinates between them or not, there is one state: the last of
     its nodes has the limit, of either phase. An impact has two: rates before it have the limits of the phase
@@ -168,7 +168,7 @@ def _bounded_nodes(term: PointConstraint, layout: Layout) -> list[_Bounded]:
 def _stated_limits(
     problem: Problem, layout: Layout
 ) -> Iterator[tuple[PointConstraint, _Bounded, tuple[np.ndarray, ...]]]:
-    """Every term with limits at nodes, the node, and its bounds there, which each robot has once."""
+    """Every term with limits at nodes, the node, and its bounds there, computed once per robot."""
     robots = {id(form.robot): form.robot for form in layout.forms}
     for term in problem.point_constraints:
         bounds = {key: term.node_bounds(robot) for key, robot in robots.items()}

@@ -22,7 +22,7 @@ def _outside(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.nda
 
 
 def worst_blocks(t: Transcription, x: np.ndarray, violations: np.ndarray, count: int) -> list[dict[str, Any]]:
-    """The ``count`` blocks of rows with the largest violation, each at its worst place.
+    """The ``count`` blocks of rows with the largest violation, each where it is worst.
 
     Each has ``block``, ``phase``, ``node`` (the interval's for a point), ``point`` (or null), ``time``
     in s and ``violation`` in natural units. A value that is not finite counts as the worst of all.
@@ -65,7 +65,7 @@ def _describe(
 
 
 def nonfinite_place(nlp: Nlp, x: np.ndarray) -> str | None:
-    """In words, the first function that is not finite at x, or None."""
+    """Description of the first function that is not finite at x, or None."""
     found = nlp.engine.first_nonfinite(x)
     if found is None:
         return None
@@ -80,7 +80,7 @@ def nonfinite_place(nlp: Nlp, x: np.ndarray) -> str | None:
 
 
 def describe_block(block: dict[str, Any]) -> str:
-    """A block of rows at its worst place, in words."""
+    """Description of a block of rows where it is worst."""
     place = "node" if block["point"] is None else "interval"
     size = "not finite" if block["violation"] is None else f"{block['violation']:.2e}"
     where = f"phase '{block['phase']}', {place} {block['node']}, t = {block['time']:.3f} s"

@@ -14,7 +14,7 @@ using Forces = std::vector<Model::Force>;
 // Fills liMi, oMi, v, a_gf (gravity included), a (gravity excluded), h, f.
 void forward_pass(const Model& model, Data& data, const Vector& q, const Vector& v, const Vector& a);
 
-// Generalised forces (nv), with `external` subtracted: one force a joint, in its frame.
+// Generalised forces (nv), with `external` subtracted: one force per joint, in its frame.
 Vector backward_pass(const Model& model, Data& data, const Vector& a, const Forces& external);
 
 }  // namespace trajopt

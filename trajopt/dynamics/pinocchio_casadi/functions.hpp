@@ -9,7 +9,7 @@
 // conventions. `reference` is "world_aligned", "local" or "world".
 namespace trajopt {
 
-// (q, v, a, w) -> (tau, rotation, position, velocity, acceleration), one column a frame.
+// (q, v, a, w) -> (tau, rotation, position, velocity, acceleration), one column per frame.
 std::string fused(const Description& description, const std::vector<Frame>& frames);
 
 std::string rnea(const Description& description);           // (q, v, a) -> tau

@@ -14,7 +14,7 @@ int stacked_wrench_size(const std::vector<Frame>& frames) {
   return size;
 }
 
-// The wrenches at the frames' origins, carried to their joints' frames and summed.
+// The wrenches at the frames' origins, transformed to their joints' frames and summed.
 Forces joint_forces(const Model& model, const Data& data, const std::vector<Frame>& frames,
                     const Vector& wrenches) {
   Forces forces(model.njoints, Model::Force::Zero());

@@ -5,7 +5,7 @@
 
 namespace trajopt {
 
-// Pinocchio's default collection without the kinds the toolkit refuses: fewer
+// Pinocchio's default collection without the unsupported kinds: fewer
 // alternatives of the variant, so every algorithm is instantiated less often.
 // The mimic joint stays because Pinocchio's Model and Data name it; no model
 // that reaches this code contains one.

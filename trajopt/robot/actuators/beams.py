@@ -93,7 +93,7 @@ class Beam:
     def between(self, start: ArrayLike, end: ArrayLike) -> pin.Inertia:
         """Mass, lever and inertia with the beam's axis centred on the line from ``start`` to ``end`` (3,), m.
 
-        The length stays the beam's own. Its z axis lies in the plane of the line and the frame's z axis (of
+        The beam keeps its own length. Its z axis lies in the plane of the line and the frame's z axis (of
         its x axis, where the line is upright). Raises `InputError` for equal points.
         """
         first, last = np.asarray(start, dtype=float), np.asarray(end, dtype=float)

@@ -1,8 +1,7 @@
-"""Drives: a motor behind a gear on one joint, and what follows for the joint.
+"""Drives: a motor behind a gear on one joint, and the joint's resulting limits and inertia.
 
-Sides are never mixed: names with ``motor_`` (and the fields that say so) are behind the gear, on the
-motor's shaft; everything else is on the joint. With the gear ratio n (motor turns per joint turn), of a
-gear without losses,
+Names with ``motor_`` (and the fields that say so) are on the motor side, at the motor's shaft; everything
+else is on the joint side. With the gear ratio n (motor turns per joint turn), of a gear without losses,
 
     motor_speed = n rate,    motor_torque = torque / n,    reflected inertia = n^2 I_r
 
@@ -42,7 +41,7 @@ class Drive:
         viscous_friction: joint side, N m s/rad.
         coulomb_friction: joint side, N m, smoothed as tanh(rate / coulomb_speed).
         coulomb_speed: joint side, rad/s.
-        torque_limit: motor side, N m: what the largest current gives.
+        torque_limit: motor side, N m: torque at the largest current.
         stall_torque: motor side, N m: where the voltage line meets the axis of torque.
         no_load_speed: motor side, rad/s: where the voltage line meets the axis of speed.
 
@@ -90,14 +89,14 @@ class Drive:
     ) -> Drive:
         """Drive of a motor with ``V = R i + k_e omega`` and ``tau_m = k_t i``, all on the motor side.
 
-        Of three phases in amplitudes k_t = 3/2 k_e, and the voltage is the largest amplitude of a phase.
+        For three phases, in amplitudes, k_t = 3/2 k_e, and the voltage is the largest phase amplitude.
 
         Args:
             gear_ratio: n, motor turns per joint turn.
             voltage: the largest, V.
             resistance: R, ohm.
             torque_constant: k_t, N m/A.
-            back_emf_constant: k_e, V s/rad; default k_t, as of a direct-current motor.
+            back_emf_constant: k_e, V s/rad; default k_t, as for a direct-current motor.
             current_limit: the largest, A.
             others: further fields of `Drive`.
 
@@ -130,7 +129,7 @@ class Drive:
         return cls(**{name: math.inf if value is None else value for name, value in meta.items()})
 
     def to_meta(self) -> dict[str, float | None]:
-        """Fields for JSON, which has no infinity: null is none."""
+        """Fields for JSON, which has no infinity: null means no limit."""
         return {name: value if math.isfinite(value) else None for name, value in asdict(self).items()}
 
     @property
@@ -171,7 +170,7 @@ class Drive:
     def torque_range(self, rate: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Least and largest torque, N m, joint side, that voltage and current allow at a joint rate.
 
-        Empty (least above largest) at rates that no current can hold.
+        Empty (least above largest) at rates that no current can sustain.
         """
         reach = abs(self.gear_ratio) * self.stall_torque
         induced = np.asarray(rate, dtype=float) / self.joint_no_load_speed
@@ -180,7 +179,7 @@ class Drive:
         return np.maximum(line[0], -limit), np.minimum(line[1], limit)
 
     def envelope_margin(self, torque: float | np.ndarray, rate: float | np.ndarray) -> np.ndarray:
-        """Least part of voltage and of motor torque left at a point of operation; negative is beyond."""
+        """Least unused fraction of voltage and motor torque at an operating point; negative past a limit."""
         voltage = 1 - np.abs(self.voltage_use(np.asarray(torque), np.asarray(rate)))
         current = 1 - np.abs(self.motor_torque(np.asarray(torque))) / self.torque_limit
         return np.minimum(voltage, current)

@@ -1,4 +1,4 @@
-"""Drives on a robot: which joint has which, and what they make of its model and limits."""
+"""Drives on a robot: which joint has which, and the resulting model and limits."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def require_drives(robot: str, model: pin.Model, nu: int, drives: Drives) -> Non
 
 
 def drive_torque(drives: Drives | None, torque: ca.SX, rates: ca.SX) -> ca.SX:
-    """Torque (nu,) that the drives deliver, joint side: actuated rows plus joint friction."""
+    """Torque (nu,) that the drives deliver, joint side: the actuated rows plus joint friction."""
     if drives is None or not any(_has_friction(drive) for drive in drives):
         return torque
     return torque + ca.vertcat(
@@ -114,7 +114,7 @@ def drive_torque(drives: Drives | None, torque: ca.SX, rates: ca.SX) -> ca.SX:
 
 
 def drive_torque_values(drives: Drives, torque: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """The same of samples: torque (K, nu), rates of the actuated rows (K, nu)."""
+    """The same for samples: torque (K, nu), rates of the actuated rows (K, nu)."""
     friction = [
         np.zeros(len(rates)) if drive is None else drive.friction_torque(rates[:, row])
         for row, drive in enumerate(drives)

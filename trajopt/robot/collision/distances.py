@@ -2,11 +2,11 @@
 
 Every distance here is the least value, over the points s (and t) in [0, 1] of one or two axes, of a convex
 function with a small strictly convex part added, so that the nearest points are unique and move
-continuously: where links lie parallel to a face or to each other the exact distance has a kink, this one
-bends. The added part is at most ``smoothing`` m and is taken off in full. So with the true distance d,
-the smooth one e and a margin m:
+continuously: where links lie parallel to a face or to each other the exact distance has a kink, this one does
+not. The added part is at most ``smoothing`` m and is subtracted in full. So with the true distance d, the
+smooth one e and a margin m:
 
-    e >= m  implies  d >= m            what is kept is kept truly
+    e >= m  implies  d >= m            e errs on the safe side
     d >= m + sqrt(3) smoothing  implies  e >= m      (smoothing alone for capsules and spheres)
 
 e is once continuously differentiable with bounded second derivatives; CasADi's are exact, for the nearest
@@ -23,10 +23,10 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-# Bisection leaves this part of an axis' half length, 2^-10, which each of Newton's steps squares.
+# Bisection narrows the point down to this fraction of an axis' half length, 2^-10; Newton's steps square it.
 BISECTIONS = 10
 NEWTON_STEPS = 2
-# A place along an axis is held to this part of its length: rounding, 2^-40.
+# A point along an axis is rounded to this fraction of its length, 2^-40.
 GRAIN = 2.0**-40
 # Two axes that cross: keeps the root differentiable, a millionth of the sum of the radii.
 CROSSING = 1e-6
@@ -62,9 +62,9 @@ def box_distance(axis: SymbolicAxis, box: Box, reach: ca.SX, smoothing: float) -
     """Distance of an axis from a box minus ``reach`` (radius and margin, m, > 0), at most that; smooth.
 
     The minimum over s of f = rounded(P(s)) + 4 k (s - 1/2)^2, minus k, with k the smoothing (see `_rounded`).
-    Its place s is found first and held as a number; what is differentiated is the least value of the parabola
-    of f there, f - f_s^2 / (2 f_ss). As f_s vanishes that is f itself, its gradient f_x, and its second
-    derivative f_xx - f_xs f_sx / f_ss: that of the minimum, without a derivative of the search.
+    The minimiser s is found first and held as a number; differentiated is the minimum of the parabola of f
+    there, f - f_s^2 / (2 f_ss). As f_s vanishes that is f itself, its gradient f_x, and its second derivative
+    f_xx - f_xs f_sx / f_ss: that of the minimum, without a derivative of the search.
     """
     start = ca.mtimes(box.rotation.T, axis.start - box.position)
     along = ca.mtimes(box.rotation.T, axis.end - axis.start)
@@ -78,7 +78,7 @@ def box_distance(axis: SymbolicAxis, box: Box, reach: ca.SX, smoothing: float) -
     for _ in range(BISECTIONS):
         half /= 2
         s = s - half * ca.sign(profile(s)[1])
-    # Where the middle of the box makes a kink, Newton's step would leave what bisection found.
+    # At the kink in the middle of the box Newton's step would leave the interval that bisection found.
     for _ in range(NEWTON_STEPS):
         _, slope, curvature = profile(s)
         step = slope / curvature
@@ -106,7 +106,7 @@ def _rounded(point: ca.SX, along: ca.SX, half_sides: ca.SX, radius: ca.SX) -> tu
 
     With y = |x| - h, r the radius and w_j = max(0, y_j + r - d): sum_j w_j^2 = r^2, hence d' = sum w y' /
     sum w and d'' = sum (y' - d')^2 / sum w over the faces with w > 0. Convex, equal to the distance from
-    the box where that is r, and nowhere without slope: its gradient's components w / sum w add up to 1.
+    the box where that is r, and its gradient never vanishes: the components w / sum w add up to 1.
     Beyond r it is at least r + (distance - r) / sqrt(3), and at most the distance.
     """
     sides = [ca.if_else(point[i] >= 0, 1, -1) for i in range(3)]
@@ -124,7 +124,7 @@ def _level(y: list[ca.SX], r: ca.SX) -> ca.SX:
     """The d with sum_j max(0, y_j + r - d)^2 = r^2: a root for one, two or three faces."""
     top, low = ca.fmax(ca.fmax(y[0], y[1]), y[2]), ca.fmin(ca.fmin(y[0], y[1]), y[2])
     mid = y[0] + y[1] + y[2] - top - low
-    # Where a root applies, what stands under it is at least r^2.
+    # Where a root applies, its radicand is at least r^2.
     two = r + (top + mid - ca.sqrt(ca.fmax(2 * r**2 - (top - mid) ** 2, r**2))) / 2
     spread = (top - mid) ** 2 + (mid - low) ** 2 + (top - low) ** 2
     three = r + (top + mid + low - ca.sqrt(ca.fmax(3 * r**2 - spread, r**2))) / 3

@@ -18,14 +18,14 @@ from trajopt.terrain.surface import frame_of_normal
 INSIDE = 1e-12
 # The least circle settles in a few exchanges of its support; a cycle through rounding ends here.
 MOST_EXCHANGES = 100
-# The search for a direction, rad: where the volume is stationary, this changes it by parts in 1e4.
+# Tolerance of the search for a direction, rad: at a minimum it changes the volume by parts in 1e4.
 DIRECTION_ERROR = 1e-2
 MOST_DIRECTIONS = 80
 # First step of the search from a principal axis, rad.
 FIRST_STEP = 0.15
 # A circle's polygon, tangent to it from outside, is 0.5 % larger with this many corners.
 ROUND_CORNERS = 32
-# Points so near a plane or a line, as a part of their extent, have no hull in space.
+# Points this close to a plane or a line, as a fraction of their extent, have no hull with a volume.
 FLAT = 1e-9
 
 
@@ -64,7 +64,7 @@ def enclosing_capsule(points: np.ndarray) -> Segment:
 
 
 def _corners(points: np.ndarray) -> np.ndarray:
-    """Corners of the convex hull; all points where they have none in space."""
+    """Corners of the convex hull; all points where the hull has no volume."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) > 4 else np.zeros(1)
     if len(spread) < 3 or spread[2] <= FLAT * spread[0]:
         return points
@@ -112,7 +112,7 @@ def least_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
     """Centre (2,) and radius of the least circle around points (n, 2).
 
     Support points are exchanged: the farthest point joins, and the least circle through two or three of
-    them that holds all of them is kept. The radius grows at each exchange, so that it ends.
+    them that holds all of them is kept. The radius grows at each exchange, so the search terminates.
     """
     support = points[[int(np.argmax(np.sum((points - points.mean(axis=0)) ** 2, axis=1)))]]
     centre, radius = support[0], 0.0

@@ -1,4 +1,4 @@
-"""Coal's distances between capsules and obstacles: which pairs are near, and by how much they miss."""
+"""Coal's distances between capsules and obstacles: which pairs are near, and how near."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class CollisionScene:
 
     @property
     def n_outer(self) -> int:
-        """How many pairs, the first ones, are of a capsule with an obstacle."""
+        """Number of leading pairs that are of a capsule with an obstacle."""
         return len(self.capsules) * len(self.obstacles)
 
     @cached_property
@@ -112,9 +112,9 @@ def _added(geometry: pin.GeometryModel, name: str, joint: int, placement: pin.SE
 def separable_pairs(
     model: pin.Model, capsules: Sequence[LinkCapsule], q: np.ndarray, margin: float
 ) -> tuple[ShapePair, ...]:
-    """Pairs of capsules that can be kept apart by ``margin`` m: those that are so at ``q`` (nq,).
+    """Pairs of capsules that can be kept apart by ``margin`` m: those that are that far apart at ``q`` (nq,).
 
-    Left out are two capsules of one link, of links that a joint joins, and those that overlap at ``q``,
+    Left out are two capsules of one link, of links connected by a joint, and those that overlap at ``q``,
     because capsules are wider than what they enclose.
     """
 

@@ -13,7 +13,7 @@ import pinocchio as pin
 from trajopt.errors import InputError, finite_array, numbers_of, require_positive
 from trajopt.terrain.surface import frame_of_normal
 
-# A rotation matrix is one up to rounding of what was written as decimal numbers.
+# Tolerance of a rotation matrix: rounding of numbers written as decimals.
 ROTATION_ERROR = 1e-6
 
 

@@ -1,1 +1,1 @@
-"""What a robot is and what looks wrong with it; a first robot file from a URDF."""
+"""Robot reports, with figures and likely mistakes; a first robot file from a URDF."""

@@ -1,4 +1,4 @@
-"""What is often wrong with a robot's description, each found by a computation and said in one line."""
+"""Common faults of robot descriptions, each found by a computation and reported in one line."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ NEAR_LIMIT = 0.02
 # a knee bent by 3 degrees has 0.02.
 SINGULAR = 0.02
 # Feet that stand on one ground lie at one height up to the first part of the robot's length, and their
-# frames as near to the drawing's lowest point as the second.
+# frames as near to the meshes' lowest point as the second.
 UNEVEN, SUNK = 0.02, 0.2
-# Left and right that differ by more than this (rad, or parts of mass and length) are no matter of rounding.
+# Differences of left and right above this (rad, or parts of mass and length) are not due to rounding.
 ASYMMETRIC = 0.1
-# Torques of mirrored legs agree to so many decimals, N m: the first of them is named.
+# Torques of mirrored legs agree to this many decimals, N m: the first of them is named.
 DIGITS = 6
-# Names that are listed before the rest is counted.
+# Number of names that are listed; the rest are counted.
 LISTED = 4
 
 _Lines = Iterator[str]
@@ -53,7 +53,7 @@ def find_faults(robot: Robot, standing: StandingPosture) -> tuple[str, ...]:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names with commas; of many the first ones, and how many more there are."""
+    """Names separated by commas; of many the first few, and the number of the rest."""
     more = len(names) - LISTED
     return ", ".join(names[:LISTED]) + (f" and {more} more" if more > 0 else "")
 
@@ -78,7 +78,7 @@ def _bodies(robot: Robot) -> _Lines:
     if light:
         yield f"no mass is moved by {listed(light)}: is <inertial> missing?"
     if points:
-        yield f"mass without moments of inertia is moved by {listed(points)}: a body is no point"
+        yield f"mass without moments of inertia is moved by {listed(points)}: a body is not a point"
     if unreal:
         yield f"inertias that no body has (I1 + I2 < I3) are moved by {listed(unreal)}"
     if large:
@@ -196,11 +196,11 @@ def _tool(robot: Robot) -> _Lines:
     jacobian[:3] /= robot.length
     values = np.linalg.svd(jacobian, compute_uv=False)
     if values[-1] < SINGULAR * values[0]:
-        yield f"the reference posture is singular, '{frame}' is stuck in some direction: bend the arm"
+        yield f"the reference posture is singular: '{frame}' cannot move in some direction; bend the arm"
 
 
 def _drawn_feet(robot: Robot, standing: StandingPosture) -> _Lines:
-    """Contact frames far above the lowest drawn point of their body: an ankle or a knee, no sole."""
+    """Contact frames far above the lowest drawn point of their body: an ankle or a knee, not a sole."""
     below = lowest_drawn(robot, standing)
     names = [name for name, depth in below.items() if depth > SUNK * robot.length]
     if names:
@@ -209,7 +209,7 @@ def _drawn_feet(robot: Robot, standing: StandingPosture) -> _Lines:
 
 
 def lowest_drawn(robot: Robot, standing: StandingPosture) -> dict[str, float]:
-    """How far what is drawn of a foot's body reaches below its contact frame, m; empty without meshes."""
+    """How far the meshes of a foot's body reach below its contact frame, m; empty without meshes."""
     try:
         geometry = drawn_shapes(robot)
     except InputError:
@@ -234,7 +234,7 @@ def lowest_drawn(robot: Robot, standing: StandingPosture) -> dict[str, float]:
 
 @lru_cache(maxsize=1)
 def drawn_shapes(robot: Robot) -> pin.GeometryModel | None:
-    """What a robot is drawn with, None where nothing says so. Raises `InputError` for a missing file."""
+    """Visual geometry of a robot, None without a source of meshes. Raises `InputError` for a missing file."""
     return None if robot.visual is None else robot.visual.geometry(robot.model)
 
 

@@ -1,4 +1,4 @@
-"""A robot in figures: joints, limits, contacts, what standing takes, and what looks wrong."""
+"""A robot in figures: joints, limits, contacts, torques needed to stand, and likely mistakes."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from trajopt.robot.robot import Robot
 class JointFacts:
     """A joint behind the base. rad, N m and rad/s, or m, N and m/s where it is ``straight``.
 
-    reference, lower, upper: of its coordinate, NaN where it has several. torque: what the reference posture
-    takes of it at rest, NaN for a joint without actuator or with several degrees of freedom.
+    reference, lower, upper: of its coordinate, NaN where it has several. torque: needed to hold the reference
+    posture at rest, NaN for a joint without actuator or with several degrees of freedom.
     """
 
     name: str
@@ -47,7 +47,7 @@ class ContactFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class RobotReport:
-    """What `report` found. SI units; ``notes`` are facts worth knowing, ``warnings`` likely mistakes."""
+    """Result of `robot_report`. SI units; ``notes`` are facts worth knowing, ``warnings`` likely mistakes."""
 
     name: str
     base: str

@@ -1,8 +1,8 @@
-"""What a robot's reference posture takes at rest: forces at its feet, torques at its joints, balance.
+"""A robot's reference posture at rest: forces at its feet, torques at its joints, balance.
 
 With g(q) = RNEA(q, 0, 0) and the rows J of the feet, static balance is g(q) = S^T tau + J^T f. Of all f that
-push (f_z >= 0) and carry the rows without actuator, those of least norm (in units of the weight and of weight
-times length) are taken; then tau = S (g(q) - J^T f).
+push (f_z >= 0) and balance the unactuated rows, the one of least norm (in units of the weight and of weight
+times length) is taken; then tau = S (g(q) - J^T f).
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.legs import LIFTED
 from trajopt.robot.robot import Robot
 
-# Weight of the equations of balance beside the norm of the forces: residuals are then rounding to a report.
+# Weight of the balance equations relative to the norm of the forces: their residuals do not show in a report.
 BALANCE_WEIGHT = 1e4
-# Rows of the base that are carried to this part of the weight (and weight times length) are in balance.
+# Base rows with residuals below this fraction of the weight (and weight times length) are in balance.
 BALANCED = 1e-3
 
 
@@ -31,9 +31,9 @@ class StandingPosture:
     """The reference posture at rest.
 
     feet: contacts that stand. load: (nf,) vertical force of each in N. effort: (nu,) torques, N m or N.
-    unbalanced: what is left of the rows without actuator, in parts of the weight and of weight times length:
-    above `BALANCED` the posture falls over. centre: (2,) of mass over the ground, world, m. margin: its
-    distance inside the polygon of the feet in m, negative outside, None with fewer than three corners.
+    unbalanced: residual of the unactuated rows, as a fraction of the weight and of weight times length: above
+    `BALANCED` the posture falls over. centre: (2,) of mass over the ground, world, m. margin: its distance
+    inside the polygon of the feet in m, negative outside, None with fewer than three corners.
     """
 
     feet: tuple[str, ...]
@@ -50,7 +50,7 @@ class StandingPosture:
 
 
 def standing_feet(robot: Robot) -> tuple[Contact, ...]:
-    """Contacts at the bottom of the reference posture: hands and knees, which are higher, are none."""
+    """Contacts at the bottom of the reference posture: hands and knees are higher, so they do not count."""
     if robot.base == "fixed" or not robot.contacts:
         return ()
     poses = contact_poses(robot, robot.reference)
@@ -60,7 +60,7 @@ def standing_feet(robot: Robot) -> tuple[Contact, ...]:
 
 
 def standing_posture(robot: Robot) -> StandingPosture:
-    """Return what the reference posture takes at rest, on a level ground under the feet."""
+    """Return forces, torques and balance of the reference posture at rest, on level ground under the feet."""
     feet = standing_feet(robot)
     zero = np.zeros(robot.nv)
     weight_force = pin.rnea(robot.model, robot.model.createData(), robot.reference, zero, zero)
@@ -88,7 +88,7 @@ def standing_posture(robot: Robot) -> StandingPosture:
 def _pushes(robot: Robot, feet: tuple[Contact, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Wrench rows (n, k) of the feet for unit forces that act on them, and which of these push upwards (k,).
 
-    On a point the forces along its own rows, on a sole three at each corner.
+    At a point the forces along its own rows, at a sole three at each corner.
     """
     poses = contact_poses(robot, robot.reference)
     blocks, pushing = [np.zeros((0, 0))], np.zeros(0, dtype=bool)

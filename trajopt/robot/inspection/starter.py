@@ -15,13 +15,13 @@ from trajopt.robot.legs import LIFTED
 from trajopt.robot.reading import read_urdf
 from trajopt.robot.robot import Robot
 
-# How much of its height over the feet the base sinks from the posture with all joints at zero: bent knees.
+# Fraction of the height over the feet by which the base is lowered from all joints at zero: bent knees.
 BENT = 0.15
-# Feet in place up to this part of the height: a posture that inverse kinematics has found.
+# Inverse kinematics has succeeded if feet are in place up to this fraction of the height.
 REACHED = 1e-6
-# Legs that move shift the centre of mass, by less each time.
+# Iterations: moving the legs shifts the centre of mass, by less each time.
 CENTRINGS = 4
-# A description this far up is named by its whole path.
+# A description this many folders up is given by its absolute path.
 FAR = ("..", "..", "..")
 
 TEMPLATE = '''"""Robot "{name}" of {source}. Feet and posture are guesses from geometry: edit them."""
@@ -54,7 +54,7 @@ def guessed(urdf: Path, base: Base | None = None) -> Robot:
 
     base: by default fixed for a chain (one tip), free for a tree. Feet are the tips at the bottom with all
     joints at zero, or as near as limits allow; the posture bends the legs, with the feet's middle under the
-    centre of mass, where inverse kinematics finds a way. Raises `InputError` for a file that is no URDF.
+    centre of mass, where inverse kinematics finds a way. Raises `InputError` for a file that is not a URDF.
     """
     kind: Base = base or ("fixed" if len(_tips(read_urdf(urdf, "fixed"))) < 2 else "freeflyer")
     if kind == "fixed":
@@ -66,7 +66,7 @@ def guessed(urdf: Path, base: Base | None = None) -> Robot:
 def starter(robot: Robot, target: Path) -> str:
     """Return the text of a Python file, to be written at ``target``, that builds ``robot`` of a URDF file."""
     if robot.visual is None:
-        raise InputError(f"robot '{robot.name}' is of no URDF file", "a robot of Robot.from_urdf")
+        raise InputError(f"robot '{robot.name}' was not read from a URDF file", "a robot of Robot.from_urdf")
     urdf = robot.visual.urdf
     near = Path(os.path.relpath(urdf, target.absolute().parent))
     file = (urdf if near.parts[: len(FAR)] == FAR else near).as_posix()
@@ -131,7 +131,7 @@ def _lowest_tips(model: pin.Model) -> list[str]:
 
 
 def _bent(urdf: Path, straight: Robot) -> Robot:
-    """The robot with its base lowered over feet below the centre of mass, where there is such a posture."""
+    """The robot with its base lowered over feet below the centre of mass, where such a posture exists."""
     if straight.base != "freeflyer" or not straight.contacts:
         return straight
     model, data = straight.model, straight.model.createData()

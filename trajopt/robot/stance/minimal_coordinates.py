@@ -1,4 +1,4 @@
-"""Minimal coordinates: a floating robot on one point contact as a robot of fixed base.
+"""Minimal coordinates: a floating robot on one point contact as a fixed-base robot.
 
 "Look at these contact configurations as different fixed-base robots": while a foot stands, the robot is
 a tree that is rooted there. Its coordinates are the ankle (the orientation of the foot's link), the joints
@@ -70,8 +70,8 @@ class StanceMode:
     def drop(self) -> ca.Function:
         """``(q, v, a) -> (q, v, a, foothold)`` of the stance: what lift inverts if the contact stands still.
 
-        The contact point's own velocity and acceleration have no place in stance coordinates and are lost.
-        The ankle of a planar robot jumps by a turn where the base's pitch passes half a turn; rows of a
+        The contact point's own velocity and acceleration cannot be expressed in stance coordinates and are
+        lost. The ankle of a planar robot jumps by a turn where the base's pitch passes half a turn; rows of a
         transition are smooth when written with ``lift``.
         """
         return drop_map(self.robot.model, self.floating, self.embedded.frame)
@@ -119,7 +119,7 @@ class StanceMode:
         return _evaluated(self.reaction, self.robot.nv, (q, v, a))[0]
 
     def loss(self, q: np.ndarray, v: np.ndarray) -> float:
-        """Largest entry (m, rad; m/s, rad/s) of what of a state of the floating robot is lost by `drop`."""
+        """Largest entry (m, rad; m/s, rad/s) of the part of a floating robot's state that `drop` loses."""
         back_q, back_v, _ = self.lifted(*self.dropped(q, v)[:3])
         apart = pin.difference(self.floating.model, q, back_q)
         return float(max(np.abs(apart).max(), np.abs(back_v - v).max()))
@@ -145,8 +145,8 @@ def stance_mode(robot: Robot, contact: str, *, anchor: ArrayLike | None = None) 
         anchor: where the contact stands in the world (3,), m; default its place in the reference posture.
 
     Raises:
-        InputError: for a base other than "freeflyer" or "planar", a sole, a contact that does not hang on the
-            base, or a planar robot whose joints from base to contact leave the plane.
+        InputError: for a base other than "freeflyer" or "planar", a sole, a contact that is not on a limb of
+            the base, or a planar robot whose joints from base to contact leave the plane.
         UnsupportedJointError: for a joint on the way with more than one degree of freedom.
     """
     if robot.base not in ("freeflyer", "planar"):

@@ -125,7 +125,7 @@ def _joint_angle(model: pin.Model, joint: int, q: ca.SX) -> ca.SX:
 
 
 def _orientation(model: pin.Model, joint: int, q: ca.SX) -> ca.SX:
-    """Quaternion of the joint's frame in the world: a product along the chain, smooth in sign too."""
+    """Quaternion of the joint's frame in the world: a product along the chain, with a continuous sign."""
     chain = [joint]
     while model.parents[chain[-1]] > 0:
         chain.append(int(model.parents[chain[-1]]))

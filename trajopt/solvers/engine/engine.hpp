@@ -54,7 +54,7 @@ struct Timing {
   int count = 0;
 };
 
-// Evaluates f, g and their derivatives; each distinct x is evaluated once a kind.
+// Evaluates f, g and their derivatives; each distinct x is evaluated once per kind.
 class Nlp {
  public:
   explicit Nlp(Problem problem);

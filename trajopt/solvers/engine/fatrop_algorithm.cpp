@@ -32,7 +32,7 @@ using Data = fatrop::IpData<Ocp>;
 using Solver = fatrop::PdSolverOrig<Ocp>;
 using RestorationSolver = fatrop::PdSolverResto<Ocp>;
 
-// What both the algorithm and its restoration phase need.
+// Shared by the algorithm and its restoration phase.
 struct Parts {
   fatrop::OptionRegistry& registry;
   const std::function<void()>& look;

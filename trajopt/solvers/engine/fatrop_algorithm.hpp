@@ -1,4 +1,4 @@
-// FATROP's algorithm, put together from its parts around a search direction that comes to an end.
+// FATROP's algorithm, put together from its parts around a search direction that terminates.
 #pragma once
 
 #include "fatrop_search.hpp"

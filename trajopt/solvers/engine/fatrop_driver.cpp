@@ -55,7 +55,7 @@ void set_option(fatrop::OptionRegistry& registry, const std::string& name, const
   }
 }
 
-// Takes an option that is ours, a positive number, out of FATROP's.
+// Removes an option of ours, a positive number, from FATROP's.
 double take_number(Options& options, const std::string& name, double otherwise) {
   const auto found = options.find(name);
   if (found == options.end()) return otherwise;
@@ -96,7 +96,7 @@ Iteration describe(Data& data, bool restoration, double scale) {
 }
 
 void require_identity(const StageMap& map, const Reals& jacobian) {
-  constexpr double kRounding = 1e-9;  // the identity comes out of divisions by scales
+  constexpr double kRounding = 1e-9;  // the identity results from divisions by scales
   for (const Entry& e : map.identity)
     if (std::abs(jacobian[e.nonzero] - 1.0) > kRounding)
       throw std::invalid_argument("gap row " + std::to_string(e.column) + " of stage " + std::to_string(e.stage) +

@@ -1,4 +1,5 @@
-// FATROP's search direction with an end: its own repeats a factorisation for ever where no regularisation helps.
+// FATROP's search direction, made to terminate: its own repeats a factorisation for ever where no
+// regularisation helps.
 #pragma once
 
 #include <algorithm>
@@ -26,7 +27,7 @@ struct Stop {
 // Inertia correction of an interior point's step, as IPOPT's: Waechter and Biegler, On the implementation of an
 // interior-point filter line-search algorithm, Mathematical Programming 106 (2006), algorithm IC. FATROP 1.1.8 has
 // no largest delta_w, which then grows until the matrix is NaN and every factorisation fails; and it repeats the
-// same system where rows stay dependent with delta_c. Here delta_w grows in both cases, and has an end.
+// same system where rows stay dependent with delta_c. Here delta_w grows in both cases, up to a limit.
 template <class LinearSolver>
 class SearchDirection : public fatrop::IpSearchDirBase {
  public:
@@ -35,7 +36,7 @@ class SearchDirection : public fatrop::IpSearchDirBase {
   using Iterate = fatrop::IpIterate<fatrop::OcpType>;
   using Flag = fatrop::LinsolReturnFlag;
 
-  // `look` is called before every factorisation; it throws a Stop where there is reason to.
+  // `look` is called before every factorisation; it may throw a Stop.
   SearchDirection(std::shared_ptr<Data> data, std::shared_ptr<LinearSolver> solver, std::function<void()> look)
       : data_(std::move(data)),
         solver_(std::move(solver)),
@@ -98,7 +99,7 @@ class SearchDirection : public fatrop::IpSearchDirBase {
     return (last_delta_w_ == 0 ? kappa_w_first_ : kappa_w_plus_) * delta_w;
   }
 
-  // Solves into the right-hand sides; a step that is not finite counts as one of an indefinite matrix.
+  // Solves in place of the right-hand sides; a step that is not finite counts as an indefinite matrix.
   Flag factorise(Iterate& iterate, Scalar delta_w, Scalar delta_c) {
     look_();
     x_.block(x_.m(), 0) = iterate.dual_infeasibility_x();

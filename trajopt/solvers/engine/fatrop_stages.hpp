@@ -1,4 +1,4 @@
-// Where unknowns, rows and nonzeros of the sparse NLP lie in FATROP's stages.
+// Where variables, rows and nonzeros of the sparse NLP lie in FATROP's stages.
 #pragma once
 
 // FATROP's classes carry no visibility of their own; hidden ones would not be the library's.
@@ -29,20 +29,20 @@ struct Link {
 // Multipliers of the NLP from FATROP's.
 void read_multipliers(const std::vector<Link>& links, const double* from, Reals& out);
 
-// FATROP orders a stage's variables controls first, and wants of a stage: dynamics F(x, u) - x_next,
-// equalities, inequalities; bounds on unknowns are rows like the others.
+// FATROP orders a stage's variables controls first, and needs for each stage: dynamics F(x, u) - x_next,
+// equalities, inequalities; bounds on variables are rows like the others.
 class StageMap {
  public:
-  // Throws std::invalid_argument where the NLP has not the stages' structure.
+  // Throws std::invalid_argument where the NLP does not have the stages' structure.
   StageMap(const Problem& problem, const Stages& stages, const Bounds& bounds);
 
   StageDims dims;
   StageInfo info;
-  Indices position;                                    // of every unknown
+  Indices position;                                    // of every variable
   std::vector<Link> from_rows, from_unknowns;          // constraints
   std::vector<Entry> dynamics, equality, inequality;   // from nonzeros of the Jacobian, transposed
   std::vector<Entry> identity;                         // nonzeros that must be 1, nowhere stored
-  std::vector<Entry> unit_equality, unit_inequality;   // bounds on unknowns, transposed
+  std::vector<Entry> unit_equality, unit_inequality;   // bounds on variables, transposed
   std::vector<Entry> hessian;                          // both triangles
   Reals lower, upper;                                  // of the inequalities, FATROP's order
 
@@ -70,7 +70,7 @@ class StageMap {
   void place_hessian(const Problem& problem);
   void place_bounds(const Roles& roles);
 
-  Indices stage_of_, column_of_;  // of every unknown: its stage, its column there
+  Indices stage_of_, column_of_;  // of every variable: its stage, its column there
 };
 
 }  // namespace trajopt

@@ -33,7 +33,7 @@ const double* point(const Nlp& nlp, const RealArray& x) {
   return x.data();
 }
 
-// Python's callback, given the figures and a function that returns the unknowns. An exception in it stops the
+// Python's callback, given the figures and a function that returns the variables. An exception in it stops the
 // solver and is raised after it has returned; an interrupt from the keyboard asks for the current iterate, as
 // returning False does.
 class PythonCallback {
@@ -132,7 +132,7 @@ Bounds to_bounds(const Nlp& nlp, const RealArray& lbx, const RealArray& ubx, con
   return bounds;
 }
 
-// Multipliers to start from: none, or as many as there must be.
+// Multipliers to start from: none, or exactly `size`.
 Reals given(const std::optional<RealArray>& multipliers, int size, const char* name) {
   if (!multipliers || multipliers->size() == 0) return {};
   require(static_cast<int>(multipliers->size()) == size, std::string(name) + " has a wrong size");

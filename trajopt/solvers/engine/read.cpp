@@ -52,7 +52,7 @@ Csr read_csr(const Map& given, const char* indptr, const char* index, const char
   return csr;
 }
 
-// Functions already loaded: groups of one point function share it.
+// Functions already loaded: groups with the same point function share it.
 using Loaded = std::map<std::pair<std::string, std::string>, casadi::Function>;
 
 casadi::Function read_function(const nb::dict& given, const char* name, Loaded& loaded) {

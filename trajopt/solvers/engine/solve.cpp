@@ -11,7 +11,7 @@ double violation(const Reals& values, const Reals& lower, const Reals& upper) {
   double worst = 0;
   for (std::size_t i = 0; i < values.size(); ++i) {
     const double miss = std::max(lower[i] - values[i], values[i] - upper[i]);
-    if (!(miss <= worst)) worst = miss;  // so written, a NaN is the worst
+    if (!(miss <= worst)) worst = miss;  // written this way, a NaN is the worst
   }
   return worst;
 }

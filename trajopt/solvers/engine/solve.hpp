@@ -1,4 +1,4 @@
-// What every driver takes and gives.
+// Inputs and outputs of every driver.
 #pragma once
 
 #include <functional>
@@ -29,7 +29,8 @@ struct Iteration {
   bool restoration = false;
 };
 
-// The unknowns of the current iterate; empty where the solver cannot tell. Valid during the callback only.
+// The variables of the current iterate; empty where the solver does not provide them. Valid during the
+// callback only.
 using Unknowns = std::function<Reals()>;
 
 // Returns false to stop at the current iterate.
@@ -58,7 +59,7 @@ struct Stages {
 };
 
 // Besides FATROP's own, the options max_wall_time (s) and objective_scale are known: FATROP minimises the
-// objective times that scale; all that is given back is of the objective itself.
+// objective times that scale; all results refer to the objective itself.
 Outcome solve_fatrop(Nlp& nlp, const Stages& stages, const Reals& x0, const Bounds& bounds, const Options& options,
                      const Callback& callback, const Reals& lambda_g);
 
