@@ -244,7 +244,7 @@ def problem(
     settings: other fields of `Problem`.
     """
     ground = FlatGround() if terrain is None else terrain
-    cost_terms = effort_costs() if costs is None else costs
+    running = effort_costs() if costs is None else costs
     torques = (EffortLimits() if effort is None else effort,) if actuation == "torque" else ()
     swings: tuple[Term, ...] = ()
     if clearance is not None:
@@ -258,16 +258,7 @@ def problem(
         terrain=ground,
         initial_q=robot.reference if initial_q is None else initial_q,
         initial_v=np.zeros(robot.nv) if initial_v is None else initial_v,
-        terms=(
-            *cost_terms,
-            *torques,
-            PositionLimits(),
-            VelocityLimits(),
-            *touching,
-            *swings,
-            *more,
-            *arrival,
-        ),
+        terms=(*running, *torques, PositionLimits(), VelocityLimits(), *touching, *swings, *more, *arrival),
         guess=guess,
         actuation=actuation,
         **settings,
