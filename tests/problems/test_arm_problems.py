@@ -161,7 +161,7 @@ def test_the_check_notices_friction_along_the_sliding():
 @pytest.mark.parametrize(
     ("module", "values", "message"),
     [
-        (arm_reach, {"robot": "solo12"}, "no arm"),
+        (arm_reach, {"robot": "solo12"}, "not an arm"),
         (arm_reach, {"robot": "ur5", "x": 5.0}, "reach"),
         (arm_transfer, {"robot": "ur5", "out": 1.0}, "reach"),
         (arm_transfer, {"robot": "ur5", "turn": 0.0, "out": 0.0, "up": 0.0}, "same posture"),

@@ -171,7 +171,7 @@ def test_a_robot_of_which_nothing_is_asked_keeps_its_joints() -> None:
     idle = replace(made.original, terms=(AccelerationCost(weight=1.0),))
     kept = smallest(idle)
     assert kept.problem.robot.nv == 1
-    assert any("no joint is asked" in decision.why for decision in kept.report.of_kind("kept"))
+    assert any("no joint is needed" in decision.why for decision in kept.report.of_kind("kept"))
 
 
 def test_ground_and_arm_of_the_reach_are_untouched() -> None:

@@ -160,7 +160,7 @@ def asymmetric_tasks() -> dict[str, Problem]:
         "level": push(robot, initial_q=rolled, terms=endless),
         "the start": push(robot, initial_v=sideways),
         "contact 'left_foot'": push(robot, schedule=one),
-        "what 'left_foot' touches": push(robot, schedule=slope),
+        "the surface under 'left_foot'": push(robot, schedule=slope),
         "frame_pose": push(robot, terms=(*usual(robot), goal)),
         "effort_limits": push(robot, terms=(*usual(robot), EffortLimits(limit=uneven))),
         "normal_force": push(robot, terms=(*usual(robot), NormalForce(contact=FEET[0], upper=15.0))),

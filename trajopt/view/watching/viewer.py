@@ -137,10 +137,12 @@ class Viewer:
         try:
             self._draw(what)
         except Exception as error:
-            self._failed = True
-            if not self._closed:
-                text = " ".join(f"{type(error).__name__}: {error}".split())
-                warnings.warn(f"the viewer has stopped, solving goes on: {text}", stacklevel=2)
+            try:  # before it is failed: whoever waits for that may close it
+                if not self._closed:
+                    text = " ".join(f"{type(error).__name__}: {error}".split())
+                    warnings.warn(f"the viewer has stopped, solving goes on: {text}", stacklevel=2)
+            finally:
+                self._failed = True
 
     def _draw(self, what: Iterate | Solution | None) -> None:
         begin, used = time.perf_counter(), time.thread_time()
