@@ -15,6 +15,7 @@ import pytest
 
 from tests.support.browser import running_chromium
 from tests.support.processes import LIMIT, Running, until
+from trajopt import TrajoptError
 from trajopt.view.replay import live
 from trajopt.view.replay.browser import FLAGS, find_chromium
 from trajopt.view.replay.show import replay
@@ -40,6 +41,18 @@ def shown(hop):
 def fetched(address: str) -> tuple[int, str]:
     with urllib.request.urlopen(address, timeout=LIMIT) as answer:
         return answer.status, answer.read().decode()
+
+
+def test_a_window_whose_server_has_ended_sends_nothing() -> None:
+    """Another server may listen at its port by now."""
+    window = live.LiveWindow()
+    try:
+        window.server_proc.kill()
+        window.server_proc.wait(LIMIT)
+        with pytest.raises(TrajoptError, match="the Meshcat server has ended"):
+            window.tell("drawn", True)
+    finally:
+        window.close()
 
 
 def test_server_answers_with_the_page_and_keeps_that_of_meshcat(shown):

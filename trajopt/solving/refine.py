@@ -69,16 +69,17 @@ class Round:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able; an error that is not finite is None."""
-        found = {
-            "transcription": self.mesh.transcription,
-            "intervals": self.mesh.counts,
-            "variables": self.variables,
-            "iterations": self.iterations,
-            "wall_time_s": self.wall_time,
-            "status": self.status,
-            "errors_m": self.errors,
-        }
-        return dict(jsonable(found))
+        return jsonable(
+            {
+                "transcription": self.mesh.transcription,
+                "intervals": self.mesh.counts,
+                "variables": self.variables,
+                "iterations": self.iterations,
+                "wall_time_s": self.wall_time,
+                "status": self.status,
+                "errors_m": self.errors,
+            }
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -54,9 +54,6 @@ def in_words(physics: Physics) -> str:
     """One simulation in a few words."""
     if not physics.word:
         return physics.detail
-    end = (
-        ""
-        if physics.base_error_end is None
-        else f", base {1e3 * physics.base_error_end:.0f} mm off at the end"
-    )
+    off = physics.base_error_end
+    end = "" if off is None else f", base {1e3 * off:.0f} mm off at the end"
     return f"{physics.word} in physics{end}" + (f" ({physics.detail})" if physics.detail else "")

@@ -47,15 +47,8 @@ def setting_rows(name: str, problem: Problem, summaries: Sequence[Summary]) -> l
     """A row per setting of the problem of that name; docs/front.md explains the columns."""
     robot, units = problem.robot, Units(problem.robot)
     default = next((row.time for row in summaries if row.is_default), math.nan)
-    head = {
-        "problem": name,
-        "robot": robot.name,
-        "kind": motion_kind(problem),
-        "n_velocities": robot.nv,
-    }
-    return [
-        {**head, **_setting_row(summary, units, problem.schedule.duration, default)} for summary in summaries
-    ]
+    head = {"problem": name, "robot": robot.name, "kind": motion_kind(problem), "n_velocities": robot.nv}
+    return [{**head, **_setting_row(row, units, problem.schedule.duration, default)} for row in summaries]
 
 
 def _setting_row(row: Summary, units: Units, duration: float, default: float) -> Row:

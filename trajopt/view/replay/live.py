@@ -46,6 +46,12 @@ class LiveWindow(ViewerWindow):
             self.send(command)
         self.tell("drawn", True)
 
+    def send(self, command: Any) -> None:
+        """Send a command. Raises `TrajoptError` if the server has ended: another may have its port by now."""
+        if self.server_proc.poll() is not None:
+            raise TrajoptError("the Meshcat server has ended")
+        super().send(command)
+
     def tell(self, path: str, value: Any) -> None:
         """Send to the page, not to Meshcat's viewer: "facts", or "drawn" when the scene is complete."""
         self.send(ViewerCommand({"type": server.OWN, "path": path, "value": without_nonfinite(value)}))
