@@ -117,7 +117,7 @@ def in_process(work: Callable[[], Any], limit: float = HARD_LIMIT) -> Any:
         raise CellError(f"its process crashed: exit code {process.exitcode}") from None
     finally:
         process.kill()
-        process.join()
+        process.join(limit)
     if not good:
         raise CellError(value)
     return value

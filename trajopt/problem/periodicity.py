@@ -23,7 +23,7 @@ import pinocchio as pin
 from typing_extensions import override
 
 from trajopt.dynamics.manifold import Coordinates
-from trajopt.errors import InputError
+from trajopt.errors import InputError, finite_array
 from trajopt.robot.mirror import TWIST, find_mirror, mirrored_rows, paired_contacts
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
@@ -66,7 +66,8 @@ class Periodicity:
         for name in ("translation", "velocity"):
             given = getattr(self, name)
             if given is not None:
-                object.__setattr__(self, name, _three(given, name))
+                vector = finite_array(f"{name} of a periodicity", given)
+                object.__setattr__(self, name, tuple(vector.tolist()))
         if not (isinstance(self.turn, int | float) and math.isfinite(self.turn)):
             raise InputError(f"turn of a periodicity is {self.turn!r}", "allowed: a finite number, rad")
         if self.mirror and self.turn:
@@ -91,16 +92,6 @@ class Periodicity:
 
 def _same(n: int) -> tuple[np.ndarray, np.ndarray]:
     return np.arange(n), np.ones(n)
-
-
-def _three(value: Any, name: str) -> tuple[float, float, float]:
-    try:
-        vector = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        vector = np.zeros(0)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise InputError(f"{name} of a periodicity is {value!r}", "allowed: 3 finite numbers")
-    return (float(vector[0]), float(vector[1]), float(vector[2]))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.report import PENETRATION
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_not_negative
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.link_capsules import robot_capsules
 from trajopt.robot.collision.near import CollisionScene, ShapePair, separable_pairs
@@ -62,8 +62,7 @@ def with_obstacles(
     pairs = separable_pairs(model, moving, robot.reference, margin) if self_collision else ()
     scene = CollisionScene(model=model, capsules=moving, obstacles=tuple(obstacles), self_pairs=pairs)
     reach = BAND * robot.length if band is None else band
-    if not (math.isfinite(reach) and reach >= 0):
-        raise InputError(f"band around obstacles is {reach:g} m", "allowed: finite and >= 0")
+    require_not_negative("band around obstacles", reach, "m")
     _require_clear_start(problem, scene, margin)
     terms: list[Clearance] = []
     start = 0.0

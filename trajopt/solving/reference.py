@@ -8,7 +8,6 @@ meshes.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -17,7 +16,7 @@ from typing import Any
 
 from trajopt.certify.accuracy.comparison import Comparison, compare
 from trajopt.certify.accuracy.natural_units import NaturalUnits
-from trajopt.errors import InputError, TrajoptError
+from trajopt.errors import InputError, TrajoptError, require_positive
 from trajopt.problem.problem import Problem
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
@@ -61,9 +60,7 @@ class Agreement:
 
     def __post_init__(self) -> None:
         for name in ("objective", "distance"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"the {name} of an agreement is {value:g}", "allowed: finite and > 0")
+            require_positive(f"the {name} of an agreement", getattr(self, name))
 
     def holds(self, apart: Comparison, units: NaturalUnits) -> bool:
         """Whether a comparison is within these bounds."""
