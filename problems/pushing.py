@@ -12,7 +12,7 @@ import numpy as np
 from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
 from trajopt.errors import InputError
 from trajopt.robot import Robot
-from trajopt.robot.kinematics import Posture, contact_poses, inverse_kinematics
+from trajopt.robot.kinematics import Posture, contact_poses, contact_targets, inverse_kinematics
 
 from .common import displaced
 
@@ -107,10 +107,7 @@ def takeoff(robot: Robot, effort: float | None = None) -> Takeoff:
 
 def raised(robot: Robot, height: float) -> Posture:
     """Posture with the base ``height`` m over the reference and the feet in place, soles flat."""
-    poses = contact_poses(robot, robot.reference)
-    feet = {
-        c.frame: poses[c.name] if c.kind == "surface" else poses[c.name].translation for c in robot.contacts
-    }
+    feet = contact_targets(robot, contact_poses(robot, robot.reference))
     return inverse_kinematics(robot, displaced(robot, (0.0, 0.0, height)), feet)
 
 

@@ -76,7 +76,7 @@ def prepare(
     """
     begun = time.perf_counter()
     transcribed = transcribe(problem, transcription, intervals, mesh)
-    points = {id(group.point): group.point for group in transcribed.groups}
+    points = transcribed.points
     compiled, report = compile_points(points.values(), compile, hessian)
     by_point = {key: compiled[entry_key(point, report.level)] for key, point in points.items()}
     nlp = assemble(transcribed, by_point, threads, hessian)

@@ -70,6 +70,11 @@ class Transcription:
     redundant: Mapping[str, list[str]]
     objective_unit: float
 
+    @property
+    def points(self) -> dict[int, PointFunction]:
+        """The different point functions of the groups, by identity."""
+        return {id(group.point): group.point for group in self.groups}
+
     def stage_sizes(self) -> tuple[list[int], list[int], list[int]]:
         """Numbers of states, controls and path rows of each stage, as structured solvers need them."""
         layout = self.layout

@@ -91,8 +91,7 @@ def _cached_level(problem: Problem, mesh: Mesh, level: str) -> str:
     """The file's level if that is in the cache, else none: a few evaluations do not justify compiling."""
     if level not in LEVELS:
         return "none"
-    points = {id(group.point): group.point for group in transcribe(problem, mesh=mesh).groups}
-    return level if in_cache(points.values(), level) else "none"
+    return level if in_cache(transcribe(problem, mesh=mesh).points.values(), level) else "none"
 
 
 def at_solution(prepared: PreparedProblem, solution: Solution) -> Snapshot:

@@ -99,8 +99,7 @@ def compiled(request: SweepRequest, setting: Setting) -> dict[str, Any]:
     """Compile what a setting needs, where it is not in the cache: times in s, and how many functions."""
     asked = with_cone(request.load(), setting.cone)
     first = base_rows_problem(asked) if setting.model == "two-stage" else asked
-    groups = transcribe(first, setting.transcription, setting.intervals).groups
-    points = {id(group.point): group.point for group in groups}
+    points = transcribe(first, setting.transcription, setting.intervals).points
     _, report = compile_points(points.values(), setting.compile, setting.hessian)
     return {
         "build_time": report.build_time,
