@@ -37,6 +37,7 @@ from trajopt.terms.context_symbols import Actuation
 from trajopt.terms.dynamics import BaseDynamics, ContactAcceleration, ContactVelocity
 from trajopt.terms.interfaces import Cost, PointConstraint, Term
 from trajopt.terms.landing import ContactLanding
+from trajopt.terms.moments import MomentConstraint
 from trajopt.terms.node_costs import NodeCost
 from trajopt.terms.node_interfaces import NodeConstraint
 from trajopt.terms.sliding import SlidingFriction, require_sliding, sliding_surfaces
@@ -238,6 +239,11 @@ class Problem:
             if self.holds_contacts and self.schedule.new_contacts(i)
         )
         return landings + tuple(term for term in self.terms if isinstance(term, NodeConstraint))
+
+    @property
+    def moment_constraints(self) -> tuple[MomentConstraint, ...]:
+        """Constraints at chosen moments of phases."""
+        return tuple(t for t in self.terms if isinstance(t, MomentConstraint) and len(t.fractions))
 
     @property
     def free_directions(self) -> tuple[int, ...]:

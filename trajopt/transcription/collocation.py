@@ -67,6 +67,21 @@ class Collocation:
         rows = [eye[form.rotations], *lower, highest, eye[layout.local_wrench(phase, i)]]
         return sparse.csr_matrix(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(stage))
 
+    def moment_gather(self, stage: int, fraction: float, loads: tuple[str, ...]) -> sparse.csr_matrix:
+        """Return the map to z at a fraction of an interval, with the wrenches of the contacts ``loads``."""
+        layout, phase = self.layout, int(self.layout.phase_of[stage])
+        scheme, form = layout.scheme_of(phase), layout.form_of(phase)
+        lower = self._lower_derivatives(stage, fraction, *scheme.lower_at(fraction))
+        eye = np.eye(layout.window_size(stage))
+        contacts = layout.contacts[phase]
+        loaded = np.repeat([c.name in loads for c in contacts], [c.dimension for c in contacts]).astype(bool)
+        interpolated = [
+            sum(weight * eye[place(phase, j)] for j, weight in enumerate(scheme.interpolation([fraction])[0]))
+            for place in (layout.local_derivative, layout.local_wrench)
+        ]
+        rows = [eye[form.rotations], *lower, interpolated[0], interpolated[1][loaded]]
+        return sparse.csr_matrix(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(stage))
+
     def impact_gather(self, k: int) -> sparse.csr_matrix:
         """Return the map to z of an impact: rotations, xi, rates, their jump, impulses, the time scale."""
         layout, form = self.layout, self.layout.forms[k]

@@ -53,6 +53,18 @@ class Scheme:
         """Matrix (len(fractions), s) that evaluates the Lagrange polynomials through the points."""
         return np.column_stack([basis(np.asarray(fractions, dtype=float)) for basis in _lagrange(self.c)])
 
+    def lower_at(self, fraction: float) -> tuple[np.ndarray, np.ndarray]:
+        """Weights (s,) of y in xi' (over h) and in xi (over h^2) at a fraction of the interval.
+
+        Those of the interpolant that a solution file is read with: the integrals of the Lagrange polynomials,
+        and for the classic schemes the cubic that closes their gap to the next node.
+        """
+        at, end = np.array([fraction]), np.ones(1)
+        rate, position = _integrals(self.c, at, 1)[0], _integrals(self.c, at, 2)[0]
+        ramp = fraction**2 * (3 - 2 * fraction)
+        closing = self.b2 - _integrals(self.c, end, 2)[0]
+        return rate + fraction * (self.b1 - _integrals(self.c, end, 1)[0]), position + ramp * closing
+
     def interpolation_rate(self, fractions: np.ndarray) -> np.ndarray:
         """Matrix (len(fractions), s) of the Lagrange polynomials' derivatives by the fraction."""
         where = np.asarray(fractions, dtype=float)

@@ -17,6 +17,7 @@ from trajopt.terms.context import Context
 from trajopt.terms.context_symbols import Place
 from trajopt.terms.dynamics import ImpactDynamics
 from trajopt.terms.interfaces import Rows, Term
+from trajopt.terms.moments import MomentConstraint
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.redundancy import independent_rows
 from trajopt.transcription.stage_functions import PointFunction, point_function
@@ -90,6 +91,28 @@ class TermFunctions:
                 shared = functions.setdefault(key, terms.function)
                 found[k] = replace(terms, function=shared)
         return found
+
+    def moment(self, term: MomentConstraint) -> StageTerms:
+        """Function of a constraint at moments of a phase; its parameters are those of each moment."""
+        phase = self.problem.schedule.names.index(term.phase)
+        form = self.layout.form_of(phase)
+        loaded = [contact for contact in self.layout.contacts[phase] if contact.name in term.loads]
+        if len(loaded) < len(term.loads):
+            raise InputError(
+                f"{term.name} in phase '{term.phase}' is about the force of {', '.join(term.loads)}",
+                f"active: {', '.join(contact.name for contact in self.layout.contacts[phase]) or 'none'}",
+            )
+        context = Context(
+            form.robot,
+            form.coordinates,
+            tuple(loaded),
+            time_scales=(form.n_time_scales, form.time_scale),
+            actuation=self.problem.actuation,
+            mode=self.problem.modes.get(term.phase),
+        )
+        parameters = context.parameter(np.zeros(term.parameters.shape[1]))
+        rows = _of(term, term.phase, term.row, context, self.units[id(form.robot)], parameters)
+        return _stage_terms(f"moment_{term.name}", context, ca.SX(0), [(term.name, rows)])
 
     def end(self, form: NodeLayout) -> PointFunction | None:
         """Rotations, and body rates if any, at an interval's end from (rotations, theta, theta')."""

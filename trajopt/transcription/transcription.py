@@ -19,6 +19,7 @@ from trajopt.robot.units import Units
 from trajopt.transcription.collocation import Collocation
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.mesh import Mesh
+from trajopt.transcription.moment_rows import Moment, alike, moments_by_stage
 from trajopt.transcription.row_collection import RowCollection, RowInfo
 from trajopt.transcription.schedule_rows import schedule_rows
 from trajopt.transcription.stage_functions import PointFunction
@@ -87,12 +88,13 @@ class Transcription:
 
 @dataclass(frozen=True)
 class _Numbers:
-    """Row indices: of the gaps, of interval k at point i, of impacts and of the nodes that have rows."""
+    """Row indices: of the gaps, of interval k at point i, of impacts, of nodes with rows, of moments."""
 
     gap: list[np.ndarray]
     point: dict[int, list[np.ndarray]]
     impact: dict[int, np.ndarray]
     node: dict[int, np.ndarray]
+    moment: dict[Moment, int]
 
 
 class Transcriber:
@@ -113,6 +115,7 @@ class Transcriber:
         units = {key: Units(robot, problem.robot) for key, robot in robots.items()}
         self.collocation = Collocation(self.layout, units)
         self.functions = TermFunctions(problem, self.layout, units)
+        self.moments = moments_by_stage(problem, self.layout)
         self.time = units[id(self.layout.forms[0].robot)].time
         self.linear_rows: list[tuple[np.ndarray, sparse.coo_matrix]] = []
         self.rows = RowCollection()
@@ -124,7 +127,8 @@ class Transcriber:
         point_terms = [self.functions.point(phase) for phase in phases]
         impacts = {k: self.functions.impact(k) for k in self.layout.transitions_of(StageKind.IMPACT)}
         nodes = self.functions.nodes()
-        numbers = self._number_rows(point_terms, impacts, nodes)
+        moment_terms = [self.functions.moment(term) for term in self.problem.moment_constraints]
+        numbers = self._number_rows(point_terms, impacts, nodes, moment_terms)
         for phase in phases:
             self._add_point_groups(phase, point_terms[phase], numbers.point)
             self._add_end_group(phase, numbers.gap)
@@ -133,6 +137,7 @@ class Transcriber:
         for k in self.layout.transitions_of(StageKind.CHANGE):
             self._add_change_group(k, numbers.gap[k])
         self._add_node_groups(nodes, numbers.node)
+        self._add_moment_groups(moment_terms, numbers.moment)
         lower_x, upper_x = variable_bounds(self.problem, self.layout, self.collocation)
         return Transcription(
             problem=self.problem,
@@ -157,9 +162,13 @@ class Transcriber:
     # Rows
 
     def _number_rows(
-        self, point_terms: Sequence[StageTerms], impacts: dict[int, StageTerms], nodes: dict[int, StageTerms]
+        self,
+        point_terms: Sequence[StageTerms],
+        impacts: dict[int, StageTerms],
+        nodes: dict[int, StageTerms],
+        moment_terms: Sequence[StageTerms],
     ) -> _Numbers:
-        found = _Numbers([], {}, {}, {})
+        found = _Numbers([], {}, {}, {}, {})
         layout = self.layout
         given = (self.problem, layout, self.collocation)
         linear = (*scaled_rate_limits(*given), *schedule_rows(*given))
@@ -173,6 +182,8 @@ class Transcriber:
                         self.rows.add_blocks(blocks, k, i)
                         for i in range(layout.scheme_of(layout.stages[k].phase).s)
                     ]
+            for moment in self.moments.get(k, ()):
+                (found.moment[moment],) = self.rows.add_blocks(moment_terms[moment.term].blocks, k, -1)
             if k in impacts:
                 found.impact[k] = self.rows.add_blocks(impacts[k].blocks, k, -1)
             if k in nodes:
@@ -270,6 +281,22 @@ class Transcriber:
                     row_scale=first.row_scale,
                     parameters=np.vstack([self._parameters(nodes[k], np.array([k])) for k in members]),
                     cost_weight=np.ones(len(members)),
+                )
+            )
+
+    def _add_moment_groups(self, terms: Sequence[StageTerms], numbers: dict[Moment, int]) -> None:
+        constraints = self.problem.moment_constraints
+        for members in alike(self.layout, self.moments):
+            first, own = members[0], constraints[members[0].term]
+            self.groups.append(
+                FunctionGroup(
+                    point=terms[first.term].function,
+                    gather=self.collocation.moment_gather(first.stage, first.fraction, own.loads),
+                    stages=np.array([moment.stage for moment in members]),
+                    rows=np.array([[numbers[moment]] for moment in members]),
+                    row_scale=terms[first.term].row_scale,
+                    parameters=own.parameters[[moment.index for moment in members]],
+                    cost_weight=np.zeros(len(members)),
                 )
             )
 

@@ -1,0 +1,120 @@
+"""Planes that keep two convex bodies apart: the supporting planes where they come near each other.
+
+Two convex bodies are apart if a plane separates them. With the unit normal n from the second body to the
+first along which they are nearest (or, where they overlap, along which the way out is shortest), the plane
+that supports one of them is carried along by that body, and the nearest corners of the other must stay on its
+far side:
+
+    n . x_i >= max_j n . y_j + r + s + margin        corners x_i of one, y_j of the other, radii r and s
+
+At the configuration where a plane is laid, the least of these rows is the signed distance minus the margin,
+and has its gradient; elsewhere it is a lower bound of the distance, as far as the corners left out are not
+nearer. So what satisfies it is apart. The rows are smooth, at touching and for parallel faces too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# Corners at most this much farther than the nearest one, m, get a row: with a turn of 0.1 rad a corner that
+# is 0.1 m away from the nearest one comes nearer by as much.
+DEPTH = 0.01
+# Most corners with a row, and their least distance from each other, m.
+MOST_CORNERS, APART = 3, 5e-3
+# Corners within this of the supporting plane, m, count to the face that lies in it.
+FACE = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlacedBody:
+    """A convex body at one configuration: all points within ``radius`` m of the hull of ``points`` (n, 3) m.
+
+    ``points`` are in the axes of ``frame`` (None: the world), which lie at ``rotation`` (3, 3) and
+    ``position`` (3,) m in the world. ``kept`` (n,) are the points that get rows. Without points it is the
+    half-space below a plane: ``normal`` (3,) and ``height`` m along it, in the world.
+    """
+
+    frame: str | None
+    points: np.ndarray
+    radius: float = 0.0
+    rotation: np.ndarray
+    position: np.ndarray
+    normal: np.ndarray | None = None
+    height: float = 0.0
+
+    @property
+    def placed(self) -> np.ndarray:
+        """The points (n, 3), world, m."""
+        return np.asarray(self.points @ self.rotation.T + self.position)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CornerRow:
+    """A corner in the axes of ``frame`` and a plane in those of ``body`` (None: the world).
+
+    ``parameters`` (7,): corner (3,) m, normal (3,), offset m, as of `trajopt.terms.moments.PlaneSide`.
+    """
+
+    frame: str | None
+    body: str | None
+    parameters: np.ndarray
+
+
+def corner_rows(
+    first: PlacedBody, second: PlacedBody, normal: np.ndarray, margin: float
+) -> tuple[CornerRow, ...]:
+    """Rows that keep two bodies ``margin`` m apart: corners of one beyond a supporting plane of the other.
+
+    Args:
+        first: a body with points.
+        second: another, or a half-space.
+        normal: from the second to the first (3,), unit, world.
+        margin: least distance, m.
+    """
+    reach = first.radius + second.radius + margin
+    if second.normal is not None:
+        return _rows(first, second, second.normal, second.height + reach)
+    along, against = first.placed @ normal, second.placed @ normal
+    ahead = _extent(first.placed[along <= along.min() + FACE])
+    if _extent(second.placed[against >= against.max() - FACE]) >= ahead:
+        return _rows(first, second, normal, _support(second, normal) + reach)
+    return _rows(second, first, -normal, _support(first, -normal) + reach)
+
+
+def _support(body: PlacedBody, normal: np.ndarray) -> float:
+    """Largest of n . x over a body's points in its own axes, m."""
+    return float((body.points @ (body.rotation.T @ normal)).max())
+
+
+def _rows(
+    corners: PlacedBody, carrier: PlacedBody, normal: np.ndarray, offset: float
+) -> tuple[CornerRow, ...]:
+    own = carrier.rotation.T @ normal
+    chosen = _nearest(corners.placed, corners.placed @ normal)
+    return tuple(
+        CornerRow(
+            frame=corners.frame,
+            body=carrier.frame,
+            parameters=np.concatenate([corners.points[index], own, [offset]]),
+        )
+        for index in chosen
+    )
+
+
+def _nearest(points: np.ndarray, heights: np.ndarray) -> list[int]:
+    """The lowest point, then of those little higher the ones farthest from those chosen."""
+    order = np.argsort(heights, kind="stable")
+    near = order[heights[order] <= heights[order[0]] + DEPTH]
+    chosen = [int(near[0])]
+    away = np.linalg.norm(points[near] - points[chosen[0]], axis=1)
+    while len(chosen) < MOST_CORNERS and away.max() > APART:
+        chosen.append(int(near[int(np.argmax(away))]))
+        away = np.minimum(away, np.linalg.norm(points[near] - points[chosen[-1]], axis=1))
+    return chosen
+
+
+def _extent(points: np.ndarray) -> float:
+    """Extent of a face: the largest distance of its corners from one of them, m."""
+    return float(np.linalg.norm(points - points[0], axis=1).max())

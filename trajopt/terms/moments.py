@@ -1,0 +1,173 @@
+"""Constraints at chosen moments of a phase: at points, at nodes and between them.
+
+A semi-infinite constraint, one at every time, is met by rows at finitely many moments where it comes near
+its bound: those are exchanged until it holds in between (Hettich and Kortanek, "Semi-infinite programming",
+SIAM Review 35, 1993). Which moments, `trajopt.solving.exchange` finds.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from typing_extensions import override
+
+from trajopt.errors import InputError
+from trajopt.robot.units import Units
+from trajopt.terms.context import Context
+from trajopt.terms.interfaces import Rows, Term
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MomentConstraint(Term, ABC):
+    """One row at each of n moments of a phase: a smooth function of the motion and of parameters there.
+
+    Args:
+        phase: name of the phase.
+        fractions: of the phase's duration (n,), each from 0 to 1.
+        parameters: of the row at each moment (n, n_p).
+
+    Raises:
+        InputError: for fractions outside 0 to 1, and parameters of another length or not finite.
+    """
+
+    phase: str
+    fractions: np.ndarray
+    parameters: np.ndarray
+
+    @property
+    def loads(self) -> tuple[str, ...]:
+        """Names of the contacts whose wrenches the row depends on."""
+        return ()
+
+    def __post_init__(self) -> None:
+        fractions = np.array(self.fractions, dtype=float)
+        if fractions.ndim != 1 or not np.all((fractions >= 0) & (fractions <= 1)):
+            raise InputError(f"fractions of {self.name} are {fractions}", "allowed: (n,), 0 to 1")
+        parameters = np.array(self.parameters, dtype=float)
+        if parameters.ndim != 2 or len(parameters) != len(fractions) or not np.isfinite(parameters).all():
+            raise InputError(
+                f"parameters of {self.name} have shape {parameters.shape}",
+                f"allowed: ({len(fractions)}, n), finite",
+            )
+        for label, array in (("fractions", fractions), ("parameters", parameters)):
+            array.setflags(write=False)
+            object.__setattr__(self, label, array)
+        object.__setattr__(self, "phases", (self.phase,))
+
+    @abstractmethod
+    def row(self, context: Context, units: Units, parameters: ca.SX) -> Rows:
+        """The row at one moment, with its ``parameters`` (n_p,) as symbols.
+
+        The context has the wrenches of the contacts in ``loads``, and those only.
+        """
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlaneSide(MomentConstraint):
+    """A point stays on the positive side of a plane: normal . x >= offset at each moment.
+
+    Point or plane moves with a frame of the robot, or is fixed in the world. The parameters of a moment are
+    the point (3,) m in the axes of ``frame``, the unit normal (3,) and the offset in m in those of ``body``.
+    A plane that separates two convex bodies keeps them apart, whatever else they do; where it is their
+    supporting plane the row is their signed distance, with the distance's gradient.
+
+    Args:
+        frame: that carries the point; None for the world.
+        body: frame that carries the plane; None for the world.
+
+    Raises:
+        InputError: if both are fixed in the world.
+    """
+
+    frame: str | None
+    body: str | None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.frame is None and self.body is None:
+            raise InputError("point and plane are both fixed in the world", "allowed: one of them")
+        if len(self.fractions) and self.parameters.shape[1] != 7:
+            raise InputError(
+                f"parameters of {self.name} have shape {self.parameters.shape}",
+                "allowed: (n, 7), point, normal, offset",
+            )
+
+    @property
+    @override
+    def name(self) -> str:
+        return "clearance"
+
+    @override
+    def row(self, context: Context, units: Units, parameters: ca.SX) -> Rows:
+        point, normal, offset = parameters[:3], parameters[3:6], parameters[6]
+        if self.frame is not None:
+            own = context.frame(self.frame)
+            point = own.position + ca.mtimes(own.rotation, point)
+        if self.body is not None:
+            carrier = context.frame(self.body)
+            normal = ca.mtimes(carrier.rotation, normal)
+            offset = offset + ca.dot(normal, carrier.position)
+        return Rows.create(ca.dot(normal, point) - offset, 0.0, np.inf, units.length)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointSide(MomentConstraint):
+    """A joint's position or velocity stays on one side of a bound at each moment.
+
+    The parameters of a moment are the side, 1 for at least and -1 for at most, and side times bound, rad, m,
+    rad/s or m/s.
+
+    Args:
+        joint: name of a joint with one degree of freedom.
+        rate: whether the bound is on its velocity.
+    """
+
+    joint: str
+    rate: bool = False
+
+    @property
+    @override
+    def name(self) -> str:
+        return "velocity_between" if self.rate else "position_between"
+
+    @override
+    def row(self, context: Context, units: Units, parameters: ca.SX) -> Rows:
+        model = context.robot.model
+        if not model.existJointName(self.joint) or model.joints[model.getJointId(self.joint)].nv != 1:
+            raise InputError(f"'{self.joint}' is no joint of one degree of freedom", "allowed: such a joint")
+        index = model.joints[model.getJointId(self.joint)].idx_v
+        value = (context.dxi if self.rate else context.xi)[index]
+        unit = (units.velocity if self.rate else units.position)[index]
+        return Rows.create(parameters[0] * value - parameters[1], 0.0, np.inf, unit)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ForceSide(MomentConstraint):
+    """A contact's force stays on the positive side of a plane through the origin at each moment.
+
+    The parameters of a moment are the plane's normal (3,), world axes: of a friction cone mu n - u, with the
+    surface's normal n and a unit tangent u, is such a plane, which touches the cone along one line.
+
+    Args:
+        contact: name of an active contact.
+    """
+
+    contact: str
+
+    @property
+    @override
+    def name(self) -> str:
+        return "friction_between"
+
+    @property
+    @override
+    def loads(self) -> tuple[str, ...]:
+        return (self.contact,)
+
+    @override
+    def row(self, context: Context, units: Units, parameters: ca.SX) -> Rows:
+        force = context.wrenches[self.contact][:3]
+        return Rows.create(ca.dot(parameters, force), 0.0, np.inf, units.wrench[0])
