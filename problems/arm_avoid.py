@@ -151,7 +151,7 @@ def build(
     start, goal = (turned(arm, side * turn, *place) for side in (-1.0, 1.0))
     obstacles = obstacles_of(arm, turn, *place, rise * reach)
     capsules = robot_capsules(body)
-    scene = CollisionScene(model=body.model, capsules=capsules, obstacles=obstacles)
+    scene = CollisionScene(model=body.model, shapes=capsules, obstacles=obstacles)
     path = raised_path(arm, (start, goal), scene, margin * reach)
     given = _duration(body, start, goal) if duration is None else duration
     problem = arms.between(

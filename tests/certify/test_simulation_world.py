@@ -16,7 +16,7 @@ from trajopt.certify.simulation.settings import SimulationSettings
 from trajopt.certify.simulation.simulate import simulate
 from trajopt.certify.simulation.world import build_world
 from trajopt.robot.actuators.drive import Drive
-from trajopt.robot.collision.shapes import LinkCapsule, SphereObstacle
+from trajopt.robot.collision.shapes import LinkShape, SphereObstacle
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.shapes import Bump
 from trajopt.terrain.smooth import SmoothTerrain
@@ -83,7 +83,7 @@ def test_capsule_that_passes_through_an_obstacle_is_found():
     plan, data = sampled(robot, [arm_motion(robot)], 10), robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, plan.q[plan.n_samples // 2])
     place = data.oMf[robot.model.getFrameId("tool0")].translation
-    capsule = LinkCapsule(name="tool", frame="tool0", start=np.zeros(3), end=np.zeros(3), radius=0.03)
+    capsule = LinkShape.sphere("tool", "tool0", np.zeros(3), 0.03)
     for distance, hit in ((0.0, True), (5.0, False)):
         ball = SphereObstacle(name="ball", centre=place + np.array([0, 0, distance]), radius=0.05)
         scene = {"capsules": [capsule.describe()], "obstacles": [ball.describe()], "self_pairs": []}

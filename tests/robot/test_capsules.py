@@ -10,7 +10,7 @@ import pytest
 from trajopt.errors import InputError
 from trajopt.robot.collision.fitting import enclosing_capsule, least_circle
 from trajopt.robot.collision.link_capsules import inflated, robot_capsules, spanning_points
-from trajopt.robot.collision.shapes import LinkCapsule
+from trajopt.robot.collision.shapes import LinkShape
 from trajopt.robot.robot import Robot
 from trajopt_library import robots
 
@@ -31,9 +31,9 @@ def vertices(robot: Robot, kind: pin.GeometryType) -> list[tuple[str, int, np.nd
     return found
 
 
-def depth(capsule: LinkCapsule, frame: pin.SE3, points: np.ndarray) -> np.ndarray:
+def depth(capsule: LinkShape, frame: pin.SE3, points: np.ndarray) -> np.ndarray:
     """How deep world points (n, 3) lie in a capsule on a frame, m."""
-    start, end = frame.act(capsule.start), frame.act(capsule.end)
+    start, end = (frame.act(end) for end in capsule.axis)
     along = end - start
     share = np.clip((points - start) @ along / max(along @ along, 1e-300), 0, 1)
     return capsule.radius - np.linalg.norm(points - start - share[:, None] * along, axis=1)
@@ -135,7 +135,7 @@ def test_capsules_without_geometry_hold_boxes_of_the_inertias():
 
 def test_capsules_may_be_given_by_hand():
     robot = robots.load("ur5")
-    mine = LinkCapsule(name="mine", frame="tool0", start=np.zeros(3), end=[0, 0, 0.1], radius=0.02)
+    mine = LinkShape.capsule("mine", "tool0", np.zeros(3), [0, 0, 0.1], 0.02)
     capsules = robot_capsules(robot, override={"ee_link": [mine], "wrist_1_link": []})
     names = {c.name for c in capsules}
     assert mine in capsules

@@ -11,16 +11,15 @@ import pinocchio as pin
 import pytest
 
 from trajopt.errors import InputError
+from trajopt.robot.collision.coal_shapes import coal_capsule, coal_obstacle
 from trajopt.robot.collision.distances import Box, SymbolicAxis, box_distance, segment_distance
 from trajopt.robot.collision.link_capsules import robot_capsules
 from trajopt.robot.collision.near import CollisionScene, separable_pairs
 from trajopt.robot.collision.shapes import (
     BoxObstacle,
     CapsuleObstacle,
-    LinkCapsule,
+    LinkShape,
     SphereObstacle,
-    coal_capsule,
-    coal_obstacle,
     obstacle_from_description,
 )
 from trajopt_library import robots
@@ -154,7 +153,7 @@ OBSTACLES = (
 
 def arm_scene(**changes: object) -> CollisionScene:
     robot = robots.load("ur5")
-    given = {"model": robot.model, "capsules": robot_capsules(robot), "obstacles": OBSTACLES}
+    given = {"model": robot.model, "shapes": robot_capsules(robot), "obstacles": OBSTACLES}
     return CollisionScene(**(given | changes))
 
 
@@ -164,11 +163,11 @@ def test_distances_of_a_scene_are_those_of_its_shapes():
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
     shapes = {o.name: coal_obstacle(o) for o in scene.obstacles}
-    for c in scene.capsules:
+    for c in scene.shapes:
         frame = data.oMf[model.getFrameId(c.frame)]
-        shapes[c.name] = coal_capsule(frame.act(c.start), frame.act(c.end), c.radius)
+        shapes[c.name] = coal_capsule(*(frame.act(end) for end in c.axis), c.radius)
     expected = [by_coal(shapes[first], shapes[second]) for first, second in scene.pairs]
-    assert scene.distances(q) == pytest.approx(expected, abs=COAL)
+    assert scene.distances(q)[0] == pytest.approx(expected, abs=COAL)
     near = [pair for pair, distance in zip(scene.pairs, expected, strict=True) if distance < 0.3]
     assert scene.near([q], 0.3) == tuple(near)
     assert 0 < len(near) < len(scene.pairs)
@@ -179,7 +178,7 @@ def test_links_that_can_be_kept_apart_are_so_in_the_reference(name):
     robot = robots.load(name)
     capsules = robot_capsules(robot)
     pairs = separable_pairs(robot.model, capsules, robot.reference, 0.01)
-    scene = CollisionScene(model=robot.model, capsules=capsules, self_pairs=pairs)
+    scene = CollisionScene(model=robot.model, shapes=capsules, self_pairs=pairs)
     assert scene.distances(robot.reference).min() > 0.01
     assert pairs
 
@@ -190,7 +189,7 @@ def test_obstacles_survive_their_description(obstacle):
 
 
 ZERO, ONE = np.zeros(3), np.ones(3)
-NOSE = LinkCapsule(name="c", frame="nose", start=ZERO, end=ZERO, radius=1.0)
+NOSE = LinkShape.sphere("c", "nose", ZERO, 1.0)
 BALL = SphereObstacle(name="a", centre=ONE, radius=1.0)
 BAD = {
     "flat box": (lambda: BoxObstacle(name="b", sides=[1, 0, 1], position=ZERO), "sides of obstacle 'b'"),
@@ -203,10 +202,10 @@ BAD = {
     "nan": (lambda: CapsuleObstacle(name="c", start=[0, 0, np.nan], end=ZERO, radius=1.0), "start of"),
     "kind": (lambda: obstacle_from_description({"kind": "cone"}), "kinds: sphere, capsule, box"),
     "keys": (lambda: obstacle_from_description({"kind": "sphere"}), "keys: name, centre, radius"),
-    "capsule": (lambda: LinkCapsule.from_description({}), "keys: name, frame"),
-    "frame": (lambda: arm_scene(capsules=[NOSE]), "nose"),
+    "capsule": (lambda: LinkShape.from_description({}), "keys: name, frame"),
+    "frame": (lambda: arm_scene(shapes=[NOSE]), "nose"),
     "two names": (lambda: arm_scene(obstacles=[BALL, BALL]), "named a"),
-    "own pair": (lambda: arm_scene(self_pairs=[("ee_link", "ee_link")]), "a pair of capsules"),
+    "own pair": (lambda: arm_scene(self_pairs=[("ee_link", "ee_link")]), "a pair of shapes"),
 }
 
 

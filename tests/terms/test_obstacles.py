@@ -18,7 +18,7 @@ from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
 from trajopt.problem import Problem
 from trajopt.robot import Robot
-from trajopt.robot.collision.shapes import BoxObstacle, CapsuleObstacle, LinkCapsule, SphereObstacle
+from trajopt.robot.collision.shapes import BoxObstacle, CapsuleObstacle, LinkShape, SphereObstacle
 from trajopt.robot.units import Units
 from trajopt.schedule import Phase, Schedule
 from trajopt.solution.clearance import refined_configurations
@@ -195,7 +195,7 @@ def test_rows_of_a_free_robot_are_within_the_bound_of_coal():
         step = np.random.default_rng(seed).uniform(-0.4, 0.4, robot.nv)
         q = pin.integrate(robot.model, robot.reference, step)
         values = _at(function, context, coordinates, q)
-        true = dict(zip(term.scene.pairs, term.scene.distances(q), strict=True))
+        true = dict(zip(term.scene.pairs, term.scene.distances(q)[0], strict=True))
         for pair, beyond in zip(term.pairs, values, strict=True):
             free = true[pair] - term.margin
             assert beyond < free + DISTANCE or true[pair] < 0
@@ -233,7 +233,7 @@ def test_start_too_near_an_obstacle_is_refused():
         with_obstacles(swing(), [near], margin=MARGIN)
 
 
-NOWHERE = LinkCapsule(name="c", frame="nose", start=np.zeros(3), end=np.zeros(3), radius=0.1)
+NOWHERE = LinkShape.sphere("c", "nose", np.zeros(3), 0.1)
 BAD = {
     "margin": {"margin": -0.1},
     "nan": {"margin": np.nan},

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.robot.collision.near import CollisionScene
-from trajopt.robot.collision.shapes import LinkCapsule, obstacle_from_description
+from trajopt.robot.collision.shapes import LinkShape, obstacle_from_description
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
@@ -97,7 +97,7 @@ def _scene(model: pin.Model, described: Any) -> CollisionScene:
         raise InputError("self_pairs are not pairs", "allowed: [capsule, capsule] by name")
     return CollisionScene(
         model=model,
-        capsules=tuple(LinkCapsule.from_description(entry) for entry in described["capsules"]),
+        shapes=tuple(LinkShape.from_description(entry) for entry in described["capsules"]),
         obstacles=tuple(obstacle_from_description(entry) for entry in described["obstacles"]),
         self_pairs=tuple((str(first), str(second)) for first, second in pairs),
     )

@@ -15,7 +15,7 @@ from trajopt.errors import InputError, require_not_negative
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.link_capsules import robot_capsules
 from trajopt.robot.collision.near import CollisionScene, ShapePair, separable_pairs
-from trajopt.robot.collision.shapes import LinkCapsule, Obstacle
+from trajopt.robot.collision.shapes import LinkShape, Obstacle
 from trajopt.schedule.schedule import Schedule
 from trajopt.solution.clearance import refined_configurations
 from trajopt.solution.solution import Solution
@@ -36,7 +36,7 @@ def with_obstacles(
     obstacles: Sequence[Obstacle],
     *,
     margin: float = 0.0,
-    capsules: Sequence[LinkCapsule] | None = None,
+    capsules: Sequence[LinkShape] | None = None,
     self_collision: bool = False,
     band: float | None = None,
 ) -> Problem:
@@ -60,7 +60,7 @@ def with_obstacles(
     given = tuple(robot_capsules(robot) if capsules is None else capsules)
     moving = tuple(c for c in given if model.frames[_frame(model, c.frame)].parentJoint > 0)
     pairs = separable_pairs(model, moving, robot.reference, margin) if self_collision else ()
-    scene = CollisionScene(model=model, capsules=moving, obstacles=tuple(obstacles), self_pairs=pairs)
+    scene = CollisionScene(model=model, shapes=moving, obstacles=tuple(obstacles), self_pairs=pairs)
     reach = BAND * robot.length if band is None else band
     require_not_negative("band around obstacles", reach, "m")
     _require_clear_start(problem, scene, margin)
@@ -83,7 +83,7 @@ def _frame(model: pin.Model, name: str) -> int:
 def _require_clear_start(problem: Problem, scene: CollisionScene, margin: float) -> None:
     if not scene.pairs:
         return
-    distances = scene.distances(problem.initial_q)
+    distances = scene.distances(problem.initial_q)[0]
     worst = int(np.argmin(distances))
     if distances[worst] < margin:
         first, second = scene.pairs[worst]

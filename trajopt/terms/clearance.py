@@ -13,7 +13,7 @@ from typing_extensions import override
 from trajopt.errors import InputError, require_not_negative
 from trajopt.robot.collision.distances import Box, SymbolicAxis, box_distance, segment_distance
 from trajopt.robot.collision.near import CollisionScene, ShapePair
-from trajopt.robot.collision.shapes import BoxObstacle, LinkCapsule, Obstacle
+from trajopt.robot.collision.shapes import BoxObstacle, LinkShape, Obstacle
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import PointConstraint, Rows, Term
@@ -55,7 +55,7 @@ class Clearance(PointConstraint):
     def rows(self, context: Context, units: Units) -> Rows | None:
         if not self.pairs:
             return None
-        capsules = {capsule.name: capsule for capsule in self.scene.capsules}
+        capsules = {shape.name: shape for shape in self.scene.shapes}
         obstacles = {obstacle.name: _Placed(obstacle, context) for obstacle in self._met()}
         margin, smoothing = context.parameter(self.margin), SMOOTHING * units.length
         rows = []
@@ -92,9 +92,9 @@ class _Placed:
         return segment_distance(axis, self.axis, self.radius + reach, smoothing)
 
 
-def _axis(context: Context, capsule: LinkCapsule) -> SymbolicAxis:
+def _axis(context: Context, capsule: LinkShape) -> SymbolicAxis:
     frame = context.frame(capsule.frame)
-    ends = (frame.position + ca.mtimes(frame.rotation, ca.DM(end)) for end in (capsule.start, capsule.end))
+    ends = (frame.position + ca.mtimes(frame.rotation, ca.DM(end)) for end in capsule.axis)
     return SymbolicAxis(*ends)
 
 

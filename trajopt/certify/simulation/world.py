@@ -202,9 +202,9 @@ def _add_links(
     capsules: list[str] = []
     obstacles: tuple[str, ...] = ()
     if scene is not None:
-        for number, capsule in enumerate(scene.capsules):
+        for number, capsule in enumerate(scene.shapes):
             frame = plan.model.frames[plan.model.getFrameId(capsule.frame)]
-            start, end = (frame.placement.act(np.array(end)) for end in (capsule.start, capsule.end))
+            start, end = (frame.placement.act(np.array(end)) for end in capsule.axis)
             body = bodies.spec.body(body_name(frame.parentJoint))
             capsules.append(add_capsule(body, f"capsule{number}", start, end, capsule.radius))
         obstacles = add_obstacles(bodies.spec, scene.obstacles)

@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from trajopt.errors import InputError
 from trajopt.robot.collision.fitting import Segment, enclosing_capsule, round_corners
-from trajopt.robot.collision.shapes import LinkCapsule, require_different_names
+from trajopt.robot.collision.shapes import LinkShape, require_different_names
 from trajopt.robot.robot import Robot
 
 Source = Literal["collision", "visual", "inertia"]
@@ -27,8 +27,8 @@ def robot_capsules(
     robot: Robot,
     *,
     source: Source | None = None,
-    override: Mapping[str, Sequence[LinkCapsule]] | None = None,
-) -> tuple[LinkCapsule, ...]:
+    override: Mapping[str, Sequence[LinkShape]] | None = None,
+) -> tuple[LinkShape, ...]:
     """Capsules that enclose the moving links of ``robot``.
 
     source: "collision" or "visual" geometry of its description, a capsule around each link, or around each of
@@ -68,7 +68,7 @@ Spanned = tuple[np.ndarray, float]
 Piece = tuple[str, int, Spanned]
 
 
-def _of_link(model: pin.Model, link: str, pieces: list[tuple[int, Spanned]]) -> list[LinkCapsule]:
+def _of_link(model: pin.Model, link: str, pieces: list[tuple[int, Spanned]]) -> list[LinkShape]:
     """One capsule around each piece of a link, or around all where that adds little."""
     joint = pieces[0][0]
     fitted = [_fitted(spanned) for _, spanned in pieces]
@@ -80,12 +80,8 @@ def _of_link(model: pin.Model, link: str, pieces: list[tuple[int, Spanned]]) -> 
     within = model.frames[model.getFrameId(frame)].placement
     names = [link] if len(fitted) == 1 else [f"{link}_{i}" for i in range(len(fitted))]
     return [
-        LinkCapsule(
-            name=name,
-            frame=frame,
-            start=within.actInv(segment.start),
-            end=within.actInv(segment.end),
-            radius=segment.radius,
+        LinkShape.capsule(
+            name, frame, within.actInv(segment.start), within.actInv(segment.end), segment.radius
         )
         for name, segment in zip(names, fitted, strict=True)
     ]
@@ -171,6 +167,6 @@ def joint_frame(model: pin.Model, joint: int) -> str:
     return str(own[0].name)
 
 
-def inflated(capsules: Sequence[LinkCapsule], by: float) -> tuple[LinkCapsule, ...]:
+def inflated(capsules: Sequence[LinkShape], by: float) -> tuple[LinkShape, ...]:
     """The capsules with ``by`` m added to every radius, for a tool or cables that the meshes lack."""
     return tuple(replace(capsule, radius=capsule.radius + by) for capsule in capsules)

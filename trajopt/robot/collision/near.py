@@ -1,4 +1,4 @@
-"""Coal's distances between capsules and obstacles: which pairs are near, and how near."""
+"""Distances of links from the ground, from obstacles and from each other, and which pairs are near."""
 
 from __future__ import annotations
 
@@ -11,122 +11,199 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from trajopt.dynamics.joint_placements import Placements, joint_placements
 from trajopt.dynamics.model_content import frame_content
 from trajopt.errors import InputError
-from trajopt.robot.collision.shapes import (
-    LinkCapsule,
-    Obstacle,
-    coal_capsule,
-    coal_obstacle,
-    require_different_names,
-)
+from trajopt.robot.collision.coal_distance import CoalPairs, Witness
+from trajopt.robot.collision.coal_shapes import coal_link, coal_obstacle
+from trajopt.robot.collision.ground_distance import BodyDistance, SmoothDistance
+from trajopt.robot.collision.shapes import LinkShape, Obstacle, ball_around, require_different_names
+from trajopt.terrain.bodies import ground_bodies
+from trajopt.terrain.smooth import SmoothTerrain
+from trajopt.terrain.terrain import Terrain
 
-# Two capsules, or a capsule and an obstacle, by their names.
+# Two shapes by their names; the second may be an obstacle's, or `GROUND`.
 ShapePair = tuple[str, str]
+GROUND = "ground"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CollisionScene:
-    """Capsules on a model, obstacles in the world, and pairs of capsules that must not touch.
+    """Shapes on a model's links, obstacles and the ground, and pairs of shapes that must not touch.
 
-    ``pairs`` are every capsule with every obstacle, then ``self_pairs``, by name. Raises InputError for an
-    unknown frame or name, or a name used twice.
+    ``pairs`` are every shape with the ground (if there is a ``terrain``) and with every obstacle, then
+    ``self_pairs``, by name. Raises InputError for an unknown frame or name, or a name used twice.
     """
 
     model: pin.Model
-    capsules: tuple[LinkCapsule, ...]
+    shapes: tuple[LinkShape, ...]
     obstacles: tuple[Obstacle, ...] = ()
     self_pairs: tuple[ShapePair, ...] = ()
+    terrain: Terrain | None = None
 
     def __post_init__(self) -> None:
-        for name in ("capsules", "obstacles"):
+        for name in ("shapes", "obstacles"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         object.__setattr__(self, "self_pairs", tuple((str(a), str(b)) for a, b in self.self_pairs))
-        names = [capsule.name for capsule in self.capsules]
-        require_different_names("shapes", names + [obstacle.name for obstacle in self.obstacles])
-        for capsule in self.capsules:
-            frame_content(self.model, capsule.frame)
+        names = [shape.name for shape in self.shapes]
+        require_different_names("shapes", [GROUND, *names, *(obstacle.name for obstacle in self.obstacles)])
+        for shape in self.shapes:
+            frame_content(self.model, shape.frame)
         for pair in self.self_pairs:
             unknown = [name for name in pair if name not in names]
             if unknown or pair[0] == pair[1]:
-                raise InputError(f"a pair of capsules is {pair}", f"two of: {', '.join(names)}")
+                raise InputError(f"a pair of shapes is {pair}", f"two of: {', '.join(names)}")
+
+    @cached_property
+    def pairs(self) -> tuple[ShapePair, ...]:
+        """All pairs, in the order of ``distances``: with the ground, with obstacles, of links."""
+        ground = [] if self.terrain is None else [(shape.name, GROUND) for shape in self.shapes]
+        outer = [(shape.name, o.name) for shape in self.shapes for o in self.obstacles]
+        return (*ground, *outer, *self.self_pairs)
 
     @property
-    def pairs(self) -> tuple[ShapePair, ...]:
-        """All pairs, in the order of ``distances``."""
-        outer = [(c.name, o.name) for c in self.capsules for o in self.obstacles]
-        return (*outer, *self.self_pairs)
+    def n_ground(self) -> int:
+        """Number of leading pairs that are of a shape with the ground."""
+        return 0 if self.terrain is None else len(self.shapes)
 
     @property
     def n_outer(self) -> int:
-        """Number of leading pairs that are of a capsule with an obstacle."""
-        return len(self.capsules) * len(self.obstacles)
+        """Number of leading pairs that are of a shape with the ground or an obstacle."""
+        return self.n_ground + len(self.shapes) * len(self.obstacles)
 
-    @cached_property
-    def _geometry(self) -> tuple[pin.GeometryModel, pin.GeometryData, pin.Data]:
-        geometry, index = pin.GeometryModel(), {}
-        for capsule in self.capsules:
-            frame = self.model.frames[self.model.getFrameId(capsule.frame)]
-            shape, placement = coal_capsule(capsule.start, capsule.end, capsule.radius)
-            index[capsule.name] = _added(
-                geometry, capsule.name, int(frame.parentJoint), frame.placement * placement, shape
-            )
-        for obstacle in self.obstacles:
-            shape, placement = coal_obstacle(obstacle)
-            index[obstacle.name] = _added(geometry, obstacle.name, 0, placement, shape)
-        for first, second in self.pairs:
-            geometry.addCollisionPair(pin.CollisionPair(index[first], index[second]))
-        return geometry, geometry.createData(), self.model.createData()
+    def distances(self, configurations: np.ndarray, within: float = np.inf) -> np.ndarray:
+        """Signed distances (K, n_pairs) in m at configurations (K, nq); negative: how deep they penetrate.
 
-    def distances(self, q: np.ndarray) -> np.ndarray:
-        """Signed distance in m of each pair (n,) at ``q`` (nq,), by Coal; negative where they penetrate."""
-        geometry, data, kinematics = self._geometry
-        pin.computeDistances(self.model, kinematics, geometry, data, np.asarray(q, dtype=float))
-        return np.array([result.min_distance for result in data.distanceResults])
+        Of a pair farther apart than ``within`` m it may be a lower bound instead, which is > ``within``.
+        """
+        q = np.atleast_2d(np.asarray(configurations, dtype=float))
+        rotation, origin = self._placements(q)
+        found = np.empty((len(q), len(self.pairs)))
+        for column, bodies in enumerate(self._grounds):
+            places = rotation[column], origin[column]
+            found[:, column] = np.min([body.distances(places, within) for body in bodies], axis=0)
+        if len(self.pairs) > self.n_ground:
+            apart = self._apart(rotation, origin)
+            for pair in np.flatnonzero((apart <= within).any(axis=0)):
+                rows = np.flatnonzero(apart[:, pair] <= within)
+                first, second = (int(part[pair]) for part in self._indices)
+                places = ((rotation[index][rows], origin[index][rows]) for index in (first, second))
+                apart[rows, pair] = self._coal.distances((first, second), *places)
+            found[:, self.n_ground :] = apart
+        return found
 
-    def least_distances(self, configurations: Iterable[np.ndarray]) -> np.ndarray:
+    def witness(self, q: np.ndarray, pair: ShapePair) -> Witness:
+        """Distance, normal and nearest points of a pair at ``q`` (nq,), also where they touch or penetrate.
+
+        Raises InputError for a pair that is not in the scene.
+        """
+        if pair not in self.pairs:
+            raise InputError(f"the scene has no pair {pair}", "allowed: pairs of the scene")
+        index = self.pairs.index(pair)
+        rotation, origin = self._placements(np.atleast_2d(q))
+        if index < self.n_ground:
+            found = [body.witness((rotation[index], origin[index])) for body in self._grounds[index]]
+            return min(found, key=lambda witness: witness.distance)
+        first, second = (int(part[index - self.n_ground]) for part in self._indices)
+        places = ((rotation[i], origin[i]) for i in (first, second))
+        return self._coal.witness((first, second), *places)
+
+    def least_distances(self, configurations: Iterable[np.ndarray], within: float = np.inf) -> np.ndarray:
         """Least signed distance in m of each pair (n,) over configurations (nq,); inf without any."""
-        least = np.full(len(self.pairs), np.inf)
-        for q in configurations:
-            least = np.minimum(least, self.distances(q))
-        return least
+        listed = np.array(list(configurations), dtype=float)
+        if not len(listed) or not self.pairs:
+            return np.full(len(self.pairs), np.inf)
+        return np.asarray(self.distances(listed, within).min(axis=0))
 
     def near(self, configurations: Iterable[np.ndarray], within: float) -> tuple[ShapePair, ...]:
         """Pairs that come closer than ``within`` m at one of the configurations (nq,)."""
-        least = self.least_distances(configurations)
+        least = self.least_distances(configurations, within)
         return tuple(pair for pair, distance in zip(self.pairs, least, strict=True) if distance < within)
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
         return {
-            "capsules": [capsule.describe() for capsule in self.capsules],
+            "capsules": [shape.describe() for shape in self.shapes],
             "obstacles": [obstacle.describe() for obstacle in self.obstacles],
             "self_pairs": [list(pair) for pair in self.self_pairs],
         }
 
+    def _placements(self, q: np.ndarray) -> Placements:
+        """Rotations (n, K, 3, 3) and origins (n, K, 3) of the shapes' frames, then of the obstacles: zero."""
+        joints, origins = joint_placements(self.model, q)
+        count = len(self.shapes) + len(self.obstacles)
+        rotation, origin = np.empty((count, len(q), 3, 3)), np.zeros((count, len(q), 3))
+        rotation[len(self.shapes) :] = np.eye(3)
+        for index, shape in enumerate(self.shapes):
+            frame = self.model.frames[self.model.getFrameId(shape.frame)]
+            joint, place = int(frame.parentJoint), frame.placement
+            rotation[index] = joints[joint] @ place.rotation
+            origin[index] = origins[joint] + joints[joint] @ place.translation
+        return rotation, origin
 
-def _added(geometry: pin.GeometryModel, name: str, joint: int, placement: pin.SE3, shape: Any) -> int:
-    return int(geometry.addGeometryObject(pin.GeometryObject(name, joint, placement, shape)))
+    def _apart(self, rotation: np.ndarray, origin: np.ndarray) -> np.ndarray:
+        """Distances (K, n) m between the bounding balls of every pair that is not with the ground."""
+        balls = self._balls
+        centres = origin + np.einsum("nkij,nj->nki", rotation, balls[:, :3])
+        across = np.moveaxis(centres, 0, 1)
+        squares = np.sum(across**2, axis=-1)
+        first, second = self._indices
+        square = squares[:, first] + squares[:, second]
+        square -= 2 * (across @ np.moveaxis(across, 1, 2))[:, first, second]
+        return np.asarray(np.sqrt(np.maximum(square, 0.0)) - (balls[first, 3] + balls[second, 3]))
+
+    @cached_property
+    def _balls(self) -> np.ndarray:
+        """Centre and radius (n, 4) m of a ball around each shape in its frame, and each obstacle."""
+        found = []
+        for body in (*self.shapes, *self.obstacles):
+            centre, reach = ball_around(body.points)
+            found.append([*centre, reach + body.radius])
+        return np.array(found).reshape(-1, 4)
+
+    @cached_property
+    def _indices(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of both bodies of every pair that is not with the ground: shapes, then obstacles."""
+        names = [*(shape.name for shape in self.shapes), *(obstacle.name for obstacle in self.obstacles)]
+        place = {name: index for index, name in enumerate(names)}
+        listed = [(place[first], place[second]) for first, second in self.pairs[self.n_ground :]]
+        indices = np.array(listed, dtype=int).reshape(-1, 2)
+        return indices[:, 0], indices[:, 1]
+
+    @cached_property
+    def _coal(self) -> CoalPairs:
+        links = [coal_link(shape) for shape in self.shapes]
+        return CoalPairs([*links, *(coal_obstacle(obstacle) for obstacle in self.obstacles)])
+
+    @cached_property
+    def _grounds(self) -> list[list[BodyDistance] | list[SmoothDistance]]:
+        """Of each shape, its distances from the bodies of the ground."""
+        if self.terrain is None:
+            return []
+        if isinstance(self.terrain, SmoothTerrain):
+            return [[SmoothDistance(shape, self.terrain)] for shape in self.shapes]
+        bodies = ground_bodies(self.terrain)
+        return [[BodyDistance(shape, body) for body in bodies] for shape in self.shapes]
 
 
 def separable_pairs(
-    model: pin.Model, capsules: Sequence[LinkCapsule], q: np.ndarray, margin: float
+    model: pin.Model, shapes: Sequence[LinkShape], q: np.ndarray, margin: float
 ) -> tuple[ShapePair, ...]:
-    """Pairs of capsules that can be kept apart by ``margin`` m: those that are that far apart at ``q`` (nq,).
+    """Pairs of shapes that can be kept apart by ``margin`` m: those that are that far apart at ``q`` (nq,).
 
-    Left out are two capsules of one link, of links connected by a joint, and those that overlap at ``q``,
+    Left out are two shapes of one link, of links connected by a joint, and those that overlap at ``q``,
     because capsules are wider than what they enclose.
     """
 
-    def joined(first: LinkCapsule, second: LinkCapsule) -> bool:
-        one, other = (int(model.frames[model.getFrameId(c.frame)].parentJoint) for c in (first, second))
+    def joined(first: LinkShape, second: LinkShape) -> bool:
+        one, other = (int(model.frames[model.getFrameId(s.frame)].parentJoint) for s in (first, second))
         return one == other or model.parents[one] == other or model.parents[other] == one
 
     pairs = tuple(
         (first.name, second.name)
-        for first, second in itertools.combinations(capsules, 2)
+        for first, second in itertools.combinations(shapes, 2)
         if not joined(first, second)
     )
-    scene = CollisionScene(model=model, capsules=tuple(capsules), self_pairs=pairs)
-    distances = scene.distances(q) if pairs else np.zeros(0)
+    scene = CollisionScene(model=model, shapes=tuple(shapes), self_pairs=pairs)
+    distances = scene.distances(q)[0]
     return tuple(pair for pair, distance in zip(pairs, distances, strict=True) if distance > margin)

@@ -1,55 +1,135 @@
-"""Shapes of collision avoidance: capsules on links; boxes, capsules and spheres in the world."""
+"""Shapes of collision avoidance: convex bodies on links; boxes, capsules and spheres in the world."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, Literal
 
-import coal
 import numpy as np
-import pinocchio as pin
 
-from trajopt.errors import InputError, finite_array, numbers_of, require_positive
-from trajopt.terrain.surface import frame_of_normal
+from trajopt.errors import InputError, finite_array, numbers_of, require_not_negative, require_positive
 
 # Tolerance of a rotation matrix: rounding of numbers written as decimals.
 ROTATION_ERROR = 1e-6
+# Eight points are the corners of a box where its edges agree and are orthogonal within this, m: rounding of a
+# file's numbers.
+BOX_ERROR = 3e-6
+ShapeKind = Literal["sphere", "capsule", "box", "hull"]
+KINDS: tuple[ShapeKind, ...] = ("sphere", "capsule", "box", "hull")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LinkCapsule:
-    """All points within ``radius`` of a segment that moves with a frame of the robot.
+class LinkShape:
+    """All points within ``radius`` m of the convex hull of ``points``, moving with a frame of the robot.
 
-    ``start``, ``end`` (3,) in m are in the axes of the frame ``frame``; equal, they make a sphere.
-    ``radius`` in m is > 0. ``name`` appears in messages. Raises InputError.
+    ``points`` (n, 3) in m, n >= 1, are in the axes of the frame ``frame`` and read-only; ``radius`` in m is
+    >= 0. One point is a sphere, two are a capsule; the corners of a box without a radius, in the order of
+    `box_corners`, are a box. ``name`` appears in messages. Raises InputError.
     """
 
     name: str
     frame: str
-    start: np.ndarray
-    end: np.ndarray
-    radius: float
+    points: np.ndarray
+    radius: float = 0.0
 
     def __post_init__(self) -> None:
-        label = f"capsule '{self.name}'"
-        _set_vectors(self, label, ("start", "end"))
-        _set_radius(self, label)
+        label = f"shape '{self.name}'"
+        points = np.atleast_2d(numbers_of(self.points))
+        if points.ndim != 2 or points.shape[1] != 3 or not len(points) or not np.isfinite(points).all():
+            raise InputError(
+                f"points of {label} have shape {points.shape}", "allowed: (n, 3), n >= 1, finite, m"
+            )
+        require_not_negative(f"radius of {label}", self.radius, "m")
+        if len(points) <= 2:
+            require_positive(f"radius of {label}", self.radius, "m")
+        points.setflags(write=False)
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "radius", float(self.radius))
+
+    @classmethod
+    def sphere(cls, name: str, frame: str, centre: Any, radius: float) -> LinkShape:
+        """A ball around ``centre`` (3,) m."""
+        points = finite_array(f"centre of shape '{name}'", centre, unit="m")
+        return cls(name=name, frame=frame, points=points[None], radius=radius)
+
+    @classmethod
+    def capsule(cls, name: str, frame: str, start: Any, end: Any, radius: float) -> LinkShape:
+        """All points within ``radius`` m of a segment, ``start`` to ``end`` (3,) m; a sphere if equal."""
+        given = {"start": start, "end": end}
+        ends = [finite_array(f"{what} of shape '{name}'", value, unit="m") for what, value in given.items()]
+        points = ends[:1] if np.array_equal(*ends) else ends
+        return cls(name=name, frame=frame, points=np.array(points), radius=radius)
+
+    @classmethod
+    def box(cls, name: str, frame: str, sides: Any, position: Any, rotation: Any = None) -> LinkShape:
+        """A box with full ``sides`` (3,) m around ``position`` (3,) m, turned by ``rotation`` (3, 3)."""
+        placed = BoxObstacle(name=name, sides=sides, position=position, rotation=rotation)
+        return cls(name=name, frame=frame, points=placed.points)
 
     @property
-    def length(self) -> float:
-        """Length of the axis, m."""
-        return float(np.linalg.norm(self.end - self.start))
+    def kind(self) -> ShapeKind:
+        """Sphere (one point), capsule (two), box (corners of a box, no radius) or hull."""
+        if len(self.points) <= 2:
+            return "sphere" if len(self.points) == 1 else "capsule"
+        return "hull" if self.box_axes is None else "box"
+
+    @property
+    def axis(self) -> tuple[np.ndarray, np.ndarray]:
+        """Ends (3,) m of the segment of a capsule or sphere. Raises InputError for other kinds."""
+        if len(self.points) > 2:
+            raise InputError(f"shape '{self.name}' is a {self.kind}", "allowed: a capsule or a sphere")
+        return self.points[0], self.points[-1]
+
+    @cached_property
+    def ball(self) -> tuple[np.ndarray, float]:
+        """Centre (3,) and radius, m, of a ball around the shape, in its frame."""
+        centre, reach = ball_around(self.points)
+        return centre, reach + self.radius
+
+    @cached_property
+    def box_axes(self) -> np.ndarray | None:
+        """Edges (3, 3) of a box as rows, m; None for other kinds."""
+        if len(self.points) != 8 or self.radius > 0:
+            return None
+        edges = self.points[[4, 2, 1]] - self.points[0]
+        expected = self.points[0] + _BITS @ edges
+        products = edges @ edges.T
+        lengths = np.sqrt(np.diag(products))
+        skew = np.abs(products - np.diag(np.diag(products))).max()
+        if np.abs(expected - self.points).max() > BOX_ERROR or skew > BOX_ERROR * lengths.max():
+            return None
+        return edges if lengths.min() > 0 else None
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
-        return _described(self)
+        return _described(self, ("name", "frame", "points", "radius"))
 
     @classmethod
-    def from_description(cls, described: Any) -> LinkCapsule:
-        """The capsule that ``describe`` wrote. Raises InputError."""
-        _require_keys(described, ("name", "frame", "start", "end", "radius"), "capsule")
+    def from_description(cls, described: Any) -> LinkShape:
+        """The shape that ``describe`` wrote, or a capsule of an older file. Raises InputError."""
+        if isinstance(described, dict) and "start" in described:
+            _require_keys(described, ("name", "frame", "start", "end", "radius"), "capsule")
+            return cls.capsule(**described)
+        _require_keys(described, ("name", "frame", "points", "radius"), "shape")
         return cls(**described)
+
+
+_BITS = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
+
+
+def box_corners(low: Any, high: Any) -> np.ndarray:
+    """Corners (8, 3) of a box from ``low`` (3,) to ``high`` (3,), the last axis changing fastest."""
+    low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
+    return np.asarray(low + _BITS * (high - low))
+
+
+def ball_around(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centre (3,) and radius, m, of a ball around points (n, 3) m: about the middle of their bounds."""
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    return centre, float(np.linalg.norm(points - centre, axis=1).max())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,6 +148,11 @@ class SphereObstacle:
     def axis(self) -> tuple[np.ndarray, np.ndarray]:
         """Ends (3,) m of the segment within ``radius`` of which the obstacle lies: one point."""
         return self.centre, self.centre
+
+    @property
+    def points(self) -> np.ndarray:
+        """The centre (1, 3), world, m: the obstacle is all within ``radius`` of it."""
+        return self.centre[None]
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
@@ -91,6 +176,11 @@ class CapsuleObstacle:
     def axis(self) -> tuple[np.ndarray, np.ndarray]:
         """Ends (3,) m of the segment within ``radius`` of which the obstacle lies."""
         return self.start, self.end
+
+    @property
+    def points(self) -> np.ndarray:
+        """Ends (2, 3), world, m: the obstacle is all within ``radius`` of their hull."""
+        return np.array(self.axis)
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
@@ -128,6 +218,16 @@ class BoxObstacle:
         """The rotation (3, 3), never None."""
         return np.asarray(self.rotation)
 
+    @property
+    def points(self) -> np.ndarray:
+        """Corners (8, 3), world, m, in the order of `box_corners`: the obstacle is their hull."""
+        return np.asarray(box_corners(-self.sides / 2, self.sides / 2) @ self.turn.T + self.position)
+
+    @property
+    def radius(self) -> float:
+        """Distance around the hull of ``points``: none, m."""
+        return 0.0
+
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
         return {"kind": "box", **_described(self)}
@@ -152,28 +252,6 @@ def obstacle_from_description(described: Any) -> Obstacle:
     return made
 
 
-def segment_placement(start: np.ndarray, end: np.ndarray) -> pin.SE3:
-    """Placement of a Coal capsule (along z, about its middle) on a segment."""
-    along = end - start
-    length = float(np.linalg.norm(along))
-    turn = frame_of_normal(along / length) if length > 0 else np.eye(3)
-    return pin.SE3(turn, (start + end) / 2)
-
-
-def coal_capsule(start: np.ndarray, end: np.ndarray, radius: float) -> tuple[Any, pin.SE3]:
-    """Coal's capsule and its placement; a sphere where the segment has no length."""
-    length = float(np.linalg.norm(end - start))
-    shape = coal.Capsule(radius, length) if length > 0 else coal.Sphere(radius)
-    return shape, segment_placement(start, end)
-
-
-def coal_obstacle(obstacle: Obstacle) -> tuple[Any, pin.SE3]:
-    """Coal's shape of an obstacle and its placement in the world."""
-    if isinstance(obstacle, BoxObstacle):
-        return coal.Box(*obstacle.sides.tolist()), pin.SE3(obstacle.turn, obstacle.position)
-    return coal_capsule(*obstacle.axis, obstacle.radius)
-
-
 def require_different_names(what: str, names: Sequence[str]) -> None:
     """Raises InputError where two of them are the same."""
     double = sorted({name for name in names if names.count(name) > 1})
@@ -192,9 +270,9 @@ def _set_radius(shape: Any, label: str) -> None:
     object.__setattr__(shape, "radius", float(shape.radius))
 
 
-def _described(shape: Any) -> dict[str, Any]:
+def _described(shape: Any, names: Sequence[str] | None = None) -> dict[str, Any]:
     """Fields of a shape as JSON has them."""
-    return {name: np.asarray(value).tolist() for name, value in vars(shape).items()}
+    return {name: np.asarray(getattr(shape, name)).tolist() for name in names or vars(shape)}
 
 
 def _require_keys(described: Any, keys: Sequence[str], what: str) -> None:

@@ -200,8 +200,7 @@ class MotionQuantities:
         if scene is None or not scene.pairs:
             return {}
         distances = np.full((len(self.t), len(scene.pairs)), np.nan)
-        for row in np.flatnonzero(self.finite):
-            distances[row] = scene.distances(self.solution.q[row])
+        distances[self.finite] = scene.distances(self.solution.q[self.finite])
         columns: dict[str, list[int]] = {name: [] for name in (*(o.name for o in scene.obstacles), "itself")}
         for i, pair in enumerate(scene.pairs):
             columns[pair[1] if i < scene.n_outer else "itself"].append(i)
