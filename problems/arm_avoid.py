@@ -12,11 +12,12 @@ import pinocchio as pin
 from trajopt.problem import Problem
 from trajopt.problem.family import Family, Parameter
 from trajopt.robot import Robot
+from trajopt.robot.collision.description import robot_shapes
 from trajopt.robot.collision.link_capsules import robot_capsules
 from trajopt.robot.collision.near import CollisionScene
 from trajopt.robot.collision.shapes import BoxObstacle, CapsuleObstacle, Obstacle
 from trajopt.robot.kinematics import frame_pose, inverse_kinematics
-from trajopt.terms import AccelerationCost, TorqueCost
+from trajopt.terms import AccelerationCost, Clearance, TorqueCost
 from trajopt.terrain.swing_profile import smooth_step
 
 from . import arms, common
@@ -150,8 +151,8 @@ def build(
     place = (radius * reach, height * reach)
     start, goal = (turned(arm, side * turn, *place) for side in (-1.0, 1.0))
     obstacles = obstacles_of(arm, turn, *place, rise * reach)
-    capsules = robot_capsules(body)
-    scene = CollisionScene(model=body.model, shapes=capsules, obstacles=obstacles)
+    shapes = robot_shapes(body).shapes or robot_capsules(body)
+    scene = CollisionScene(model=body.model, shapes=shapes, obstacles=obstacles)
     path = raised_path(arm, (start, goal), scene, margin * reach)
     given = _duration(body, start, goal) if duration is None else duration
     problem = arms.between(
@@ -166,9 +167,8 @@ def build(
         parameters={"duration": given},
         default_intervals=30,
     )
-    from trajopt.solving.avoidance import with_obstacles  # loads the solvers: not for `list`
-
-    return with_obstacles(problem, obstacles, margin=margin * reach, capsules=capsules)
+    clearance = Clearance(obstacles=obstacles, margin=margin * reach, shapes=shapes)
+    return replace(problem, terms=(*problem.terms, clearance))
 
 
 def _share(name: str, default: float, meaning: str, within: common.Range) -> Parameter:

@@ -17,7 +17,6 @@ from trajopt.robot.payload import payload_wrench
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Schedule
 from trajopt.solution.solution import Solution
-from trajopt.terms.clearance import collision_meta
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import Surface
 from trajopt.transcription.layout import Layout
@@ -252,7 +251,7 @@ def robot_meta(problem: Problem) -> dict[str, Any]:
         meta["drives"] = [None if drive is None else drive.to_meta() for drive in robot.drives]
     if robot.visual is not None:
         meta["visual"] = robot.visual.to_meta()
-    return meta | collision_meta(problem.terms)
+    return meta
 
 
 def _payloads(problem: Problem) -> list[dict[str, Any]]:

@@ -11,6 +11,7 @@ import pinocchio as pin
 from trajopt.dynamics.joint_placements import Placements
 from trajopt.robot.collision.coal_distance import CoalPairs, Witness
 from trajopt.robot.collision.coal_shapes import coal_hull, coal_link
+from trajopt.robot.collision.planes import PlacedBody
 from trajopt.robot.collision.shapes import LinkShape
 from trajopt.robot.collision.surface_points import surface_points
 from trajopt.terrain.bodies import ConvexGround, GroundBody, HalfSpace
@@ -72,6 +73,12 @@ class BodyDistance:
         lowest = points[np.abs(heights - heights.min()) <= ON_FACE].mean(axis=0)
         return _over(lowest, self._shape.radius, normal, float(self._offsets[0]))
 
+    def solid(self, witness: Witness) -> PlacedBody:
+        """The body of the ground."""
+        if isinstance(self._body, HalfSpace):
+            return PlacedBody(normal=self._body.normal, height=self._body.offset)
+        return PlacedBody(points=self._body.points)
+
     def _both(self, places: Placements) -> tuple[Placements, Placements]:
         count = len(places[1])
         return places, (np.broadcast_to(np.eye(3), (count, 3, 3)), np.zeros((count, 3)))
@@ -112,6 +119,10 @@ class SmoothDistance:
         nearest = points[int(np.argmin(surface.distance(points)))]
         plane = surface.plane_at(nearest)
         return _over(nearest, self._shape.radius, plane.normal, plane.height)
+
+    def solid(self, witness: Witness) -> PlacedBody:
+        """What lies below the tangent plane at the nearest point."""
+        return PlacedBody(normal=witness.normal, height=float(witness.normal @ witness.second_point))
 
     @cached_property
     def _points(self) -> np.ndarray:

@@ -17,6 +17,7 @@ from trajopt.errors import InputError
 from trajopt.robot.collision.coal_distance import CoalPairs, Witness
 from trajopt.robot.collision.coal_shapes import coal_link, coal_obstacle
 from trajopt.robot.collision.ground_distance import BodyDistance, SmoothDistance
+from trajopt.robot.collision.planes import Approach, PlacedBody
 from trajopt.robot.collision.shapes import LinkShape, Obstacle, ball_around, require_different_names
 from trajopt.terrain.bodies import ground_bodies
 from trajopt.terrain.smooth import SmoothTerrain
@@ -107,6 +108,46 @@ class CollisionScene:
         first, second = (int(part[index - self.n_ground]) for part in self._indices)
         places = ((rotation[i], origin[i]) for i in (first, second))
         return self._coal.witness((first, second), *places)
+
+    def approaches(
+        self, configurations: np.ndarray, wanted: Sequence[tuple[int, ShapePair]], within: float
+    ) -> list[list[Approach]]:
+        """For each wanted (row of the configurations (K, nq), pair) where its bodies are within ``within`` m.
+
+        One approach, or none; with ground of several faces one for each that is near.
+        """
+        rotation, origin = self._placements(np.atleast_2d(configurations))
+        numbers = {pair: number for number, pair in enumerate(self.pairs)}
+        found = []
+        for row, pair in wanted:
+            here = slice(row, row + 1)
+            places = [(turn[here], at[here]) for turn, at in zip(rotation, origin, strict=True)]
+            own = self._approaches(numbers[pair], places)
+            found.append([approach for approach in own if approach.distance <= within])
+        return found
+
+    def _approaches(self, number: int, places: Sequence[Placements]) -> list[Approach]:
+        def placed(index: int) -> PlacedBody:
+            body, (rotation, origin) = (*self.shapes, *self.obstacles)[index], places[index]
+            return PlacedBody(
+                frame=body.frame if isinstance(body, LinkShape) else None,
+                points=body.points,
+                radius=body.radius,
+                rotation=rotation[0],
+                position=origin[0],
+            )
+
+        if number < self.n_ground:
+            seen = [(ground, ground.witness(places[number])) for ground in self._grounds[number]]
+            pairs = [(placed(number), ground.solid(witness), witness) for ground, witness in seen]
+        else:
+            first, second = (int(part[number - self.n_ground]) for part in self._indices)
+            witness = self._coal.witness((first, second), places[first], places[second])
+            pairs = [(placed(first), placed(second), witness)]
+        return [
+            Approach(first=first, second=second, normal=witness.normal, distance=witness.distance)
+            for first, second, witness in pairs
+        ]
 
     def least_distances(self, configurations: Iterable[np.ndarray], within: float = np.inf) -> np.ndarray:
         """Least signed distance in m of each pair (n,) over configurations (nq,); inf without any."""

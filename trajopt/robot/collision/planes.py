@@ -14,7 +14,7 @@ nearer. So what satisfies it is apart. The rows are smooth, at touching and for 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -32,15 +32,15 @@ class PlacedBody:
     """A convex body at one configuration: all points within ``radius`` m of the hull of ``points`` (n, 3) m.
 
     ``points`` are in the axes of ``frame`` (None: the world), which lie at ``rotation`` (3, 3) and
-    ``position`` (3,) m in the world. ``kept`` (n,) are the points that get rows. Without points it is the
-    half-space below a plane: ``normal`` (3,) and ``height`` m along it, in the world.
+    ``position`` (3,) m in the world. With a ``normal`` (3,) it is the half-space below that plane instead,
+    at ``height`` m along it, in the world.
     """
 
-    frame: str | None
-    points: np.ndarray
+    frame: str | None = None
+    points: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     radius: float = 0.0
-    rotation: np.ndarray
-    position: np.ndarray
+    rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
+    position: np.ndarray = field(default_factory=lambda: np.zeros(3))
     normal: np.ndarray | None = None
     height: float = 0.0
 
@@ -48,6 +48,16 @@ class PlacedBody:
     def placed(self) -> np.ndarray:
         """The points (n, 3), world, m."""
         return np.asarray(self.points @ self.rotation.T + self.position)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Approach:
+    """Two bodies near each other: ``normal`` (3,) from the second to the first, ``distance`` m, signed."""
+
+    first: PlacedBody
+    second: PlacedBody
+    normal: np.ndarray
+    distance: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,17 +72,19 @@ class CornerRow:
     parameters: np.ndarray
 
 
-def corner_rows(
-    first: PlacedBody, second: PlacedBody, normal: np.ndarray, margin: float
-) -> tuple[CornerRow, ...]:
-    """Rows that keep two bodies ``margin`` m apart: corners of one beyond a supporting plane of the other.
+def corner_rows(found: Approach, margin: float, left_out: np.ndarray | None = None) -> tuple[CornerRow, ...]:
+    """Rows that keep two bodies apart: corners of one beyond a supporting plane of the other.
 
     Args:
-        first: a body with points.
-        second: another, or a half-space.
-        normal: from the second to the first (3,), unit, world.
+        found: where the bodies are near each other.
         margin: least distance, m.
+        left_out: points (n,) of the first body that get no row and bound nothing; default none.
     """
+    first, second, normal = found.first, found.second, found.normal
+    kept = np.ones(len(first.points), dtype=bool) if left_out is None else ~left_out
+    if not kept.any():
+        return ()
+    first = replace(first, points=first.points[kept])
     reach = first.radius + second.radius + margin
     if second.normal is not None:
         return _rows(first, second, second.normal, second.height + reach)

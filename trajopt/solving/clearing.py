@@ -1,0 +1,47 @@
+"""Solve a problem until its bodies are clear of each other along the whole motion."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from trajopt.problem.problem import Problem
+from trajopt.solution.solution import Solution
+from trajopt.solving.exchange import Exchange
+from trajopt.solving.solving import solve
+from trajopt.solving.verdicts import is_usable_start
+
+# Most solves after the first.
+MOST_ROUNDS = 8
+# Planes are laid anew until the objective changes by less than this part of it: the motion that they allow is
+# then the best one near it.
+SETTLED = 5e-3
+
+
+def solve_clear(problem: Problem, **options: Any) -> Solution:
+    """Solve, and solve again with rows for the pairs that came too near; options as for `solve`.
+
+    Returns the last motion that was solved; `Exchange.missing` tells whether it is clear.
+    """
+    exchange, solution = Exchange(problem), solve(problem, **options)
+    settled = True
+    for number in range(MOST_ROUNDS):
+        if not is_usable_start(solution):
+            break
+        look = exchange.look(solution)
+        if settled and not exchange.missing(look):
+            break
+        exchange.add(look)
+        again = _solved_again(exchange, solution, {**options, "label": f"clearing {number + 1}"})
+        if not is_usable_start(again):
+            break
+        before, after = solution.meta["objective"], again.meta["objective"]
+        settled = abs(after - before) <= SETTLED * max(abs(before), abs(after))
+        solution = again
+    return solution
+
+
+def _solved_again(exchange: Exchange, solution: Solution, options: dict[str, Any]) -> Solution:
+    """From the last motion, or from where that one was solved from if this leads nowhere."""
+    problem = exchange.constrained(solution)
+    found = solve(problem, **{**options, "start": solution})
+    return found if is_usable_start(found) else solve(problem, **options)

@@ -1,0 +1,145 @@
+"""Rows that keep bodies apart at all times: added where a motion breaks them, until it does not.
+
+A robot's links make hundreds of pairs that could meet, and hardly any of them does. So a motion is solved
+without them and looked at along all of it, between points too; pairs that come too near get rows (see
+`trajopt.robot.collision.planes`) at the moments where they are near, and it is solved again from there, until
+it is clear. This is the exchange method for semi-infinite programs (Blankenship and Falk, "Infinitely
+constrained optimization problems", 1976). No pair enters that never matters.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from trajopt.problem.bodies import ProblemBodies, bodies_of, require_clear_start
+from trajopt.problem.problem import Problem
+from trajopt.robot.collision.near import ShapePair
+from trajopt.robot.collision.planes import CornerRow
+from trajopt.solution.interpolation import collocation_fractions, interval_interpolant
+from trajopt.solution.motion import SolutionMotion
+from trajopt.solution.solution import Solution
+from trajopt.terms.moments import PlaneSide
+
+# A pair this much nearer than it may be, m, is too near: what a solver and a look between moments leave.
+TOO_NEAR = 5e-4
+# Pairs that are too near somewhere get rows wherever they are nearer than their margin plus this part of the
+# robot's length: a motion that gives way there may come near here.
+BAND = 0.06
+# Between its nodes an interval is looked at this many times, evenly, and at its points.
+LOOKS = 5
+
+# Phase, fraction of its duration.
+Moment = tuple[int, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Look:
+    """Distances (K, n_pairs) m along a motion at K moments; ``regular`` (K,) are its nodes and points."""
+
+    distances: np.ndarray
+    moments: tuple[Moment, ...]
+    regular: np.ndarray
+
+
+@dataclass
+class Exchange:
+    """The moments at which pairs of a problem's bodies have rows; they grow from look to look."""
+
+    problem: Problem
+    moments: defaultdict[ShapePair, set[Moment]] = field(default_factory=lambda: defaultdict(set))
+
+    @cached_property
+    def bodies(self) -> ProblemBodies:
+        """Bodies of the problem. Raises `InputError` where its start has them in each other."""
+        found = bodies_of(self.problem)
+        require_clear_start(self.problem, found)
+        return found
+
+    @property
+    def band(self) -> float:
+        """Distance beyond its margin within which a pair has rows, m."""
+        return BAND * self.problem.robot.length
+
+    def look(self, solution: Solution) -> Look:
+        """Distances of all pairs along a solution, exact where they are within the band."""
+        plan = solution.normalized()
+        seen = [_seen(plan, number) for number in range(plan.n_intervals)]
+        q = np.concatenate([configurations for configurations, _, _ in seen])
+        reach = self.band + float(self.bodies.margins.max(initial=0.0))
+        return Look(
+            distances=self.bodies.scene.distances(q, reach),
+            moments=tuple(moment for _, moments, _ in seen for moment in moments),
+            regular=np.concatenate([regular for _, _, regular in seen]),
+        )
+
+    def missing(self, look: Look) -> tuple[ShapePair, ...]:
+        """Pairs that are too near somewhere."""
+        short = (look.distances - self.bodies.margins).min(axis=0, initial=np.inf)
+        return tuple(pair for pair, own in zip(self.bodies.pairs, short, strict=True) if own < -TOO_NEAR)
+
+    def add(self, look: Look) -> bool:
+        """Add the moments where pairs that are, or were, too near are near; whether there are new ones."""
+        before = sum(map(len, self.moments.values()))
+        wanted = {*self.missing(look), *self.moments}
+        short = look.distances - self.bodies.margins
+        for column, pair in enumerate(self.bodies.pairs):
+            if pair in wanted:
+                own = short[:, column]
+                near = (own < self.band) & look.regular | (own < -TOO_NEAR) & _least_around(own)
+                self.moments[pair] |= {look.moments[row] for row in np.flatnonzero(near)}
+        return sum(map(len, self.moments.values())) > before
+
+    def constrained(self, solution: Solution) -> Problem:
+        """The problem with rows at all moments so far, their planes laid along a solution."""
+        groups: defaultdict[tuple[int, str | None, str | None], list[tuple[float, CornerRow]]]
+        groups = defaultdict(list)
+        for (phase, fraction), row in self._laid(solution):
+            groups[phase, row.frame, row.body].append((fraction, row))
+        terms = [
+            PlaneSide(
+                phase=self.problem.schedule.names[phase],
+                frame=frame,
+                body=body,
+                fractions=np.array([fraction for fraction, _ in own]),
+                parameters=np.array([row.parameters for _, row in own]),
+            )
+            for (phase, frame, body), own in groups.items()
+        ]
+        return replace(self.problem, terms=(*self.problem.terms, *terms))
+
+    def _laid(self, solution: Solution) -> Iterator[tuple[Moment, CornerRow]]:
+        every = sorted({moment for moments in self.moments.values() for moment in moments})
+        if not every:
+            return
+        motion, numbers = SolutionMotion(solution), {moment: k for k, moment in enumerate(every)}
+        q = np.array([motion.in_phase(phase, fraction, 0.5).q for phase, fraction in every])
+        active = [frozenset(phase.contacts) for phase in self.problem.schedule.phases]
+        pairs = [(pair, moment) for pair, moments in self.moments.items() for moment in sorted(moments)]
+        wanted = [(numbers[moment], pair, active[moment[0]]) for pair, moment in pairs]
+        for (_, moment), rows in zip(pairs, self.bodies.rows(q, wanted, self.band), strict=True):
+            yield from ((moment, row) for row in rows)
+
+
+def _seen(plan: Solution, number: int) -> tuple[np.ndarray, list[Moment], np.ndarray]:
+    """Configurations (k, nq) in an interval, their moments, and which of them are its nodes and points."""
+    _, points = collocation_fractions(plan, number)
+    regular = np.unique(np.round([0.0, *points, 1.0], 12))
+    fractions = np.unique(np.concatenate([regular, np.linspace(0.0, 1.0, LOOKS + 2)]))
+    phase = int(plan.phase[plan.intervals[number].start])
+    start, end = plan.interval_t[plan.intervals_of(phase)][[0, -1], [0, 1]]
+    own = plan.interval_t[number]
+    times = own[0] + fractions * (own[1] - own[0])
+    shares = np.clip((times - start) / (end - start), 0.0, 1.0)
+    moments = [(phase, round(float(share), 12)) for share in shares]
+    return interval_interpolant(plan, number).at(fractions).q, moments, np.isin(fractions, regular)
+
+
+def _least_around(values: np.ndarray) -> np.ndarray:
+    """Which of the values (K,) are not above their neighbours."""
+    padded = np.concatenate([[np.inf], values, [np.inf]])
+    return np.asarray((values <= padded[:-2]) & (values <= padded[2:]))
