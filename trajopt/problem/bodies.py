@@ -15,26 +15,30 @@ from trajopt.robot.collision.planes import CornerRow, corner_rows
 from trajopt.robot.collision.shapes import LinkShape
 from trajopt.robot.robot import Robot
 from trajopt.terms.clearance import Clearance
+from trajopt.terrain.flat import FlatGround
 
 # Points of a link this near to where a contact of the link touches, m, touch with it.
 TOUCHING = 0.01
 # A start may be this much nearer, m: what a check allows.
 START_ERROR = 1e-3
-# In the air, where such points have rows, they may be this deep, m: at touchdown they are on the ground, where
-# the landing's rows hold them, and rows that are met with equality too would leave no way in.
+# Such links may be this much deeper in the ground than where the robot stands in its reference posture, m: at
+# touchdown they are on the ground, where the landing's rows hold them.
 SLACK = 3e-4
+
+
+Touching = tuple[tuple[str, np.ndarray], ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ProblemBodies:
     """The scene of a problem, and the least distance (n_pairs,) m of each of its pairs.
 
-    ``touching``: of shapes that carry contacts, by the shape's name: the contact's and its points (n,) there.
+    ``touching``: of each shape, by its name, the contacts that it carries, each with the points (n,) there.
     """
 
     scene: CollisionScene
     margins: np.ndarray
-    touching: Mapping[str, tuple[tuple[str, np.ndarray], ...]]
+    touching: Mapping[str, Touching]
 
     @property
     def pairs(self) -> tuple[ShapePair, ...]:
@@ -58,13 +62,9 @@ class ProblemBodies:
         found = self.scene.approaches(configurations, [(k, pair) for k, pair, _ in wanted], within)
         laid = []
         for (_, pair, active), approaches in zip(wanted, found, strict=True):
-            margin, left_out = margins[pair], None
-            if pair[1] == GROUND:
-                for contact, points in self.touching.get(pair[0], ()):
-                    margin = -SLACK
-                    if contact in active:
-                        left_out = points if left_out is None else left_out | points
-            laid.append(tuple(row for own in approaches for row in corner_rows(own, margin, left_out)))
+            standing = [points for contact, points in self.touching[pair[0]] if contact in active]
+            left_out = np.any(standing, axis=0) if pair[1] == GROUND and standing else None
+            laid.append(tuple(row for own in approaches for row in corner_rows(own, margins[pair], left_out)))
         return laid
 
 
@@ -92,9 +92,28 @@ def bodies_of(problem: Problem) -> ProblemBodies:
         self_pairs=pairs if clearance.self_collision else (),
         terrain=problem.terrain if clearance.ground else None,
     )
-    margins = np.where(np.arange(len(scene.pairs)) < scene.n_ground, 0.0, clearance.margin)
     touching = {shape.name: _touching(robot, shape) for shape in shapes}
+    margins = _margins(robot, scene, touching, clearance.margin)
     return ProblemBodies(scene=scene, margins=margins, touching=touching)
+
+
+def _margins(
+    robot: Robot, scene: CollisionScene, touching: Mapping[str, Touching], margin: float
+) -> np.ndarray:
+    """Least distance (n_pairs,) m: none for links fixed to the world, with which only other links collide."""
+    found = np.full(len(scene.pairs), margin)
+    found[: scene.n_ground] = 0.0
+    flat = CollisionScene(model=robot.model, shapes=scene.shapes, terrain=FlatGround())
+    standing = dict(zip(scene.shapes, flat.distances(robot.reference)[0].tolist(), strict=True))
+    for column, shape in enumerate(scene.shapes[: scene.n_ground]):
+        if touching[shape.name]:
+            found[column] = min(standing[shape], 0.0) - SLACK
+    fixed = {
+        s.name for s in scene.shapes if robot.model.frames[robot.model.getFrameId(s.frame)].parentJoint == 0
+    }
+    outer = [column for column, pair in enumerate(scene.pairs[: scene.n_outer]) if pair[0] in fixed]
+    found[outer] = -np.inf
+    return found
 
 
 def require_clear_start(problem: Problem, bodies: ProblemBodies) -> None:
@@ -111,7 +130,7 @@ def require_clear_start(problem: Problem, bodies: ProblemBodies) -> None:
         )
 
 
-def _touching(robot: Robot, shape: LinkShape) -> tuple[tuple[str, np.ndarray], ...]:
+def _touching(robot: Robot, shape: LinkShape) -> Touching:
     """Contacts carried by a shape's joint, with the shape's points (n,) near the touching point or sole."""
     model, found = robot.model, []
     own = model.frames[model.getFrameId(shape.frame)]
