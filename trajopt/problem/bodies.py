@@ -108,9 +108,8 @@ def _margins(
     for column, shape in enumerate(scene.shapes[: scene.n_ground]):
         if touching[shape.name]:
             found[column] = min(standing[shape], 0.0) - SLACK
-    fixed = {
-        s.name for s in scene.shapes if robot.model.frames[robot.model.getFrameId(s.frame)].parentJoint == 0
-    }
+    frames = [robot.model.frames[robot.model.getFrameId(shape.frame)] for shape in scene.shapes]
+    fixed = {s.name for s, frame in zip(scene.shapes, frames, strict=True) if frame.parentJoint == 0}
     outer = [column for column, pair in enumerate(scene.pairs[: scene.n_outer]) if pair[0] in fixed]
     found[outer] = -np.inf
     return found

@@ -6,7 +6,7 @@ from typing import Any
 
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
-from trajopt.solving.exchange import Exchange
+from trajopt.solving.exchange import Exchange, PhaseMotion, along
 from trajopt.solving.solving import solve
 from trajopt.solving.verdicts import is_usable_start
 
@@ -41,7 +41,19 @@ def solve_clear(problem: Problem, **options: Any) -> Solution:
 
 
 def _solved_again(exchange: Exchange, solution: Solution, options: dict[str, Any]) -> Solution:
-    """From the last motion, or from where that one was solved from if this leads nowhere."""
-    problem = exchange.constrained(solution)
-    found = solve(problem, **{**options, "start": solution})
-    return found if is_usable_start(found) else solve(problem, **options)
+    """From the last motion or from the guess, whichever is on the right side; from the other if that fails.
+
+    A motion that goes through an obstacle may be on no side of it; the guess of a problem with obstacles
+    passes them where its author wants it to.
+    """
+    starts: list[tuple[PhaseMotion, dict[str, Any]]] = [
+        (along(solution), {**options, "start": solution}),
+        (exchange.guess, options),
+    ]
+    if any(pair in exchange.outer_pairs for pair in exchange.moments) and exchange.guess_is_clear():
+        starts.reverse()
+    for motion, settings in starts:
+        found = solve(exchange.constrained(motion), **settings)
+        if is_usable_start(found):
+            break
+    return found

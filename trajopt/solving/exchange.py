@@ -10,7 +10,7 @@ constrained optimization problems", 1976). No pair enters that never matters.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -33,8 +33,9 @@ BAND = 0.06
 # Between its nodes an interval is looked at this many times, evenly, and at its points.
 LOOKS = 5
 
-# Phase, fraction of its duration.
+# Phase, fraction of its duration; and a motion over these.
 Moment = tuple[int, float]
+PhaseMotion = Callable[[int, float], np.ndarray]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,6 +66,11 @@ class Exchange:
         """Distance beyond its margin within which a pair has rows, m."""
         return BAND * self.problem.robot.length
 
+    @property
+    def outer_pairs(self) -> tuple[ShapePair, ...]:
+        """Pairs with obstacles."""
+        return self.bodies.pairs[self.bodies.scene.n_ground : self.bodies.scene.n_outer]
+
     def look(self, solution: Solution) -> Look:
         """Distances of all pairs along a solution, exact where they are within the band."""
         plan = solution.normalized()
@@ -94,11 +100,15 @@ class Exchange:
                 self.moments[pair] |= {look.moments[row] for row in np.flatnonzero(near)}
         return sum(map(len, self.moments.values())) > before
 
-    def constrained(self, solution: Solution) -> Problem:
-        """The problem with rows at all moments so far, their planes laid along a solution."""
+    def constrained(self, motion: PhaseMotion) -> Problem:
+        """The problem with rows at all moments so far, their planes laid along a motion.
+
+        Args:
+            motion: phase, fraction of its duration -> configuration (nq,), as `along` or `guess` give it.
+        """
         groups: defaultdict[tuple[int, str | None, str | None], list[tuple[float, CornerRow]]]
         groups = defaultdict(list)
-        for (phase, fraction), row in self._laid(solution):
+        for (phase, fraction), row in self._laid(motion):
             groups[phase, row.frame, row.body].append((fraction, row))
         terms = [
             PlaneSide(
@@ -112,17 +122,37 @@ class Exchange:
         ]
         return replace(self.problem, terms=(*self.problem.terms, *terms))
 
-    def _laid(self, solution: Solution) -> Iterator[tuple[Moment, CornerRow]]:
+    def guess(self, phase: int, fraction: float) -> np.ndarray:
+        """The problem's guess (nq,) at a fraction of a phase."""
+        durations = [entry.duration for entry in self.problem.schedule.phases]
+        return self.problem.guess_at(sum(durations[:phase]) + fraction * durations[phase])
+
+    def guess_is_clear(self) -> bool:
+        """Whether pairs are apart along the guess wherever they have rows."""
+        every = sorted({moment for moments in self.moments.values() for moment in moments})
+        if not every:
+            return True
+        short = self.bodies.scene.distances(np.array([self.guess(*moment) for moment in every]), self.band)
+        columns = [column for column, pair in enumerate(self.bodies.pairs) if pair in self.moments]
+        return bool((short[:, columns] >= self.bodies.margins[columns] - TOO_NEAR).all())
+
+    def _laid(self, motion: PhaseMotion) -> Iterator[tuple[Moment, CornerRow]]:
         every = sorted({moment for moments in self.moments.values() for moment in moments})
         if not every:
             return
-        motion, numbers = SolutionMotion(solution), {moment: k for k, moment in enumerate(every)}
-        q = np.array([motion.in_phase(phase, fraction, 0.5).q for phase, fraction in every])
+        numbers = {moment: k for k, moment in enumerate(every)}
+        q = np.array([motion(*moment) for moment in every])
         active = [frozenset(phase.contacts) for phase in self.problem.schedule.phases]
         pairs = [(pair, moment) for pair, moments in self.moments.items() for moment in sorted(moments)]
         wanted = [(numbers[moment], pair, active[moment[0]]) for pair, moment in pairs]
         for (_, moment), rows in zip(pairs, self.bodies.rows(q, wanted, self.band), strict=True):
             yield from ((moment, row) for row in rows)
+
+
+def along(solution: Solution) -> PhaseMotion:
+    """The motion of a solution by phase and fraction."""
+    motion = SolutionMotion(solution)
+    return lambda phase, fraction: motion.in_phase(phase, fraction, 0.5).q
 
 
 def _seen(plan: Solution, number: int) -> tuple[np.ndarray, list[Moment], np.ndarray]:
