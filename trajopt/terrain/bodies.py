@@ -28,6 +28,11 @@ class HalfSpace:
     normal: np.ndarray
     offset: float
 
+    @property
+    def planes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Its plane as those of `ConvexGround`: normals (1, 3), offsets (1,)."""
+        return self.normal[None], np.array([self.offset])
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ConvexGround:

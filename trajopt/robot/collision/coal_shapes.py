@@ -67,8 +67,9 @@ def coal_hull(points: np.ndarray, radius: float = 0.0) -> Any:
 
 def thick(points: np.ndarray) -> np.ndarray:
     """Points (n, 3) m of a hull, moved apart by `THICKNESS` where it has no volume."""
-    _, extents, axes = np.linalg.svd(points - points.mean(axis=0))
-    for axis, extent in zip(axes, [*extents, 0.0, 0.0], strict=False):
-        if extent <= THICKNESS:
+    away = points - points.mean(axis=0)
+    _, axes = np.linalg.eigh(away.T @ away)
+    for axis in axes.T:
+        if np.ptp(away @ axis) <= THICKNESS:
             points = np.concatenate([points + THICKNESS * axis, points - THICKNESS * axis])
     return points

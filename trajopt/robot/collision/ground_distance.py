@@ -28,8 +28,7 @@ class BodyDistance:
 
     def __init__(self, shape: LinkShape, body: GroundBody) -> None:
         self._shape, self._body = shape, body
-        half = isinstance(body, HalfSpace)
-        self._normals, self._offsets = (body.normal[None], np.array([body.offset])) if half else body.planes
+        self._normals, self._offsets = body.planes
 
     def distances(self, places: Placements, within: float) -> np.ndarray:
         """Distances (K,) m at placements (K, 3, 3), (K, 3); lower bounds of those > ``within``."""
@@ -85,8 +84,10 @@ class BodyDistance:
 
     @cached_property
     def _coal(self) -> CoalPairs:
-        assert isinstance(self._body, ConvexGround)
-        return CoalPairs([coal_link(self._shape), (coal_hull(self._body.points), pin.SE3.Identity())])
+        bodies = [coal_link(self._shape)]
+        if isinstance(self._body, ConvexGround):
+            bodies.append((coal_hull(self._body.points), pin.SE3.Identity()))
+        return CoalPairs(bodies)
 
 
 class SmoothDistance:

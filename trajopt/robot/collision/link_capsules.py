@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from trajopt.errors import InputError
 from trajopt.robot.collision.fitting import Segment, enclosing_capsule, round_corners
+from trajopt.robot.collision.reading import joint_frame
 from trajopt.robot.collision.shapes import LinkShape, require_different_names
 from trajopt.robot.robot import Robot
 
@@ -154,17 +155,6 @@ def _inertia_boxes(model: pin.Model) -> list[Piece]:
         corners = _box_corners(np.array([-sides / 2, sides / 2])) @ axes.T + inertia.lever
         pieces.append((str(model.names[joint]), joint, (corners, 0.0)))
     return pieces
-
-
-def joint_frame(model: pin.Model, joint: int) -> str:
-    """Name of a frame that moves with a joint, the joint's own if it has one. Raises InputError."""
-    own = [frame for frame in model.frames if frame.parentJoint == joint]
-    for frame in own:
-        if frame.name == model.names[joint]:
-            return str(frame.name)
-    if not own:
-        raise InputError(f"joint '{model.names[joint]}' has no frame", "allowed: a model with a frame on it")
-    return str(own[0].name)
 
 
 def inflated(capsules: Sequence[LinkShape], by: float) -> tuple[LinkShape, ...]:

@@ -88,8 +88,8 @@ class CollisionScene:
             for pair in np.flatnonzero((apart <= within).any(axis=0)):
                 rows = np.flatnonzero(apart[:, pair] <= within)
                 first, second = (int(part[pair]) for part in self._indices)
-                places = ((rotation[index][rows], origin[index][rows]) for index in (first, second))
-                apart[rows, pair] = self._coal.distances((first, second), *places)
+                here = ((rotation[index][rows], origin[index][rows]) for index in (first, second))
+                apart[rows, pair] = self._coal.distances((first, second), *here)
             found[:, self.n_ground :] = apart
         return found
 

@@ -58,9 +58,11 @@ class LinkShape:
     @classmethod
     def capsule(cls, name: str, frame: str, start: Any, end: Any, radius: float) -> LinkShape:
         """All points within ``radius`` m of a segment, ``start`` to ``end`` (3,) m; a sphere if equal."""
-        given = {"start": start, "end": end}
-        ends = [finite_array(f"{what} of shape '{name}'", value, unit="m") for what, value in given.items()]
-        points = ends[:1] if np.array_equal(*ends) else ends
+        first, last = (
+            finite_array(f"{what} of shape '{name}'", value, unit="m")
+            for what, value in (("start", start), ("end", end))
+        )
+        points = [first] if np.array_equal(first, last) else [first, last]
         return cls(name=name, frame=frame, points=np.array(points), radius=radius)
 
     @classmethod

@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from trajopt.robot.geometry import STL_HEADER, stl_corners
+
 # Steps of a position over the extent along an axis: 1 m in steps of 0.06 mm.
 LEVELS = 2**14 - 1
 # Steps of each of the two coordinates of a normal.
@@ -28,9 +30,6 @@ LARGEST_KEY = 2**62
 PLANES = {"position": 2, "normal": 2, "colour": 4}
 # A file whose normals make this many vertices of one draws every face flat: the page makes better ones.
 FACETED = 1.5
-# Of a binary STL file: a header that ends with the number of triangles, and 50 bytes for each.
-STL_HEADER = 84
-STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 STL_FORMATS = ("_meshfile", "_meshfile_geometry")
 
 
@@ -70,14 +69,6 @@ def _stl_triangles(data: bytes) -> TriangleMesh | None:
     if corners is None or len(corners) != 3 * int(np.frombuffer(data, "<u4", 1, STL_HEADER - 4)[0]):
         return None  # text, or damaged: left to the viewer
     return {"position": corners}, np.arange(len(corners))
-
-
-def stl_corners(data: bytes) -> np.ndarray | None:
-    """Corners (3m, 3) of the m triangles that fit the file's length; None for a text file."""
-    count = (len(data) - STL_HEADER) // STL_TRIANGLE.itemsize
-    if count < 0 or len(data) != STL_HEADER + count * STL_TRIANGLE.itemsize:
-        return None
-    return np.asarray(np.frombuffer(data, STL_TRIANGLE, count, STL_HEADER)["corners"].reshape(-1, 3))
 
 
 def _packed(vertex: dict[str, np.ndarray], index: np.ndarray) -> dict[str, Any] | None:

@@ -16,10 +16,11 @@ from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
 from trajopt.robot.building import reach
 from trajopt.robot.data import VisualSource
+from trajopt.robot.geometry import DescribedGeometry
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.collada import ColladaError, read_collada
 from trajopt.view.replay.parts import ColouredMeshGeometry, box_corners, placed
-from trajopt.view.replay.visuals import Visuals, mesh_points, visuals_of
+from trajopt.view.replay.visuals import mesh_points, visuals_of
 
 BONE_COLOUR, JOINT_COLOUR, FOOT_COLOUR = 0x8A93A0, 0x2F6DB5, 0x303438
 # Radii of a skeleton over its reach.
@@ -89,7 +90,7 @@ class _JointTree(MeshcatVisualizer):
         return shapes.Mesh(ColouredMeshGeometry(mesh), shapes.MeshPhongMaterial(vertexColors=True))
 
 
-def _draw_meshes(vis: Any, model: pin.Model, visuals: Visuals) -> DrawnRobot:
+def _draw_meshes(vis: Any, model: pin.Model, visuals: DescribedGeometry) -> DrawnRobot:
     loader, drawn, unreadable = _JointTree(model, None, visuals.geometry), DrawnRobot(), []
     loader.meshes = visuals.meshes
     loader.initViewer(viewer=vis)

@@ -1,0 +1,80 @@
+"""Convex hulls of few points: a mesh's hull within a fraction of a millimetre, a cylinder's prism."""
+
+from __future__ import annotations
+
+import math
+
+import coal
+import numpy as np
+
+from trajopt.robot.collision.coal_shapes import coal_hull, thick
+
+# A simplified hull is larger than the mesh's by at most this, over the mesh's extent and in m.
+EXCESS = 0.005
+LEAST_EXCESS, MOST_EXCESS = 5e-4, 2e-3
+# Corners that are outside by this part of the farthest join together, one for each face.
+FAR = 0.7
+# A cylinder's prism is larger by at most this part of the radius, or this in m, whichever is more.
+ROUND_EXCESS, LEAST_ROUND_EXCESS = 0.01, 3e-4
+# Coal's distance of a point from a hull is exact to this, m; points of shapes are rounded to it.
+ROUNDING = 1e-6
+# Directions of the first corners: along the axes and the diagonals.
+DIRECTIONS = np.array(
+    [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)]
+)
+
+
+def simplified(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Few of the corners (k, 3) m of the convex hull of ``points`` (n, 3), and a radius, that enclose it all.
+
+    Every corner of the hull is within the radius of the hull of those kept, so by convexity all of it is. The
+    corner farthest outside joins until the farthest is within the excess that is allowed. Nothing is random.
+    """
+    from scipy.spatial import ConvexHull  # takes a while to load
+
+    solid = thick(np.asarray(points, dtype=float))
+    corners = solid[np.sort(ConvexHull(solid).vertices)]
+    allowed = EXCESS * float(np.linalg.norm(np.ptp(corners, axis=0)))
+    allowed = min(max(allowed, LEAST_EXCESS), MOST_EXCESS) - 3 * ROUNDING
+    kept = list(dict.fromkeys((corners @ DIRECTIONS.T).argmax(axis=0).tolist()))
+    if len(corners) <= len(kept):
+        return np.round(corners, 6), 2 * ROUNDING
+    hull = ConvexHull(corners[kept], incremental=True)
+    while True:
+        over = corners @ hull.equations[:, :3].T + hull.equations[:, 3]
+        outside, face = over.max(axis=1), over.argmax(axis=1)
+        if outside.max() <= allowed:
+            outside = _distances(corners, corners[kept])
+            if outside.max() <= allowed:
+                break
+        order = np.argsort(-outside, kind="stable")
+        order = order[outside[order] >= FAR * outside[order[0]]]
+        new = order[np.sort(np.unique(face[order], return_index=True)[1])]
+        kept += new.tolist()
+        hull.add_points(corners[new])
+    kept = [kept[index] for index in sorted(set(hull.simplices.ravel().tolist()))]
+    radius = max(float(outside.max()), 0.0) + 2 * ROUNDING
+    return np.round(corners[kept], 6), math.ceil(radius / ROUNDING) * ROUNDING
+
+
+def _distances(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Distances (n,) m of points (n, 3) from the hull of ``corners`` (k, 3), zero inside."""
+    hull, ball = coal_hull(corners), coal.Sphere(ROUNDING)
+    measure = coal.ComputeDistance(hull, ball)
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    still, place, found = coal.Transform3s(), coal.Transform3s(), np.empty(len(points))
+    for index, point in enumerate(points):
+        place.setTranslation(point)
+        result.clear()
+        found[index] = measure(still, place, request, result) + ROUNDING
+    return np.maximum(found, 0.0)
+
+
+def prism(radius: float, height: float) -> np.ndarray:
+    """Corners (2 k, 3) m of the prism around a cylinder about z, its faces tangent to the cylinder."""
+    excess = max(ROUND_EXCESS, LEAST_ROUND_EXCESS / radius)
+    count = max(math.ceil(math.pi / math.acos(1 / (1 + excess))), 6)
+    angle = 2 * np.pi * np.arange(count) / count
+    ring = radius / math.cos(math.pi / count) * np.column_stack([np.cos(angle), np.sin(angle)])
+    half = np.full(count, height / 2)
+    return np.concatenate([np.column_stack([ring, -half]), np.column_stack([ring, half])])
