@@ -150,7 +150,7 @@ class CurvedSurface:
 
     def offset(self, distance: float) -> CurvedSurface:
         """The parallel surface ``distance`` m along the normals, see `SmoothTerrain.offset`."""
-        return CurvedSurface(self.ground.offset(distance))
+        return CurvedSurface(self.ground.offset(distance)) if distance else self
 
     def symbolic_gap(self, position: ca.SX, parameter: ParameterOf) -> ca.SX:
         """Height z - h(x, y) of a position (3,) over the ground."""
