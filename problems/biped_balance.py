@@ -53,7 +53,8 @@ def _capture(robot: Robot, velocity: np.ndarray) -> np.ndarray:
     """Vector (2,) in m from the centre of mass to the pendulum's capture point."""
     data = robot.model.createData()
     com = pin.centerOfMass(robot.model, data, robot.reference, velocity)
-    return np.asarray(data.vcom[0][:2] * math.sqrt(com[2] / gravity_of(robot.model)))
+    height = com[2] - common.foot_radius(robot)  # forces pass through the centres
+    return np.asarray(data.vcom[0][:2] * math.sqrt(height / gravity_of(robot.model)))
 
 
 def _schedule(robot: Robot, recover: str, way: np.ndarray) -> Schedule:

@@ -68,7 +68,7 @@ def build(*, robot: str, friction: float, effort_share: float, **given: float | 
     schedule = bipeds.two_steps(body, way, durations)
     times = np.cumsum([0.0, *durations.values()])
     lift = CLEARANCE * body.length
-    swing = swing_path(terrain, lift, reach=sole / 2)
+    swing = swing_path(terrain, lift, reach=sole / 2, radii={own.name: own.radius for own in body.contacts})
     return common.problem(
         "biped-step-up",
         body,

@@ -98,7 +98,7 @@ def build(
     return common.problem(
         "biped-walk",
         body,
-        plan.schedule(),
+        plan.schedule(body),
         guess,
         effort=common.share_of_effort(body, effort_share),
         terrain=FlatGround(friction=friction),

@@ -9,9 +9,9 @@ import numpy as np
 
 from trajopt.reduced.base_path import BaseWaypoint
 from trajopt.robot import Robot
-from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.legs import biped_legs
 from trajopt.schedule import Schedule
+from trajopt.schedule.placing import footholds_at
 from trajopt_library import robots
 
 from . import common
@@ -39,6 +39,6 @@ def waypoint(robot: Robot, time: float, shift: Sequence[float] | np.ndarray) -> 
 def two_steps(robot: Robot, way: np.ndarray, durations: Mapping[str, float]) -> Schedule:
     """Both feet move by ``way`` (3,) m, right foot first, in five phases of ``durations`` s by name."""
     left, right = biped_legs(robot)
-    places = {name: place + way for name, place in contact_positions(robot, robot.reference).items()}
+    places = {name: place + way for name, place in footholds_at(robot, robot.reference).items()}
     contacts = ((left, right), (left,), (left, right), (right,), (left, right))
     return common.schedule_of(durations, contacts, places)

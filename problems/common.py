@@ -150,6 +150,11 @@ def quadruped(name: str) -> Robot:
     return robot
 
 
+def foot_radius(robot: Robot) -> float:
+    """Largest radius of the robot's contacts, m."""
+    return max((contact.radius for contact in robot.contacts), default=0.0)
+
+
 def natural_time(robot: Robot) -> float:
     """sqrt(l / g) in s, by which times of legged motions are scaled."""
     return math.sqrt(robot.length / gravity_of(robot.model))

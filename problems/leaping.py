@@ -19,6 +19,7 @@ from trajopt.reduced.legged_guess import legged_guess
 from trajopt.robot import Robot
 from trajopt.robot.kinematics import contact_positions, frame_pose
 from trajopt.robot.legs import leg_joints
+from trajopt.schedule.placing import footholds_at
 from trajopt.terms import FramesAbove, Term, effort_costs, goal_terms
 from trajopt.terrain import Terrain
 
@@ -110,9 +111,14 @@ def hips_and_knees(robot: Robot) -> tuple[str, ...]:
     )
 
 
+def joint_clearance(robot: Robot) -> float:
+    """Least height of hips and knees over the ground, m: joints are as thick as the feet."""
+    return JOINT_CLEARANCE * robot.length + common.foot_radius(robot)
+
+
 def above_ground(robot: Robot, heights: Mapping[str, float]) -> tuple[Term, ...]:
     """Hips and knees stay above the ground, whose ``heights`` in m are given by phase."""
-    frames, keep = hips_and_knees(robot), JOINT_CLEARANCE * robot.length
+    frames, keep = hips_and_knees(robot), joint_clearance(robot)
     return tuple(
         FramesAbove(frames=frames, height=height + keep, phases=(phase,)) for phase, height in heights.items()
     )
@@ -138,7 +144,7 @@ def problem(
     None: the robot's own. turn: rad to the left, in all. heights: of the ground at both ends, m.
     """
     robot, (start, end) = takeoff.robot, ends
-    schedule = common.hop_schedule(contact_positions(robot, end), durations)
+    schedule = common.hop_schedule(footholds_at(robot, end, terrain), durations)
     schedule = schedule if goal == "effort" else common.freed(schedule, FREE)
     path = base_path(takeoff, (start[:3], end[:3]), durations, turn)
     lift = clearance(robot, durations[1])

@@ -23,6 +23,7 @@ from trajopt.robot import Robot
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.legs import quadruped_legs
 from trajopt.schedule import Schedule
+from trajopt.schedule.placing import footholds_at
 from trajopt.terms import FrameDirection, Term
 from trajopt.terrain.flat import FlatGround
 
@@ -75,7 +76,7 @@ class Flip:
         """On all feet, on the last, in flight, on the first, on all; landing at their ``end`` (nq,)."""
         every = tuple(contact.name for contact in self.robot.contacts)
         contacts = (every, self.last, (), self.first, every)
-        return common.schedule_of(self.durations, contacts, contact_positions(self.robot, end))
+        return common.schedule_of(self.durations, contacts, footholds_at(self.robot, end))
 
     def waypoints(self) -> tuple[BaseWaypoint, ...]:
         """Rest, crouch, slightly tipped, take-off, and the same in reverse on the other side."""

@@ -35,7 +35,8 @@ def deepest(robot: Robot, effort: float | None) -> float:
 
     As far as legs fold within their limits, hips and knees stay above the ground, and torques hold the robot.
     """
-    most = max(float(robot.reference[2]) - LYING * robot.length, 0.0)
+    standing = float(robot.reference[2]) - common.foot_radius(robot)  # over the feet's centres
+    most = max(standing - LYING * robot.length, 0.0)
     if _lies(robot, most, effort):
         return most
     return pushing.largest(lambda depth: _lies(robot, depth, effort), most, DEPTH_ERROR * robot.length)
@@ -49,7 +50,7 @@ def _lies(robot: Robot, depth: float, effort: float | None) -> bool:
     limit = robot.effort_limit if effort is None else np.full(robot.nu, effort)
     if pushing.strongest(robot, posture.q, limit) * STATIC_SHARE < 1:
         return False
-    frames, keep = leaping.hips_and_knees(robot), leaping.JOINT_CLEARANCE * robot.length
+    frames, keep = leaping.hips_and_knees(robot), leaping.joint_clearance(robot)
     return all(frame_pose(robot, posture.q, frame).translation[2] > keep for frame in frames)
 
 

@@ -15,6 +15,7 @@ from trajopt.reduced.base_path import BaseWaypoint, WaypointPath
 from trajopt.robot import Robot
 from trajopt.robot.kinematics import contact_positions, inverse_kinematics
 from trajopt.schedule import Schedule
+from trajopt.schedule.placing import footholds_at
 from trajopt.schedule.schedule import Motion
 from trajopt.terms import DriveLimits, FrameHeight, ImpulseCost, Term
 from trajopt.terrain.flat import FlatGround
@@ -104,7 +105,7 @@ def build(
     end = common.displaced(robot, (distance, 0.0, 0.0), yaw)
     impact = touchdown == "impact"
     soft = (ImpulseCost(weight=common.IMPULSE_WEIGHT),) if impact else ()
-    schedule = common.hop_schedule(contact_positions(robot, end), (stance, flight, landing), impact=impact)
+    schedule = common.hop_schedule(footholds_at(robot, end), (stance, flight, landing), impact=impact)
     return common.problem(
         "solo12-jump",
         robot,

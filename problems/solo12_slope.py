@@ -11,7 +11,7 @@ from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.problem import Problem
 from trajopt.problem.family import Family
 from trajopt.robot import Robot
-from trajopt.robot.kinematics import contact_positions
+from trajopt.schedule.placing import footholds_at
 from trajopt.terms import FrameHeight, FrictionCone
 from trajopt.terrain.flat import FlatGround
 from trajopt_library import robots
@@ -60,7 +60,7 @@ def build(
     return common.problem(
         "solo12-slope",
         robot,
-        common.hop_schedule(contact_positions(robot, end), (stance, time, landing)),
+        common.hop_schedule(footholds_at(robot, end, ground), (stance, time, landing)),
         guess,
         costs=leaping.COSTS,
         effort=common.effort_of_all(robot, effort),

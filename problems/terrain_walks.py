@@ -99,7 +99,7 @@ def walker(
     return Walker(
         robot=body,
         asked=command(body, STYLES[gait], gait_of(body, gait), clearance=clearance),
-        margin=MARGIN * body.length if margin is None else margin,
+        margin=max(MARGIN * body.length, common.foot_radius(body)) if margin is None else margin,
         friction=friction,
         cycles=count,
     )
@@ -166,7 +166,12 @@ def problem_over(
 
 def parameters(*own: Parameter | Choice, margin: bool = True) -> tuple[Parameter | Choice, ...]:
     """Parameters of a family: its ``own``, then those that all share."""
-    kept = common.length("margin", None, "distance kept from edges (default: 0.05 of the length)", (0.0, 0.5))
+    kept = common.length(
+        "margin",
+        None,
+        "distance kept from edges (default: 0.05 of the length or a foot's radius)",
+        (0.0, 0.5),
+    )
     return (
         *own,
         common.choice("gait", "name of the gait", *GAITS),

@@ -7,12 +7,14 @@ from trajopt.robot import Robot
 from ._quadrupeds import anymal
 
 KIND = "quadruped"
+# Of the collision sphere of a foot: its radius, and its centre above the foot frame; m.
+RADIUS, RISE = 0.031, 0.02325
 
 
 def build() -> Robot:
     """Return ANYmal B on four point feet, standing as its SRDF says.
 
-    A foot frame lies 8 mm above the lowest point of a ball of 31 mm radius.
-    Limits are those of the URDF: legs turn by one and a half turns either way.
+    The foot frames of its URDF lie 8 mm above the lowest point of a ball. Limits are those of the URDF: legs
+    turn by one and a half turns either way.
     """
-    return anymal("anymal_b", "anymal_b_simple_description/robots/anymal.urdf")
+    return anymal("anymal_b", "anymal_b_simple_description/robots/anymal.urdf", radius=RADIUS, rise=RISE)

@@ -7,11 +7,13 @@ from trajopt.robot import Robot
 from ._quadrupeds import anymal
 
 KIND = "quadruped"
+# Of the collision sphere of a foot: its radius, and its centre above the foot frame; m.
+RADIUS, RISE = 0.03, 0.0225
 
 
 def build() -> Robot:
     """Return ANYmal C on four point feet, standing as its SRDF says.
 
-    A foot frame lies 7.5 mm above the lowest point of a ball of 30 mm radius. Limits are those of the URDF.
+    The foot frames of its URDF lie 7.5 mm above the lowest point of a ball. Limits are those of the URDF.
     """
-    return anymal("anymal_c", "anymal_c_simple_description/urdf/anymal.urdf")
+    return anymal("anymal_c", "anymal_c_simple_description/urdf/anymal.urdf", radius=RADIUS, rise=RISE)

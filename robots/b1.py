@@ -7,6 +7,7 @@ from trajopt.robot import Robot
 from ._quadrupeds import unitree
 
 KIND = "quadruped"
+RADIUS = 0.04  # of the collision sphere at a foot frame, m
 
 
 def build() -> Robot:
@@ -14,4 +15,4 @@ def build() -> Robot:
 
     Limits are those of the URDF.
     """
-    return unitree("b1", "b1_description/urdf/b1.urdf", thigh=0.8, calf=-1.6)
+    return unitree("b1", "b1_description/urdf/b1.urdf", radius=RADIUS, thigh=0.8, calf=-1.6)

@@ -14,6 +14,7 @@ from . import solo12
 
 KIND = "biped"
 SIDES = {"left": "FL", "right": "FR"}
+RADIUS = solo12.RADIUS  # its feet are Solo12's
 
 # Legs of the SRDF's "standing", turned at the hip (there 0.785) until the centre of mass, the torso level,
 # lies over the line between the feet.
@@ -29,7 +30,7 @@ SUPPLY = 24.0  # V
 def build() -> Robot:
     """Return Bolt on point feet ``left`` and ``right``, in balance over the line between them.
 
-    A foot frame is the centre of a wheel-shaped foot of 16 mm radius, not the point that touches.
+    A foot frame is the centre of the foot's rounded tip.
     Torques are limited to 2.7 N m, rates to 84 rad/s (see above); joints turn freely (10 rad).
     """
     reference = {}
@@ -40,7 +41,7 @@ def build() -> Robot:
         robot_file("bolt_description/robots/bolt.urdf"),
         name="bolt",
         base="freeflyer",
-        contacts=[Contact(frame=f"{leg}_FOOT", name=side) for side, leg in SIDES.items()],
+        contacts=[Contact(frame=f"{leg}_FOOT", name=side, radius=RADIUS) for side, leg in SIDES.items()],
         reference=reference,
     )
     rate = solo12.drive(SUPPLY).no_load_speed / solo12.GEAR_RATIO

@@ -7,6 +7,7 @@ from trajopt.robot import Robot
 from ._quadrupeds import unitree
 
 KIND = "quadruped"
+RADIUS = 0.02  # of the collision sphere at a foot frame, m
 
 
 def build() -> Robot:
@@ -14,4 +15,4 @@ def build() -> Robot:
 
     The SRDF stands lower (calves at -1.853 rad, feet ahead of the hips). Limits are those of the URDF.
     """
-    return unitree("go1", "go1_description/urdf/go1.urdf", thigh=0.8, calf=-1.6)
+    return unitree("go1", "go1_description/urdf/go1.urdf", radius=RADIUS, thigh=0.8, calf=-1.6)

@@ -7,11 +7,14 @@ from trajopt.robot import Robot
 from ._quadrupeds import unitree
 
 KIND = "quadruped"
+# Within 0.9 mm, m: the foot's collision mesh reaches 22.1 to 23.9 mm below its
+# frame while the shank leans by up to 40 degrees, forward or backward.
+RADIUS = 0.023
 
 
 def build() -> Robot:
-    """Return Go2 standing as its SRDF says; a foot frame is the centre of a ball of 22 mm radius.
+    """Return Go2 standing as its SRDF says; a foot frame is nearly the centre of a ball of 23 mm radius.
 
     Limits are those of the URDF, which carries the gears' and the knee linkage's published torques.
     """
-    return unitree("go2", "go2_description/urdf/go2.urdf", thigh=0.785, calf=-1.44, hip=0.068)
+    return unitree("go2", "go2_description/urdf/go2.urdf", radius=RADIUS, thigh=0.785, calf=-1.44, hip=0.068)

@@ -8,6 +8,7 @@ from trajopt.robot.robot import Robot
 
 KIND = "quadruped"
 LEGS = ("lf", "rf", "lh", "rh")
+RADIUS = 0.02175  # of the collision sphere at a foot frame, m
 
 
 def build() -> Robot:
@@ -25,6 +26,6 @@ def build() -> Robot:
         robot_file("hyq_description/robots/hyq_no_sensors.urdf"),
         name="hyq",
         base="freeflyer",
-        contacts=[Contact(frame=f"{leg}_foot", name=leg) for leg in LEGS],
+        contacts=[Contact(frame=f"{leg}_foot", name=leg, radius=RADIUS) for leg in LEGS],
         reference=reference,
     )

@@ -7,6 +7,7 @@ from trajopt.robot import Robot
 from ._quadrupeds import unitree
 
 KIND = "quadruped"
+RADIUS = 0.0265  # of the collision sphere at a foot frame, m
 
 
 def build() -> Robot:
@@ -14,4 +15,4 @@ def build() -> Robot:
 
     There is no SRDF. Limits are those of the URDF.
     """
-    return unitree("laikago", "laikago_description/urdf/laikago.urdf", thigh=0.7, calf=-1.4)
+    return unitree("laikago", "laikago_description/urdf/laikago.urdf", radius=RADIUS, thigh=0.7, calf=-1.4)

@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 
 from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.contact import Contact
 from trajopt.robot.data import robot_file
 from trajopt.robot.robot import Robot
 
 KIND = "quadruped"
 BASE = "base_link"
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
+# Of a foot's rounded tip, m: its collision mesh reaches 15.6 to 16.1 mm below the foot frame while the shank
+# leans by up to 60 degrees, and by 20 degrees to the side.
+RADIUS = 0.016
 
 # The posture "standing" of the robot's SRDF: knees inwards, legs slightly spread.
 STANDING = {
@@ -58,17 +62,15 @@ def drive(voltage: float) -> Drive:
 
 
 def build() -> Robot:
-    """Return Solo12 with a floating base and four point feet, standing with its feet at height 0.
+    """Return Solo12 with a floating base and four point feet, standing on level ground at height 0.
 
-    A foot frame is the centre of the foot's rounded tip (radius 16 mm), not the point that
-    touches: terrain heights of this robot are heights of those centres, 16 mm above the
-    ground one sees. Limits are those of the URDF, which are placeholders (10 rad,
-    1000 rad/s, 1000 N m); problems that need the motors' own limits state them.
+    A foot frame is the centre of the foot's rounded tip. Limits are those of the URDF, which are
+    placeholders (10 rad, 1000 rad/s, 1000 N m); problems that need the motors' own limits state them.
     """
     return Robot.from_urdf(
         robot_file("solo_description/robots/solo12.urdf"),
         name="solo12",
         base="freeflyer",
-        contacts=FEET,
+        contacts=[Contact(frame=foot, radius=RADIUS) for foot in FEET],
         reference=STANDING,
     )

@@ -161,7 +161,7 @@ def with_joints(robot: Robot, values: dict[str, float]) -> np.ndarray:
     q = robot.reference.copy()
     for name, value in values.items():
         q[robot.model.joints[robot.model.getJointId(name)].idx_q] = value
-    return put_on_ground(robot.model, robot.base, [contact.frame for contact in robot.contacts], q)
+    return put_on_ground(robot.model, robot.base, robot.contacts, q)
 
 
 def lowered(robot: Robot, q: np.ndarray, depth: float) -> np.ndarray:

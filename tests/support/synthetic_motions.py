@@ -39,6 +39,7 @@ def meta_of(robot: Robot, **changes: Any) -> dict[str, Any]:
         "robot": robot.name,
         "contact_frames": [contact.frame for contact in robot.contacts],
         "contact_kinds": [contact.kind for contact in robot.contacts],
+        "contact_radius": [contact.radius for contact in robot.contacts],
         "friction": [0.7] * len(robot.contacts),
         "effort_limit": None if robot.effort_limit is None else robot.effort_limit.tolist(),
         "velocity_limit": [None if np.isinf(limit) else limit for limit in robot.velocity_limit],

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from trajopt.problem.problem import Problem
 from trajopt.schedule.targets import Target
 
 
 def goals_meta(problem: Problem) -> list[dict[str, Any]]:
-    """Goals for ``meta["goals"]`` of a problem's solutions: its terms' targets, then its footholds."""
+    """Goals for ``meta["goals"]`` of a problem's solutions: its terms' targets, then its footholds.
+
+    A target is a place of a frame, for a foothold the origin of the contact's frame.
+    """
     found = [target for term in problem.terms for target in term.targets()]
     for phase in problem.schedule.phases:
-        for name, place in phase.footholds.items():
-            frame = problem.robot.contact(name).frame
-            found.append(Target(frame=frame, position=np.asarray(place), phase=phase.name))
+        for name in phase.footholds:
+            contact = problem.robot.contact(name)
+            place = phase.centre(contact, problem.terrain)
+            found.append(Target(frame=contact.frame, position=place, phase=phase.name))
     return [target.describe() for target in found]

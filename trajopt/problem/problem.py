@@ -31,6 +31,7 @@ from trajopt.robot.payload import Payload, loaded
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
+from trajopt.schedule.placing import footholds_at
 from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.schedule.standing import require_standing
 from trajopt.terms.context_symbols import Actuation
@@ -143,10 +144,10 @@ class Problem:
         return q
 
     def contact_place(self, contact: str, phase: int) -> np.ndarray | None:
-        """World position (3,) in m of an active contact of a phase, None where it may land anywhere."""
+        """World position (3,) in m of an active contact's frame in a phase, None if it may land anywhere."""
         begins = self.schedule.beginning(contact, phase)
         if begins:
-            return self.schedule.phases[begins].footholds.get(contact)
+            return self.schedule.phases[begins].centre(self.robot.contact(contact), self.terrain)
         place: np.ndarray = contact_positions(self.robot, self.initial_q)[contact]
         return place
 
@@ -202,20 +203,23 @@ class Problem:
         return (BaseDynamics(), still, *([SlidingFriction()] if slides else []))
 
     def surfaces_of(self, phase: int) -> dict[str, Ground]:
-        """What every contact of a phase touches, by the contact's name.
+        """Surfaces on which the frames of a phase's contacts lie, by the contact's name.
 
-        A contact that stands from the start and for which nothing is stated touches the terrain there.
+        What they touch, or its parallel surface at the contact's radius. A contact that stands from the start
+        and for which nothing is stated touches the terrain there.
         """
-        starts, schedule = self._starts, self.schedule
-        names = schedule.phases[phase].contacts
-        return {name: schedule.surface(phase, name, self.terrain, starts) for name in names}
+        starts, schedule, found = self._starts, self.schedule, {}
+        for name in schedule.phases[phase].contacts:
+            radius = self.robot.contact(name).radius
+            found[name] = schedule.surface(phase, name, self.terrain, starts, radius)
+        return found
 
     @property
     def _starts(self) -> dict[str, np.ndarray]:
-        """Where contacts stand at the start, m; not needed on flat ground and with a free start."""
+        """Points of the ground under contacts at the start, m; not needed on flat ground or if it is free."""
         if isinstance(self.terrain, FlatGround) or self.periodicity is not None:
             return {}
-        return contact_positions(self.robot, self.initial_q)
+        return footholds_at(self.robot, self.initial_q, self.terrain)
 
     @property
     def point_constraints(self) -> tuple[PointConstraint, ...]:

@@ -11,15 +11,17 @@ from types import MappingProxyType
 import numpy as np
 
 from trajopt.errors import InputError, finite_array, require_finite, require_positive
+from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terrain.surface import UP
 from trajopt.terrain.terrain import Terrain
 
 
 @dataclass(frozen=True, eq=False)
 class Foothold:
-    """A foot flat on level ground: ``position`` (3,) of the contact frame in the world, m; ``yaw`` in rad."""
+    """A foot on level ground: ``position`` (3,) of the contact's frame in the world, m; ``yaw`` in rad."""
 
     position: np.ndarray
     yaw: float = 0.0
@@ -66,11 +68,18 @@ class FootstepPlan:
         """Duration of the plan in s."""
         return sum(support.duration for support in self.supports)
 
-    def schedule(self) -> Schedule:
-        """Phases of the same names and durations; contacts that begin land on their footholds."""
+    def schedule(self, robot: Robot | None = None) -> Schedule:
+        """Phases of the same names and durations; contacts that begin land on their footholds.
+
+        robot: whose contacts have a radius, by which the ground they touch is below their frames.
+        """
         phases, before = [], self.supports[0].feet
         for support in self.supports:
-            new = {name: foot.position for name, foot in support.feet.items() if name not in before}
+            new = {
+                name: foot.position - (robot.contact(name).radius if robot else 0.0) * np.array(UP)
+                for name, foot in support.feet.items()
+                if name not in before
+            }
             phases.append(
                 Phase(
                     name=support.name,
@@ -83,13 +92,14 @@ class FootstepPlan:
         return Schedule(tuple(phases))
 
 
-def landing_place(phase: Phase, name: str, terrain: Terrain, point: np.ndarray) -> np.ndarray:
-    """Return where a contact lands (3,), m: its foothold, else next to ``point`` on its patch or surface."""
-    if name in phase.footholds:
-        return np.asarray(phase.footholds[name])
-    if name in phase.patches:
-        return np.asarray(phase.patches[name].nearest(point))
-    surface = phase.surface(name, terrain).plane_at(point)
+def landing_place(phase: Phase, contact: Contact, terrain: Terrain, point: np.ndarray) -> np.ndarray:
+    """Return where a contact's frame lands (3,), m: over its foothold, else over its ground at ``point``."""
+    centre = phase.centre(contact, terrain)
+    if centre is not None:
+        return centre
+    if contact.name in phase.patches:
+        return np.asarray(phase.patches[contact.name].offset(contact.radius).nearest(point))
+    surface = phase.surface(contact.name, terrain, contact.radius).plane_at(point)
     return np.asarray(point - float(surface.distance(point)) * surface.normal)
 
 

@@ -26,6 +26,7 @@ from trajopt.reduced.base_path import (
 from trajopt.reduced.legged_guess import LeggedPosture, legged_guess
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion, Schedule
+from trajopt.terrain.surface import UP
 from trajopt.terrain.swing_profile import smooth_step
 
 # Step of the finite differences for a state's rates, s; contacts are brought to rest exactly afterwards.
@@ -237,14 +238,14 @@ def _repeated(cycle: Schedule, mirror: Mapping[str, str] | None) -> tuple[Schedu
 
 
 def with_footholds(robot: Robot, schedule: Schedule, path: WaypointPath) -> Schedule:
-    """The schedule with footholds for all contacts that begin with a phase, as in `legged_guess`."""
+    """The schedule with footholds on level ground where contacts begin with a phase, as in `legged_guess`."""
     posture = LeggedPosture(robot=robot, schedule=schedule, base=path, start=robot.reference)
     begins = np.cumsum([0.0, *(phase.duration for phase in schedule.phases)])
     rounding = SAME_TIME * schedule.duration
     phases = []
     for i, phase in enumerate(schedule.phases):
         places = {
-            name: stance.place.translation
+            name: stance.place.translation - robot.contact(name).radius * np.array(UP)
             for name in schedule.new_contacts(i)
             for stance in posture.stances[name]
             if abs(stance.begin - begins[i]) < rounding

@@ -164,11 +164,11 @@ class LeggedPosture:
 
     def _landing(self, name: str, phase: Phase, middle: float) -> pin.SE3:
         """Where a contact lands: its foothold, or its nominal position at the base's pose in mid-stance."""
-        nominal = self._nominal(name, self.base(middle))
-        surface = phase.surface(name, self.terrain).plane_at(nominal.translation)
-        foothold, patch = phase.footholds.get(name), phase.patches.get(name)
-        position = dropped_onto(nominal.translation, surface) if foothold is None else foothold
-        position = position if patch is None else patch.nearest(position)
+        nominal, contact = self._nominal(name, self.base(middle)), self.robot.contact(name)
+        surface = phase.surface(name, self.terrain, contact.radius).plane_at(nominal.translation)
+        centre, patch = phase.centre(contact, self.terrain), phase.patches.get(name)
+        position = dropped_onto(nominal.translation, surface) if centre is None else centre
+        position = position if patch is None else patch.offset(contact.radius).nearest(position)
         return pin.SE3(_leaning(surface) @ nominal.rotation, np.array(position))
 
     def _nominal(self, name: str, placement: pin.SE3) -> pin.SE3:

@@ -133,7 +133,7 @@ def footholds_of(problem: Problem) -> FootstepPlan:
         landing = problem.schedule.new_contacts(i)
         guessed = feet_of(robot, problem.guess(t)) if landing else {}
         for name in landing:
-            place = landing_place(phase, name, problem.terrain, guessed[name].position)
+            place = landing_place(phase, robot.contact(name), problem.terrain, guessed[name].position)
             current[name] = replace(guessed[name], position=place)
         feet = {name: current[name] for name in phase.contacts}
         supports.append(StepPhase(name=phase.name, duration=phase.duration, feet=feet))

@@ -67,7 +67,7 @@ def plan_over_terrain(
         start=start,
         terrain=terrain,
         clearance=clearance,
-        swing=swing_path(terrain, clearance),
+        swing=swing_path(terrain, clearance, radii={own.name: own.radius for own in robot.contacts}),
     )
     path = _path_over(robot, placed, pace, posture.stances)
     guess = legged_guess(robot, placed, path, start=start, terrain=terrain, swing=posture.swing)
@@ -92,7 +92,8 @@ def standing_on(robot: Robot, terrain: Terrain) -> np.ndarray:
     """
     feet = {}
     for name, place in contact_positions(robot, robot.reference).items():
-        feet[name] = dropped_onto(place, terrain.surface_at(place).plane_at(place))
+        ground = terrain.offset(robot.contact(name).radius)
+        feet[name] = dropped_onto(place, ground.surface_at(place).plane_at(place))
     pose = _pose_over(robot, pin.XYZQUATToSE3(robot.reference[:7]), feet)
     q = robot.reference.copy()
     q[:7] = pin.SE3ToXYZQUAT(pose)

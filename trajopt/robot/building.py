@@ -134,15 +134,15 @@ def effort_limit_of(model: pin.Model, unactuated: int) -> np.ndarray | None:
 def reference_posture(
     model: pin.Model,
     base: Base,
-    frames: Sequence[str],
+    contacts: Sequence[Contact],
     posture: ArrayLike | Mapping[str, float] | None,
 ) -> np.ndarray:
     """Return the reference configuration (nq,).
 
     ``posture`` is a whole configuration (nq,), taken as it is; or the joints behind the base
     (nq - base) in order or by name (joints not named stay at neutral), or None for neutral
-    within the limits. Then the base is level, at x = y = 0, at the height that puts the lowest of the contact
-    ``frames`` at 0.
+    within the limits. Then the base is level, at x = y = 0, at the height at which the lowest of the contacts
+    touches level ground at height 0.
     """
     if posture is not None and not isinstance(posture, Mapping):
         given = np.array(posture, dtype=float)
@@ -156,7 +156,7 @@ def reference_posture(
         q = np.concatenate([pin.neutral(model)[: BASE_COORDINATES[base]], given])
     else:
         q = _named_posture(model, posture or {})
-    return put_on_ground(model, base, frames, q)
+    return put_on_ground(model, base, contacts, q)
 
 
 def _named_posture(model: pin.Model, values: Mapping[str, float]) -> np.ndarray:
@@ -173,9 +173,9 @@ def _named_posture(model: pin.Model, values: Mapping[str, float]) -> np.ndarray:
     return q
 
 
-def put_on_ground(model: pin.Model, base: Base, frames: Sequence[str], q: np.ndarray) -> np.ndarray:
-    """Return ``q`` with the base moved up or down until the lowest of ``frames`` is at height 0."""
-    if base == "fixed" or not frames:
+def put_on_ground(model: pin.Model, base: Base, contacts: Sequence[Contact], q: np.ndarray) -> np.ndarray:
+    """Return ``q`` with the base moved up or down until the lowest of ``contacts`` touches height 0."""
+    if base == "fixed" or not contacts:
         return q
     upright = q.copy()
     height = BASE_POSITION[base] - 1
@@ -184,7 +184,7 @@ def put_on_ground(model: pin.Model, base: Base, frames: Sequence[str], q: np.nda
     up = (model.jointPlacements[1].rotation.T @ np.array([0.0, 0.0, 1.0]))[height]
     if abs(up) < 0.5:
         return upright
-    lowest = min(data.oMf[model.getFrameId(frame)].translation[2] for frame in frames)
+    lowest = min(data.oMf[model.getFrameId(own.frame)].translation[2] - own.radius for own in contacts)
     upright[height] -= lowest / up
     return upright
 

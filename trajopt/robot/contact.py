@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 import pinocchio as pin
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_not_negative
 
 ContactKind = Literal["point", "surface"]
 
@@ -25,11 +25,14 @@ class Contact:
             frame, centred at the frame's origin, and transmits force and moment (6 rows).
         half_length: of a sole along x, m.
         half_width: of a sole along y, m.
+        radius: of a point contact, m: it touches with a ball around its frame's origin. Its centre keeps this
+            distance from the ground, and the force passes through it; rolling is neglected.
         rows: entries of (force, moment) in world axes that it transmits, default all; a `Robot` in a plane
             keeps those within it.
 
     Raises:
-        InputError: for an unknown kind, a sole without size or a point with one, and unknown rows.
+        InputError: for an unknown kind, a sole without size or a point with one, a radius that is negative
+            or of a sole, and unknown rows.
     """
 
     frame: str
@@ -37,6 +40,7 @@ class Contact:
     kind: ContactKind = "point"
     half_length: float = 0.0
     half_width: float = 0.0
+    radius: float = 0.0
     rows: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
@@ -52,6 +56,9 @@ class Contact:
             )
         if self.kind == "point" and size.any():
             raise InputError(f"point contact '{self.name}' has a size", "kind='surface' for a sole")
+        require_not_negative(f"radius of contact '{self.name}'", self.radius, "m")
+        if self.kind == "surface" and self.radius:
+            raise InputError(f"surface contact '{self.name}' has a radius", "kind='point' for a ball")
         every = tuple(range(3 if self.kind == "point" else 6))
         object.__setattr__(self, "rows", tuple(self.rows) or every)
         if not set(self.rows) <= set(every):

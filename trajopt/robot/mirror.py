@@ -187,7 +187,7 @@ def contact_error(robot: Robot, mirror: Mirror, name: str, other: str) -> float:
     if int(frames[1].parentJoint) != mirror.partner[joint] or own.kind != image.kind:
         return math.inf
     apart = reflected(frames[0].placement).inverse() * (mirror.offset[joint] * frames[1].placement)
-    error = float(np.linalg.norm(apart.translation)) / robot.length
+    error = (float(np.linalg.norm(apart.translation)) + abs(own.radius - image.radius)) / robot.length
     if own.kind == "surface":
         sizes = np.array([[c.half_length, c.half_width] for c in (own, image)])
         error = max(error, float(np.abs(np.diff(sizes, axis=0)).max()) / robot.length)

@@ -314,9 +314,7 @@ class Robot:
             model=pin.Model(model),
             base=kind,
             contacts=named,
-            reference=building.reference_posture(
-                model, kind, [contact.frame for contact in named], reference
-            ),
+            reference=building.reference_posture(model, kind, named, reference),
             effort_limit=building.effort_limit_of(
                 model, building.count_unactuated_rows(model, kind, passive)
             ),

@@ -3,6 +3,7 @@ from .gaits import Gait as Gait
 from .named_gaits import BIPED as BIPED
 from .named_gaits import QUADRUPED as QUADRUPED
 from .named_gaits import gait_of as gait_of
+from .placing import footholds_at as footholds_at
 from .placing import placed_on as placed_on
 from .schedule import Motion as Motion
 from .schedule import Phase as Phase

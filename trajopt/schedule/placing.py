@@ -1,4 +1,4 @@
-"""A schedule placed on terrain: its footholds on the ground, or free on the faces under them."""
+"""Footholds: those of a posture, and a schedule's placed on terrain or left free on the faces under them."""
 
 from __future__ import annotations
 
@@ -7,10 +7,33 @@ from dataclasses import replace
 import numpy as np
 
 from trajopt.errors import InputError
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.terrain import Terrain
+
+
+def footholds_at(robot: Robot, q: np.ndarray, terrain: Terrain | None = None) -> dict[str, np.ndarray]:
+    """Points (3,) of the ground that contacts touch at ``q`` (nq,), world, m, by the contact's name.
+
+    The frame's origin, moved against the ground's normal by the contact's radius. ``terrain``: default level
+    ground; over a hole the normal is up.
+    """
+    ground = FlatGround() if terrain is None else terrain
+    found = {}
+    for name, place in contact_positions(robot, q).items():
+        radius = robot.contact(name).radius
+        found[name] = place - radius * _normal_under(ground.offset(radius), place)
+    return found
+
+
+def _normal_under(terrain: Terrain, place: np.ndarray) -> np.ndarray:
+    if isinstance(terrain, FlatGround):
+        return terrain.surface.normal
+    return terrain.normal(place[0], place[1])
 
 
 def placed_on(schedule: Schedule, terrain: Terrain, *, free: bool = False) -> Schedule:

@@ -11,6 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from trajopt.errors import InputError, finite_array, require_positive
+from trajopt.robot.contact import Contact
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import SAME_PLANE, Surface
 from trajopt.terrain.terrain import Ground, Terrain
@@ -27,8 +28,9 @@ class Phase:
         name: of the phase.
         duration: s; with ``duration_bounds`` its guess.
         contacts: names of the active contacts.
-        footholds: world positions (3,), m, at which contacts that begin with this phase land, by the
-            contact's name. Without one a contact only has to touch the terrain.
+        footholds: points (3,) of the ground, world, m, at which contacts that begin with this phase land, by
+            the contact's name: a contact with a radius touches there, its centre lies above. Without one a
+            contact only has to touch the terrain.
         duration_bounds: (lower, upper) in s, which make the duration free.
         impact: whether contacts that begin with the phase land by a rigid impact, in which velocities jump,
             instead of at zero velocity.
@@ -127,16 +129,26 @@ class Phase:
             return self.patches[contact].surface
         return self.surfaces.get(contact)
 
-    def surface(self, contact: str, terrain: Terrain) -> Ground:
+    def surface(self, contact: str, terrain: Terrain, radius: float = 0.0) -> Ground:
         """What an active contact touches according to this phase alone, else the terrain.
 
-        In this order: its surface or its patch's, the terrain at its foothold, the terrain. See
-        `Schedule.surface` for contacts that hold from an earlier phase.
+        In this order: its surface or its patch's, the terrain at its foothold, the terrain. With a ``radius``
+        in m the parallel surface on which the contact's centre lies. See `Schedule.surface` for contacts that
+        hold from an earlier phase.
         """
-        own = self.own_surface(contact)
-        if own is not None:
-            return own
-        return terrain.surface_at(self.footholds[contact]) if contact in self.footholds else terrain.surface
+        ground: Ground | None = self.own_surface(contact)
+        if ground is None:
+            place = self.footholds.get(contact)
+            ground = terrain.surface if place is None else terrain.surface_at(place)
+        return ground.offset(radius)
+
+    def centre(self, contact: Contact, terrain: Terrain) -> np.ndarray | None:
+        """Where the origin (3,) of a contact's frame lands, m, world; None where it has no foothold."""
+        place = self.footholds.get(contact.name)
+        if place is None or not contact.radius:
+            return place
+        normal = self.surface(contact.name, terrain).plane_at(place).normal
+        return np.asarray(place + contact.radius * normal)
 
     def _require_bounds(self, bounds: tuple[float, float]) -> None:
         try:
@@ -201,6 +213,7 @@ class Schedule:
         contact: str,
         terrain: Terrain,
         starts: Mapping[str, np.ndarray] = MappingProxyType({}),
+        radius: float = 0.0,
     ) -> Ground:
         """What an active contact touches: the surface its phase states, or the one it landed on.
 
@@ -210,17 +223,17 @@ class Schedule:
             index: of the phase.
             contact: its name.
             terrain: the ground.
-            starts: where contacts stand at the start (3,), m, by name, for those with none of these.
+            starts: points of the ground that contacts touch at the start (3,), m, by name, for those with
+                none of these.
+            radius: of the contact, m; with it, the parallel surface on which its centre lies.
         """
-        own = self.phases[index].own_surface(contact)
-        if own is not None:
-            return own
-        patch = self.patch(index, contact)
-        if patch is not None:
-            return patch.surface
-        begins = self.beginning(contact, index)
-        foothold = self.phases[begins].footholds.get(contact, None if begins else starts.get(contact))
-        return terrain.surface if foothold is None else terrain.surface_at(foothold)
+        own, patch = self.phases[index].own_surface(contact), self.patch(index, contact)
+        ground: Ground | None = own if own is not None or patch is None else patch.surface
+        if ground is None:
+            begins = self.beginning(contact, index)
+            place = self.phases[begins].footholds.get(contact, None if begins else starts.get(contact))
+            ground = terrain.surface if place is None else terrain.surface_at(place)
+        return ground.offset(radius)
 
     def patch(self, index: int, contact: str) -> Patch | None:
         """The patch on which an active contact of phase ``index`` stands, None where none was named."""

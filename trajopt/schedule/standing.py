@@ -21,9 +21,9 @@ def require_standing(
 ) -> None:
     """Raise `InputError` for a contact on piecewise or smooth ground that has no place, or an impossible one.
 
-    ``starts`` (3,) m are where contacts stand at the start, by name; none where the start is free. On
-    piecewise ground a contact that lands needs a patch, a surface or a foothold; soles cannot stand on curved
-    ground; footholds on the terrain must lie on it.
+    ``starts`` (3,) m are points of the ground under contacts at the start, by name; none where the start is
+    free. On piecewise ground a contact that lands needs a patch, a surface or a foothold; soles cannot stand
+    on curved ground; footholds on the terrain must lie on it.
     """
     if isinstance(terrain, FlatGround):
         return

@@ -88,7 +88,11 @@ def _wrong_meta(meta: dict[str, Any]) -> str:
             return f"{key} of meta is not an object"
     if not is_number(meta["tolerance"]):
         return f"tolerance {meta['tolerance']!r} of meta is not a number"
-    return _wrong_sizes(meta.get("contact_sizes"), kinds) or _wrong_drives(meta.get("drives"))
+    return (
+        _wrong_sizes(meta.get("contact_sizes"), kinds)
+        or _wrong_radii(meta.get("contact_radius"), kinds)
+        or _wrong_drives(meta.get("drives"))
+    )
 
 
 def _wrong_sizes(sizes: Any, kinds: list[str]) -> str:
@@ -101,6 +105,18 @@ def _wrong_sizes(sizes: Any, kinds: list[str]) -> str:
     )
     if not pairs or len(sizes) != len(kinds):
         return "contact_sizes of meta is not a list of null or [half_length, half_width] for each contact"
+    return ""
+
+
+def _wrong_radii(radii: Any, kinds: list[str]) -> str:
+    """Optional key of meta: the radius (m) of each contact's ball, zero for a point and a sole."""
+    if radii is None:
+        return ""
+    numbers = isinstance(radii, list) and all(is_number(radius) and radius >= 0 for radius in radii)
+    if not numbers or len(radii) != len(kinds):
+        return "contact_radius of meta is not a list of a number >= 0 for each contact"
+    if any(radius and kind == "surface" for radius, kind in zip(radii, kinds, strict=True)):
+        return "contact_radius of meta is not 0 for a sole"
     return ""
 
 

@@ -236,6 +236,7 @@ def robot_meta(problem: Problem) -> dict[str, Any]:
         "contact_sizes": [
             [c.half_length, c.half_width] if c.kind == "surface" else None for c in robot.contacts
         ],
+        "contact_radius": [contact.radius for contact in robot.contacts],
         "friction": [problem.terrain.friction for _ in robot.contacts],
         "surfaces": _surfaces(problem),
         "patches": _patches(problem),
@@ -271,7 +272,7 @@ def _surfaces(problem: Problem) -> list[dict[str, Any]] | None:
     flat, robot, schedule = isinstance(problem.terrain, FlatGround), problem.robot, problem.schedule
     phases = [
         {
-            robot.contact(name).frame: ground.describe()
+            robot.contact(name).frame: ground.offset(-robot.contact(name).radius).describe()
             for name, ground in problem.surfaces_of(i).items()
             if isinstance(ground, Surface)
             and not (flat and phase.own_surface(name) is None and schedule.patch(i, name) is None)

@@ -34,8 +34,9 @@ def along_normal(context: Context, surface: Surface, columns: ca.SX) -> ca.SX:
 class ContactLanding(NodeConstraint):
     """New contacts of a phase lie on their surface, patch or foothold and do not move.
 
-    The surface is the one that the phase states for the contact, else the terrain; a sole lies flat on it. On
-    a patch a point, or each corner of a sole, keeps the margin from every edge.
+    The surface is the one that the phase states for the contact, else the terrain; a sole lies flat on it, a
+    contact with a radius touches it. On a patch a point, or each corner of a sole, keeps the margin from
+    every edge.
 
     Args:
         phase: name of the phase, at whose first node the rows are.
@@ -82,7 +83,8 @@ def _places(
 ) -> list[Rows]:
     """Where one contact lands: at its foothold, or on its ground and inside its patch; a sole lies flat."""
     frame, held = context.frame(contact.frame), context.held_rows(contact)
-    foothold, ground = place.phase.footholds.get(contact.name), place.phase.surface(contact.name, terrain)
+    foothold = place.phase.centre(contact, terrain)
+    ground = place.phase.surface(contact.name, terrain, contact.radius)
     movable, edges = [row for row in held if row < 3], []
     if foothold is None and contact.name in place.phase.patches:
         edges = _inside(context, units, contact, place.phase.patches[contact.name])
@@ -118,7 +120,7 @@ def _inside(context: Context, units: Units, contact: Contact, patch: Patch) -> l
 
 
 def contact_points(context: Context, contact: Contact) -> list[ca.SX]:
-    """The point (3,) of a contact, or the four corners of its sole, world, m."""
+    """The centre (3,) of a point contact, or the four corners of a sole, world, m."""
     frame = context.frame(contact.frame)
     if contact.kind == "point":
         return [frame.position]

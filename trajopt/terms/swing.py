@@ -1,7 +1,8 @@
 """Swing clearance: contacts in the air stay above the ground, at nodes.
 
-The least height follows `swing_profile` over the swing: zero and flat at lift-off and touchdown. Over
-flat and smooth ground a swing is one phase (`SwingClearance`), or spans several (`SwingArc`). Over piecewise
+The least height follows `swing_profile` over the swing: zero and flat at lift-off and touchdown. It is that
+of the lowest point: the centre of a contact with a radius stays above the parallel surface. Over flat and
+smooth ground a swing is one phase (`SwingClearance`), or spans several (`SwingArc`). Over piecewise
 ground (`SwingOver`) a foot that has to pass an edge stays on its side of it until it is as high as the ground
 behind it; on the way down it keeps that height until it has passed the edge. At one node at least both hold,
 so between any two nodes one of them holds at both ends: no interval cuts the edge. All of these rows are
@@ -73,15 +74,19 @@ class SwingClearance(NodeConstraint):
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
-        swinging = [c for c in context.robot.contacts if c.name not in place.phase.contacts]
-        points = [point for contact in swinging for point in contact_points(context, contact)]
-        ground = self.terrain.surface
-        heights = ca.vertcat(*_heights(context, ground, points))
-        if isinstance(ground, Surface) and ground.height:
-            # Measured from the ground, not the origin: solvers relax a bound in proportion to its size.
-            heights -= context.parameter(ground.height)
+        heights = []
+        for contact in context.robot.contacts:
+            if contact.name in place.phase.contacts:
+                continue
+            ground = self.terrain.surface.offset(contact.radius)
+            above = _heights(context, ground, contact_points(context, contact))
+            if isinstance(ground, Surface) and ground.height:
+                # Measured from the ground, not the origin: solvers relax a bound in proportion to its size.
+                level = context.parameter(ground.height)
+                above = [height - level for height in above]
+            heights += above
         least = self.height * swing_profile(place.fraction)
-        return Rows.create(heights, least, np.inf, units.length)
+        return Rows.create(ca.vertcat(*heights), least, np.inf, units.length)
 
 
 @dataclass(frozen=True)
@@ -125,10 +130,11 @@ class SwingArc(NodeConstraint):
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
-        ground, heights, least = self.terrain.surface, [], []
-        level = ground.height if isinstance(ground, Surface) else 0.0
+        heights, least = [], []
         for part in self._acting(place.phase.name):
-            points = contact_points(context, context.robot.contact(part.contact))
+            contact = context.robot.contact(part.contact)
+            ground, points = self.terrain.surface.offset(contact.radius), contact_points(context, contact)
+            level = ground.height if isinstance(ground, Surface) else 0.0
             s = part.begin + place.fraction * (part.end - part.begin)
             heights += _heights(context, ground, points)
             least += [level + self.height * swing_profile(s)] * len(points)
@@ -144,7 +150,7 @@ class SwingCrossing:
         begin: nominal time of the lift-off, s.
         end: nominal time of the touchdown, s.
         parts: (begin, duration) of the phases of the swing, s, by their names.
-        ground: the ground between the two footholds.
+        ground: the ground between the two footholds, raised by the contact's radius.
         risen: fraction of the swing at which the foot is at the top, before the first edge.
         sinking: fraction at which it starts to descend, behind the last edge.
     """

@@ -7,19 +7,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from trajopt.robot.kinematics import contact_poses, contact_positions
+from trajopt.robot.contact import Contact
+from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.robot import Robot
+from trajopt.schedule.placing import footholds_at
 from trajopt.schedule.schedule import Motion, Phase, Schedule
 from trajopt.terms.interfaces import Term
 from trajopt.terms.swing import LEVEL, SwingArc, SwingClearance, SwingCrossing, SwingOver, SwingPart
-from trajopt.terrain.crossing import Crossing, Edge, crossing
+from trajopt.terrain.crossing import Edge, crossing
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import Surface
 from trajopt.terrain.swing_path import crossing_of
 from trajopt.terrain.swing_profile import require_clearance
-from trajopt.terrain.terrain import Ground, Terrain
+from trajopt.terrain.terrain import Terrain
 
 # Distance kept from an edge in units of the clearance, at most this fraction of the distance at lift-off.
 FROM_EDGE, OF_WAY = 0.5, 0.5
@@ -67,11 +69,11 @@ def _swings(
             first = max(i for i in range(last) if on[i]) + 1
             span = (float(times[first]), float(times[last]))
             track = _track(robot, contact.name, guess, span)
-            starts = contact_positions(robot, guess(0.0))
+            starts = footholds_at(robot, guess(0.0), terrain)
             middles = track.mean(axis=1)
             places = [
-                _foothold(schedule, first - 1, contact.name, terrain, starts, middles[0]),
-                _foothold(schedule, last, contact.name, terrain, starts, middles[-1]),
+                _place(schedule, first - 1, contact, terrain, starts, middles[0]),
+                _place(schedule, last, contact, terrain, starts, middles[-1]),
             ]
             for end, (place, _) in zip((0, -1), places, strict=True):
                 track[end] += place - middles[end]
@@ -79,7 +81,7 @@ def _swings(
                 schedule.phases[i].name: (float(times[i]), schedule.phases[i].duration)
                 for i in range(first, last)
             }
-            yield _swing(contact.name, span, parts, terrain, places, track, height)
+            yield _swing(contact, span, parts, terrain, places, track, height)
 
 
 def _track(robot: Robot, name: str, guess: Motion, span: tuple[float, float]) -> np.ndarray:
@@ -89,26 +91,27 @@ def _track(robot: Robot, name: str, guess: Motion, span: tuple[float, float]) ->
     return np.array([pose.translation + points @ pose.rotation[:, :2].T for pose in poses])
 
 
-def _foothold(
+def _place(
     schedule: Schedule,
     index: int,
-    name: str,
+    contact: Contact,
     terrain: PiecewiseTerrain,
     starts: dict[str, np.ndarray],
     guessed: np.ndarray,
 ) -> tuple[np.ndarray, Surface]:
-    """Where a contact of a phase stands, if known, and the plane there."""
-    ground: Ground = schedule.surface(index, name, terrain, starts)
-    begins = schedule.beginning(name, index)
-    place = schedule.phases[begins].footholds.get(name, guessed)
-    plane = ground.plane_at(place)
-    place = place - float(plane.distance(place)) / plane.normal[2] * LEVEL if plane.normal[2] > 0 else place
+    """Where a contact of a phase stands, if known, and the plane that it touches there."""
+    name, radius = contact.name, contact.radius
+    centre = schedule.phases[schedule.beginning(name, index)].centre(contact, terrain)
+    place = guessed if centre is None else centre
+    plane = schedule.surface(index, name, terrain, starts).plane_at(place)
+    above = plane.offset(radius)
+    place = place - float(above.distance(place)) / above.normal[2] * LEVEL if above.normal[2] > 0 else place
     patch = schedule.patch(index, name)
-    return (place if patch is None else patch.nearest(place)), plane
+    return (place if patch is None else patch.offset(radius).nearest(place)), plane
 
 
 def _swing(
-    name: str,
+    contact: Contact,
     span: tuple[float, float],
     parts: dict[str, tuple[float, float]],
     terrain: PiecewiseTerrain,
@@ -119,13 +122,17 @@ def _swing(
     (start, first), (end, last) = places
     upward = first.normal[2] > 0 and last.normal[2] > 0
     found = crossing(terrain, start, end, first, last) if upward else crossing_of(terrain, start, end)
-    rise, fall = _kept_from(found.rise, track[0], height), _kept_from(found.fall, track[-1], height)
-    ground = Crossing(first=found.first, last=found.last, top=found.top, rise=rise, fall=fall)
+    raised = found.offset(contact.radius, start, end)
+    rise, fall = (
+        _kept_from(edge, points, height, contact.radius)
+        for edge, points in ((found.rise, track[0]), (found.fall, track[-1]))
+    )
+    ground = replace(raised, rise=rise, fall=fall)
     fractions = np.linspace(0.0, 1.0, len(track))
     risen = 0.0 if rise is None else float(fractions[_last_before(rise.distance(track))])
     sinking = 1.0 if fall is None else float(1.0 - fractions[_last_before(fall.distance(track[::-1]))])
     return SwingCrossing(
-        contact=name,
+        contact=contact.name,
         begin=span[0],
         end=span[1],
         parts=parts,
@@ -135,12 +142,13 @@ def _swing(
     )
 
 
-def _kept_from(edge: Edge | None, points: np.ndarray, height: float) -> Edge | None:
+def _kept_from(edge: Edge | None, points: np.ndarray, height: float, radius: float) -> Edge | None:
     """The edge with a distance to keep from it, less than the whole foot has at that end of the swing."""
     if edge is None:
         return None
-    keep = min(FROM_EDGE * height, OF_WAY * max(float(edge.distance(points).min()), 0.0))
-    return Edge(normal=edge.normal, offset=edge.offset + keep, part=edge.part)
+    room = max(float(edge.distance(points).min()), 0.0)
+    keep = min(radius, room) + min(FROM_EDGE * height, OF_WAY * max(room - radius, 0.0))
+    return replace(edge, offset=edge.offset + keep)
 
 
 def _last_before(distances: np.ndarray) -> int:

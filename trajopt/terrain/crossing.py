@@ -8,7 +8,7 @@ and descends below the top after it has passed the edge where the obstacle ends.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -37,6 +37,10 @@ class Edge:
         """Distance (...) in m of positions (..., 3) from the edge, positive on the free side."""
         return np.asarray(np.asarray(position) @ self.normal - self.offset)
 
+    def met_earlier(self, part: float) -> Edge:
+        """The same edge met ``part`` of the way earlier, at the free end at the earliest."""
+        return replace(self, part=max(self.part - part, 0.0))
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Crossing:
@@ -51,6 +55,26 @@ class Crossing:
     top: float | None = None
     rise: Edge | None = None
     fall: Edge | None = None
+
+    def offset(self, distance: float, start: np.ndarray, end: np.ndarray) -> Crossing:
+        """The same ground for the centre of a ball of that radius, m, which goes from ``start`` to ``end``.
+
+        Planes and top are higher; edges are met earlier, and the centre stays that far from them.
+        """
+        if not distance:
+            return self
+        first, last = self.first.offset(distance), self.last.offset(distance)
+        top = self.top
+        if top is not None:
+            ends = [_level(plane, point) for plane, point in ((first, start), (last, end)) if plane.normal[2]]
+            top = max(top + distance, *ends)
+        way = float(np.hypot(*(end - start)[:2]))
+
+        def met(edge: Edge | None) -> Edge | None:
+            kept = edge and replace(edge, offset=edge.offset + distance)
+            return kept and kept.met_earlier(distance / way)
+
+        return Crossing(first=first, last=last, top=top, rise=met(self.rise), fall=met(self.fall))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -39,6 +39,10 @@ class FlatGround:
     def surface_at(self, point: np.ndarray) -> Surface:
         """The surface under a position (3,) m: the same everywhere."""
         return self.surface
+
+    def offset(self, distance: float) -> FlatGround:
+        """The parallel ground ``distance`` m along the normal."""
+        return replace(self, height=self.height + distance / self.normal[2]) if distance else self
 
     def describe(self) -> dict[str, object]:
         """JSON-able description for a solution file."""

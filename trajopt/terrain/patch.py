@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -126,6 +126,13 @@ class Patch:
         corners = self.allowed
         best = [_on_segment(onto, a, b) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
         return min(best, key=lambda found: float(np.linalg.norm(found - onto)))
+
+    def offset(self, distance: float) -> Patch:
+        """The parallel patch ``distance`` m along the normal, with the same edges and margin."""
+        if not distance:
+            return self
+        vertices = self.vertices + distance * self.surface.normal
+        return replace(self, surface=self.surface.offset(distance), vertices=vertices)
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,8 @@ class PiecewiseTerrain:
     """
 
     faces: tuple[Patch, ...]
+    raised: float = field(default=0.0, init=False, repr=False)
+    """Distance in m of these faces from the ground, where they are parallel to it (see `offset`)."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "faces", tuple(self.faces))
@@ -93,6 +96,23 @@ class PiecewiseTerrain:
             )
         return face.surface
 
+    def offset(self, distance: float) -> PiecewiseTerrain:
+        """The parallel ground: every face ``distance`` m along its normal.
+
+        Where two faces meet in a convex edge the shifted ones part; there the ground is the plane of the
+        steeper one, above the arc of the exact parallel surface by less than distance * (1 / n_z - 1).
+        """
+        if not distance:
+            return self
+        shifted = PiecewiseTerrain(faces=tuple(face.offset(distance) for face in self.faces))
+        object.__setattr__(shifted, "raised", self.raised + distance)
+        return shifted
+
+    def _crack(self, face: Patch) -> float:
+        """Distance in m outside its polygon at which a position still stands on a face."""
+        upward = float(face.surface.normal[2])
+        return CRACK + self.raised * math.sqrt(max(1.0 - upward * upward, 0.0)) / upward
+
     def _heights(self, x: Any, y: Any) -> np.ndarray:
         """Heights (faces, ...) in m of all faces at x, y (...), -inf outside of them."""
         across, along = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
@@ -100,7 +120,7 @@ class PiecewiseTerrain:
         for face in self.faces:
             normal, height = face.surface.normal, face.surface.height
             z = (height - normal[0] * across - normal[1] * along) / normal[2]
-            inside = face.inside(np.stack([across, along, z], axis=-1)) >= -CRACK
+            inside = face.inside(np.stack([across, along, z], axis=-1)) >= -self._crack(face)
             found.append(np.where(inside, z, -np.inf))
         return np.array(found)
 

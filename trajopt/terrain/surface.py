@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -105,6 +105,10 @@ class Surface:
     def plane_at(self, position: np.ndarray) -> Surface:
         """The plane under a position (3,) m: itself everywhere."""
         return self
+
+    def offset(self, distance: float) -> Surface:
+        """The parallel surface ``distance`` m along the normal: of the centre of a ball of that radius."""
+        return replace(self, point=self.point + distance * self.normal) if distance else self
 
     def same_plane(self, other: object) -> bool:
         """Whether the other surface is the same plane with the same side."""

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache
+from types import MappingProxyType
 
 import numpy as np
 
@@ -32,22 +33,32 @@ DONE = np.array([smooth_step(float(time)) for time in TIMES])
 SwingPath = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
 
 
-def swing_path(terrain: Terrain, clearance: float, reach: float = 0.0) -> SwingPath:
+def swing_path(
+    terrain: Terrain,
+    clearance: float,
+    reach: float = 0.0,
+    radii: Mapping[str, float] = MappingProxyType({}),
+) -> SwingPath:
     """Path of a swinging foot: (name, start (3,), end (3,), s) -> position (3,), m, world; s from 0 to 1.
 
     It rises to the highest ground between its ends before reaching it, and descends behind it; added to that
     is an arc that is ``clearance`` m over smooth or flat ground and over edges. ``reach``: how far the foot
-    extends before and behind its position, m, half a sole's length. For `legged_guess`.
+    extends before and behind its position, m, half a sole's length. ``radii``: of contacts by name, m, whose
+    centres the positions are. For `legged_guess`.
     """
     require_clearance(clearance)
 
     @lru_cache(maxsize=KEPT)
-    def between(start: tuple[float, ...], end: tuple[float, ...]) -> Crossing:
-        return _reached(crossing_of(terrain, np.array(start), np.array(end)), start, end, reach)
+    def between(start: tuple[float, ...], end: tuple[float, ...], radius: float) -> Crossing:
+        ends = np.array(start), np.array(end)
+        return _reached(crossing_of(terrain, *ends).offset(radius, *ends), start, end, reach)
+
+    raised = {radius: terrain.offset(radius) for radius in {0.0, *radii.values()}}
 
     def path(name: str, start: np.ndarray, end: np.ndarray, s: float) -> np.ndarray:
-        ground = between(tuple(map(float, start)), tuple(map(float, end)))
-        return _over(terrain, ground, (np.asarray(start), np.asarray(end)), min(max(s, 0.0), 1.0), clearance)
+        radius, ends = radii.get(name, 0.0), (np.asarray(start), np.asarray(end))
+        ground = between(tuple(map(float, start)), tuple(map(float, end)), radius)
+        return _over(raised[radius], ground, ends, min(max(s, 0.0), 1.0), clearance)
 
     return path
 
@@ -65,7 +76,7 @@ def _reached(ground: Crossing, start: tuple[float, ...], end: tuple[float, ...],
     way = math.hypot(end[0] - start[0], end[1] - start[1])
 
     def met(edge: Edge | None) -> Edge | None:
-        return edge and replace(edge, part=max(edge.part - reach / way, 0.0))
+        return edge and edge.met_earlier(reach / way)
 
     return replace(ground, rise=met(ground.rise), fall=met(ground.fall))
 

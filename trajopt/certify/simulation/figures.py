@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -15,7 +16,7 @@ from trajopt.certify.simulation.world import World, touching_places
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.solution.arrays import rows_of
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
+from trajopt.solution.touched import TouchedSurfaces, contact_radii, touched_surfaces
 
 # A contact is loaded above this fraction of the weight: far above rounding, far below a leg's share.
 LOADED = 0.02
@@ -111,8 +112,7 @@ def simulated_stances(
                     travel=None
                     if free
                     else farthest_travel(
-                        record.feet[first:end, contact, None]
-                        + touching_places(plan, contact) @ record.turns[first:end, contact].mT,
+                        _slipped(plan, contact, record, slice(first, end), surfaces.normal[phase, contact]),
                         _without_gaps(loaded[first:end, contact], gap),
                         surfaces.normal[phase, contact],
                     ),
@@ -134,6 +134,20 @@ def _without_gaps(loaded: np.ndarray, gap: int) -> np.ndarray:
         if first and end < len(loaded) and end - first <= gap:
             closed[first:end] = True
     return closed
+
+
+def _slipped(
+    plan: Solution, contact: int, record: SimulationRecord, rows: slice, normal: np.ndarray
+) -> np.ndarray:
+    """Places (n, c, 3) m of a contact's points; of a ball its centre, without what it rolls."""
+    feet, turns = record.feet[rows, contact, None], record.turns[rows, contact]
+    places = feet + touching_places(plan, contact) @ turns.mT
+    radius = float(contact_radii(plan.meta)[contact])
+    if not radius or len(turns) < 2:
+        return np.asarray(places)
+    steps = np.array([pin.log3(after @ before.T) for before, after in pairwise(turns)])
+    rolled = np.cumsum(np.vstack([np.zeros(3), np.cross(steps, radius * normal)]), axis=0)
+    return np.asarray(places - rolled[:, None])
 
 
 def farthest_travel(places: np.ndarray, loaded: np.ndarray, normal: np.ndarray) -> float:

@@ -1,8 +1,8 @@
 """What a robot may touch in a simulation, as MuJoCo geometry: terrain, boards of single phases, obstacles.
 
-A point contact is a ball around its frame, so small (`BALL` of the reach) that its rolling is negligible; a
-sole has one at each corner. The plan's heights are those of the frames, so all ground is lowered by the
-radius.
+A contact with a radius is a ball around its frame. A point is one so small (`BALL` of the reach) that its
+rolling is negligible, and a sole has one at each corner. Where a robot has such contacts all ground is
+lowered by their radius, and balls of contacts with a radius are larger by as much.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from trajopt.certify.simulation.reference import image_of_contacts
 from trajopt.robot.collision.shapes import BoxObstacle, Obstacle
 from trajopt.solution.descriptions import surfaces_of, terrain_of
 from trajopt.solution.solution import Solution
+from trajopt.solution.touched import contact_radii
 from trajopt.terrain.patch import Patch, cut_polygon
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
@@ -44,17 +45,26 @@ class GroundGeometry:
 
 @dataclass(frozen=True, kw_only=True)
 class Surroundings:
-    """Where a plan happens: contact frames (K, nc, 3) at its samples, a box around it, the reach; m."""
+    """Where a plan happens: contact frames (K, nc, 3) at its samples, a box around it, the reach; m.
+
+    radii: (nc,) of the plan's contacts.
+    """
 
     feet: np.ndarray
+    radii: np.ndarray
     low: np.ndarray
     high: np.ndarray
     reach: float
 
     @property
     def ball(self) -> float:
-        """Radius of the balls at contacts, m."""
+        """Radius of the balls of contacts without a radius, and of links, m."""
         return BALL * self.reach
+
+    @property
+    def lowered(self) -> float:
+        """How far the ground is lowered, m: the frames of contacts without a radius lie on the plan's."""
+        return 0.0 if self.radii.all() else self.ball
 
 
 def surroundings_of(plan: Solution, feet: np.ndarray, bodies: np.ndarray, reach: float) -> Surroundings:
@@ -62,7 +72,11 @@ def surroundings_of(plan: Solution, feet: np.ndarray, bodies: np.ndarray, reach:
     points = np.concatenate([feet.reshape(-1, 3), bodies.reshape(-1, 3)])
     around = AROUND * reach
     return Surroundings(
-        feet=feet, low=points.min(axis=0) - around, high=points.max(axis=0) + around, reach=reach
+        feet=feet,
+        radii=contact_radii(plan.meta),
+        low=points.min(axis=0) - around,
+        high=points.max(axis=0) + around,
+        reach=reach,
     )
 
 
@@ -177,7 +191,7 @@ def _plane(spec: Any, surface: Surface, place: Surroundings) -> str:
         spec.worldbody,
         "terrain",
         "plane",
-        pos=surface.point - place.ball * surface.normal,
+        pos=surface.point - place.lowered * surface.normal,
         quat=mujoco_quaternion(surface.frame),
         size=[0.0, 0.0, 1.0],
     )
@@ -192,7 +206,7 @@ def _prism(spec: Any, name: str, face: Patch, place: Surroundings) -> str:
         corners = cut_polygon(corners, -inward, -float(place.high[axis]))
     if len(corners) < 3:
         return ""
-    top = corners - place.ball * face.surface.normal
+    top = corners - place.lowered * face.surface.normal
     under = top.copy()
     under[:, 2] = min(float(top[:, 2].min()), float(place.low[2])) - DEPTH * place.reach
     middle = np.concatenate([top, under]).mean(axis=0)
@@ -208,7 +222,7 @@ def _field(spec: Any, terrain: SmoothTerrain, place: Surroundings) -> str:
     x, y = (np.linspace(place.low[i], place.high[i], cells[i] + 1) for i in (0, 1))
     across, along = np.meshgrid(x, y)  # rows go along y, as MuJoCo has it
     normal = terrain.normal(across, along)
-    height = terrain.height(across, along) - place.ball / normal[..., 2]
+    height = terrain.height(across, along) - place.lowered / normal[..., 2]
     low, tall = float(height.min()), max(float(np.ptp(height)), 1e-6)
     spec.add_hfield(
         name="terrain",
@@ -227,7 +241,7 @@ def _board(spec: Any, name: str, surface: Surface, points: np.ndarray, place: Su
     local = (points - surface.point) @ turn[:, :2]
     low, high = local.min(axis=0) - BOARD * place.reach, local.max(axis=0) + BOARD * place.reach
     deep = BOARD * place.reach
-    centre = surface.point + turn @ np.array([*(low + high) / 2, -deep - place.ball])
+    centre = surface.point + turn @ np.array([*(low + high) / 2, -deep - place.lowered])
     size = [*(high - low) / 2, deep]
     return add_geom(spec.worldbody, name, "box", pos=centre, quat=mujoco_quaternion(turn), size=size)
 

@@ -183,7 +183,8 @@ def _add_feet(bodies: Bodies, plan: Solution, place: Surroundings) -> list[list[
         corners = touching_places(plan, number)
         names.append([f"ball{number}.{i}" for i in range(len(corners))])
         for name, corner in zip(names[-1], corners, strict=True):
-            add_geom(body, name, "sphere", pos=own.placement.act(corner), size=[place.ball, 0, 0])
+            size = [place.radii[number] + place.lowered, 0, 0]
+            add_geom(body, name, "sphere", pos=own.placement.act(corner), size=size)
     return names
 
 

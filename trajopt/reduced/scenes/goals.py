@@ -14,8 +14,8 @@ from trajopt.problem.problem import Problem
 from trajopt.reduced.scenes.guess import SceneGuess, end_posture
 from trajopt.reduced.scenes.smallest import Plane, Scene, smallest
 from trajopt.robot.contact import require_frame
-from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.robot import Robot
+from trajopt.schedule.placing import footholds_at
 from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.terms.costs import AccelerationCost, PostureCost, TorqueCost, VelocityCost, WrenchCost
 from trajopt.terms.drives import DriveLimits
@@ -125,12 +125,12 @@ def _landing_on(robot: Robot, schedule: Schedule, ground: FlatGround, posture: n
 
     A goal constrains only what contacts leave free: they must land where the goal configuration has them.
     """
-    places, phases = contact_poses(robot, posture), list(schedule.phases)
+    places, phases = footholds_at(robot, posture, ground), list(schedule.phases)
     for name in phases[-1].contacts:
         began = [i for i in range(len(phases)) if name in schedule.new_contacts(i)]
         if not began or name in phases[began[-1]].footholds:
             continue
-        phase, place = phases[began[-1]], places[name].translation
+        phase, place = phases[began[-1]], places[name]
         if abs(float(phase.surface(name, ground).distance(place))) <= SAME_PLANE:
             phases[began[-1]] = replace(phase, footholds={**phase.footholds, name: place})
     return Schedule(tuple(phases))

@@ -78,7 +78,7 @@ def _places(
         for name in schedule.new_contacts(index):
             share = smooth_step((times[index] - phase.duration) / times[-1])
             way = (1 - share) * first[name] + share * last[name]
-            now[name] = landing_place(phase, name, ground, way)
+            now[name] = landing_place(phase, robot.contact(name), ground, way)
         found.append(now)
     return found
 

@@ -90,7 +90,7 @@ def _corner_forces(
 def with_soles(problem: Problem) -> Soles | None:
     """Return the problem with a sole for every four corners that are always in contact together, or None.
 
-    A corner that a term names, or that has its own surface, stays as it is.
+    A corner that a term names, or that has a radius or its own surface, stays as it is.
     """
     if problem.dynamics is not None or problem.modes or any(p.impact for p in problem.schedule.phases):
         return None
@@ -140,7 +140,8 @@ def _soles(problem: Problem) -> list[Sole]:
     robot, model = problem.robot, problem.robot.model
     by_joint: dict[int, list[Contact]] = {}
     for contact in robot.contacts:
-        if contact.kind == "point" and contact.dimension == 3 and not _named(problem, contact.name):
+        bare = contact.kind == "point" and contact.dimension == 3 and not contact.radius
+        if bare and not _named(problem, contact.name):
             joint = int(model.frames[model.getFrameId(contact.frame)].parentJoint)
             by_joint.setdefault(joint, []).append(contact)
     data = model.createData()

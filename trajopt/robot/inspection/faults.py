@@ -28,9 +28,11 @@ NEAR_LIMIT = 0.02
 # A foot whose Jacobian's least singular value is below this part of its greatest cannot move in a direction:
 # a knee bent by 3 degrees has 0.02.
 SINGULAR = 0.02
-# Feet that stand on one ground lie at one height up to the first part of the robot's length, and their
-# frames as near to the meshes' lowest point as the second.
+# Feet that stand on one ground lie at one height up to the first part of the robot's length, and the points
+# that touch as near to the shapes' lowest point as the second.
 UNEVEN, SUNK = 0.02, 0.2
+# Depth of a foot's own shape in the ground beyond which its contact's radius is not that of the foot, m.
+DEEP = 1e-3
 # Differences of left and right above this (rad, or parts of mass and length) are not due to rounding.
 ASYMMETRIC = 0.1
 # Torques of mirrored legs agree to this many decimals, N m: the first of them is named.
@@ -147,7 +149,8 @@ def _feet(robot: Robot, standing: StandingPosture) -> _Lines:
     if not robot.contacts:
         yield "no contacts: contacts=[...] of Robot.from_urdf names the frames of the feet"
         return
-    heights = {name: pose.translation[2] for name, pose in contact_poses(robot, robot.reference).items()}
+    poses = contact_poses(robot, robot.reference)
+    heights = {name: pose.translation[2] - robot.contact(name).radius for name, pose in poses.items()}
     lowest = min(heights.values())
     uneven = [name for name in standing.feet if heights[name] - lowest > UNEVEN * robot.length]
     if uneven:
@@ -165,7 +168,7 @@ def _feet(robot: Robot, standing: StandingPosture) -> _Lines:
                 find(robot)
             except InputError as error:
                 yield error.what
-    yield from _drawn_feet(robot, standing)
+    yield from _deep_feet(robot, standing)
 
 
 def _legs(robot: Robot, standing: StandingPosture) -> _Lines:
@@ -199,46 +202,61 @@ def _tool(robot: Robot) -> _Lines:
         yield f"the reference posture is singular: '{frame}' cannot move in some direction; bend the arm"
 
 
-def _drawn_feet(robot: Robot, standing: StandingPosture) -> _Lines:
-    """Contact frames far above the lowest drawn point of their body: an ankle or a knee, not a sole."""
-    below = lowest_drawn(robot, standing)
-    names = [name for name, depth in below.items() if depth > SUNK * robot.length]
-    if names:
-        worst = max(below[name] for name in names)
-        yield f"drawn feet reach {worst:.3g} m below the frames of {listed(names)}: are they the feet's?"
+def _deep_feet(robot: Robot, standing: StandingPosture) -> _Lines:
+    """Contacts that touch above the lowest point of their body: an ankle or a knee, or a ball's centre."""
+    below = {name: depth for name, depth in depths_below(robot, standing).items() if depth > DEEP}
+    far = [name for name, depth in below.items() if depth > SUNK * robot.length]
+    if far:
+        worst = max(below[name] for name in far)
+        yield f"shapes of feet reach {worst:.3g} m below the frames of {listed(far)}: are they the feet's?"
+    deep = [name for name in below if name not in far and robot.contact(name).kind == "point"]
+    if deep:
+        worst = max(deep, key=lambda name: below[name])
+        radius = robot.contact(worst).radius
+        yield (
+            f"feet reach {1e3 * below[worst]:.1f} mm into the ground under {listed(deep)}, contacts"
+            f" of radius {radius:g} m; Contact(radius={radius + below[worst]:.3g})?"
+        )
 
 
-def lowest_drawn(robot: Robot, standing: StandingPosture) -> dict[str, float]:
-    """How far the meshes of a foot's body reach below its contact frame, m; empty without meshes."""
-    try:
-        geometry = drawn_shapes(robot)
-    except InputError:
-        return {}
-    if geometry is None:
-        return {}
+def depths_below(robot: Robot, standing: StandingPosture) -> dict[str, float]:
+    """How far the shapes of a foot's body reach below the point that touches, m, in the reference posture.
+
+    Collision shapes, of bodies without them the drawn ones; empty without either.
+    """
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, robot.reference)
     depths = {}
     for name in standing.feet:
-        frame = robot.model.frames[robot.model.getFrameId(robot.contact(name).frame)]
+        contact = robot.contact(name)
+        frame = robot.model.frames[robot.model.getFrameId(contact.frame)]
         place = data.oMi[frame.parentJoint].act(frame.placement).translation[2]
-        lowest = [
-            _lowest(shape.geometry, data.oMi[frame.parentJoint] * shape.placement, shape.meshScale)
-            for shape in geometry.geometryObjects
-            if shape.parentJoint == frame.parentJoint
-        ]
-        if any(np.isfinite(lowest)):
-            depths[name] = float(place - np.min(lowest))
+        for kind in (pin.GeometryType.COLLISION, pin.GeometryType.VISUAL):
+            lowest = _lowest_of_body(robot, kind, data, int(frame.parentJoint))
+            if np.isfinite(lowest):
+                depths[name] = float(place - contact.radius - lowest)
+                break
     return depths
 
 
-@lru_cache(maxsize=1)
-def drawn_shapes(robot: Robot) -> pin.GeometryModel | None:
-    """Visual geometry of a robot, None without a source of meshes. Raises `InputError` for a missing file."""
-    return None if robot.visual is None else robot.visual.geometry(robot.model)
+def _lowest_of_body(robot: Robot, kind: pin.GeometryType, data: pin.Data, joint: int) -> float:
+    """Height of the lowest point of a body's shapes, m; infinite without shapes."""
+    try:
+        geometry = shapes_of(robot, kind)
+    except InputError:
+        return np.inf
+    found = [] if geometry is None else [g for g in geometry.geometryObjects if g.parentJoint == joint]
+    heights = [_lowest(g.geometry, data.oMi[joint] * g.placement) for g in found]
+    return min(heights, default=np.inf)
 
 
-def _lowest(shape: object, place: pin.SE3, scale: np.ndarray) -> float:
+@lru_cache(maxsize=2)
+def shapes_of(robot: Robot, kind: pin.GeometryType = pin.GeometryType.VISUAL) -> pin.GeometryModel | None:
+    """Drawn or collision shapes of a robot, None without a description. Raises `InputError`."""
+    return None if robot.visual is None else robot.visual.geometry(robot.model, kind)
+
+
+def _lowest(shape: object, place: pin.SE3) -> float:
     """Height of the lowest point of a shape, m; infinite for a kind that is not known."""
     import coal
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.errors import InputError
-from trajopt.robot.inspection.faults import drawn_shapes, find_faults, listed, lowest_drawn
+from trajopt.robot.inspection.faults import find_faults, listed, shapes_of
 from trajopt.robot.inspection.standing import StandingPosture, standing_posture
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
@@ -36,11 +36,15 @@ class JointFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class ContactFacts:
-    """A contact. position: (3,) of its frame in the reference posture, world, m. load: N at rest."""
+    """A contact. position: (3,) of its frame in the reference posture, world, m. load: N at rest.
+
+    radius: of the ball with which a point touches, m.
+    """
 
     name: str
     frame: str
     kind: str
+    radius: float
     position: tuple[float, float, float]
     load: float
 
@@ -81,7 +85,7 @@ class RobotReport:
 
 
 _JOINT_TITLES = ("joint", "kind", "reference", "position limits", "velocity", "effort", "at rest")
-_CONTACT_TITLES = ("contact", "frame", "kind", "x", "y", "z", "load")
+_CONTACT_TITLES = ("contact", "frame", "kind", "radius", "x", "y", "z", "load")
 
 
 def robot_report(robot: Robot) -> RobotReport:
@@ -104,6 +108,7 @@ def robot_report(robot: Robot) -> RobotReport:
                 name=contact.name,
                 frame=contact.frame,
                 kind=contact.kind,
+                radius=contact.radius,
                 position=tuple(places[contact.name].tolist()),
                 load=float(loads.get(contact.name, 0.0)),
             )
@@ -148,12 +153,6 @@ def _notes(robot: Robot, rest: StandingPosture) -> tuple[str, ...]:
         lifted = [contact.name for contact in robot.contacts if contact.name not in rest.feet]
         if lifted:
             notes.append(f"off the ground in the reference posture: {listed(lifted)}")
-        below = lowest_drawn(robot, rest)
-        if below and max(below.values()) > 1e-3:
-            depth = max(below.values())
-            notes.append(
-                f"drawn feet reach {1e3 * depth:.0f} mm below their frames: heights are those of frames"
-            )
     for what, values in (
         ("damping", robot.model.damping),
         ("dry friction", robot.model.upperDryFrictionLimit),
@@ -166,7 +165,7 @@ def _notes(robot: Robot, rest: StandingPosture) -> tuple[str, ...]:
         notes.append("no description with meshes: a replay draws a skeleton")
         return tuple(notes)
     try:
-        shapes = drawn_shapes(robot)
+        shapes = shapes_of(robot)
         count = 0 if shapes is None else shapes.ngeoms
         notes.append(f"{count} shapes to draw" if count else "nothing to draw: a replay draws a skeleton")
     except InputError as error:
@@ -199,7 +198,8 @@ def _torque(joint: JointFacts, unit: str) -> str:
 def _contact_row(contact: ContactFacts) -> tuple[str, ...]:
     # Rounding of a height may be a negative zero.
     place = (f"{round(value, 3) + 0.0:.3f}" for value in contact.position)
-    return (contact.name, contact.frame, contact.kind, *place, f"{contact.load:.1f} N")
+    radius = f"{1e3 * contact.radius:.4g} mm" if contact.radius else "-"
+    return (contact.name, contact.frame, contact.kind, radius, *place, f"{contact.load:.1f} N")
 
 
 def _columns(titles: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:

@@ -12,6 +12,7 @@ from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.schedule.targets import Target, targets_of
 from trajopt.solution.descriptions import surfaces_of, terrain_of
 from trajopt.solution.solution import Solution
+from trajopt.solution.touched import contact_radii
 from trajopt.terrain.surface import UP, Surface, frame_of_normal
 from trajopt.view.replay.parts import bullseye, draw_showing_through, draw_unshadowed, placed
 from trajopt.view.replay.robot import tip_frames
@@ -47,7 +48,9 @@ def _marks(solution: Solution, target: Target) -> list[tuple[np.ndarray, str]]:
     if target.rotation is not None:
         return [(placed(target.position, target.rotation), "pose")]
     if _lands(solution, target):
-        return [(placed(target.position, frame_of_normal(_normal(solution, target))), "foothold")]
+        normal = _normal(solution, target)
+        radius = contact_radii(solution.meta)[solution.contact_frames.index(target.frame)]
+        return [(placed(target.position - radius * normal, frame_of_normal(normal)), "foothold")]
     return [(placed(target.position), "place")]
 
 

@@ -13,7 +13,7 @@ from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.errors import InputError
 from trajopt.robot.sole import centre_of_pressure
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import held_samples
+from trajopt.solution.touched import TouchedSurfaces, held_samples, touched_surfaces
 from trajopt.terrain.surface import is_number
 
 # Pictures a second of playback: what screens show.
@@ -31,7 +31,8 @@ class ReplayMotion:
     """A solution at n frames; njoints counts the universe, nc contacts.
 
     t: (n,) s of the solution. frame_rate: frames a second of playback. speed: solution over playback time.
-    q: (n, nq). joints: (n, njoints, 4, 4), contacts: (n, nc, 4, 4) world placements, of contact frames.
+    q: (n, nq). joints: (n, njoints, 4, 4) world placements. contacts: (n, nc, 4, 4), of contact frames, at
+    the point of a contact with a radius that is nearest to what it touches. touched: what contacts touch.
     pressed: (n, nc, 3) m, where the force acts. wrench: (n, nc, 6) N and N m, as in the solution.
     active: (n, nc). last: (n,) the sample that begins the span of each frame, part: (n,) how far into it.
     impact: (n, nc, 3) N, impulse over `FLASH` while it is shown, else zero. struck: (n, nc, 3) m, where
@@ -44,6 +45,7 @@ class ReplayMotion:
     q: np.ndarray
     joints: np.ndarray
     contacts: np.ndarray
+    touched: TouchedSurfaces
     pressed: np.ndarray
     wrench: np.ndarray
     active: np.ndarray
@@ -61,7 +63,7 @@ class ReplayMotion:
 
     @property
     def feet(self) -> np.ndarray:
-        """World positions (n, nc, 3) of the contact frames, m."""
+        """World positions (n, nc, 3) of the contacts where they touch, m."""
         return np.asarray(self.contacts[:, :, :3, 3])
 
     @property
@@ -115,6 +117,8 @@ def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: floa
     frames = [solution.model.getFrameId(name) for name in solution.contact_frames]
     joints, contacts = placements(solution.model, frames, q)
     last, part = _spans(solution, t)
+    surfaces = touched_surfaces(solution, contacts[:, :, :3, 3], solution.phase[last])
+    contacts[:, :, :3, 3] = surfaces.touching(contacts[:, :, :3, 3])
     wrench = (1 - part)[:, None, None] * solution.f[last] + part[:, None, None] * solution.f[last + 1]
     mass = mass_of(solution.model)
     weight = mass * gravity_of(solution.model) if mass > 0 else 1.0
@@ -128,6 +132,7 @@ def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: floa
         q=q,
         joints=joints,
         contacts=contacts,
+        touched=surfaces.ground,
         pressed=feet + _pressure_offsets(contacts, wrench, soles, weight),
         wrench=wrench,
         active=solution.active[last],

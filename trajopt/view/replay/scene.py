@@ -10,7 +10,6 @@ import meshcat
 import numpy as np
 
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import touched_surfaces
 from trajopt.terrain.surface import Surface
 from trajopt.view.phases import phase_spans
 from trajopt.view.replay.arrows import draw_arrows, draw_trails, weight_arrow_of
@@ -111,7 +110,6 @@ def _draw_run(
     draw_ghosts(recorder, run, joints, ghost_frames(motion, run.size))
     for joint, place in joints:
         tracks.place(node[place], motion.joints[:, joint])
-    touching = touched_surfaces(solution, motion.feet, motion.phase)
     places = [
         run.cloud,
         draw_surfaces(run, ground.elsewhere, size),
@@ -120,8 +118,8 @@ def _draw_run(
         draw_payloads(run, tracks),
     ]
     draw_arrows(run, tracks, size, weight_arrow)
-    draw_cones(run, tracks, touching, size)
-    draw_balance(run, tracks, balance_of(solution, motion, touching), ground.drop, size)
+    draw_cones(run, tracks, motion.touched, size)
+    draw_balance(run, tracks, balance_of(solution, motion, motion.touched), ground.drop, size)
     draw_trails(run)
     return np.asarray(np.concatenate(places) + run.shift)
 
