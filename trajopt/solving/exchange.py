@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from trajopt.problem.bodies import ProblemBodies, bodies_of, require_clear_start
+from trajopt.problem.bodies import ProblemBodies, bodies_of
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.near import ShapePair
 from trajopt.robot.collision.planes import CornerRow
@@ -57,9 +57,7 @@ class Exchange:
     @cached_property
     def bodies(self) -> ProblemBodies:
         """Bodies of the problem. Raises `InputError` where its start has them in each other."""
-        found = bodies_of(self.problem)
-        require_clear_start(self.problem, found)
-        return found
+        return bodies_of(self.problem)
 
     @property
     def band(self) -> float:
@@ -142,9 +140,8 @@ class Exchange:
             return
         numbers = {moment: k for k, moment in enumerate(every)}
         q = np.array([motion(*moment) for moment in every])
-        active = [frozenset(phase.contacts) for phase in self.problem.schedule.phases]
         pairs = [(pair, moment) for pair, moments in self.moments.items() for moment in sorted(moments)]
-        wanted = [(numbers[moment], pair, active[moment[0]]) for pair, moment in pairs]
+        wanted = [(numbers[moment], pair) for pair, moment in pairs]
         for (_, moment), rows in zip(pairs, self.bodies.rows(q, wanted, self.band), strict=True):
             yield from ((moment, row) for row in rows)
 

@@ -14,7 +14,7 @@ nearer. So what satisfies it is apart. The rows are smooth, at touching and for 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -72,19 +72,14 @@ class CornerRow:
     parameters: np.ndarray
 
 
-def corner_rows(found: Approach, margin: float, left_out: np.ndarray | None = None) -> tuple[CornerRow, ...]:
+def corner_rows(found: Approach, margin: float) -> tuple[CornerRow, ...]:
     """Rows that keep two bodies apart: corners of one beyond a supporting plane of the other.
 
     Args:
         found: where the bodies are near each other.
         margin: least distance, m.
-        left_out: points (n,) of the first body that get no row and bound nothing; default none.
     """
     first, second, normal = found.first, found.second, found.normal
-    kept = np.ones(len(first.points), dtype=bool) if left_out is None else ~left_out
-    if not kept.any():
-        return ()
-    first = replace(first, points=first.points[kept])
     reach = first.radius + second.radius + margin
     if second.normal is not None:
         return _rows(first, second, second.normal, second.height + reach)
