@@ -109,7 +109,9 @@ class CheckReport:
     penetration, quaternion_error, contact_velocity, foot_drift, foot_turn, sole_tilt: at all samples.
         penetration is below the surface of an active contact, below the terrain otherwise.
         On ground that is no plane it is below the tangent plane of the highest ground under the contact.
-    obstacle_distance, self_distance: of capsules around links, by Coal, at samples and between.
+    link_depth, obstacle_distance, self_distance: of the file's shapes of links (and of capsules of a problem
+        with obstacles), by Coal, at samples and between; a negative depth is a distance. Files without shapes
+        have only what their capsules show.
     landing_height: distance of active contacts from their surface at their phase's start, unsigned.
     patch_margin: least distance of active contacts (of soles: their corners) inside their patches' edges.
     position_gap, velocity_gap: see `consistency.interval_gaps`. ballistic_error, momentum_error: at
@@ -137,6 +139,7 @@ class CheckReport:
     velocity_excess: float | None = _figure("velocity beyond its limit", "limit", "limit")
     position_excess: float | None = _figure("position beyond its limit", "range", "limit")
     penetration: float | None = _figure("depth below the terrain", "m", "penetration")
+    link_depth: float | None = _figure("depth of links in the ground", "m")
     obstacle_distance: float | None = _figure(
         "least distance from obstacles", "m", "penetration", margin=True
     )

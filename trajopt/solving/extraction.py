@@ -12,6 +12,7 @@ import pinocchio as pin
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.problem.goals import goals_meta
 from trajopt.problem.problem import Problem
+from trajopt.robot.collision.description import robot_shapes
 from trajopt.robot.contact import Contact
 from trajopt.robot.payload import payload_wrench
 from trajopt.robot.robot import Robot
@@ -224,7 +225,7 @@ def _problem_meta(transcription: Transcription) -> dict[str, Any]:
 
 
 def robot_meta(problem: Problem) -> dict[str, Any]:
-    """Meta entries about the problem's robot: contacts and what they touch, limits, drives."""
+    """Meta entries about the problem's robot: contacts and what they touch, limits, drives, shapes."""
     robot = problem.robot
     limits = {"effort_limit": robot.effort_limit, "velocity_limit": robot.velocity_limit}
     for term in problem.point_constraints:
@@ -252,6 +253,9 @@ def robot_meta(problem: Problem) -> dict[str, Any]:
         meta["drives"] = [None if drive is None else drive.to_meta() for drive in robot.drives]
     if robot.visual is not None:
         meta["visual"] = robot.visual.to_meta()
+    bodies = robot_shapes(robot)
+    if bodies.shapes or bodies.missing:
+        meta["bodies"] = bodies.describe()
     return meta | collision_meta(problem.terms)
 
 
