@@ -45,7 +45,8 @@ def read_shapes(
             missing.append(str(error))
             continue
         if bodies:
-            return *_named(model, bodies), tuple(dict.fromkeys(missing))
+            shapes, links = _named(model, bodies, missing)
+            return shapes, links, tuple(dict.fromkeys(missing))
     return (), {}, tuple(dict.fromkeys(missing))
 
 
@@ -99,14 +100,18 @@ def _body_of(geometry: Any) -> _Body:
 
 
 def _named(
-    model: pin.Model, bodies: list[tuple[str, int, _Body]]
+    model: pin.Model, bodies: list[tuple[str, int, _Body]], missing: list[str]
 ) -> tuple[tuple[LinkShape, ...], dict[str, str]]:
     counts, seen = Counter(link for link, _, _ in bodies), Counter[str]()
     shapes, links = [], {}
     for link, joint, (points, radius) in bodies:
         name = link if counts[link] == 1 and link != "ground" else f"{link}_{seen[link]}"
         seen[link] += 1
-        frame = joint_frame(model, joint)
+        try:
+            frame = joint_frame(model, joint)
+        except InputError as error:
+            missing.append(f"{name}: {error.what}")
+            continue
         within = model.frames[model.getFrameId(frame)].placement.inverse()
         placed = np.round(points @ within.rotation.T + within.translation, DECIMALS)
         shapes.append(LinkShape(name=name, frame=frame, points=placed, radius=radius))
@@ -123,5 +128,5 @@ def joint_frame(model: pin.Model, joint: int) -> str:
     own = [str(frame.name) for frame in model.frames if frame.parentJoint == joint]
     known = sorted((name for name in own if counts[name] == 1), key=lambda name: name != model.names[joint])
     if not known:
-        raise InputError(f"joint '{model.names[joint]}' has no frame", "allowed: a model with a frame on it")
+        raise InputError(f"joint '{model.names[joint]}' has no frame with a name of its own", "allowed: one")
     return known[0]

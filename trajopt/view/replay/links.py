@@ -38,7 +38,10 @@ def draw_shapes(run: DrawnSolution, tracks: Animation) -> None:
 
 def _draw(node: Any, shape: LinkShape) -> None:
     if len(shape.points) > 2:
-        _solid(node["solid"], _faces(shape.points), pin.SE3.Identity())
+        # A hull's radius is a fraction of a millimetre: moved outwards its corners show it well enough.
+        away = shape.points - shape.points.mean(axis=0)
+        away /= np.linalg.norm(away, axis=1)[:, None]
+        _solid(node["solid"], _faces(shape.points + shape.radius * away), pin.SE3.Identity())
         return
     start, end = shape.axis
     _solid(node["start"], shapes.Sphere(shape.radius), pin.SE3(np.eye(3), start))
@@ -50,7 +53,7 @@ def _draw(node: Any, shape: LinkShape) -> None:
 
 
 def _faces(points: np.ndarray) -> ColouredMeshGeometry:
-    """Faces of the hull of points (n, 3) m, each with its own normal. A hull's small radius is not drawn."""
+    """Faces of the hull of points (n, 3) m, each with its own normal."""
     from scipy.spatial import ConvexHull  # takes a while to load
 
     solid = thick(points)
