@@ -111,7 +111,7 @@ class CheckReport:
         On ground that is no plane it is below the tangent plane of the highest ground under the contact.
     link_depth, obstacle_distance, self_distance: of the file's shapes of links (and of capsules of a problem
         with obstacles), by Coal, at samples and between; a negative depth is a distance. Files without shapes
-        have only what their capsules show.
+        have only what their capsules show, and ``notes`` say so.
     landing_height: distance of active contacts from their surface at their phase's start, unsigned.
     patch_margin: least distance of active contacts (of soles: their corners) inside their patches' edges.
     position_gap, velocity_gap: see `consistency.interval_gaps`. ballistic_error, momentum_error: at
@@ -173,6 +173,7 @@ class CheckReport:
     )
     open_loop_joints: float = _figure("open loop, joints", "rad", "open_loop_joints")
     phases: tuple[PhaseReport, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -198,14 +199,15 @@ class CheckReport:
         return not (value >= -limit if figure.margin else value <= limit)
 
     def to_dict(self, tolerances: Tolerances | None = None) -> dict[str, Any]:
-        """JSON-able figures by name, ``ok``, ``failures`` and ``phases``; inf and NaN become null."""
+        """JSON-able figures by name, ``ok``, ``failures``, ``phases``, ``notes``; inf and NaN become null."""
         failures = self.failures(tolerances)
         figures = {name: getattr(self, name) for name in FIGURES}
         phases = [asdict(phase) for phase in self.phases]
-        return jsonable({"ok": not failures, "failures": failures, **figures, "phases": phases})
+        report = {"ok": not failures, "failures": failures, **figures, "phases": phases}
+        return jsonable({**report, "notes": self.notes})
 
     def table(self, tolerances: Tolerances | None = None) -> str:
-        """Figures one a line with unit, tolerance and verdict, then the phases."""
+        """Figures one a line with unit, tolerance and verdict, then the phases and notes."""
         limits = tolerances or Tolerances()
         lines = [f"{'':42}{'value':>12}  {'unit':12}{'tolerance':>10}"]
         for name, figure in FIGURES.items():
@@ -217,6 +219,7 @@ class CheckReport:
                 lines.append(f"{figure.text:42}{value:12.3e}  {figure.unit:12}{allowed:>10}{verdict}")
         for phase in self.phases:
             lines.append(_phase_line(phase))
+        lines += [f"note: {text}" for text in self.notes]
         return "\n".join(lines)
 
     def __str__(self) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.robot.collision.near import CollisionScene
-from trajopt.solution.descriptions import body_scene_of, scene_of_meta
+from trajopt.solution.descriptions import bodies_of, body_scene_of, scene_of_meta
 from trajopt.solution.solution import Solution
 
 # Number of configurations tested between two samples.
@@ -44,6 +44,16 @@ def distance_figures(
         "obstacle_distance": nearest["obstacle"],
         "self_distance": nearest["self"],
     }
+
+
+def missing_shapes(plan: Solution) -> tuple[str, ...]:
+    """What is not known of a motion because shapes of links are not in its file."""
+    bodies = bodies_of(plan.meta.get("bodies"))
+    if bodies is None or not bodies.shapes:
+        return ("no shapes of links are in the file: their depth in the ground and distances are not known",)
+    if bodies.missing:
+        return (f"without shapes of links that could not be read: {'; '.join(bodies.missing)}",)
+    return ()
 
 
 def _least(scene: CollisionScene, q: np.ndarray, ranges: Sequence[float]) -> dict[str, float]:

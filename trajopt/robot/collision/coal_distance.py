@@ -20,8 +20,9 @@ class Witness:
     """Where two bodies are nearest, or the shortest way out of each other.
 
     normal: (3,) world, unit, from the second body to the first. distance: signed, m: the least height of the
-    first body along the normal minus the greatest of the second. first_point, second_point: (3,) m, world, on
-    the surfaces: first_point = second_point + distance normal.
+    first body along the normal minus the greatest of the second, exactly: where faces touch, Coal's normal is
+    exact to 1e-5 and so is this. first_point, second_point: (3,) m, world, on the surfaces, first_point =
+    second_point + distance normal to the same accuracy.
     """
 
     distance: float
@@ -104,10 +105,12 @@ class CoalPairs:
         request, result = coal.DistanceRequest(), coal.DistanceResult()
         places = [self._placed(index, frame) for index, frame in zip(pair, (first, second), strict=True)]
         one, other = (coal.Transform3s(turn[0], origin[0]) for turn, origin in places)
-        distance = float(self._function(pair)(one, other, request, result))
+        self._function(pair)(one, other, request, result)
+        normal = -np.array(result.normal)
+        held = (first[0][0].T @ normal)[None]
         return Witness(
-            distance=distance,
-            normal=-np.array(result.normal),
+            distance=float(self._apart(pair, first, second, held)[0]),
+            normal=normal,
             first_point=np.array(result.getNearestPoint1()),
             second_point=np.array(result.getNearestPoint2()),
         )

@@ -31,15 +31,20 @@ def simplified(points: np.ndarray, fine: bool = False) -> tuple[np.ndarray, floa
 
     Every corner of the hull is within the radius of the hull of those kept, so by convexity all of it is. The
     corner farthest outside joins until the farthest is within the excess that is allowed: `EXCESS` of the
-    mesh's extent, or `LEAST_EXCESS` if it is to be ``fine``. Nothing is random.
+    mesh's extent, or `LEAST_EXCESS` if it is to be ``fine``. The mesh of a ball is that ball, one point.
+    Nothing is random.
     """
     from scipy.spatial import ConvexHull  # takes a while to load
 
     solid = thick(np.asarray(points, dtype=float))
-    corners = solid[np.sort(ConvexHull(solid).vertices)]
+    whole = ConvexHull(solid)
+    corners = solid[np.sort(whole.vertices)]
     extent = float(np.linalg.norm(np.ptp(corners, axis=0)))
     allowed = LEAST_EXCESS if fine else min(max(EXCESS * extent, LEAST_EXCESS), MOST_EXCESS)
     allowed -= 3 * ROUNDING
+    ball = _ball(corners, whole.equations)
+    if ball[1] - ball[2] <= allowed:
+        return np.round(ball[0], 6)[None], round(ball[1] + 2 * ROUNDING, 6)
     kept = list(dict.fromkeys((corners @ DIRECTIONS.T).argmax(axis=0).tolist()))
     if len(corners) <= len(kept):
         return np.round(corners, 6), 2 * ROUNDING
@@ -60,6 +65,14 @@ def simplified(points: np.ndarray, fine: bool = False) -> tuple[np.ndarray, floa
     kept = [kept[index] for index in sorted(set(hull.simplices.ravel().tolist()))]
     radius = max(float(outside.max()), 0.0) + 2 * ROUNDING
     return np.round(corners[kept], 6), round(math.ceil(radius / ROUNDING) * ROUNDING, 6)
+
+
+def _ball(corners: np.ndarray, planes: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """Centre (3,) of the ball that fits corners (n, 3); radii of balls that hold and fill their hull, m."""
+    rows = np.column_stack([2 * corners, np.ones(len(corners))])
+    centre = np.linalg.lstsq(rows, np.sum(corners**2, axis=1), rcond=None)[0][:3]
+    outer = float(np.linalg.norm(corners - centre, axis=1).max())
+    return centre, outer, float(-(planes[:, :3] @ centre + planes[:, 3]).max())
 
 
 def _distances(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
