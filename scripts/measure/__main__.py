@@ -8,7 +8,18 @@ from __future__ import annotations
 
 import click
 
-from scripts.measure import guesses, machine, models, pages, programs, scenes, two_stage, viewing, warm_starts
+from scripts.measure import (
+    guesses,
+    machine,
+    models,
+    pages,
+    programs,
+    scenes,
+    shapes,
+    two_stage,
+    viewing,
+    warm_starts,
+)
 
 COMMANDS = (
     models.models,
@@ -18,6 +29,7 @@ COMMANDS = (
     two_stage.two_stage,
     guesses.guesses,
     scenes.scenes,
+    shapes.shapes,
     warm_starts.warm_starts,
     programs.programs,
     machine.compilation,

@@ -17,7 +17,7 @@ from trajopt.certify.reintegration import open_loop
 from trajopt.certify.report import CheckReport, PhaseReport
 from trajopt.certify.samples import largest, largest_known, sample_quantities
 from trajopt.dynamics.virtual_base import gimbal_margin_along
-from trajopt.solution.clearance import clearance_figures
+from trajopt.solution.clearance import clearance_figures, missing_shapes
 from trajopt.solution.input import SolutionOrFile, consistent_solution
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import touched_surfaces
@@ -60,6 +60,7 @@ def check(solution: SolutionOrFile) -> CheckReport:
         **{name: largest_known(getattr(phase, name) for phase in phases) for name in PHASE_FIGURES},
         open_loop_joints=max(phase.open_loop_joints for phase in phases),
         phases=phases,
+        notes=missing_shapes(plan),
     )
 
 

@@ -109,7 +109,9 @@ class CheckReport:
     penetration, quaternion_error, contact_velocity, foot_drift, foot_turn, sole_tilt: at all samples.
         penetration is below the surface of an active contact, below the terrain otherwise.
         On ground that is no plane it is below the tangent plane of the highest ground under the contact.
-    obstacle_distance, self_distance: of capsules around links, by Coal, at samples and between.
+    link_depth, obstacle_distance, self_distance: of the file's shapes of links (and of capsules of a problem
+        with obstacles), by Coal, at samples and between; a negative depth is a distance. Files without shapes
+        have only what their capsules show, and ``notes`` say so.
     landing_height: distance of active contacts from their surface at their phase's start, unsigned.
     patch_margin: least distance of active contacts (of soles: their corners) inside their patches' edges.
     position_gap, velocity_gap: see `consistency.interval_gaps`. ballistic_error, momentum_error: at
@@ -137,6 +139,7 @@ class CheckReport:
     velocity_excess: float | None = _figure("velocity beyond its limit", "limit", "limit")
     position_excess: float | None = _figure("position beyond its limit", "range", "limit")
     penetration: float | None = _figure("depth below the terrain", "m", "penetration")
+    link_depth: float | None = _figure("depth of links in the ground", "m")
     obstacle_distance: float | None = _figure(
         "least distance from obstacles", "m", "penetration", margin=True
     )
@@ -170,6 +173,7 @@ class CheckReport:
     )
     open_loop_joints: float = _figure("open loop, joints", "rad", "open_loop_joints")
     phases: tuple[PhaseReport, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -195,14 +199,15 @@ class CheckReport:
         return not (value >= -limit if figure.margin else value <= limit)
 
     def to_dict(self, tolerances: Tolerances | None = None) -> dict[str, Any]:
-        """JSON-able figures by name, ``ok``, ``failures`` and ``phases``; inf and NaN become null."""
+        """JSON-able figures by name, ``ok``, ``failures``, ``phases``, ``notes``; inf and NaN become null."""
         failures = self.failures(tolerances)
         figures = {name: getattr(self, name) for name in FIGURES}
         phases = [asdict(phase) for phase in self.phases]
-        return jsonable({"ok": not failures, "failures": failures, **figures, "phases": phases})
+        report = {"ok": not failures, "failures": failures, **figures, "phases": phases}
+        return jsonable({**report, "notes": self.notes})
 
     def table(self, tolerances: Tolerances | None = None) -> str:
-        """Figures one a line with unit, tolerance and verdict, then the phases."""
+        """Figures one a line with unit, tolerance and verdict, then the phases and notes."""
         limits = tolerances or Tolerances()
         lines = [f"{'':42}{'value':>12}  {'unit':12}{'tolerance':>10}"]
         for name, figure in FIGURES.items():
@@ -214,6 +219,7 @@ class CheckReport:
                 lines.append(f"{figure.text:42}{value:12.3e}  {figure.unit:12}{allowed:>10}{verdict}")
         for phase in self.phases:
             lines.append(_phase_line(phase))
+        lines += [f"note: {text}" for text in self.notes]
         return "\n".join(lines)
 
     def __str__(self) -> str:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.robot.collision.description import robot_shapes
+from trajopt.robot.collision.description import RobotShapes, robot_shapes
 from trajopt.robot.collision.near import CollisionScene, ShapePair, separable_pairs
 from trajopt.robot.collision.planes import CornerRow, corner_rows
 from trajopt.robot.collision.shapes import LinkShape
@@ -64,24 +65,33 @@ def clearance_of(problem: Problem) -> Clearance:
     return found[0] if found else Clearance()
 
 
-def bodies_of(problem: Problem) -> ProblemBodies:
-    """The bodies of a problem. Raises InputError where they are in each other at its start."""
+def shapes_of(problem: Problem) -> RobotShapes:
+    """Shapes of the robot's links, and which pairs of them must stay apart in this problem."""
     clearance, robot = clearance_of(problem), problem.robot
     if clearance.shapes is None:
         known = robot_shapes(robot)
-        shapes, pairs = known.shapes, known.pairs
     else:
-        shapes = clearance.shapes
-        pairs = separable_pairs(robot.model, shapes, robot.reference, clearance.margin)
-    scene = CollisionScene(
-        model=robot.model,
-        shapes=shapes,
-        obstacles=clearance.obstacles,
-        self_pairs=pairs if clearance.self_collision else (),
-        terrain=problem.terrain if clearance.ground else None,
-    )
+        pairs = separable_pairs(robot.model, clearance.shapes, robot.reference, clearance.margin)
+        known = RobotShapes(shapes=clearance.shapes, pairs=pairs)
+    return known if clearance.self_collision else replace(known, pairs=())
+
+
+def bodies_of(problem: Problem) -> ProblemBodies:
+    """The bodies of a problem. Raises InputError where they are in each other at its start."""
+    clearance = clearance_of(problem)
+    scene = shapes_of(problem).scene(problem.robot.model, problem.terrain, clearance.obstacles)
     found = ProblemBodies(scene=scene, margins=_margins(problem, scene, clearance.margin))
     _require_clear_start(problem, found)
+    return found
+
+
+def bodies_meta(problem: Problem) -> dict[str, Any]:
+    """Description of the bodies for a solution's meta; empty where there are none."""
+    shapes, obstacles = shapes_of(problem), clearance_of(problem).obstacles
+    found: dict[str, Any] = {"bodies": shapes.describe()} if shapes.shapes or shapes.missing else {}
+    if obstacles:
+        own = [obstacle.describe() for obstacle in obstacles]
+        found["collision"] = {"capsules": [], "obstacles": own, "self_pairs": []}
     return found
 
 

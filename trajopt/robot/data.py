@@ -17,6 +17,8 @@ DATA_SHARE = "cmeel.prefix/share"
 
 # "package://name/..." is found beside the package: parents of <packages>/name/urdf/robot.urdf.
 PACKAGE_LEVELS = 3
+# Of MJCF files; all others are URDF.
+MJCF_SUFFIXES = (".xml", ".mjcf")
 
 
 def data_share() -> Path:
@@ -56,7 +58,7 @@ def package_directories(urdf: Path) -> tuple[Path, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class VisualSource:
-    """Where a robot's meshes are found: a URDF file and the directories of its packages."""
+    """Where a robot's geometry is found: a URDF (or MJCF) file and the directories of its packages."""
 
     urdf: Path
     package_dirs: tuple[Path, ...] = ()
@@ -76,6 +78,11 @@ class VisualSource:
                 "key 'visual' is malformed", "an object with 'urdf' and 'package_dirs'"
             ) from None
 
+    @property
+    def is_mjcf(self) -> bool:
+        """Whether the file is MJCF."""
+        return self.urdf.suffix.lower() in MJCF_SUFFIXES
+
     def geometry(
         self, model: pin.Model, kind: pin.GeometryType = pin.GeometryType.VISUAL
     ) -> pin.GeometryModel:
@@ -84,6 +91,8 @@ class VisualSource:
             raise InputError(f"URDF file {self.urdf} of the robot's meshes does not exist")
         directories = [str(path) for path in self.package_dirs]
         try:
+            if self.is_mjcf:
+                return pin.buildGeomFromMJCF(model, str(self.urdf), kind)
             return pin.buildGeomFromUrdf(model, str(self.urdf), kind, package_dirs=directories)
         except (ValueError, RuntimeError) as error:
             raise InputError(f"meshes of {self.urdf} cannot be read: {first_line(error)}") from None

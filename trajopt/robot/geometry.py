@@ -43,6 +43,9 @@ class DescribedGeometry:
 
 def described_geometry(source: VisualSource, model: pin.Model, purpose: Purpose) -> DescribedGeometry:
     """Read the visual or collision geometry of a description. Raises `InputError` if it cannot be read."""
+    if source.is_mjcf:
+        geometry = source.geometry(model, _TYPES[purpose])
+        return DescribedGeometry(geometry=geometry, meshes=frozenset(), missing={})
     if not source.urdf.is_file():
         raise InputError(f"URDF file {source.urdf} of the robot's meshes does not exist")
     try:

@@ -287,7 +287,8 @@ class Robot:
             InputError: for a missing or malformed file, and a base that contradicts it.
         """
         model = read_mjcf(path, base)
-        return cls.from_model(model, base=base, **options)
+        source = VisualSource(urdf=Path(path).expanduser().absolute())
+        return cls.from_model(model, **{"base": base, "visual": source, **options})
 
     @classmethod
     def from_model(

@@ -11,7 +11,7 @@ import pinocchio as pin
 from trajopt.errors import InputError, SolutionFileError, is_number
 from trajopt.robot.actuators.drive import Drive
 from trajopt.solution.arrays import OTHERS, SAMPLED, model_from_text, runs
-from trajopt.solution.descriptions import patches_of, scene_of_meta, surfaces_of
+from trajopt.solution.descriptions import body_scene_of, patches_of, surfaces_of
 
 META_KEYS = (
     "format",
@@ -138,7 +138,7 @@ def _wrong_drives(drives: Any) -> str:
 def _wrong_descriptions(arrays: _Arrays, model: pin.Model, meta: dict[str, Any]) -> str:
     """Optional keys of meta: the scene of collisions; surfaces and patches by phase and contact frame."""
     try:
-        scene_of_meta(model, meta.get("collision"))
+        body_scene_of(model, meta)
         read: dict[str, Sequence[Mapping[str, object]]] = {
             "surfaces": surfaces_of(meta.get("surfaces")),
             "patches": patches_of(meta.get("patches")),

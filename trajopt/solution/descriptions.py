@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError, SolutionFileError
+from trajopt.robot.collision.description import RobotShapes
 from trajopt.robot.collision.near import CollisionScene
 from trajopt.robot.collision.shapes import LinkShape, obstacle_from_description
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import UP, Surface
+from trajopt.terrain.terrain import terrain_from_description
 
 _Read = TypeVar("_Read")
 GroundShape = Surface | PiecewiseTerrain | SmoothTerrain
@@ -86,6 +88,34 @@ def scene_of_meta(model: pin.Model, described: Any) -> CollisionScene | None:
         return _scene(model, described)
     except InputError as error:
         raise SolutionFileError(f"collision of meta: {error.what}", error.allowed) from None
+
+
+def bodies_of(described: Any) -> RobotShapes | None:
+    """Read ``meta["bodies"]``, the shapes of the robot's links; None where there are none.
+
+    Raises `SolutionFileError`.
+    """
+    if described is None:
+        return None
+    try:
+        return RobotShapes.from_description(described)
+    except InputError as error:
+        raise SolutionFileError(f"bodies of meta: {error.what}", error.allowed) from None
+
+
+def body_scene_of(model: pin.Model, meta: Mapping[str, Any]) -> CollisionScene | None:
+    """Scene of the links' shapes, the obstacles and the terrain of a solution; None without shapes.
+
+    Raises `SolutionFileError`.
+    """
+    bodies, given = bodies_of(meta.get("bodies")), scene_of_meta(model, meta.get("collision"))
+    if bodies is None or not bodies.shapes:
+        return None
+    try:
+        terrain = terrain_from_description(meta["terrain"]) if meta.get("terrain") else None
+        return bodies.scene(model, terrain, () if given is None else given.obstacles)
+    except InputError as error:
+        raise SolutionFileError(f"bodies of meta: {error.what}", error.allowed) from None
 
 
 def _scene(model: pin.Model, described: Any) -> CollisionScene:

@@ -12,6 +12,7 @@ import pinocchio as pin
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.problem.goals import goals_meta
 from trajopt.problem.problem import Problem
+from trajopt.problem.bodies import bodies_meta
 from trajopt.robot.contact import Contact
 from trajopt.robot.payload import payload_wrench
 from trajopt.robot.robot import Robot
@@ -223,7 +224,7 @@ def _problem_meta(transcription: Transcription) -> dict[str, Any]:
 
 
 def robot_meta(problem: Problem) -> dict[str, Any]:
-    """Meta entries about the problem's robot: contacts and what they touch, limits, drives."""
+    """Meta entries about the problem's robot: contacts and what they touch, limits, drives, shapes."""
     robot = problem.robot
     limits = {"effort_limit": robot.effort_limit, "velocity_limit": robot.velocity_limit}
     for term in problem.point_constraints:
@@ -252,7 +253,7 @@ def robot_meta(problem: Problem) -> dict[str, Any]:
         meta["drives"] = [None if drive is None else drive.to_meta() for drive in robot.drives]
     if robot.visual is not None:
         meta["visual"] = robot.visual.to_meta()
-    return meta
+    return meta | bodies_meta(problem)
 
 
 def _payloads(problem: Problem) -> list[dict[str, Any]]:

@@ -20,7 +20,6 @@ class Clearance(Term):
         obstacles: in the world.
         margin: least distance from obstacles and between links, m.
         shapes: of the robot's links; default those of its description (`robot_shapes`).
-        ground: keep links out of the ground.
         self_collision: keep links apart from each other.
 
     Raises:
@@ -30,7 +29,6 @@ class Clearance(Term):
     obstacles: tuple[Obstacle, ...] = ()
     margin: float = 0.0
     shapes: tuple[LinkShape, ...] | None = None
-    ground: bool = True
     self_collision: bool = True
 
     def __post_init__(self) -> None:

@@ -62,10 +62,11 @@ def ground_bodies(terrain: FlatGround | PiecewiseTerrain) -> tuple[GroundBody, .
     if isinstance(terrain, FlatGround):
         surface = terrain.surface
         return (HalfSpace(normal=surface.normal, offset=surface.height),)
-    low = min(float(face.vertices[:, 2].min()) for face in terrain.faces) - DEPTH
+    grown = [_grown(face, terrain) for face in terrain.faces]
+    low = min(float(tops[:, 2].min()) for tops in grown) - DEPTH
     bodies: list[ConvexGround] = []
-    for face in terrain.faces:
-        body = ConvexGround(points=_extruded(_grown(face, terrain), low))
+    for tops in grown:
+        body = ConvexGround(points=_extruded(tops, low))
         if not any(_contains(other, body) for other in bodies):
             bodies = [other for other in bodies if not _contains(body, other)] + [body]
     return tuple(bodies)

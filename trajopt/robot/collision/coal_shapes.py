@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import coal
@@ -13,6 +14,8 @@ from trajopt.terrain.surface import frame_of_normal
 
 # Thickness to either side, m, of hulls that have no volume: Coal's depths need one.
 THICKNESS = 1e-6
+# Hulls that are kept: scenes of one robot are made again and again.
+MOST_HULLS = 1024
 
 
 def segment_placement(start: np.ndarray, end: np.ndarray) -> pin.SE3:
@@ -54,10 +57,15 @@ def coal_link(shape: LinkShape) -> tuple[Any, pin.SE3]:
 def coal_hull(points: np.ndarray, radius: float = 0.0) -> Any:
     """Coal's convex hull of points (n, 3) m with a ball of ``radius`` m about each of its points.
 
-    Points in a plane or on a line get the thickness `THICKNESS`.
+    Points in a plane or on a line get the thickness `THICKNESS`. Equal hulls are one object.
     """
+    return _hull_once(np.asarray(points, dtype=float).tobytes(), float(radius))
+
+
+@lru_cache(maxsize=MOST_HULLS)
+def _hull_once(numbers: bytes, radius: float) -> Any:
     listed = coal.StdVec_Vec3s()
-    for point in thick(points):
+    for point in thick(np.frombuffer(numbers).reshape(-1, 3)):
         listed.append(point)
     hull = coal.Convex.convexHull(listed, True, "Qt")
     if radius > 0:

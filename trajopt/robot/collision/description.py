@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import itertools
 import xml.etree.ElementTree as Tree
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.base_joint import BASE_ROWS
+from trajopt.errors import InputError
 from trajopt.robot.collision.near import CollisionScene, ShapePair
 from trajopt.robot.collision.reading import read_shapes
-from trajopt.robot.collision.shapes import LinkShape
+from trajopt.robot.collision.shapes import LinkShape, Obstacle
 from trajopt.robot.robot import Robot
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.terrain import Terrain
 
 # Postures within the limits in which pairs are tested, and the part of them in which a pair that always
 # touches overlaps.
@@ -39,22 +43,54 @@ class RobotShapes:
     """Shapes of a robot's links, by `robot_shapes`.
 
     pairs: of shapes, by name, that must not touch. left_out: the other pairs, each with its reason. missing:
-    geometry of the description that could not be read.
+    geometry of the description that could not be read. above_ground: whether terrain is solid to the robot:
+    not for a fixed base whose links reach below the world's origin in the reference posture, as a pendulum's.
     """
 
     shapes: tuple[LinkShape, ...] = ()
     pairs: tuple[ShapePair, ...] = ()
     left_out: Mapping[ShapePair, str] = field(default_factory=dict)
     missing: tuple[str, ...] = ()
+    above_ground: bool = True
 
-    def describe(self) -> dict[str, object]:
+    def scene(
+        self, model: pin.Model, terrain: Terrain | None = None, obstacles: Sequence[Obstacle] = ()
+    ) -> CollisionScene:
+        """Return the scene of these shapes on ``model``, with the ground where it is solid to the robot."""
+        return CollisionScene(
+            model=model,
+            shapes=self.shapes,
+            obstacles=tuple(obstacles),
+            self_pairs=self.pairs,
+            terrain=terrain if self.above_ground else None,
+        )
+
+    def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
         return {
             "shapes": [shape.describe() for shape in self.shapes],
             "pairs": [list(pair) for pair in self.pairs],
             "left_out": [[*pair, reason] for pair, reason in self.left_out.items()],
             "missing": list(self.missing),
+            "above_ground": self.above_ground,
         }
+
+    @classmethod
+    def from_description(cls, described: Any) -> RobotShapes:
+        """The shapes that ``describe`` wrote. Raises InputError."""
+        keys = ("shapes", "pairs", "left_out", "missing")
+        if not isinstance(described, dict) or not all(isinstance(described.get(k), list) for k in keys):
+            raise InputError("bodies are not an object of lists", f"keys: {', '.join(keys)}")
+        for key, size in (("pairs", 2), ("left_out", 3)):
+            if not all(isinstance(entry, list) and len(entry) == size for entry in described[key]):
+                raise InputError(f"{key} of bodies are not lists of {size} words", "names, and a reason")
+        return cls(
+            shapes=tuple(LinkShape.from_description(entry) for entry in described["shapes"]),
+            pairs=tuple((str(first), str(second)) for first, second in described["pairs"]),
+            left_out={(str(a), str(b)): str(reason) for a, b, reason in described["left_out"]},
+            missing=tuple(str(entry) for entry in described["missing"]),
+            above_ground=bool(described.get("above_ground", True)),
+        )
 
 
 def robot_shapes(robot: Robot) -> RobotShapes:
@@ -99,7 +135,20 @@ def _robot_shapes(keyed: _Keyed) -> RobotShapes:
     for pair, reason in _overlapping(robot, shapes, pairs):
         left_out[pair] = reason
     pairs = tuple(pair for pair in pairs if pair not in left_out)
-    return RobotShapes(shapes=shapes, pairs=pairs, left_out=MappingProxyType(left_out), missing=missing)
+    return RobotShapes(
+        shapes=shapes,
+        pairs=pairs,
+        left_out=MappingProxyType(left_out),
+        missing=missing,
+        above_ground=_above_ground(robot, shapes),
+    )
+
+
+def _above_ground(robot: Robot, shapes: tuple[LinkShape, ...]) -> bool:
+    if robot.base != "fixed":
+        return True
+    scene = CollisionScene(model=robot.model, shapes=shapes, terrain=FlatGround())
+    return bool((scene.distances(robot.reference) >= 0).all())
 
 
 def _touching_by_construction(
@@ -141,7 +190,7 @@ def _srdf_of(urdf: Path) -> Path | None:
             continue
         name = Tree.parse(urdf).getroot().get("name", "")
         named = [file for stem in (urdf.stem, name) for file in files if file.stem == stem]
-        return (named or (files if len(files) == 1 else [None]))[0]
+        return next(iter(named or files[: len(files) == 1]), None)
     return None
 
 

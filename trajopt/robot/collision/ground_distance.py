@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.joint_placements import Placements
-from trajopt.robot.collision.coal_distance import CoalPairs, Witness
+from trajopt.robot.collision.coal_distance import CoalBody, CoalPairs, Witness
 from trajopt.robot.collision.coal_shapes import coal_hull, coal_link
 from trajopt.robot.collision.planes import PlacedBody
 from trajopt.robot.collision.shapes import LinkShape
@@ -44,17 +44,17 @@ class BodyDistance:
     def _beyond_planes(self, places: Placements, within: float) -> np.ndarray:
         """By the plane that lies farthest from the shape: exact where its nearest point is over that face."""
         rotation, origin = places
-        heights = self._shape.points @ (np.swapaxes(rotation, 1, 2) @ self._normals.T)
-        heights += (origin @ self._normals.T - self._offsets)[:, None]
-        lowest = heights.min(axis=1)
-        found = np.asarray(lowest.max(axis=1) - self._shape.radius)
+        along = np.ascontiguousarray(np.moveaxis(self._normals @ rotation, 1, 0))
+        heights = along @ np.ascontiguousarray(self._shape.points.T)
+        lowest = heights.min(axis=2) + (self._normals @ origin.T - self._offsets[:, None])
+        found = np.asarray(lowest.max(axis=0) - self._shape.radius)
         if isinstance(self._body, HalfSpace):
             return found
         rows = np.flatnonzero(found <= within)
-        face = lowest[rows].argmax(axis=1)
-        vertex = heights[rows, :, face].argmin(axis=1)
+        face = lowest[:, rows].argmax(axis=0)
+        vertex = heights[face, rows].argmin(axis=1)
         point = origin[rows] + np.einsum("kij,kj->ki", rotation[rows], self._shape.points[vertex])
-        gap = lowest[rows, face]
+        gap = lowest[face, rows]
         foot = point - gap[:, None] * self._normals[face]
         over = (gap > 0) & (foot @ self._normals.T <= self._offsets + ON_FACE).all(axis=1)
         rest = rows[~over]
@@ -76,7 +76,7 @@ class BodyDistance:
         """The body of the ground."""
         if isinstance(self._body, HalfSpace):
             return PlacedBody(normal=self._body.normal, height=self._body.offset)
-        return PlacedBody(points=self._body.points)
+        return PlacedBody(points=self._body.points, sides=self._normals)
 
     def _both(self, places: Placements) -> tuple[Placements, Placements]:
         count = len(places[1])
@@ -84,9 +84,11 @@ class BodyDistance:
 
     @cached_property
     def _coal(self) -> CoalPairs:
-        bodies = [coal_link(self._shape)]
+        (solid, place), shape = coal_link(self._shape), self._shape
+        bodies = [CoalBody(solid=solid, place=place, points=shape.points, radius=shape.radius)]
         if isinstance(self._body, ConvexGround):
-            bodies.append((coal_hull(self._body.points), pin.SE3.Identity()))
+            points, still = self._body.points, pin.SE3.Identity()
+            bodies.append(CoalBody(solid=coal_hull(points), place=still, points=points, radius=0.0))
         return CoalPairs(bodies)
 
 

@@ -12,8 +12,10 @@ from trajopt.robot.collision.coal_shapes import coal_hull, thick
 # A simplified hull is larger than the mesh's by at most this, over the mesh's extent and in m.
 EXCESS = 0.005
 LEAST_EXCESS, MOST_EXCESS = 5e-4, 2e-3
+# With fewer corners than this a hull is made this exact, m.
+FEW, EXACT = 48, 1e-4
 # Corners that are outside by this part of the farthest join together, one for each face.
-FAR = 0.7
+FAR = 0.9
 # A cylinder's prism is larger by at most this part of the radius, or this in m, whichever is more.
 ROUND_EXCESS, LEAST_ROUND_EXCESS = 0.01, 3e-4
 # Coal's distance of a point from a hull is exact to this, m; points of shapes are rounded to it.
@@ -24,28 +26,36 @@ DIRECTIONS = np.array(
 )
 
 
-def simplified(points: np.ndarray) -> tuple[np.ndarray, float]:
+def simplified(points: np.ndarray, fine: bool = False) -> tuple[np.ndarray, float]:
     """Few of the corners (k, 3) m of the convex hull of ``points`` (n, 3), and a radius, that enclose it all.
 
     Every corner of the hull is within the radius of the hull of those kept, so by convexity all of it is. The
-    corner farthest outside joins until the farthest is within the excess that is allowed. Nothing is random.
+    corner farthest outside joins until the farthest is within the excess that is allowed: `EXCESS` of the
+    mesh's extent, or `LEAST_EXCESS` if it is to be ``fine``. The mesh of a ball is that ball, one point.
+    Nothing is random.
     """
     from scipy.spatial import ConvexHull  # takes a while to load
 
     solid = thick(np.asarray(points, dtype=float))
-    corners = solid[np.sort(ConvexHull(solid).vertices)]
-    allowed = EXCESS * float(np.linalg.norm(np.ptp(corners, axis=0)))
-    allowed = min(max(allowed, LEAST_EXCESS), MOST_EXCESS) - 3 * ROUNDING
+    whole = ConvexHull(solid)
+    corners = solid[np.sort(whole.vertices)]
+    extent = float(np.linalg.norm(np.ptp(corners, axis=0)))
+    allowed = LEAST_EXCESS if fine else min(max(EXCESS * extent, LEAST_EXCESS), MOST_EXCESS)
+    allowed -= 3 * ROUNDING
+    ball = _ball(corners, whole.equations)
+    if ball[1] - ball[2] <= allowed:
+        return np.round(ball[0], 6)[None], round(ball[1] + 2 * ROUNDING, 6)
     kept = list(dict.fromkeys((corners @ DIRECTIONS.T).argmax(axis=0).tolist()))
     if len(corners) <= len(kept):
         return np.round(corners, 6), 2 * ROUNDING
     hull = ConvexHull(corners[kept], incremental=True)
     while True:
+        enough = allowed if len(kept) >= FEW else EXACT
         over = corners @ hull.equations[:, :3].T + hull.equations[:, 3]
         outside, face = over.max(axis=1), over.argmax(axis=1)
-        if outside.max() <= allowed:
+        if outside.max() <= enough:
             outside = _distances(corners, corners[kept])
-            if outside.max() <= allowed:
+            if outside.max() <= enough:
                 break
         order = np.argsort(-outside, kind="stable")
         order = order[outside[order] >= FAR * outside[order[0]]]
@@ -54,7 +64,15 @@ def simplified(points: np.ndarray) -> tuple[np.ndarray, float]:
         hull.add_points(corners[new])
     kept = [kept[index] for index in sorted(set(hull.simplices.ravel().tolist()))]
     radius = max(float(outside.max()), 0.0) + 2 * ROUNDING
-    return np.round(corners[kept], 6), math.ceil(radius / ROUNDING) * ROUNDING
+    return np.round(corners[kept], 6), round(math.ceil(radius / ROUNDING) * ROUNDING, 6)
+
+
+def _ball(corners: np.ndarray, planes: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """Centre (3,) of the ball that fits corners (n, 3); radii of balls that hold and fill their hull, m."""
+    rows = np.column_stack([2 * corners, np.ones(len(corners))])
+    centre = np.linalg.lstsq(rows, np.sum(corners**2, axis=1), rcond=None)[0][:3]
+    outer = float(np.linalg.norm(corners - centre, axis=1).max())
+    return centre, outer, float(-(planes[:, :3] @ centre + planes[:, 3]).max())
 
 
 def _distances(points: np.ndarray, corners: np.ndarray) -> np.ndarray:

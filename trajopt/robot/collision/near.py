@@ -14,10 +14,10 @@ import pinocchio as pin
 from trajopt.dynamics.joint_placements import Placements, joint_placements
 from trajopt.dynamics.model_content import frame_content
 from trajopt.errors import InputError
-from trajopt.robot.collision.coal_distance import CoalPairs, Witness
+from trajopt.robot.collision.coal_distance import CoalBody, CoalPairs, Witness
 from trajopt.robot.collision.coal_shapes import coal_link, coal_obstacle
 from trajopt.robot.collision.ground_distance import BodyDistance, SmoothDistance
-from trajopt.robot.collision.planes import Approach, PlacedBody
+from trajopt.robot.collision.planes import Approach, PlacedBody, nearest
 from trajopt.robot.collision.shapes import LinkShape, Obstacle, ball_around, require_different_names
 from trajopt.terrain.bodies import ground_bodies
 from trajopt.terrain.smooth import SmoothTerrain
@@ -32,8 +32,8 @@ GROUND = "ground"
 class CollisionScene:
     """Shapes on a model's links, obstacles and the ground, and pairs of shapes that must not touch.
 
-    ``pairs`` are every shape with the ground (if there is a ``terrain``) and with every obstacle, then
-    ``self_pairs``, by name. Raises InputError for an unknown frame or name, or a name used twice.
+    ``pairs`` are every shape that moves with the ground (if there is a ``terrain``) and with every obstacle,
+    then ``self_pairs``, by name. Raises InputError for an unknown frame or name, or a name used twice.
     """
 
     model: pin.Model
@@ -58,19 +58,25 @@ class CollisionScene:
     @cached_property
     def pairs(self) -> tuple[ShapePair, ...]:
         """All pairs, in the order of ``distances``: with the ground, with obstacles, of links."""
-        ground = [] if self.terrain is None else [(shape.name, GROUND) for shape in self.shapes]
-        outer = [(shape.name, o.name) for shape in self.shapes for o in self.obstacles]
+        ground = [] if self.terrain is None else [(shape.name, GROUND) for shape in self.moving]
+        outer = [(shape.name, o.name) for shape in self.moving for o in self.obstacles]
         return (*ground, *outer, *self.self_pairs)
+
+    @cached_property
+    def moving(self) -> tuple[LinkShape, ...]:
+        """The shapes that are not fixed to the world."""
+        frames = self.model.frames
+        return tuple(s for s in self.shapes if frames[self.model.getFrameId(s.frame)].parentJoint > 0)
 
     @property
     def n_ground(self) -> int:
         """Number of leading pairs that are of a shape with the ground."""
-        return 0 if self.terrain is None else len(self.shapes)
+        return 0 if self.terrain is None else len(self.moving)
 
     @property
     def n_outer(self) -> int:
         """Number of leading pairs that are of a shape with the ground or an obstacle."""
-        return self.n_ground + len(self.shapes) * len(self.obstacles)
+        return self.n_ground + len(self.moving) * len(self.obstacles)
 
     def distances(self, configurations: np.ndarray, within: float = np.inf) -> np.ndarray:
         """Signed distances (K, n_pairs) in m at configurations (K, nq); negative: how deep they penetrate.
@@ -81,15 +87,16 @@ class CollisionScene:
         rotation, origin = self._placements(q)
         found = np.empty((len(q), len(self.pairs)))
         for column, bodies in enumerate(self._grounds):
-            places = rotation[column], origin[column]
+            index = self.shapes.index(self.moving[column])
+            places = rotation[index], origin[index]
             found[:, column] = np.min([body.distances(places, within) for body in bodies], axis=0)
         if len(self.pairs) > self.n_ground:
             apart = self._apart(rotation, origin)
             for pair in np.flatnonzero((apart <= within).any(axis=0)):
                 rows = np.flatnonzero(apart[:, pair] <= within)
                 first, second = (int(part[pair]) for part in self._indices)
-                here = ((rotation[index][rows], origin[index][rows]) for index in (first, second))
-                apart[rows, pair] = self._coal.distances((first, second), *here)
+                one, other = ((rotation[i][rows], origin[i][rows]) for i in (first, second))
+                apart[rows, pair] = self._coal.distances((first, second), one, other, within)
             found[:, self.n_ground :] = apart
         return found
 
@@ -103,7 +110,8 @@ class CollisionScene:
         index = self.pairs.index(pair)
         rotation, origin = self._placements(np.atleast_2d(q))
         if index < self.n_ground:
-            found = [body.witness((rotation[index], origin[index])) for body in self._grounds[index]]
+            shape = self.shapes.index(self.moving[index])
+            found = [body.witness((rotation[shape], origin[shape])) for body in self._grounds[index]]
             return min(found, key=lambda witness: witness.distance)
         first, second = (int(part[index - self.n_ground]) for part in self._indices)
         places = ((rotation[i], origin[i]) for i in (first, second))
@@ -144,10 +152,7 @@ class CollisionScene:
             first, second = (int(part[number - self.n_ground]) for part in self._indices)
             witness = self._coal.witness((first, second), places[first], places[second])
             pairs = [(placed(first), placed(second), witness)]
-        return [
-            Approach(first=first, second=second, normal=witness.normal, distance=witness.distance)
-            for first, second, witness in pairs
-        ]
+        return [nearest(first, second, witness.normal) for first, second, witness in pairs]
 
     def least_distances(self, configurations: Iterable[np.ndarray], within: float = np.inf) -> np.ndarray:
         """Least signed distance in m of each pair (n,) over configurations (nq,); inf without any."""
@@ -213,8 +218,12 @@ class CollisionScene:
 
     @cached_property
     def _coal(self) -> CoalPairs:
-        links = [coal_link(shape) for shape in self.shapes]
-        return CoalPairs([*links, *(coal_obstacle(obstacle) for obstacle in self.obstacles)])
+        solids = [coal_link(shape) for shape in self.shapes]
+        solids += [coal_obstacle(obstacle) for obstacle in self.obstacles]
+        bodies = zip(solids, (*self.shapes, *self.obstacles), strict=True)
+        return CoalPairs(
+            [CoalBody(solid=s, place=p, points=b.points, radius=b.radius) for (s, p), b in bodies]
+        )
 
     @cached_property
     def _grounds(self) -> list[list[BodyDistance] | list[SmoothDistance]]:
@@ -222,9 +231,9 @@ class CollisionScene:
         if self.terrain is None:
             return []
         if isinstance(self.terrain, SmoothTerrain):
-            return [[SmoothDistance(shape, self.terrain)] for shape in self.shapes]
+            return [[SmoothDistance(shape, self.terrain)] for shape in self.moving]
         bodies = ground_bodies(self.terrain)
-        return [[BodyDistance(shape, body) for body in bodies] for shape in self.shapes]
+        return [[BodyDistance(shape, body) for body in bodies] for shape in self.moving]
 
 
 def separable_pairs(

@@ -33,7 +33,8 @@ class PlacedBody:
 
     ``points`` are in the axes of ``frame`` (None: the world), which lie at ``rotation`` (3, 3) and
     ``position`` (3,) m in the world. With a ``normal`` (3,) it is the half-space below that plane instead,
-    at ``height`` m along it, in the world.
+    at ``height`` m along it, in the world. ``sides`` (m, 3) are outward normals of faces of the hull, world,
+    where they are known.
     """
 
     frame: str | None = None
@@ -43,6 +44,7 @@ class PlacedBody:
     position: np.ndarray = field(default_factory=lambda: np.zeros(3))
     normal: np.ndarray | None = None
     height: float = 0.0
+    sides: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def placed(self) -> np.ndarray:
@@ -70,6 +72,31 @@ class CornerRow:
     frame: str | None
     body: str | None
     parameters: np.ndarray
+
+
+def nearest(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> Approach:
+    """The approach of two bodies, from what a search for their nearest points found as their ``normal``.
+
+    Iterative searches fail now and then for bodies of very different sizes. Any direction gives a lower bound
+    of the signed distance, so the best one is taken of the direction found, its opposite, and the way from
+    centre to centre.
+    """
+    if second.normal is not None:
+        return Approach(
+            first=first, second=second, normal=second.normal, distance=_apart(first, second, second.normal)
+        )
+    way = first.placed.mean(axis=0) - second.placed.mean(axis=0)
+    length = float(np.linalg.norm(way))
+    directions = [normal, -normal, *([way / length] if length > 0 else []), *second.sides]
+    distances = [_apart(first, second, direction) for direction in directions]
+    best = int(np.argmax(distances))
+    return Approach(first=first, second=second, normal=directions[best], distance=distances[best])
+
+
+def _apart(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> float:
+    """Least height of the first body along a normal minus the greatest of the second, m."""
+    top = second.height if second.normal is not None else float((second.placed @ normal).max()) + second.radius
+    return float((first.placed @ normal).min()) - first.radius - top
 
 
 def corner_rows(found: Approach, margin: float) -> tuple[CornerRow, ...]:

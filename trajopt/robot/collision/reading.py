@@ -34,8 +34,8 @@ def read_shapes(
     """Shapes of all links, also of those fixed to the world; the link of each shape; what could not be read.
 
     Spheres, capsules and boxes are themselves; a cylinder is a `prism` around it, a mesh its `simplified`
-    convex hull. Each shape is on the frame of the joint that moves it, and has the name of its link, with a
-    number where the link has several.
+    convex hull, a finer one behind the last joints, since feet and hands touch. Each shape is on the frame
+    of the joint that moves it, and has the name of its link, with a number where the link has several.
     """
     missing: list[str] = []
     for purpose in PURPOSES:
@@ -45,7 +45,8 @@ def read_shapes(
             missing.append(str(error))
             continue
         if bodies:
-            return *_named(model, bodies), tuple(dict.fromkeys(missing))
+            shapes, links = _named(model, bodies, missing)
+            return shapes, links, tuple(dict.fromkeys(missing))
     return (), {}, tuple(dict.fromkeys(missing))
 
 
@@ -55,10 +56,11 @@ def _bodies(
     """Link, joint and body, in the joint's axes, of every element; adds to ``missing``."""
     found = described_geometry(source, model, purpose)
     missing += [f"{name}: no file {file}" for name, file in found.missing.items()]
+    carrying = set(model.parents)
     for entry in found.geometry.geometryObjects:
         try:
             points, radius = (
-                _hull_of(entry.meshPath, tuple(np.ravel(entry.meshScale)))
+                _hull_of(entry, fine=entry.parentJoint not in carrying)
                 if entry.name in found.meshes
                 else _body_of(entry.geometry)
             )
@@ -70,13 +72,14 @@ def _bodies(
         yield link, int(entry.parentJoint), (placed, radius)
 
 
-def _hull_of(path: str, scale: tuple[float, ...]) -> _Body:
-    return _simplified_once(path, Path(path).stat().st_mtime_ns, scale)
+def _hull_of(entry: pin.GeometryObject, fine: bool) -> _Body:
+    path = str(entry.meshPath)
+    return _simplified_once(path, Path(path).stat().st_mtime_ns, tuple(np.ravel(entry.meshScale)), fine)
 
 
 @lru_cache(maxsize=MOST_HULLS)
-def _simplified_once(path: str, _changed: int, scale: tuple[float, ...]) -> _Body:
-    return simplified(mesh_vertices(path, scale))
+def _simplified_once(path: str, _changed: int, scale: tuple[float, ...], fine: bool) -> _Body:
+    return simplified(mesh_vertices(path, scale), fine)
 
 
 def _body_of(geometry: Any) -> _Body:
@@ -97,14 +100,18 @@ def _body_of(geometry: Any) -> _Body:
 
 
 def _named(
-    model: pin.Model, bodies: list[tuple[str, int, _Body]]
+    model: pin.Model, bodies: list[tuple[str, int, _Body]], missing: list[str]
 ) -> tuple[tuple[LinkShape, ...], dict[str, str]]:
     counts, seen = Counter(link for link, _, _ in bodies), Counter[str]()
     shapes, links = [], {}
     for link, joint, (points, radius) in bodies:
         name = link if counts[link] == 1 and link != "ground" else f"{link}_{seen[link]}"
         seen[link] += 1
-        frame = joint_frame(model, joint)
+        try:
+            frame = joint_frame(model, joint)
+        except InputError as error:
+            missing.append(f"{name}: {error.what}")
+            continue
         within = model.frames[model.getFrameId(frame)].placement.inverse()
         placed = np.round(points @ within.rotation.T + within.translation, DECIMALS)
         shapes.append(LinkShape(name=name, frame=frame, points=placed, radius=radius))
@@ -121,5 +128,5 @@ def joint_frame(model: pin.Model, joint: int) -> str:
     own = [str(frame.name) for frame in model.frames if frame.parentJoint == joint]
     known = sorted((name for name in own if counts[name] == 1), key=lambda name: name != model.names[joint])
     if not known:
-        raise InputError(f"joint '{model.names[joint]}' has no frame", "allowed: a model with a frame on it")
+        raise InputError(f"joint '{model.names[joint]}' has no frame with a name of its own", "allowed: one")
     return known[0]

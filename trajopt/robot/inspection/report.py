@@ -10,6 +10,7 @@ import numpy as np
 from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.errors import InputError
 from trajopt.robot.inspection.faults import find_faults, listed, shapes_of
+from trajopt.robot.inspection.shape_facts import ShapeFacts, shape_facts
 from trajopt.robot.inspection.standing import StandingPosture, standing_posture
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
@@ -63,6 +64,7 @@ class RobotReport:
     length: float
     joints: tuple[JointFacts, ...]
     contacts: tuple[ContactFacts, ...]
+    shapes: ShapeFacts
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -79,6 +81,7 @@ class RobotReport:
         lines += _columns(_JOINT_TITLES, [_joint_row(joint) for joint in self.joints])
         if self.contacts:
             lines += _columns(_CONTACT_TITLES, [_contact_row(contact) for contact in self.contacts])
+        lines += [f"  shapes     {text}" for text in self.shapes.lines()]
         lines += [f"  note       {text}" for text in self.notes]
         lines += [f"  warning    {text}" for text in self.warnings]
         return "\n".join(lines)
@@ -114,6 +117,7 @@ def robot_report(robot: Robot) -> RobotReport:
             )
             for contact in robot.contacts
         ),
+        shapes=shape_facts(robot),
         notes=_notes(robot, rest),
         warnings=find_faults(robot, rest),
     )

@@ -14,6 +14,8 @@ from trajopt.view.replay.bodies import OBSTACLE_COLOUR, PAYLOAD_COLOUR
 from trajopt.view.replay.copies import GHOST_COLOUR
 from trajopt.view.replay.goals import CROSS_COLOUR
 from trajopt.view.replay.ground import GROUND_COLOUR
+from trajopt.view.replay.links import PLACE as SHAPES
+from trajopt.view.replay.links import SHAPE_COLOUR
 from trajopt.view.replay.runs import DrawnSolution, travels
 from trajopt.view.replay.surfaces import WALL_COLOUR
 
@@ -23,6 +25,7 @@ ELSEWHERE = 0.5
 # Name, label, colour, and place in the scene tree of every run or of the scene.
 LAYERS = (
     ("robot", "robot", 0x8A93A0, "robot"),
+    ("shapes", "collision shapes", SHAPE_COLOUR, SHAPES),
     ("forces", "contact forces", FORCE_COLOUR, "forces"),
     ("impulses", "impulses", IMPULSE_COLOUR, "impulses"),
     ("cones", "friction cones", 0x3C93C2, "cones"),
@@ -67,9 +70,10 @@ def hidden_layers(runs: Sequence[DrawnSolution], tangents: np.ndarray) -> set[st
     """Names of the layers that are hidden at first; ``tangents`` (2, 3) of the ground.
 
     Ghosts show the path at a glance if the robot travels; over each other, or beside a second robot, they
-    obscure more than they show. The centre of mass is of little interest for a fixed base.
+    obscure more than they show, and so do collision shapes. The centre of mass is of little interest for a
+    fixed base.
     """
-    hidden = set()
+    hidden = {"shapes"}
     if len(runs) > 1 or not _parts_from_itself(runs[0], tangents):
         hidden.add("ghosts")
     if not any(BASE_JOINT[base_of(run.solution.model)] for run in runs):

@@ -23,6 +23,7 @@ from trajopt.view.replay.copies import PREFIX, draw_ghosts, ghost_frames, tint
 from trajopt.view.replay.goals import draw_goals
 from trajopt.view.replay.ground import DrawnGround, draw_grounds, grounds_of
 from trajopt.view.replay.layers import hidden_layers, layers_of
+from trajopt.view.replay.links import draw_shapes
 from trajopt.view.replay.motion import ReplayMotion
 from trajopt.view.replay.parts import placed
 from trajopt.view.replay.robot import joint_path
@@ -117,6 +118,7 @@ def _draw_run(
         draw_goals(run, ground.drop, size),
         draw_payloads(run, tracks),
     ]
+    draw_shapes(run, tracks)
     draw_arrows(run, tracks, size, weight_arrow)
     draw_cones(run, tracks, motion.touched, size)
     draw_balance(run, tracks, balance_of(solution, motion, motion.touched), ground.drop, size)

@@ -1,0 +1,119 @@
+"""The shapes of links in a solution's file: written, read, refused, measured by the check and drawn."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.replay_pages import objects_of, placements_of, shown
+from tests.support.synthetic_motions import sampled, standing, with_meta
+from trajopt.certify.check import check
+from trajopt.errors import InputError
+from trajopt.robot.collision.description import RobotShapes, robot_shapes
+from trajopt.robot.collision.shapes import SphereObstacle
+from trajopt.solution.clearance import clearance_figures
+from trajopt.solution.descriptions import bodies_of, body_scene_of
+from trajopt.solution.solution import Solution
+from trajopt.solving.rest import rest
+from trajopt.solving.solving import solve
+from trajopt.terrain import FlatGround, PiecewiseTerrain
+from trajopt.view.replay.motion import replay_motion
+from trajopt.view.replay.scene import build_scene
+from trajopt_library import robots
+
+EXACT = 1e-8  # m; what Coal's iterations leave
+ROBOT = robots.load("solo12")
+
+
+def still(**meta: object) -> Solution:
+    """Solo12 at rest in its reference, with its shapes."""
+    given = {"bodies": robot_shapes(ROBOT).describe(), "terrain": FlatGround().describe()}
+    return sampled(ROBOT, [standing(ROBOT, 0.2)], 3, **(given | meta))
+
+
+def test_solution_of_a_problem_holds_the_robots_shapes(tmp_path):
+    solution = solve(rest(ROBOT), compile="none")
+    loaded = Solution.load(solution.save(tmp_path / "rest.npz"))
+    expected, found = robot_shapes(ROBOT), bodies_of(loaded.meta["bodies"])
+    assert found.describe() == expected.describe()
+    assert json.loads(json.dumps(loaded.meta["bodies"])) == expected.describe()
+    assert body_scene_of(loaded.model, loaded.meta).pairs[0] == (expected.shapes[0].name, "ground")
+
+
+def test_robot_without_shapes_has_none_in_its_solution():
+    solution = solve(rest(robots.load("irb1600")), compile="none")
+    assert "bodies" not in solution.meta
+    assert check(solution).link_depth is None
+
+
+def test_figures_are_the_least_distances_of_the_scene():
+    plan = still()
+    scene = body_scene_of(plan.model, plan.meta)
+    distances = scene.distances(ROBOT.reference)[0]
+    found = clearance_figures(plan)
+    assert found["link_depth"] == pytest.approx(-distances[: scene.n_ground].min(), abs=EXACT)
+    assert found["self_distance"] == pytest.approx(distances[scene.n_ground :].min(), abs=EXACT)
+    assert found["obstacle_distance"] is None
+    assert check(plan).link_depth == pytest.approx(found["link_depth"])
+
+
+def test_ground_and_obstacles_of_the_file_are_measured():
+    plan = still()
+    raised = clearance_figures(still(terrain=FlatGround(height=0.05).describe()))
+    assert raised["link_depth"] == pytest.approx(clearance_figures(plan)["link_depth"] + 0.05, abs=EXACT)
+    hole = PiecewiseTerrain.stepping_stones([(50.0, 50.0)], 0.2).describe()
+    assert clearance_figures(still(terrain=hole))["link_depth"] < -10
+    ball = SphereObstacle(name="ball", centre=ROBOT.reference[:3] + np.array([0, 0, 0.4]), radius=0.1)
+    scene = {"capsules": [], "obstacles": [ball.describe()], "self_pairs": []}
+    found = clearance_figures(still(collision=scene))["obstacle_distance"]
+    assert 0.1 < found < 0.4 - 0.1
+    assert check(still(collision=scene)).obstacle_distance == pytest.approx(found)
+
+
+def test_file_without_shapes_is_read_and_has_no_figures(tmp_path):
+    plan = still()
+    meta = {key: value for key, value in plan.meta.items() if key != "bodies"}
+    loaded = Solution.load(replace(plan, meta=meta).save(tmp_path / "old.npz"))
+    report = check(loaded)
+    assert (report.link_depth, report.self_distance, report.obstacle_distance) == (None, None, None)
+    assert "shapes of links" in report.table()
+    assert "shapes of links" not in check(plan).table()
+
+
+SHAPE = {"name": "s", "frame": "base_link", "points": [[0, 0, 0]], "radius": 0.1}
+EMPTY = {"shapes": [], "pairs": [], "left_out": [], "missing": []}
+WRONG = {
+    "list": [],
+    "keys": {"shapes": []},
+    "shape": {**EMPTY, "shapes": [{"name": "s"}]},
+    "frame": {**EMPTY, "shapes": [{**SHAPE, "frame": "nose"}]},
+    "points": {**EMPTY, "shapes": [{**SHAPE, "points": [[0, 0]]}]},
+    "pair": {**EMPTY, "shapes": [SHAPE], "pairs": [["s", "t"]]},
+    "three": {**EMPTY, "pairs": [["s"]]},
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_description_is_refused_in_one_line(case):
+    with pytest.raises(InputError, match="bodies of meta: ") as caught:
+        check(with_meta(still(), bodies=WRONG[case]))
+    assert "\n" not in str(caught.value)
+
+
+def test_description_of_shapes_is_read_again():
+    found = RobotShapes.from_description(robot_shapes(ROBOT).describe())
+    assert found.describe() == robot_shapes(ROBOT).describe()
+
+
+def test_replay_has_a_layer_of_shapes_that_is_hidden_at_first(tmp_path):
+    plan = still()
+    page, facts = shown(plan, tmp_path), build_scene([plan], [replay_motion(plan)]).facts
+    (layer,) = (layer for layer in facts["layers"] if layer["name"] == "shapes")
+    assert not layer["visible"]
+    drawn = {name for name in objects_of(page) if "shapes/" in name}
+    assert len(drawn) == len(robot_shapes(ROBOT).shapes)
+    (foot,) = (matrix for name, matrix in placements_of(page).items() if name.endswith("/FL_FOOT"))
+    assert foot == pytest.approx(np.eye(4))
