@@ -34,8 +34,8 @@ GUESS_SWING = 1.5
 LENGTH_OF_DEFAULTS = 1.0193317172808651
 LENGTHS = {"length": 0.2, "clearance": 0.04}
 TIMES = {"step_time": 0.6, "double_support": 0.15, "shift": 0.5, "settle": 0.6}
-# Intervals per second for Talos; rounding errors must not add an interval.
-INTERVALS_PER_SECOND, WHOLE = 10, 1e-9
+# Intervals per second for Talos.
+INTERVALS_PER_SECOND = 10
 # Range of the duration of every part of the walk, s.
 DURATIONS = (0.05, 5.0)
 
@@ -94,7 +94,7 @@ def build(
     )
     plan = walk.plan(body)
     guess = _guess(body, plan, own["clearance"])
-    intervals = math.ceil(INTERVALS_PER_SECOND * plan.duration / math.sqrt(scale) - WHOLE)
+    intervals = common.intervals(INTERVALS_PER_SECOND * plan.duration / math.sqrt(scale))
     return common.problem(
         "biped-walk",
         body,

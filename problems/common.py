@@ -42,6 +42,8 @@ from trajopt_library import robots
 CLEARANCE = 0.03
 # Weight of impulses: without it an impact brakes for free, since torque costs do not include it.
 IMPULSE_WEIGHT = 0.1
+# Rounding of a number of intervals.
+WHOLE = 1e-9
 
 Range = tuple[float, float]
 
@@ -169,6 +171,11 @@ def displaced(
     turn = pin.utils.rotate("z", yaw) @ pin.Quaternion(q[3:7]).toRotationMatrix()
     q[3:7] = pin.Quaternion(turn).coeffs()
     return q
+
+
+def intervals(wanted: float) -> int:
+    """Least number of intervals that is ``wanted`` or more; rounding errors do not add one."""
+    return math.ceil(wanted - WHOLE)
 
 
 def hop_schedule(

@@ -7,7 +7,6 @@ the same gait's stop.
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -100,7 +99,9 @@ def build(
         initial_q=begin[0],
         initial_v=begin[1],
         parameters=asked.parameters | {"stand": time},
-        default_intervals=max(len(own), math.ceil(INTERVALS_PER_PERIOD * schedule.duration / asked.period)),
+        default_intervals=max(
+            len(own), common.intervals(INTERVALS_PER_PERIOD * schedule.duration / asked.period)
+        ),
     )
 
 

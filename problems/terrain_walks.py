@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -159,7 +158,8 @@ def problem_over(
         initial_q=plan.start,
         parameters={"cycles": float(cycles), "clearance": lift, **parameters},
         default_intervals=max(
-            len(schedule.phases), math.ceil(INTERVALS_PER_PERIOD * schedule.duration / own.asked.period)
+            len(schedule.phases),
+            common.intervals(INTERVALS_PER_PERIOD * schedule.duration / own.asked.period),
         ),
     )
 

@@ -48,11 +48,11 @@ def test_unknown_robot_is_refused_with_the_known_names():
         robots.load("solo13")
 
 
-def test_solo12_stands_with_its_feet_at_height_zero():
+def test_solo12_stands_on_balls_at_height_zero():
     robot = robots.load("solo12")
     heights = frame_positions(robot, FEET, robot.reference)[:, 2]
-    np.testing.assert_allclose(heights, 0, atol=ROUNDING)
-    assert robot.reference[2] == pytest.approx(robot.length, abs=1e-3)
+    np.testing.assert_allclose(heights, 0.016, atol=ROUNDING)
+    assert robot.reference[2] == pytest.approx(robot.length + 0.016, abs=1e-3)
     assert robot.weight == pytest.approx(2.5 * 9.81, rel=1e-3)
 
 

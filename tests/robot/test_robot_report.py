@@ -14,8 +14,8 @@ import pytest
 import trajopt
 from tests.support.command_lines import invoke
 from tests.support.repository import ROOT
-from trajopt import Robot
-from trajopt.robot.inspection.faults import lowest_drawn
+from trajopt import Contact, Robot
+from trajopt.robot.inspection.faults import depths_below
 from trajopt.robot.inspection.report import robot_report
 from trajopt.robot.inspection.standing import inside, standing_feet, standing_posture
 from trajopt.robot.inspection.starter import guessed, starter
@@ -24,6 +24,7 @@ from trajopt_library import robots
 
 URDF = ROOT / "docs" / "tutorial" / "puppy" / "urdf" / "puppy.urdf"
 LEGS = ("lf", "rf", "lh", "rh")
+BALL = 0.015  # radius of its feet, m
 BENT = {f"{leg}_{joint}": angle for leg in LEGS for joint, angle in (("pitch", 0.7), ("knee", -1.4))}
 # Virtual work by central differences of 1e-6: the truncation is 1e-12 of the work, rounding 1e-10.
 STEP, WORK = 1e-6, 1e-7
@@ -31,10 +32,10 @@ STEP, WORK = 1e-6, 1e-7
 BALANCE = 1e-6
 
 
-def puppy(urdf: Path = URDF, feet: str = "foot", **angles: float) -> Robot:
+def puppy(urdf: Path = URDF, feet: str = "foot", radius: float = BALL, **angles: float) -> Robot:
     return Robot.from_urdf(
         urdf,
-        contacts=[f"{leg}_{feet}" for leg in LEGS],
+        contacts=[Contact(frame=f"{leg}_{feet}", radius=radius) for leg in LEGS],
         reference=BENT | angles,
         package_dirs=[URDF.parents[2]],
     )
@@ -125,11 +126,21 @@ def test_hands_do_not_stand() -> None:
     assert standing_feet(robots.load("ur5")) == ()
 
 
-def test_drawn_feet_reach_a_ball_below_their_centres() -> None:
-    robot = puppy()
-    assert lowest_drawn(robot, standing_posture(robot)) == pytest.approx(
-        {f"{leg}_foot": 0.015 for leg in LEGS}
-    )
+def test_shapes_of_feet_reach_a_ball_below_their_centres() -> None:
+    for radius in (0.0, 0.01, BALL):
+        robot = puppy(radius=radius)
+        depths = depths_below(robot, standing_posture(robot))
+        assert depths == pytest.approx({f"{leg}_foot": BALL - radius for leg in LEGS}, abs=1e-9)
+
+
+def test_a_radius_that_is_not_the_foots_is_a_warning_with_the_right_one() -> None:
+    (warning,) = robot_report(puppy(radius=0.0)).warnings
+    assert "15.0 mm into the ground under lf_foot" in warning
+    assert "Contact(radius=0.015)" in warning
+    report = robot_report(puppy())
+    assert report.warnings == ()
+    assert [contact.radius for contact in report.contacts] == [BALL] * 4
+    assert "15 mm" in report.table()
 
 
 INERTIA = r'(<link name="lf_shank">.*?)<inertial>.*?</inertial>'
@@ -189,6 +200,7 @@ def test_a_first_file_builds_the_robot_that_was_guessed(tmp_path: Path) -> None:
     found = guessed(URDF)
     assert found.base == "freeflyer"
     assert {contact.frame for contact in found.contacts} == {f"{leg}_foot" for leg in LEGS}
+    assert {contact.radius for contact in found.contacts} == {BALL}
     assert standing_posture(found).balanced
     path = tmp_path / "mine.py"
     path.write_text(starter(found, path), encoding="utf-8")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from xml.etree import ElementTree
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -16,6 +17,8 @@ from trajopt_library import robots
 ROUNDING = 1e-12  # metres, after a few multiplications of numbers near one
 # A robot may push off from where it stands only if its legs can lengthen by this part of their length.
 LEAST_EXTENSION = 0.1
+# A foot is this near to its contact's ball over all leans of the shank, m.
+FOOT_SHAPE = 1e-3
 # Postures are written to four digits; a robot on two points or soles stands over their middle to this, m.
 MIDDLE = 1e-3
 # Descriptions differ from data sheets by batteries, cables and payload mounts.
@@ -96,13 +99,46 @@ def extension_left(robot: Robot, frame: str) -> float:
 
 
 @pytest.mark.parametrize("name", LEGGED)
-def test_a_legged_robot_stands_with_its_feet_at_height_zero_and_level(name):
+def test_a_legged_robot_stands_with_its_feet_on_level_ground_at_height_zero(name):
     robot = robots.load(name)
     for contact in (robot.contact(foot) for foot in robots.feet(robot)):
         pose = poses(robot, [contact.frame])[0]
-        assert pose.translation[2] == pytest.approx(0.0, abs=1e-4)
+        assert pose.translation[2] == pytest.approx(contact.radius, abs=1e-4)
         if contact.kind == "surface":
             np.testing.assert_allclose(pose.rotation[:, 2], [0, 0, 1], atol=1e-4)
+
+
+@pytest.mark.parametrize("name", [*robots.names("quadruped"), "bolt"])
+def test_a_foot_touches_the_ground_with_its_contacts_radius_however_the_shank_leans(name):
+    robot = robots.load(name)
+    assert robot.visual is not None
+    shapes = robot.visual.geometry(robot.model, pin.GeometryType.COLLISION)
+    for contact in robot.contacts:
+        frame = robot.model.frames[robot.model.getFrameId(contact.frame)]
+        joint, centre = int(frame.parentJoint), frame.placement.translation
+        down, across = centre / np.linalg.norm(centre), np.array([0.0, 1.0, 0.0])
+        for angle in np.radians(np.arange(-40, 41, 10)):
+            turn = pin.exp3(angle * across)
+            reach = max(
+                extent(shape.geometry, shape.placement, turn @ down)
+                for shape in shapes.geometryObjects
+                if shape.parentJoint == joint
+            )
+            assert reach - centre @ turn @ down == pytest.approx(contact.radius, abs=FOOT_SHAPE)
+
+
+def extent(shape, placement: pin.SE3, along: np.ndarray) -> float:
+    """Greatest component along a direction (3,) of the points of a placed shape, m."""
+    local = placement.rotation.T @ along
+    if isinstance(shape, coal.Sphere):
+        farthest = shape.radius
+    elif isinstance(shape, coal.Box):
+        farthest = np.abs(local) @ shape.halfSide
+    elif isinstance(shape, coal.Cylinder):
+        farthest = shape.halfLength * abs(local[2]) + shape.radius * np.hypot(local[0], local[1])
+    else:
+        farthest = (shape.vertices() @ local).max()
+    return float(farthest + placement.translation @ along)
 
 
 @pytest.mark.parametrize("name", robots.names("quadruped"))

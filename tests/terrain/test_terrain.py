@@ -33,6 +33,7 @@ from trajopt.terrain.surface import Surface
 from trajopt.terrain.swing_path import swing_path
 from trajopt.terrain.terrain import terrain_from_description
 from trajopt_library import robots
+from trajopt_library.robots import solo12
 
 ROUNDING = 1e-12  # numbers of order one after a few products
 SOLVED = 1e-6  # rows of a solve that stops at 1e-8, over their units
@@ -162,7 +163,7 @@ def test_depth_landing_and_friction_are_those_of_the_normal_under_the_foot():
     feet = contact_positions(robots.load("solo12"), solution.q[0])
     report = check(on_terrain(replace(solution, meta={**solution.meta, "friction": [0.5] * 4}), ground))
     normal = np.array([-0.1, 0.0, 1.0]) / np.hypot(1.0, 0.1)
-    depths = [0.02 + 0.1 * p[0] - p[2] for p in feet.values()]
+    depths = [0.02 + 0.1 * p[0] - p[2] + solo12.RADIUS / normal[2] for p in feet.values()]
     assert report.penetration == pytest.approx(max(depths) * normal[2])
     assert report.landing_height == pytest.approx(max(abs(d) for d in depths[1:]) * normal[2])
     forces = solution.f[:, 1:, :3] / robots.load("solo12").weight

@@ -174,7 +174,7 @@ def test_ground_lies_under_the_visible_feet_not_under_the_frames_inside_them(pag
         for command in scene_of(page)["commands"]
         if command["type"] == "set_transform" and command["path"].endswith("ground/plane")
     )
-    assert plane["matrix"][14] == pytest.approx(-0.016, abs=0.003)  # the tips' radius
+    assert plane["matrix"][14] == pytest.approx(0.0, abs=0.003)  # not at the frames, 16 mm higher
 
 
 def test_arm_is_drawn_whole_and_in_the_colours_of_its_files(arm, tmp_path):

@@ -14,7 +14,6 @@ from tests.support.synthetic_motions import arm_motion, pushing_off, sampled, st
 from trajopt.certify.samples import sample_quantities
 from trajopt.robot.payload import Payload, loaded, loaded_model
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import touched_surfaces
 from trajopt.terrain.surface import Surface
 from trajopt.view.replay.balance import Balance, balance_of, on_ground, outer_wrenches
 from trajopt.view.replay.balance_marks import SUPPORT_LIFT
@@ -39,7 +38,7 @@ def rising() -> Solution:
 
 def balance(solution: Solution) -> Balance:
     motion = replay_motion(solution)
-    return balance_of(solution, motion, touched_surfaces(solution, motion.feet, motion.phase))
+    return balance_of(solution, motion, motion.touched)
 
 
 def centre_of_pressure(solution: Solution) -> np.ndarray:
@@ -153,8 +152,9 @@ def sizes_of(robot) -> list:  # type: ignore[no-untyped-def]
 
 def test_contacts_on_different_planes_have_a_level_virtual_plane_through_their_mean(bones):
     wall = Surface(point=np.zeros(3), normal=np.array([-0.6, 0.0, 0.8]))
-    found = balance(on_surface(bones, {"FL_FOOT": wall}, {}, {"FL_FOOT": wall}))
-    plane, feet = found.supports[0].plane, replay_motion(bones).feet[0]
+    leaning = on_surface(bones, {"FL_FOOT": wall}, {}, {"FL_FOOT": wall})
+    found = balance(leaning)
+    plane, feet = found.supports[0].plane, replay_motion(leaning).feet[0]
     assert_allclose(plane.normal, UP)
     assert_allclose(plane.point, feet.mean(axis=0), atol=EXACT)
     assert_allclose(found.zmp[0, 2], feet[:, 2].mean(), atol=EXACT)

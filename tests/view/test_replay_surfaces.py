@@ -18,6 +18,7 @@ from trajopt.view.replay.ground import GRID_LIFT
 from trajopt.view.replay.show import replay
 from trajopt.view.replay.surfaces import PATCH_MARGIN, THICKNESS
 from trajopt_library import robots
+from trajopt_library.robots import solo12
 
 INTERVALS, FOOT = 3, "FL_FOOT"
 SINGLE_PRECISION = 2e-6  # of lengths around one
@@ -73,7 +74,7 @@ def test_ground_moves_with_a_world_that_is_tilted(hop, tmp_path, axis, angle):
     depth = (plane[:3, 3] - shift) @ turn[:, 2]
     # the robot's extent, which sets how far the plane lies below the grid, is measured along world axes
     assert depth == pytest.approx(level[2, 3], abs=GRID_LIFT)
-    assert depth == pytest.approx(-0.016, abs=0.003)  # the tips' radius
+    assert depth == pytest.approx(0.0, abs=0.003)  # the tips' radius below their frames
     above = (grid_points(scene) - plane[:3, 3]) @ turn[:, 2]
     assert np.ptp(above) < 10 * SINGLE_PRECISION  # of a grid some metres wide
     assert 0 < above.mean() < 0.01
@@ -121,7 +122,8 @@ def test_camera_travels_along_a_slope_and_not_with_a_hop_from_it(bones, tmp_path
 )
 def test_wall_is_a_board_behind_the_drawn_tip_of_a_leg_before_it(bones, tmp_path, normal, before):
     place = foot_at(bones)
-    wall = Surface(point=place + np.cross(normal, [0.3, 0.7, 0.2]), normal=np.array(normal))
+    touched = place - solo12.RADIUS * np.array(normal) / np.linalg.norm(normal)
+    wall = Surface(point=touched + np.cross(normal, [0.3, 0.7, 0.2]), normal=np.array(normal))
     scene = shown(on_surface(bones, {FOOT: wall}, {}, {FOOT: wall}), tmp_path)
     assert surfaces_shown(scene) == ["surfaces/patch0"]
     matrix, board = placements_of(scene)["surfaces/patch0"], objects_of(scene)["surfaces/patch0"]
@@ -131,7 +133,8 @@ def test_wall_is_a_board_behind_the_drawn_tip_of_a_leg_before_it(bones, tmp_path
     front = matrix[:3, 3] + size["depth"] / 2 * wall.normal
     spheres = [content["geometries"][0] for path, content in objects_of(scene).items() if "/tip" in path]
     radius = spheres[0]["radius"]
-    depth = radius if before else 0.0  # a leg that reaches through the wall leaves it in its plane
+    # The drawn tip is larger than the contact's ball; a leg that reaches through the wall leaves it in place.
+    depth = max(radius, solo12.RADIUS) if before else solo12.RADIUS
     assert_allclose(front, place - depth * wall.normal, atol=PROBES * radius)  # centred on the one contact
     extent = size["depth"] / THICKNESS
     assert_allclose([size["width"], size["height"]], 2 * PATCH_MARGIN * extent, rtol=SINGLE_PRECISION)
@@ -184,7 +187,8 @@ def test_held_contact_has_a_disc_of_another_colour_at_its_place(bones, tmp_path)
     matrix, disc = placements_of(scene)["surfaces/handle0"], objects_of(scene)["surfaces/handle0"]
     size = disc["geometries"][0]
     assert_allclose(matrix[:3, 1], direction, atol=SINGLE_PRECISION)  # a cylinder lies along its y axis
-    assert_allclose(matrix[:3, 3] + size["height"] / 2 * direction, place, atol=SINGLE_PRECISION)
+    touched = place - solo12.RADIUS * direction
+    assert_allclose(matrix[:3, 3] + size["height"] / 2 * direction, touched, atol=SINGLE_PRECISION)
     board = objects_of(scene)["surfaces/patch0"]
     assert disc["materials"][0]["color"] != board["materials"][0]["color"]
 

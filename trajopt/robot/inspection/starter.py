@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pinocchio as pin
 
 from trajopt.dynamics.base_joint import Base, position_limits
 from trajopt.errors import InputError
+from trajopt.robot.inspection.faults import shapes_of
 from trajopt.robot.kinematics import contact_positions, inverse_kinematics
 from trajopt.robot.legs import LIFTED
 from trajopt.robot.reading import read_urdf
@@ -19,6 +21,8 @@ from trajopt.robot.robot import Robot
 BENT = 0.15
 # Inverse kinematics has succeeded if feet are in place up to this fraction of the height.
 REACHED = 1e-6
+# A ball is a foot's if its centre is this near to the foot's frame, m.
+SAME_PLACE = 1e-6
 # Iterations: moving the legs shifts the centre of mass, by less each time.
 CENTRINGS = 4
 # A description this many folders up is given by its absolute path.
@@ -28,7 +32,7 @@ TEMPLATE = '''"""Robot "{name}" of {source}. Feet and posture are guesses from g
 
 from pathlib import Path
 
-from trajopt import Robot
+from trajopt import {imported}
 
 URDF = Path(__file__).parent / "{file}"
 {tool}# The standing posture by joint, rad (m where a joint slides); the limits beside it.
@@ -59,8 +63,25 @@ def guessed(urdf: Path, base: Base | None = None) -> Robot:
     kind: Base = base or ("fixed" if len(_tips(read_urdf(urdf, "fixed"))) < 2 else "freeflyer")
     if kind == "fixed":
         return Robot.from_urdf(urdf, base=kind)
-    straight = Robot.from_urdf(urdf, base=kind, contacts=_lowest_tips(read_urdf(urdf, kind)))
-    return _bent(urdf, straight)
+    tips = Robot.from_urdf(urdf, base=kind, contacts=_lowest_tips(read_urdf(urdf, kind)))
+    contacts = [replace(contact, radius=_ball_at(tips, contact.frame)) for contact in tips.contacts]
+    return _bent(urdf, Robot.from_urdf(urdf, base=kind, contacts=contacts))
+
+
+def _ball_at(robot: Robot, name: str) -> float:
+    """Radius of the ball that the description has around a frame, m; 0 without one."""
+    frame = robot.model.frames[robot.model.getFrameId(name)]
+    for kind in (pin.GeometryType.COLLISION, pin.GeometryType.VISUAL):
+        try:
+            geometry = shapes_of(robot, kind)
+        except InputError:
+            continue
+        for found in [] if geometry is None else geometry.geometryObjects:
+            apart = np.linalg.norm(found.placement.translation - frame.placement.translation)
+            own = found.parentJoint == frame.parentJoint and apart < SAME_PLACE
+            if own and type(found.geometry).__name__ == "Sphere":
+                return float(found.geometry.radius)
+    return 0.0
 
 
 def starter(robot: Robot, target: Path) -> str:
@@ -74,14 +95,18 @@ def starter(robot: Robot, target: Path) -> str:
     if robot.base == "fixed":
         last = [f.name for f in robot.model.frames if f.parentJoint == robot.model.njoints - 1]
         tool = f'KIND, TOOL = "arm", "{last[-1]}"\n' if last else ""
-    names = ", ".join(f'"{contact.frame}"' for contact in robot.contacts)
+    contacts = ", ".join(
+        f'Contact(frame="{c.frame}", radius={c.radius:g})' if c.radius else f'"{c.frame}"'
+        for c in robot.contacts
+    )
     return TEMPLATE.format(
         name=robot.name,
         file=file,
         source=urdf.name,
         tool=tool,
         base=robot.base,
-        contacts=f"[{names}]",
+        contacts=f"[{contacts}]",
+        imported="Contact, Robot" if any(c.radius for c in robot.contacts) else "Robot",
         reference="\n".join(_entries(robot)),
     )
 
@@ -147,5 +172,4 @@ def _bent(urdf: Path, straight: Robot) -> Robot:
         if found.error > REACHED * straight.length:
             return straight
         q = found.q
-    contacts = [contact.frame for contact in straight.contacts]
-    return Robot.from_urdf(urdf, base=straight.base, contacts=contacts, reference=q)
+    return Robot.from_urdf(urdf, base=straight.base, contacts=straight.contacts, reference=q)

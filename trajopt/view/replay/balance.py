@@ -7,14 +7,15 @@ The external wrench on the robot (and its payload) follows from its momentum,
 with linear and angular momentum h, k (about the centre of mass c). The zero-moment point z lies in the plane
 of the contacts, of normal n: n x M_z = 0, so z = p + n x M_p / (n . F) for any p of that plane (Sardain and
 Bessonnet, "Forces acting on a biped robot. Center of pressure - zero moment point", IEEE Trans. SMC A 34,
-2004). Where all loaded contacts are on one plane it is the centre of pressure of their forces. Otherwise a
+2004); forces of contacts with a radius act in their centres, and the point in the plane of these is drawn in
+that of the ground. Where all loaded contacts are on one plane it is their centre of pressure. Otherwise a
 virtual plane is used, level and through the mean of the contacts. Walls and handles do not support a robot
 that stands on something else; their forces move the point.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -26,7 +27,7 @@ from trajopt.dynamics.model_quantities import mass_of
 from trajopt.robot.sole import centre_of_pressure
 from trajopt.solution.descriptions import terrain_of
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import TouchedSurfaces
+from trajopt.solution.touched import TouchedSurfaces, contact_radii
 from trajopt.terrain.surface import SAME_PLANE, UP, Surface
 from trajopt.view.replay.motion import LEAST_PRESSURE, ReplayMotion
 from trajopt.view.replay.surfaces import plane_of
@@ -41,12 +42,14 @@ class SupportArea:
     """The support during frames ``rows`` (n,): a plane, and the convex hull (k, 3) of its contacts, m.
 
     The hull is that of the contacts' points and soles' corners along the plane's normal, in order around
-    it; its points are the contacts' own, on several planes too. Two points are a segment.
+    it; its points are the contacts' own, on several planes too. Two points are a segment. rise: mean height,
+    m, at which forces act over the plane: of contacts with a radius in their centres.
     """
 
     rows: np.ndarray
     plane: Surface
     hull: np.ndarray
+    rise: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,7 +70,8 @@ def balance_of(solution: Solution, motion: ReplayMotion, touched: TouchedSurface
     zmp = np.full_like(com, np.nan)
     for support in supports:
         rows, plane = support.rows, support.plane
-        about = moment[rows] - np.cross(plane.point, force[rows])
+        lever = plane.point + support.rise * plane.normal
+        about = moment[rows] - np.cross(lever, force[rows])
         pressed = force[rows] @ plane.normal > LEAST_PRESSURE * motion.weight
         place = plane.point + centre_of_pressure(force[rows], about, plane.normal)
         zmp[rows] = np.where(pressed[:, None], place, np.nan)
@@ -117,11 +121,12 @@ def supports_of(solution: Solution, motion: ReplayMotion, touched: TouchedSurfac
         plane = _plane(solution, motion, touched, middle, contacts)
         points = np.concatenate([_touching(solution, motion, middle, int(contact)) for contact in contacts])
         hull = _hull(points, plane)
+        rise = float(contact_radii(solution.meta)[contacts].mean())
         previous = found[-1] if found else None
         if previous is not None and previous.hull.shape == hull.shape and np.allclose(previous.hull, hull):
-            found[-1] = SupportArea(rows=previous.rows | rows, plane=previous.plane, hull=hull)
+            found[-1] = replace(previous, rows=previous.rows | rows, hull=hull)
         else:
-            found.append(SupportArea(rows=rows, plane=plane, hull=hull))
+            found.append(SupportArea(rows=rows, plane=plane, hull=hull, rise=rise))
     return found
 
 
