@@ -10,6 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from trajopt.errors import InputError
+from trajopt.problem.acting_terms import require_acting
 from trajopt.problem.periodicity import Periodicity, UnitRotation, closing_map, landing_at_start
 from trajopt.problem.validation import (
     checked_duration_bounds,
@@ -20,7 +21,6 @@ from trajopt.problem.validation import (
     require_no_impacts,
     require_payloads,
     require_periodic,
-    require_phase,
     require_phases,
     require_reach,
     require_start,
@@ -121,9 +121,7 @@ class Problem:
         if self.duration_bounds is not None:
             bounds = checked_duration_bounds(self.name, schedule, self.duration_bounds)
             object.__setattr__(self, "duration_bounds", bounds)
-        for term in self.terms:
-            for name in term.phases or ():
-                require_phase(schedule, name, f"{term.name} acts in")
+        require_acting(robot, schedule, self.terms)
         first, last = schedule.names[0], schedule.names[-1]
         limits = [rows for rows in self.point_constraints if rows.acts_in(first) and self.periodicity is None]
         require_start(self.name, robot, *start, limits)

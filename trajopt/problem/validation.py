@@ -10,7 +10,7 @@ import numpy as np
 
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin
-from trajopt.errors import InputError
+from trajopt.errors import InputError, not_among
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.payload import Payload
 from trajopt.robot.reach import LinkPoint, longest_between
@@ -56,7 +56,7 @@ def require_terms(problem: str, terms: Sequence[Term]) -> None:
 def require_phase(schedule: Schedule, name: str, what: str) -> None:
     """Raise `InputError`, beginning with ``what``, for a phase that the schedule does not have."""
     if name not in schedule.names:
-        raise InputError(f"{what} phase '{name}'", f"allowed: {', '.join(schedule.names)}")
+        raise not_among(schedule.names, name, f"{what} phase '{name}', which does not exist")
 
 
 def require_phases(problem: str, robot: Robot, schedule: Schedule) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -54,6 +55,8 @@ class FramePose(NodeConstraint):
     Raises:
         InputError: for a position or rotation of another shape, and a matrix that is not a rotation.
     """
+
+    acts_in_phases: ClassVar[bool] = False
 
     frame: str
     position: np.ndarray | None = None
@@ -106,6 +109,8 @@ class FrameVelocity(NodeConstraint):
         velocity: linear (m/s) and angular (rad/s) in world axes (6,).
         phase: the phase at whose beginning the frame moves like this; default: the schedule's end.
     """
+
+    acts_in_phases: ClassVar[bool] = False
 
     frame: str
     velocity: np.ndarray

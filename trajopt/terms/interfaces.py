@@ -36,6 +36,8 @@ class Term:
 
     acts_at_points: ClassVar[bool] = True
     acts_at_impacts: ClassVar[bool] = False
+    # Whether ``phases`` chooses where it acts; a term that acts at one moment refuses them.
+    acts_in_phases: ClassVar[bool] = True
 
     phases: tuple[str, ...] | None = None
 

@@ -91,6 +91,10 @@ class AtMoment(Term):
     def __post_init__(self) -> None:
         if not 0 <= self.fraction <= 1:
             raise InputError(f"fraction of {self.name} is {self.fraction:g}", "allowed: 0 to 1")
+        if self.phases not in (None, (self.phase,)):
+            raise InputError(
+                f"phases of {self.name} are {self.phases!r}", f"allowed: phase={self.phase!r} alone"
+            )
         object.__setattr__(self, "phases", (self.phase,))
 
     def acts_at(self, place: NodePlace) -> bool:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -107,6 +108,8 @@ class SwingArc(NodeConstraint):
         between_phases: whether the term acts where the phases begin, for the contacts that are in the air
             before it too, or at the nodes inside the phases.
     """
+
+    acts_in_phases: ClassVar[bool] = False
 
     height: float
     terrain: FlatGround | SmoothTerrain
@@ -211,6 +214,8 @@ class SwingOver(NodeConstraint):
         between_phases: whether the term acts where one phase of a swing passes into the next, or at the
             nodes inside the phases.
     """
+
+    acts_in_phases: ClassVar[bool] = False
 
     height: float
     swings: tuple[SwingCrossing, ...]

@@ -1,0 +1,144 @@
+"""A term that could not act is refused when the problem is built, in one line that says what may be meant."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import dataclass, fields, replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from typing_extensions import override
+
+import trajopt.terms
+from tests.support.problems import hop
+from trajopt import InputError
+from trajopt.robot.units import Units
+from trajopt.terms import (
+    Context,
+    Cost,
+    DistanceCost,
+    FrameDirection,
+    FrameHeight,
+    FrameHeightCost,
+    FramePose,
+    FramesAbove,
+    FrameVelocity,
+    FrictionCone,
+    NormalForce,
+    Term,
+    TerminalRest,
+    TorqueCost,
+)
+
+HOP = hop()
+PHASES, FOOT = HOP.schedule.names, "foot"
+STILL = np.zeros(6)
+
+
+def with_term(term: Term):
+    return replace(HOP, terms=(*HOP.terms, term))
+
+
+UNKNOWN = {
+    "phases": (TorqueCost(weight=1.0, phases=("Stance",)), "torque_cost names phase 'Stance'", "stance"),
+    "waypoint": (FramePose(frame=FOOT, position=[0, 0, 1], phase="fligth"), "phase 'fligth'", "flight"),
+    "velocity": (FrameVelocity(frame=FOOT, velocity=STILL, phase="fly"), "phase 'fly'", None),
+    "moment": (FrameHeight(frame=FOOT, height=0.1, phase="Flight"), "frame_height names phase", "flight"),
+    "direction": (
+        FrameDirection(frame=FOOT, axis=(0, 0, 1), direction=(0, 0, 1), angle=0.1, phase="up"),
+        "phase 'up'",
+        None,
+    ),
+    "cost": (FrameHeightCost(weight=1.0, frame=FOOT, phase="flights"), "phase 'flights'", "flight"),
+    "frame": (FramePose(frame="fot", position=[0, 0, 1]), "frame_pose names frame 'fot'", FOOT),
+    "frames": (FramesAbove(frames=(FOOT, "knees"), height=0.0), "frame 'knees'", None),
+    "contact": (FrictionCone(contacts=("Foot",)), "friction_cone names contact 'Foot'", FOOT),
+    "force": (NormalForce(contact="heel", lower=1.0), "normal_force names contact 'heel'", None),
+}
+
+
+@pytest.mark.parametrize("case", UNKNOWN)
+def test_an_unknown_name_is_refused_with_the_one_that_may_be_meant(case):
+    term, what, meant = UNKNOWN[case]
+    with pytest.raises(InputError) as caught:
+        with_term(term)
+    message = str(caught.value)
+    assert what in message
+    assert "which does not exist" in message
+    assert "allowed: " in message
+    assert meant is None or f"did you mean {meant}?" in message
+    assert "\n" not in message
+
+
+UNUSED = {
+    "pose": FramePose(frame=FOOT, position=[0, 0, 1], phases=(PHASES[0],)),
+    "velocity": FrameVelocity(frame=FOOT, velocity=STILL, phases=(PHASES[0],)),
+    "rest": TerminalRest(q=HOP.initial_q, phases=(PHASES[0],)),
+    "distance": DistanceCost(weight=1.0, frame=FOOT, phases=(PHASES[0],)),
+}
+
+
+@pytest.mark.parametrize("case", UNUSED)
+def test_phases_of_a_term_that_does_not_use_them_are_refused(case):
+    with pytest.raises(InputError, match="which this term does not use; allowed: "):
+        with_term(UNUSED[case])
+
+
+def test_a_moment_has_one_phase():
+    with pytest.raises(InputError, match="allowed: phase='flight' alone"):
+        FrameHeight(frame=FOOT, height=0.1, phase="flight", phases=("stance",))
+    term = FrameHeight(frame=FOOT, height=0.1, phase="flight")
+    assert replace(term, height=0.2).phases == ("flight",)
+
+
+@pytest.mark.parametrize("phases", [(), "stance", 3])
+def test_phases_are_names(phases):
+    with pytest.raises(InputError, match="allowed: a tuple of names of phases, or None for all"):
+        with_term(TorqueCost(weight=1.0, phases=phases))
+
+
+@pytest.mark.parametrize(
+    "term",
+    [
+        NormalForce(contact=FOOT, lower=1.0, phases=("flight",)),
+        FrictionCone(contacts=(FOOT,), phases=("flight",)),
+    ],
+)
+def test_a_contact_that_is_inactive_wherever_the_term_acts_is_refused(term):
+    with pytest.raises(
+        InputError, match="active in none of the phases flight; it is active in stance, landing"
+    ):
+        with_term(term)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnCost(Cost):
+    """A term of a user, with names of its own."""
+
+    frame: str
+    contacts: tuple[str, ...] = ()
+
+    @override
+    def residual(self, context: Context, units: Units) -> ca.SX:
+        return context.frame(self.frame).position
+
+
+def test_the_terms_of_a_user_are_judged_by_the_same_check():
+    assert with_term(OwnCost(weight=1.0, frame=FOOT, contacts=(FOOT,)))
+    with pytest.raises(InputError, match="own_cost names frame 'feet'"):
+        with_term(OwnCost(weight=1.0, frame="feet"))
+    with pytest.raises(InputError, match="own_cost names contact 'feet'"):
+        with_term(OwnCost(weight=1.0, frame=FOOT, contacts=("feet",)))
+
+
+def test_every_term_holds_names_in_fields_that_the_check_knows():
+    """A field such as ``at_phase`` or ``link`` would escape the check."""
+    known = {"phase", "phases", "contact", "contacts", "frame", "frames"}
+    for name in dir(trajopt.terms):
+        term = getattr(trajopt.terms, name)
+        if inspect.isclass(term) and issubclass(term, Term) and not inspect.isabstract(term):
+            odd = {
+                f.name for f in fields(term) if any(word in f.name for word in ("phase", "contact", "frame"))
+            }
+            assert odd - known <= {"between_phases"}, name
