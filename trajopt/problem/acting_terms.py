@@ -16,8 +16,8 @@ from trajopt.terms.node_interfaces import NodeConstraint
 def require_acting(robot: Robot, schedule: Schedule, terms: Sequence[Term]) -> None:
     """Raise `InputError` for a term that could not act, or only in part.
 
-    Names are found by the fields that hold them (``phase``, ``contacts`` ...), in the library's terms and in a
-    user's own.
+    Names are found by the fields that hold them (``phase``, ``contacts`` ...), in the library's terms and
+    in a user's own.
     """
     known = {
         "phase": schedule.names,
