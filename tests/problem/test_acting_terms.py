@@ -11,8 +11,9 @@ import pytest
 from typing_extensions import override
 
 import trajopt.terms
-from tests.support.problems import hop
+from tests.support.problems import hop, reach
 from trajopt import InputError
+from trajopt.problem.acting_terms import NAMES
 from trajopt.robot.units import Units
 from trajopt.terms import (
     Context,
@@ -25,11 +26,24 @@ from trajopt.terms import (
     FramesAbove,
     FrameVelocity,
     FrictionCone,
+    FrictionPyramid,
+    ImpulseCost,
+    NodeConstraint,
+    NodePlace,
     NormalForce,
+    Rows,
+    SoleCone,
+    SwingClearance,
     Term,
+    TerminalPosture,
     TerminalRest,
     TorqueCost,
+    TrackingCost,
+    WrenchCost,
+    swing_arcs,
 )
+from trajopt.terms.tracking import key_frames
+from trajopt.terrain.flat import FlatGround
 
 HOP = hop()
 PHASES, FOOT = HOP.schedule.names, "foot"
@@ -112,6 +126,57 @@ def test_a_contact_that_is_inactive_wherever_the_term_acts_is_refused(term):
         with_term(term)
 
 
+IDLE = {
+    "impacts": (ImpulseCost(weight=1.0), "acts at impacts, and none begins any phase"),
+    "forces": (WrenchCost(weight=1.0, phases=("flight",)), "no contact is active in phases flight"),
+    "friction": (FrictionPyramid(phases=("flight",)), "no contact is active in phases flight"),
+    "soles": (SoleCone(contacts=(FOOT,)), "'foot' is a point contact"),
+    "swings": (
+        SwingClearance(height=0.1, terrain=FlatGround(), phases=("stance", "landing")),
+        "no contact is in the air in phases stance, landing",
+    ),
+    "time": (
+        TrackingCost(weight=1.0, reference=key_frames(HOP.robot, [0.8, 1.0], [HOP.initial_q] * 2)),
+        "its key frames are from 0.8 to 1 s, outside the schedule of 0.8 s",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", IDLE)
+def test_a_term_without_anything_to_act_on_is_refused(case):
+    term, what = IDLE[case]
+    with pytest.raises(InputError, match=what):
+        with_term(term)
+
+
+def test_key_frames_that_meet_the_schedule_are_accepted():
+    frames = key_frames(HOP.robot, [-1.0, 0.1], [HOP.initial_q] * 2)
+    assert with_term(TrackingCost(weight=1.0, reference=frames))
+
+
+def test_the_base_of_a_fixed_robot_is_not_tracked():
+    with pytest.raises(InputError, match="robot 'arm' is fixed to the world"):
+        reach(terms=(TrackingCost(weight=1.0, reference=lambda t: np.zeros(1), part="base"),))
+
+
+def test_a_posture_is_over_a_contact_that_is_active_at_the_end():
+    ends = replace(HOP.schedule, phases=HOP.schedule.phases[:2])
+    with pytest.raises(InputError, match="'foot' is not active in phase 'flight'"):
+        replace(HOP, schedule=ends, terms=(TerminalPosture(q=HOP.initial_q, over=FOOT),))
+
+
+def test_a_pose_has_a_goal():
+    with pytest.raises(InputError, match="frame_pose of 'foot' has no goal; allowed: position"):
+        FramePose(frame=FOOT)
+
+
+def test_arcs_are_made_only_where_they_act():
+    """The one swing of the hop lies within a phase: there is nothing between phases."""
+    arcs = swing_arcs(HOP.schedule, (FOOT,), height=0.05, terrain=FlatGround())
+    assert [arc.between_phases for arc in arcs] == [False]
+    assert with_term(*arcs)
+
+
 @dataclass(frozen=True, kw_only=True)
 class OwnCost(Cost):
     """A term of a user, with names of its own."""
@@ -132,9 +197,47 @@ def test_the_terms_of_a_user_are_judged_by_the_same_check():
         with_term(OwnCost(weight=1.0, frame=FOOT, contacts=("feet",)))
 
 
+@dataclass(frozen=True, kw_only=True)
+class OwnWaypoint(NodeConstraint):
+    """A term of a user that acts at one fraction of a phase, or ignores its phases."""
+
+    at: str = ""
+
+    @override
+    def acts_at(self, place: NodePlace) -> bool:
+        return place.index == 0 and place.phase.name == (self.at or PHASES[1])
+
+    @override
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        return Rows.create(context.frame(FOOT).position[2], 0.0, 1.0, units.length)
+
+
+def test_nodes_of_a_users_term_are_found_by_asking_it():
+    assert with_term(OwnWaypoint())
+    with pytest.raises(InputError, match="own_waypoint acts at no node of any phase"):
+        with_term(OwnWaypoint(at="Flight"))
+    with pytest.raises(InputError, match="which this term does not use"):
+        with_term(OwnWaypoint(phases=(PHASES[1],)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnLanding(OwnWaypoint):
+    """A term of a user that acts where its phases begin, if they begin with a contact."""
+
+    @override
+    def acts_at(self, place: NodePlace) -> bool:
+        return place.index == 0 and self.acts_in(place.phase.name) and FOOT in place.phase.contacts
+
+
+def test_a_phase_without_a_node_of_the_term_is_named():
+    assert with_term(OwnLanding(phases=("stance", "landing")))
+    with pytest.raises(InputError, match="own_landing acts at no node of phase 'flight'"):
+        with_term(OwnLanding(phases=("stance", "flight")))
+
+
 def test_every_term_holds_names_in_fields_that_the_check_knows():
     """A field such as ``at_phase`` or ``link`` would escape the check."""
-    known = {"phase", "phases", "contact", "contacts", "frame", "frames"}
+    known = set(NAMES)
     for name in dir(trajopt.terms):
         term = getattr(trajopt.terms, name)
         if inspect.isclass(term) and issubclass(term, Term) and not inspect.isabstract(term):

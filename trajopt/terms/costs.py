@@ -80,6 +80,8 @@ class PostureCost(Cost):
 class WrenchCost(Cost):
     """Contact forces over weight, moments over weight times length; zero in flight."""
 
+    acts_on_forces: ClassVar[bool] = True
+
     @override
     def residual(self, context: Context, units: Units) -> ca.SX:
         return _scaled_wrenches(context, units)

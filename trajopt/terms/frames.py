@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -53,10 +52,8 @@ class FramePose(NodeConstraint):
         phase: the phase at whose beginning the pose is reached, a waypoint; default: the schedule's end.
 
     Raises:
-        InputError: for a position or rotation of another shape, and a matrix that is not a rotation.
+        InputError: for neither a position nor a rotation, another shape, and a matrix that is not a rotation.
     """
-
-    acts_in_phases: ClassVar[bool] = False
 
     frame: str
     position: np.ndarray | None = None
@@ -64,6 +61,10 @@ class FramePose(NodeConstraint):
     phase: str | None = None
 
     def __post_init__(self) -> None:
+        if self.position is None and self.rotation is None:
+            raise InputError(
+                f"{self.name} of '{self.frame}' has no goal", "allowed: position, rotation or both"
+            )
         if self.position is not None:
             finite_array(f"position of {self.name}", self.position, unit="m, world")
         turn = np.eye(3) if self.rotation is None else np.asarray(self.rotation, dtype=float)
@@ -79,8 +80,6 @@ class FramePose(NodeConstraint):
 
     @override
     def targets(self) -> tuple[Target, ...]:
-        if self.position is None and self.rotation is None:
-            return ()
         target = Target(frame=self.frame, position=self.position, rotation=self.rotation, phase=self.phase)
         return (target,)
 
@@ -109,8 +108,6 @@ class FrameVelocity(NodeConstraint):
         velocity: linear (m/s) and angular (rad/s) in world axes (6,).
         phase: the phase at whose beginning the frame moves like this; default: the schedule's end.
     """
-
-    acts_in_phases: ClassVar[bool] = False
 
     frame: str
     velocity: np.ndarray

@@ -12,14 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import casadi as ca
 import numpy as np
 from typing_extensions import override
 
 from trajopt.errors import InputError
+from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Schedule
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Rows
 from trajopt.terms.landing import along_normal, contact_points
@@ -69,6 +70,13 @@ class SwingClearance(NodeConstraint):
             )
 
     @override
+    def idle(self, robot: Robot, schedule: Schedule) -> str:
+        acting = [phase for phase in schedule.phases if self.acts_in(phase.name)]
+        if all(contact.name in phase.contacts for phase in acting for contact in robot.contacts):
+            return f"no contact is in the air in phases {', '.join(phase.name for phase in acting)}"
+        return ""
+
+    @override
     def acts_at(self, place: NodePlace) -> bool:
         return _acts_at(place, between_phases=False) and self.acts_in(place.phase.name)
 
@@ -109,8 +117,6 @@ class SwingArc(NodeConstraint):
             before it too, or at the nodes inside the phases.
     """
 
-    acts_in_phases: ClassVar[bool] = False
-
     height: float
     terrain: FlatGround | SmoothTerrain
     parts: Mapping[str, tuple[SwingPart, ...]]
@@ -119,18 +125,19 @@ class SwingArc(NodeConstraint):
     def __post_init__(self) -> None:
         require_clearance(self.height)
 
-    def _acting(self, phase: str) -> list[SwingPart]:
+    def acting(self, phase: str) -> list[SwingPart]:
+        """The swings on which the term acts in the phase of that name."""
         return [part for part in self.parts.get(phase, ()) if part.begin > 0 or not self.between_phases]
 
     @override
     def acts_at(self, place: NodePlace) -> bool:
-        return _acts_at(place, self.between_phases) and bool(self._acting(place.phase.name))
+        return _acts_at(place, self.between_phases) and bool(self.acting(place.phase.name))
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         ground, heights, least = self.terrain.surface, [], []
         level = ground.height if isinstance(ground, Surface) else 0.0
-        for part in self._acting(place.phase.name):
+        for part in self.acting(place.phase.name):
             points = contact_points(context, context.robot.contact(part.contact))
             s = part.begin + place.fraction * (part.end - part.begin)
             heights += _heights(context, ground, points)
@@ -214,8 +221,6 @@ class SwingOver(NodeConstraint):
         between_phases: whether the term acts where one phase of a swing passes into the next, or at the
             nodes inside the phases.
     """
-
-    acts_in_phases: ClassVar[bool] = False
 
     height: float
     swings: tuple[SwingCrossing, ...]
