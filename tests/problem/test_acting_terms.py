@@ -126,8 +126,9 @@ def test_a_contact_that_is_inactive_wherever_the_term_acts_is_refused(term):
         with_term(term)
 
 
+NO_SWING = SwingClearance(height=0.1, terrain=FlatGround())
 IDLE = {
-    "impacts": (ImpulseCost(weight=1.0), "acts at impacts, and none begins any phase"),
+    "impacts": (ImpulseCost(weight=1.0, phases=("landing",)), "no impact begins phases landing"),
     "forces": (WrenchCost(weight=1.0, phases=("flight",)), "no contact is active in phases flight"),
     "friction": (FrictionPyramid(phases=("flight",)), "no contact is active in phases flight"),
     "soles": (SoleCone(contacts=(FOOT,)), "'foot' is a point contact"),
@@ -147,6 +148,13 @@ def test_a_term_without_anything_to_act_on_is_refused(case):
     term, what = IDLE[case]
     with pytest.raises(InputError, match=what):
         with_term(term)
+
+
+@pytest.mark.parametrize("term", [ImpulseCost(weight=1.0), NO_SWING, SoleCone()])
+def test_a_term_that_names_nothing_may_find_nothing(term):
+    """Terms that are used for many schedules and robots need no change for one without impacts or swings."""
+    stance = replace(HOP.schedule, phases=HOP.schedule.phases[:1])
+    assert replace(HOP, schedule=stance, terms=(term,)).terms == (term,)
 
 
 def test_key_frames_that_meet_the_schedule_are_accepted():

@@ -44,8 +44,6 @@ def require_acting(robot: Robot, schedule: Schedule, terms: Sequence[Term]) -> N
         _require_names(term, known, schedule)
         if isinstance(term, NodeConstraint | NodeCost):
             _require_nodes(term, schedule)
-        elif not term.acts_at_points:
-            _require_impacts(term, schedule)
         reason = term.idle(robot, schedule)
         if reason:
             raise InputError(f"{term.name} cannot act: {reason}", "allowed: terms that act")
@@ -117,10 +115,3 @@ def _places(schedule: Schedule, name: str = "") -> Iterator[NodePlace]:
             yield NodePlace(
                 phase=shown, index=k, fractions=fractions, last=k == INTERVALS, ends_schedule=ends
             )
-
-
-def _require_impacts(term: Term, schedule: Schedule) -> None:
-    """A term on impacts alone has a phase that begins with one."""
-    if not any(phase.impact and term.acts_in(phase.name) for phase in schedule.phases):
-        where = "any phase" if term.phases is None else f"phases {', '.join(term.phases)}"
-        raise InputError(f"{term.name} acts at impacts, and none begins {where}", "allowed: impact=True")

@@ -55,7 +55,8 @@ class Term:
     def idle(self, robot: Robot, schedule: Schedule) -> str:
         """Why the term would have no effect with this robot and schedule; empty where it can act.
 
-        For what names of phases, contacts and frames do not tell. A problem refuses a term with a reason.
+        For what names of phases, contacts and frames do not tell. A problem refuses a term with a reason. A
+        term without ``phases`` about contacts that a schedule happens not to have is no error.
         """
         if self.acts_on_forces and self.phases is not None:
             touching = [phase.contacts for phase in schedule.phases if self.acts_in(phase.name)]

@@ -72,8 +72,9 @@ class SwingClearance(NodeConstraint):
     @override
     def idle(self, robot: Robot, schedule: Schedule) -> str:
         acting = [phase for phase in schedule.phases if self.acts_in(phase.name)]
-        if all(contact.name in phase.contacts for phase in acting for contact in robot.contacts):
-            return f"no contact is in the air in phases {', '.join(phase.name for phase in acting)}"
+        stands = all(contact.name in phase.contacts for phase in acting for contact in robot.contacts)
+        if self.phases is not None and stands:
+            return f"no contact is in the air in phases {', '.join(self.phases)}"
         return ""
 
     @override
