@@ -178,11 +178,16 @@ def test_a_pose_has_a_goal():
         FramePose(frame=FOOT)
 
 
-def test_arcs_are_made_only_where_they_act():
-    """The one swing of the hop lies within a phase: there is nothing between phases."""
+def test_arcs_of_a_schedule_without_swings_over_phases_are_accepted():
+    """The one swing of the hop lies within a phase: the term between phases has no node."""
     arcs = swing_arcs(HOP.schedule, (FOOT,), height=0.05, terrain=FlatGround())
-    assert [arc.between_phases for arc in arcs] == [False]
-    assert with_term(*arcs)
+    assert replace(HOP, terms=arcs).terms == arcs
+
+
+def test_arcs_of_another_schedule_are_refused():
+    arc, _ = swing_arcs(HOP.schedule, (FOOT,), height=0.05, terrain=FlatGround())
+    with pytest.raises(InputError, match="its swings are in phase 'Flight', which does not exist"):
+        with_term(replace(arc, parts={"Flight": arc.parts["flight"]}))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -82,7 +82,7 @@ def _require_active(term: Term, contact: str, schedule: Schedule) -> None:
 def _require_nodes(term: NodeConstraint | NodeCost, schedule: Schedule) -> None:
     """A term at nodes acts at one at least, in each phase that it names, and ``phases`` have an effect."""
     if term.phases is None:
-        if not any(term.acts_at(place) for place in _places(schedule)):
+        if not term.made_for_schedule and not any(term.acts_at(place) for place in _places(schedule)):
             raise InputError(f"{term.name} acts at no node of any phase", "allowed: terms that act")
         return
     if not isinstance(term, AtMoment) and not _uses_phases(term, schedule):

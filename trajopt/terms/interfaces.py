@@ -37,6 +37,8 @@ class Term:
 
     acts_at_points: ClassVar[bool] = True
     acts_at_impacts: ClassVar[bool] = False
+    # Whether a function made it for a schedule, in which it may have no node to act at.
+    made_for_schedule: ClassVar[bool] = False
     # Whether it is about the forces of active contacts: without one it has nothing to act on.
     acts_on_forces: ClassVar[bool] = False
 

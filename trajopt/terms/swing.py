@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -118,6 +119,8 @@ class SwingArc(NodeConstraint):
             before it too, or at the nodes inside the phases.
     """
 
+    made_for_schedule: ClassVar[bool] = True
+
     height: float
     terrain: FlatGround | SmoothTerrain
     parts: Mapping[str, tuple[SwingPart, ...]]
@@ -126,19 +129,23 @@ class SwingArc(NodeConstraint):
     def __post_init__(self) -> None:
         require_clearance(self.height)
 
-    def acting(self, phase: str) -> list[SwingPart]:
-        """The swings on which the term acts in the phase of that name."""
+    def _acting(self, phase: str) -> list[SwingPart]:
         return [part for part in self.parts.get(phase, ()) if part.begin > 0 or not self.between_phases]
 
     @override
+    def idle(self, robot: Robot, schedule: Schedule) -> str:
+        unknown = [name for name in self.parts if name not in schedule.names]
+        return f"its swings are in phase '{unknown[0]}', which does not exist" if unknown else ""
+
+    @override
     def acts_at(self, place: NodePlace) -> bool:
-        return _acts_at(place, self.between_phases) and bool(self.acting(place.phase.name))
+        return _acts_at(place, self.between_phases) and bool(self._acting(place.phase.name))
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         ground, heights, least = self.terrain.surface, [], []
         level = ground.height if isinstance(ground, Surface) else 0.0
-        for part in self.acting(place.phase.name):
+        for part in self._acting(place.phase.name):
             points = contact_points(context, context.robot.contact(part.contact))
             s = part.begin + place.fraction * (part.end - part.begin)
             heights += _heights(context, ground, points)

@@ -156,8 +156,8 @@ def swing_arcs(
     height: float,
     terrain: FlatGround | SmoothTerrain,
     next_name: Mapping[str, str] | None = None,
-) -> tuple[SwingArc, ...]:
-    """Terms for the swings of contacts: inside the phases, and between them where a swing spans phases.
+) -> tuple[SwingArc, SwingArc]:
+    """Terms for the swings of contacts, which may span phases: inside the phases and between them.
 
     Args:
         schedule: contacts over time.
@@ -173,8 +173,7 @@ def swing_arcs(
     """
     parts = _swing_parts(schedule.phases, contacts, next_name)
     arc = SwingArc(height=height, terrain=terrain, parts=parts)
-    arcs = (arc, replace(arc, between_phases=True))
-    return tuple(each for each in arcs if any(each.acting(phase) for phase in parts))
+    return arc, replace(arc, between_phases=True)
 
 
 def _swing_parts(
