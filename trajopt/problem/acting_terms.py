@@ -11,7 +11,7 @@ from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms.interfaces import Term
 from trajopt.terms.node_costs import NodeCost
-from trajopt.terms.node_interfaces import AtMoment, NodeConstraint, NodePlace
+from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
 
 # Fields of terms that hold names, and what they name.
 NAMES = {
@@ -85,7 +85,7 @@ def _require_nodes(term: NodeConstraint | NodeCost, schedule: Schedule) -> None:
         if not term.made_for_schedule and not any(term.acts_at(place) for place in _places(schedule)):
             raise InputError(f"{term.name} acts at no node of any phase", "allowed: terms that act")
         return
-    if not isinstance(term, AtMoment) and not _uses_phases(term, schedule):
+    if not _uses_phases(term, schedule):
         own = "phase=" if any(field.name == "phase" for field in fields(term)) else "leave phases out"
         raise InputError(
             f"phases of {term.name}: {term.phases!r}, which this term does not use", f"allowed: {own}"
