@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import difflib
 import math
+from collections.abc import Iterable
 from numbers import Real
 from typing import TYPE_CHECKING, Any, TypeGuard
 
 if TYPE_CHECKING:
     import numpy as np
+
+
+# A message lists all allowed names up to this many, and of more this many.
+MANY, LISTED = 60, 8
 
 
 class TrajoptError(Exception):
@@ -24,6 +30,22 @@ class InputError(TrajoptError):
         self.what = what
         self.allowed = allowed
         super().__init__(f"{what}; {allowed}" if allowed else what)
+
+
+def not_among(known: Iterable[str], name: str, what: str) -> InputError:
+    """The error of a name that is none of those known, with the one that may have been meant.
+
+    Args:
+        known: names that are allowed; of many, such as a robot's frames, only the closest are listed.
+        name: the one given.
+        what: beginning of the message.
+    """
+    names = list(known)
+    folded = {str(each).casefold(): each for each in names}
+    close = [folded[each] for each in difflib.get_close_matches(str(name).casefold(), folded, LISTED)]
+    hint = f"did you mean {close[0]}? " if close else ""
+    listed = names if len(names) <= MANY else [*(close or names[:LISTED]), "..."]
+    return InputError(what, f"{hint}allowed: {', '.join(listed) or 'none'}")
 
 
 class UnsupportedJointError(InputError):

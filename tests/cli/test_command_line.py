@@ -101,10 +101,10 @@ def test_a_value_may_carry_a_unit(hop: subprocess.CompletedProcess[str]) -> None
     assert strict(hop.stdout)["parameters"]["distance"] == pytest.approx(0.1)
 
 
-def test_default_output_is_named_by_the_problem(
+def test_default_output_is_named_for_the_settings(
     hop: subprocess.CompletedProcess[str], hop_file: Path
 ) -> None:
-    assert hop_file.name == "solo12-jump.npz"
+    assert hop_file.name == "solo12-jump-distance=10cm-intervals=12.npz"
     assert Solution.load(hop_file).success
 
 

@@ -21,7 +21,7 @@ JUMP = ("solve", "solo12-jump", "--set", "distance=10cm", "--intervals", "12", "
 @pytest.fixture(scope="module")
 def explained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, Path]:
     file = tmp_path_factory.mktemp("scene") / "jump.npz"
-    return invoke(*JUMP, "--explain", "--output", file), file
+    return invoke(*JUMP, "--smallest", "--explain", "--output", file), file
 
 
 @pytest.mark.long
@@ -61,6 +61,14 @@ def test_without_these_options_the_problem_is_solved_as_it_is_built(tmp_path: Pa
     found = json.loads(invoke(*JUMP, "--json", "--output", tmp_path / "jump.npz").stdout)
     assert found["variables"] == WHOLE
     assert "scene" not in found
+
+
+@pytest.mark.long
+def test_an_explanation_alone_changes_nothing(tmp_path: Path) -> None:
+    found = json.loads(invoke(*JUMP, "--explain", "--json", "--output", tmp_path / "jump.npz").stdout)
+    assert found["variables"] == WHOLE
+    assert found["scene"]["after"]["variables"] == HALF
+    assert Solution.load(tmp_path / "jump.npz").meta["variables"] == WHOLE
 
 
 def test_a_joint_to_keep_must_exist(tmp_path: Path) -> None:

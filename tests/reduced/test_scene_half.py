@@ -17,6 +17,7 @@ from tests.support.scenes import FEET, biped, drive, push, symmetrised, usual
 from trajopt import InputError, Phase, Problem, Robot, Schedule, Solution
 from trajopt.reduced.scenes.smallest import smallest
 from trajopt.robot.building import leaving_plane
+from trajopt.robot.kinematics import contact_positions, inverse_kinematics
 from trajopt.robot.units import Units
 from trajopt.terms import (
     AccelerationCost,
@@ -148,9 +149,11 @@ def asymmetric_tasks() -> dict[str, Problem]:
     robot = biped()
     rolled, sideways = robot.reference.copy(), np.zeros(robot.nv)
     rolled[3:7] = pin.Quaternion(pin.rpy.rpyToMatrix(0.05, 0.0, 0.0)).coeffs()
+    feet = contact_positions(robot, robot.reference)
+    rolled = inverse_kinematics(robot, rolled, feet).q
     sideways[1] = 0.1
     one = Schedule((Phase(name="stance", duration=0.3, contacts=FEET[:1]),))
-    wall = Surface(point=np.zeros(3), normal=np.array([0.0, 0.3, 1.0]))
+    wall = Surface(point=feet[FEET[0]], normal=np.array([0.0, 0.3, 1.0]))
     slope = Schedule((Phase(name="stance", duration=0.3, contacts=FEET, surfaces={FEET[0]: wall}),))
     goal = FramePose(frame="waist", position=np.array([0.0, 0.1, 0.6]))
     uneven = np.full(robot.nu, 50.0)

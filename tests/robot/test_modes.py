@@ -155,7 +155,10 @@ def test_hop_in_space_agrees_in_both_coordinates():
 @pytest.mark.parametrize(
     ("phase", "words"),
     [
-        ("glide", "a mode is given for phase 'glide'; allowed: stance, flight, landing"),
+        (
+            "glide",
+            "a mode is given for phase 'glide', which does not exist; allowed: stance, flight, landing",
+        ),
         ("flight", "mode of phase 'flight' stands on 'foot'"),
     ],
 )

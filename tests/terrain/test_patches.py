@@ -171,8 +171,8 @@ def test_contact_stays_on_the_patch_it_landed_on():
 
 
 def test_foothold_on_piecewise_ground_is_on_the_face_under_it():
-    stairs = PiecewiseTerrain.stairs(0.1, 0.3, 3)
-    landing = stance(name="landing", footholds={FOOT: np.array([0.4, 0.0, 0.2])})
+    stairs = PiecewiseTerrain.stairs(0.1, 0.3, 3, at=(0.1, 0.0))
+    landing = stance(name="landing", footholds={FOOT: np.array([0.5, 0.0, 0.2])})
     schedule = Schedule((stance(), Phase(name="flight", duration=0.2), landing, stance(name="rest")))
     problem = hop(terrain=stairs, schedule=schedule)
     assert problem.surfaces_of(2)[FOOT] is problem.surfaces_of(3)[FOOT] is stairs.face("step2").surface

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from trajopt.certify.payloads import payload_wrenches
 from trajopt.certify.samples import SampleQuantities, largest, least
 from trajopt.certify.sliding import held_part, sliding_error
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
@@ -33,16 +32,8 @@ def force_figures(plan: Solution, samples: SampleQuantities, surfaces: TouchedSu
         "unilateral_margin": least(normal[pressed & points]),
         "sole_margin": _sole_margin(plan, samples, surfaces, weight),
         "sliding_friction": sliding_error(plan, samples, surfaces),
-        "inactive_force": largest(np.abs(_uncarried(plan)[~plan.active]) / weight),
+        "inactive_force": largest(np.abs(plan.f[~plan.active]) / weight),
     }
-
-
-def _uncarried(plan: Solution) -> np.ndarray:
-    """Wrenches (K, nc, 6) without those of carried bodies; between points, where none is planned, zero."""
-    carried = payload_wrenches(plan)
-    loose = plan.f - carried
-    loose[carried.any(axis=-1) & ~plan.collocation[:, None]] = 0.0
-    return loose
 
 
 def _sole_margin(

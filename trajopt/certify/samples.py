@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from trajopt.certify.payloads import carrying_model
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.solution.solution import Solution
 
@@ -16,7 +17,7 @@ from trajopt.solution.solution import Solution
 class SampleQuantities:
     """What the robot does at K samples; contact quantities in world axes at the frame's origin.
 
-    generalized_force: (K, nv) RNEA(q, v, a) - sum J^T f.
+    generalized_force: (K, nv) RNEA(q, v, a) - sum J^T f, of the robot with what it carries.
     position (K, nc, 3), rotation (K, nc, 3, 3), velocity (K, nc, 6), acceleration (K, nc, 6,
     classical): of the contact frames, linear rows first.
     """
@@ -31,7 +32,7 @@ class SampleQuantities:
 def sample_quantities(solution: Solution) -> SampleQuantities:
     """Evaluate every sample of ``solution``."""
     model = solution.model
-    data = model.createData()
+    loaded = {number: carrying_model(solution, number) for number in np.unique(solution.phase).tolist()}
     frames = [model.getFrameId(frame) for frame in solution.contact_frames]
     count, contacts = solution.n_samples, len(frames)
     force = np.zeros((count, model.nv))
@@ -39,6 +40,9 @@ def sample_quantities(solution: Solution) -> SampleQuantities:
     velocity, acceleration = np.zeros((count, contacts, 6)), np.zeros((count, contacts, 6))
     axes = pin.LOCAL_WORLD_ALIGNED
     for row in range(count):
+        if row == 0 or solution.phase[row] != solution.phase[row - 1]:
+            model = loaded[int(solution.phase[row])]
+            data = model.createData()
         q, v, a = solution.q[row], solution.v[row], solution.a[row]
         force[row] = generalized_force(model, data, (q, v, a), frames, solution.f[row])
         pin.forwardKinematics(model, data, q, v, a)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from trajopt.cli.file_names import file_of_settings
 from trajopt.cli.input import (
     NOT_REACHED,
     WholeNumber,
@@ -83,6 +84,8 @@ def continue_command(
 
     load(values[0]), load(values[-1])  # bad values are refused before solving
     folder = None if output_dir is None else _folder(output_dir, problem)
+    context = click.get_current_context()
+    targets = {value: file_of_settings(context, f"{name}={value:.9g}") for value in values}
     known = None if start is None else solution_of(start)
     arguments |= {"options": options_of(solver_options), "start": known}
     import_in_background("scipy.integrate")
@@ -94,7 +97,7 @@ def continue_command(
     files = {}
     if folder is not None:
         for value, solution in found.solutions.items():
-            files[f"{value:.9g}"] = str(solution.save(folder / f"{problem}-{name}={value:.9g}.npz"))
+            files[f"{value:.9g}"] = str(solution.save(folder / targets[value]))
     if as_json:
         click.echo(to_json({"problem": problem, "parameter": name, "files": files, **found.to_dict()}))
     else:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from trajopt.cli.file_names import file_of_settings
 from trajopt.cli.input import NOT_REACHED, chosen_problem, default_option, function_options, json_option
 from trajopt.cli.report import to_json
 from trajopt.solution.output import check_output
@@ -26,7 +27,11 @@ if TYPE_CHECKING:
 @default_option("--max-time", 600.0, "S", "Time limit, s.")
 @function_options
 @click.option(
-    "-o", "--output", type=Path, metavar="FILE", help="Solution file.  [default: PROBLEM-reference.npz]"
+    "-o",
+    "--output",
+    type=Path,
+    metavar="FILE",
+    help="Solution file.  [default: PROBLEM-SETTINGS-reference.npz]",
 )
 @json_option
 def reference_command(
@@ -45,7 +50,7 @@ def reference_command(
     from trajopt.solving.reference import Agreement, NoReferenceError, converged_reference
 
     loaded = chosen_problem(problem, settings)
-    target = check_output(output or Path(f"{problem}-reference.npz"))
+    target = check_output(output or file_of_settings(click.get_current_context(), "reference"))
     bounds = Agreement(objective=objective, distance=distance)
 
     def show(rung: MeshSolve) -> None:

@@ -9,6 +9,7 @@ import click
 
 from trajopt.cli.aim import aim_options, solve_aimed, wants_aim
 from trajopt.cli.diagnose import diagnose_option, diagnosis_of
+from trajopt.cli.file_names import file_of_settings
 from trajopt.cli.input import (
     COUNT,
     NOT_REACHED,
@@ -43,13 +44,19 @@ if TYPE_CHECKING:
 @default_option("--perturb", 0.0, "SIGMA", "Noise on the guess, in scaled units.")
 @solver_options
 @click.option("--smallest", is_flag=True, help="Solve the smallest model that the task requires.")
-@click.option("--explain", is_flag=True, help="As --smallest; print what is modelled, left out, and why.")
+@click.option("--explain", is_flag=True, help="Print what --smallest models, leaves out, and why.")
 @click.option("--keep", multiple=True, metavar="JOINT", help="A joint that --smallest must not lock.")
 @warm_options
 @aim_options
 @diagnose_option
 @watch_options
-@click.option("-o", "--output", type=Path, metavar="FILE", help="Solution file.  [default: PROBLEM.npz]")
+@click.option(
+    "-o",
+    "--output",
+    type=Path,
+    metavar="FILE",
+    help="Solution file.  [default: PROBLEM-SETTINGS.npz]",
+)
 @json_option
 def solve_command(
     problem: str,
@@ -66,10 +73,14 @@ def solve_command(
 ) -> int:
     """Solve PROBLEM and write the solution file.
 
-    By default PROBLEM is solved as built. With --smallest or --explain, joints that the task does not need
-    are locked and a symmetric task is solved for half of the robot; the file holds the whole robot's motion.
-    With --accuracy or --budget, scheme, mesh and solver are chosen from measured fronts; with --accuracy the
-    error is measured, and the mesh refined until it is small enough.
+    By default PROBLEM is solved as built. With --smallest, joints that the task does not need are locked and
+    a symmetric task is solved for half of the robot; the file holds the whole robot's motion. --explain
+    prints what is modelled then, and changes nothing. With --accuracy or --budget, scheme, mesh and solver
+    are chosen from measured fronts; with --accuracy the error is measured, and the mesh refined until it is
+    small enough.
+
+    Without --output the file is named for PROBLEM and the settings given, such as
+    solo12-jump-distance=0.8.npz: other settings do not overwrite it.
 
     Exit status 0 when the problem is solved, with --accuracy or --budget within that target, 1 when not: the
     file then holds the last iterate, and the status and the most violated constraints are printed. Ctrl-C
@@ -77,7 +88,7 @@ def solve_command(
     """
     options = options_of(solver_options)
     loaded = chosen_problem(problem, settings)
-    target = check_output(output or Path(f"{problem}.npz"))
+    target = check_output(output or file_of_settings(click.get_current_context()))
     if arguments["log"] not in (None, "-"):  # the solution may overwrite the start file, the table may not
         start, log = arguments.get("start"), Path(arguments["log"])
         check_apart([target, log], [])
@@ -90,6 +101,9 @@ def solve_command(
         scene = smallest_scene(loaded, keep=keep, **grid)
         if explain and not as_json:
             click.echo(str(scene.report))
+    extra: dict[str, Any] = {"scene": scene.report.to_dict()} if scene else {}
+    if not (smallest or keep):
+        scene = None  # only explained
     asked = scene.problem if scene else loaded
     import_in_background("scipy.integrate")  # the check's integrator
     solve_chosen = solve_aimed if wants_aim(arguments) else solve_warm
@@ -101,7 +115,6 @@ def solve_command(
     report = _checked(solution, notes, "" if scene is None or scene.report.is_exact else " or no --smallest")
     diagnosis = diagnosis_of(solved.solution, asked) if diagnosed else None
     if as_json:
-        extra: dict[str, Any] = {"scene": scene.report.to_dict()} if scene else {}
         extra |= {"diagnosis": diagnosis[0]} if diagnosis else {}
         click.echo(to_json(solve_dict(solution, report, file) | extra | solved.extra))
     else:

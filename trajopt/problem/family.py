@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, not_among
 
 if TYPE_CHECKING:
     from trajopt.problem.problem import Problem
@@ -175,11 +174,3 @@ def choose(families: Mapping[str, Family], name: str) -> Family:
     if name not in families:
         raise not_among(families, name, f"problem '{name}' is unknown")
     return families[name]
-
-
-def not_among(known: Iterable[str], name: str, what: str) -> InputError:
-    """The error for an unknown name, with the known name it is close to."""
-    names = list(known)
-    close = difflib.get_close_matches(name, names, 1)
-    hint = f"did you mean {close[0]}? " if close else ""
-    return InputError(what, f"{hint}allowed: {', '.join(names)}")

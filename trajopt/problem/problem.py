@@ -10,19 +10,18 @@ from types import MappingProxyType
 import numpy as np
 
 from trajopt.errors import InputError
+from trajopt.problem.acting_terms import require_acting
 from trajopt.problem.periodicity import Periodicity, UnitRotation, closing_map, landing_at_start
+from trajopt.problem.places import Stances, require_places
 from trajopt.problem.validation import (
     checked_duration_bounds,
     checked_vector,
     require_actuation,
-    require_goals,
     require_modes,
     require_no_impacts,
     require_payloads,
     require_periodic,
-    require_phase,
     require_phases,
-    require_reach,
     require_start,
     require_terms,
 )
@@ -123,15 +122,12 @@ class Problem:
         if self.duration_bounds is not None:
             bounds = checked_duration_bounds(self.name, schedule, self.duration_bounds)
             object.__setattr__(self, "duration_bounds", bounds)
-        for term in self.terms:
-            for name in term.phases or ():
-                require_phase(schedule, name, f"{term.name} acts in")
-        first, last = schedule.names[0], schedule.names[-1]
+        require_acting(robot, schedule, self.terms)
+        first = schedule.names[0]
         limits = [rows for rows in self.point_constraints if rows.acts_in(first) and self.periodicity is None]
         require_start(self.name, robot, *start, limits)
-        standing = {name: self._standing(index) for index, name in enumerate(schedule.names)}
-        require_goals(robot, self.terms, last, standing[last])
-        require_reach(robot, self.terms, standing)
+        fixed = self.initial_q if self.holds_contacts and self.periodicity is None else None
+        require_places(self._stances(), fixed, self.terms, self.point_constraints)
 
     def guess_at(self, t: float) -> np.ndarray:
         """The guess (nq,) at ``t`` s. Raises InputError with the time if it is not a configuration."""
@@ -150,6 +146,13 @@ class Problem:
             return self.schedule.phases[begins].centre(self.robot.contact(contact), self.terrain)
         place: np.ndarray = contact_positions(self.robot, self.initial_q)[contact]
         return place
+
+    def _stances(self) -> Stances:
+        """Where contacts stand, as far as it is known before solving."""
+        phases = range(len(self.schedule.phases))
+        grounds = tuple(self.surfaces_of(index) if self.holds_contacts else {} for index in phases)
+        places = tuple(self._standing(index) for index in phases)
+        return Stances(robot=self.robot, schedule=self.schedule, grounds=grounds, places=places)
 
     def _standing(self, phase: int) -> dict[str, np.ndarray]:
         """Where contacts of a phase are known to stand (3,) m: not those that slide or land anywhere."""

@@ -1,37 +1,27 @@
-"""Validation of problems: inconsistent parts, and goals that cannot be reached."""
+"""Validation of problems: parts that do not fit each other, and starts that are no state of the robot."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from itertools import combinations
 
 import numpy as np
 
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin
-from trajopt.errors import InputError
-from trajopt.robot.kinematics import contact_positions
+from trajopt.errors import InputError, not_among
 from trajopt.robot.payload import Payload
-from trajopt.robot.reach import LinkPoint, longest_between
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms.context_symbols import ACTUATIONS
-from trajopt.terms.frames import FramePose
 from trajopt.terms.interfaces import PointConstraint, Term
 from trajopt.terms.limits import PositionLimits
-from trajopt.terms.terminal import TerminalState
 
 # A start may exceed a limit by what a check allows: this fraction of it, at least this much, rad, m, rad/s,
 # m/s.
 LIMIT_SLACK = 1e-6
-# A goal may have contacts this fraction of the robot's length away from where they stand, and places may be
-# further apart than the links by as much: what a check allows feet to drift, on a robot of a metre.
-PLACE_SLACK = 1e-3
-
-
 # The foothold of a phase and the anchor of its mode agree to rounding, m.
 SAME_PLACE = 1e-9
 
@@ -56,7 +46,7 @@ def require_terms(problem: str, terms: Sequence[Term]) -> None:
 def require_phase(schedule: Schedule, name: str, what: str) -> None:
     """Raise `InputError`, beginning with ``what``, for a phase that the schedule does not have."""
     if name not in schedule.names:
-        raise InputError(f"{what} phase '{name}'", f"allowed: {', '.join(schedule.names)}")
+        raise not_among(schedule.names, name, f"{what} phase '{name}', which does not exist")
 
 
 def require_phases(problem: str, robot: Robot, schedule: Schedule) -> None:
@@ -211,12 +201,19 @@ def require_start(
             f"problem '{problem}' starts in gimbal lock: margin {margin:.3f} < {LEAST_MARGIN}",
             "another order of the virtual joints, or base='freeflyer'",
         )
+    require_limits(f"at the start of problem '{problem}'", robot, q, v, rows)
+
+
+def require_limits(
+    where: str, robot: Robot, q: np.ndarray, v: np.ndarray, rows: Sequence[PointConstraint]
+) -> None:
+    """Raise `InputError`, beginning with ``where``, for a state beyond the limits of ``rows``."""
     coordinates = Coordinates(robot.model)
     node = coordinates.node_from_pinocchio(q, v)
     positions, n4 = np.zeros(robot.nv), 4 * coordinates.n_rotations
     positions[coordinates.additive_index] = node[n4 : n4 + len(coordinates.additive_index)]
     for term in rows:
-        what = f"at the start of problem '{problem}'", term.name
+        what = where, term.name
         if isinstance(term, PositionLimits):
             _require_joint_range(robot, what, q)
         bounds = term.node_bounds(robot)
@@ -247,68 +244,3 @@ def _require_joint_range(robot: Robot, what: tuple[str, str], q: np.ndarray) -> 
             for row, values in zip(rows, (q, robot.position_lower, robot.position_upper), strict=True):
                 row[joint.v] = values[joint.q]
     _require_within(robot, (*what, "is at"), rows[0], (rows[1], rows[2]))
-
-
-def require_goals(
-    robot: Robot, terms: Sequence[Term], phase: str, standing: Mapping[str, np.ndarray]
-) -> None:
-    """Raise `InputError` for a final configuration whose contacts are not where they stand.
-
-    Goals constrain only the directions that contacts leave free: a goal that contradicts the contacts would
-    be dropped silently. ``phase`` is the last one, ``standing`` are the places (3,) m of its contacts.
-    """
-    for term in terms:
-        if not isinstance(term, TerminalState):
-            continue
-        q = np.array(term.q, dtype=float)
-        require_configuration(robot.model, q, f"q of {term.name}")
-        reached = contact_positions(robot, q)
-        for name, place in standing.items():
-            off = float(np.linalg.norm(reached[name] - place))
-            if off > PLACE_SLACK * robot.length:
-                raise InputError(
-                    f"q of {term.name} has '{name}' {off:.4g} m from where it stands in phase '{phase}'",
-                    "allowed: a configuration in which contacts are where they stand, or landed",
-                )
-
-
-def require_reach(
-    robot: Robot, terms: Sequence[Term], standing: Mapping[str, Mapping[str, np.ndarray]]
-) -> None:
-    """Raise `InputError` for places further apart than the length of the links between them.
-
-    Contacts that stand at once, and the frame of a `FramePose` with them and with the world. Only places that
-    no posture reaches are rejected, not those out of reach because of limits or other places. ``standing``:
-    by phase, in order, the places (3,) m of contacts.
-    """
-    last = list(standing)[-1]
-    poses = [term for term in terms if isinstance(term, FramePose) and term.position is not None]
-    for phase, places in standing.items():
-        feet = {name: LinkPoint.of_frame(robot.model, robot.contact(name).frame) for name in places}
-        for one, other in combinations(places, 2):
-            what = f"contacts '{one}' and '{other}' stand in phase '{phase}'"
-            _require_near(robot, what, (feet[one], feet[other]), places[one] - places[other])
-        for term in poses:
-            if phase == (term.phase or last):
-                _require_pose(robot, term, places, feet)
-
-
-def _require_pose(
-    robot: Robot, term: FramePose, places: Mapping[str, np.ndarray], feet: Mapping[str, LinkPoint]
-) -> None:
-    frame, goal = LinkPoint.of_frame(robot.model, term.frame), np.array(term.position, dtype=float)
-    for name, place in places.items():
-        what = f"{term.name} has '{term.frame}' and contact '{name}'"
-        _require_near(robot, what, (feet[name], frame), goal - place)
-    root = frame.root(robot.model)
-    what = f"{term.name} has '{term.frame}' and the place where its first joint is fixed"
-    _require_near(robot, what, (root, frame), goal - root.point)
-
-
-def _require_near(robot: Robot, what: str, ends: tuple[LinkPoint, LinkPoint], apart: np.ndarray) -> None:
-    longest, distance = longest_between(robot.model, *ends), float(np.linalg.norm(apart))
-    if distance > longest + PLACE_SLACK * robot.length:
-        raise InputError(
-            f"{what} {distance:.4g} m apart",
-            f"allowed: up to {longest:.4g} m, all links between them in line",
-        )

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError, require_not_negative
+from trajopt.terrain.terrain import Ground
 
 ContactKind = Literal["point", "surface"]
 
@@ -80,6 +81,10 @@ class Contact:
         if self.kind == "point":
             return np.zeros((1, 2))
         return np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [self.half_length, self.half_width]
+
+    def gap(self, ground: Ground, position: np.ndarray) -> float:
+        """Signed distance in m of the contact, its frame's origin at a position (3,), from its ground."""
+        return float(ground.distance(position))
 
     def within_plane(self, normal: int) -> Contact:
         """The same contact of a robot that cannot leave the plane across the world's axis ``normal``."""

@@ -1,13 +1,14 @@
 """A rigid body that a robot carries during some phases: a box in a gripper.
 
 In these phases the body is part of the link that holds it, so its inertia enters the dynamics exactly. A
-solution file has one model, the robot's own: there the body appears as the wrench that it exerts on the
-robot at the holding contact, by Newton and Euler in the axes of the contact's frame,
+solution file has one model, the robot's own, and describes the bodies and their phases in ``payloads`` of its
+meta. To the robot's own model the body is a wrench at the holding contact, by Newton and Euler in the axes of
+the contact's frame,
 
     w = -(Y (a - g) + v x* Y v)          Y = spatial inertia of the body at the frame's origin
 
-(Featherstone, "Rigid Body Dynamics Algorithms", 2008, eq. 2.72), so that RNEA(q, v, a) - J^T w of the robot's
-own model gives the torques of the robot with its load.
+(Featherstone, "Rigid Body Dynamics Algorithms", 2008, eq. 2.72): RNEA(q, v, a) - J^T w of that model gives
+the torques of the robot with its load.
 """
 
 from __future__ import annotations

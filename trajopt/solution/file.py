@@ -82,7 +82,18 @@ def read_solution_file(path: str | Path) -> tuple[dict[str, Any], str, dict[str,
         problem = str(error)
     if problem:
         raise SolutionFileError(f"{source}: {problem}")
+    values["f"] = _forces_of_contacts(meta, values)
     return meta, text, values
+
+
+def _forces_of_contacts(meta: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Wrenches (K, nc, 6) without those of payloads, which earlier files have as inactive contacts."""
+    f = arrays["f"].copy()
+    for entry in meta.get("payloads") or []:
+        column = meta["contact_frames"].index(entry["frame"])
+        carried = np.isin(arrays["phase"], entry["phases"]) & ~arrays["active"][:, column]
+        f[carried, column] = 0.0
+    return f
 
 
 def _arrays(source: Path) -> dict[str, np.ndarray]:

@@ -33,7 +33,7 @@ class Solution:
     q, v, a: (K, nq), (K, nv), (K, nv) in Pinocchio's convention.
     tau: (K, nu) torques of the actuated rows, which come last in v.
     f: (K, nc, 6) force N and moment N m of the surroundings on the robot, world-aligned axes at
-        the contact frame's origin; zero when inactive, except the wrench of a payload that it carries.
+        the contact frame's origin; zero when inactive. What a robot carries is in ``payloads`` of meta.
     active: (K, nc) the contact is active.
     impulse, impact_index: (J, nc, 6) N s and N m s, (J,) sample just after; None without impacts.
     row_multiplier, row_place, bound_multiplier: multipliers of the NLP's rows (R,), for each row its block

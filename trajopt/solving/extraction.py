@@ -14,7 +14,6 @@ from trajopt.problem.goals import goals_meta
 from trajopt.problem.problem import Problem
 from trajopt.problem.bodies import bodies_meta
 from trajopt.robot.contact import Contact
-from trajopt.robot.payload import payload_wrench
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Schedule
 from trajopt.solution.solution import Solution
@@ -163,20 +162,8 @@ def _interval(
         names = [contact.name for contact in layout.robot.contacts]
         f[:, names.index(mode.embedded.name), :3] = reaction[1:-1] - f[:, :, :3].sum(axis=1)
     points = [part[1:-1] for part in full]
-    _add_payload(problem, layout.schedule.phases[phase].name, points, f)
-    return {"q": full[0], "v": full[1], "a": full[2], "f": f, "tau": _torques(layout, points, f)}
-
-
-def _add_payload(problem: Problem, phase: str, motion: list[np.ndarray], f: np.ndarray) -> None:
-    """Add the wrench of what is carried in a phase to the wrenches (s, nc, 6) at its points."""
-    payload = problem.payloads.get(phase)
-    if payload is None:
-        return
-    model, data = problem.robot.model, problem.robot.model.createData()
-    contact = problem.robot.contact(payload.contact)
-    index = problem.robot.contacts.index(contact)
-    for row, state in enumerate(zip(*motion, strict=True)):
-        f[row, index] += payload_wrench(model, data, contact.frame, payload.spatial, state)
+    tau = _torques(problem.robot_in(layout.schedule.phases[phase].name), points, f)
+    return {"q": full[0], "v": full[1], "a": full[2], "f": f, "tau": tau}
 
 
 def _in_pinocchio(
@@ -185,15 +172,15 @@ def _in_pinocchio(
     return form.coordinates.local_to_pinocchio(np.tile(rotations, (len(xi), 1)), xi, dxi, ddxi)
 
 
-def _torques(layout: Layout, motion: list[np.ndarray], f: np.ndarray) -> np.ndarray:
-    """Actuated rows of RNEA(q, v, a) - J^T f at every point."""
-    model, data = layout.robot.model, layout.robot.model.createData()
-    frames = [model.getFrameId(contact.frame) for contact in layout.robot.contacts]
+def _torques(robot: Robot, motion: list[np.ndarray], f: np.ndarray) -> np.ndarray:
+    """Actuated rows of RNEA(q, v, a) - J^T f at every point, of the robot with what it carries."""
+    model, data = robot.model, robot.model.createData()
+    frames = [model.getFrameId(contact.frame) for contact in robot.contacts]
     forces = [
         generalized_force(model, data, (q, v, a), frames, wrench)
         for q, v, a, wrench in zip(*motion, f, strict=True)
     ]
-    return np.array(forces)[:, layout.robot.n_unactuated :]
+    return np.array(forces)[:, robot.n_unactuated :]
 
 
 def _wrenches(layout: Layout, contacts: tuple[Contact, ...], w: np.ndarray) -> np.ndarray:

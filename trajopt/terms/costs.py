@@ -9,7 +9,9 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
+from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Schedule
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Cost
 
@@ -80,6 +82,8 @@ class PostureCost(Cost):
 class WrenchCost(Cost):
     """Contact forces over weight, moments over weight times length; zero in flight."""
 
+    acts_on_forces: ClassVar[bool] = True
+
     @override
     def residual(self, context: Context, units: Units) -> ca.SX:
         return _scaled_wrenches(context, units)
@@ -103,6 +107,11 @@ class ImpulseCost(Cost):
 
     acts_at_points: ClassVar[bool] = False
     acts_at_impacts: ClassVar[bool] = True
+
+    @override
+    def idle(self, robot: Robot, schedule: Schedule) -> str:
+        impacts = any(phase.impact for phase in schedule.phases if self.acts_in(phase.name))
+        return "" if impacts or self.phases is None else f"no impact begins phases {', '.join(self.phases)}"
 
     @override
     def residual(self, context: Context, units: Units) -> ca.SX:

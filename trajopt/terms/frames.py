@@ -52,7 +52,7 @@ class FramePose(NodeConstraint):
         phase: the phase at whose beginning the pose is reached, a waypoint; default: the schedule's end.
 
     Raises:
-        InputError: for a position or rotation of another shape, and a matrix that is not a rotation.
+        InputError: for neither a position nor a rotation, another shape, and a matrix that is not a rotation.
     """
 
     frame: str
@@ -61,6 +61,10 @@ class FramePose(NodeConstraint):
     phase: str | None = None
 
     def __post_init__(self) -> None:
+        if self.position is None and self.rotation is None:
+            raise InputError(
+                f"{self.name} of '{self.frame}' has no goal", "allowed: position, rotation or both"
+            )
         if self.position is not None:
             finite_array(f"position of {self.name}", self.position, unit="m, world")
         turn = np.eye(3) if self.rotation is None else np.asarray(self.rotation, dtype=float)
@@ -76,8 +80,6 @@ class FramePose(NodeConstraint):
 
     @override
     def targets(self) -> tuple[Target, ...]:
-        if self.position is None and self.rotation is None:
-            return ()
         target = Target(frame=self.frame, position=self.position, rotation=self.rotation, phase=self.phase)
         return (target,)
 

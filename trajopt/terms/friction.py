@@ -13,11 +13,15 @@ from typing_extensions import override
 
 from trajopt.errors import InputError, require_not_negative
 from trajopt.robot.contact import Contact
+from trajopt.robot.robot import Robot
 from trajopt.robot.sole import friction_rows, pressure_rows, yaw_rows
 from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Schedule
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import PointConstraint, Rows
+from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.smooth import CurvedSurface
+from trajopt.terrain.surface import Surface
 
 # Fraction of the weight below which the apex of a friction cone is smoothed: a violation of 1e-9, typical of
 # solvers, is then a force of 3e-6 at most (3e-5 of a squared cone). With a sharper apex IPOPT needs several
@@ -41,6 +45,7 @@ class ContactConstraint(PointConstraint):
     """
 
     acts_at_impacts: ClassVar[bool] = True
+    acts_on_forces: ClassVar[bool] = True
 
     friction: float | None = None
     contacts: tuple[str, ...] | None = None
@@ -49,13 +54,31 @@ class ContactConstraint(PointConstraint):
         if self.friction is not None:
             require_not_negative(f"friction of {self.name}", self.friction)
 
+    @override
+    def idle(self, robot: Robot, schedule: Schedule) -> str:
+        for name in self.contacts or ():
+            if not self._applies_to(robot.contact(name)):
+                return f"'{name}' is a point contact"
+            grounds = [
+                schedule.surface(i, name, FlatGround())
+                for i, phase in enumerate(schedule.phases)
+                if name in phase.contacts and self.acts_in(phase.name)
+            ]
+            if all(isinstance(g, Surface) and (g.bilateral or g.slip_speed is not None) for g in grounds):
+                return f"'{name}' is held or slides wherever it is active"
+        return super().idle(robot, schedule)
+
+    def _applies_to(self, contact: Contact) -> bool:
+        """Whether the term has rows for such a contact."""
+        return True
+
     def _unilateral_contacts(self, context: Context) -> Iterator[Contact]:
         """Active contacts on which the term acts."""
         chosen = None if self.contacts is None else [context.contact(name) for name in self.contacts]
         for contact in context.loaded_contacts:
             if context.slides_on(contact) is not None or context.surface(contact).bilateral:
                 continue
-            if chosen is None or contact in chosen:
+            if self._applies_to(contact) and (chosen is None or contact in chosen):
                 yield contact
 
     def _friction(self, context: Context, contact: Contact) -> float:
@@ -175,22 +198,25 @@ class SoleLimits(ContactConstraint):
     """
 
     @override
+    def _applies_to(self, contact: Contact) -> bool:
+        return contact.kind == "surface"
+
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         found = _ConeRows()
         for contact in self._unilateral_contacts(context):
-            if contact.kind == "surface":
-                friction = self._friction(context, contact)
-                rotation = context.frame(contact.frame).rotation
-                moment = ca.mtimes(rotation.T, context.wrenches[contact.name][3:])
-                pressure = surface_force(context, contact)[2]
-                half = (contact.half_width, contact.half_length)
-                arm = (*half, sum(half) / 2 * context.parameter(friction) if friction else 0.0)
-                for i in _turning(contact):
-                    if i == 2 and friction == 0.0:
-                        found.zero([moment[i]], units.torque)
-                        continue
-                    sides = [arm[i] * pressure - moment[i], arm[i] * pressure + moment[i]]
-                    found.at_least_zero(sides, units.torque)
+            friction = self._friction(context, contact)
+            rotation = context.frame(contact.frame).rotation
+            moment = ca.mtimes(rotation.T, context.wrenches[contact.name][3:])
+            pressure = surface_force(context, contact)[2]
+            half = (contact.half_width, contact.half_length)
+            arm = (*half, sum(half) / 2 * context.parameter(friction) if friction else 0.0)
+            for i in _turning(contact):
+                if i == 2 and friction == 0.0:
+                    found.zero([moment[i]], units.torque)
+                    continue
+                sides = [arm[i] * pressure - moment[i], arm[i] * pressure + moment[i]]
+                found.at_least_zero(sides, units.torque)
         return found.rows()
 
 
@@ -204,23 +230,26 @@ class SoleCone(ContactConstraint):
     """
 
     @override
+    def _applies_to(self, contact: Contact) -> bool:
+        return contact.kind == "surface"
+
+    @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         found = _ConeRows()
         for contact in self._unilateral_contacts(context):
-            if contact.kind == "surface":
-                friction = self._friction(context, contact)
-                to_sole, wrench = context.frame(contact.frame).rotation.T, context.wrenches[contact.name]
-                force, moment = (ca.vertsplit(ca.mtimes(to_sole, part)) for part in (wrench[:3], wrench[3:]))
-                size = (contact.half_length, contact.half_width)
-                if friction == 0.0:
-                    found.at_least_zero(pressure_rows(force, moment, size), units.torque)
-                    found.zero(force[:2], units.force)
-                    found.zero([moment[2]], units.torque)
-                    continue
-                mu = context.parameter(friction / math.sqrt(2))
-                found.at_least_zero(friction_rows(force, mu), units.force)
-                moments = [*pressure_rows(force, moment, size), *yaw_rows(force, moment, size, mu)]
-                found.at_least_zero(moments, units.torque)
+            friction = self._friction(context, contact)
+            to_sole, wrench = context.frame(contact.frame).rotation.T, context.wrenches[contact.name]
+            force, moment = (ca.vertsplit(ca.mtimes(to_sole, part)) for part in (wrench[:3], wrench[3:]))
+            size = (contact.half_length, contact.half_width)
+            if friction == 0.0:
+                found.at_least_zero(pressure_rows(force, moment, size), units.torque)
+                found.zero(force[:2], units.force)
+                found.zero([moment[2]], units.torque)
+                continue
+            mu = context.parameter(friction / math.sqrt(2))
+            found.at_least_zero(friction_rows(force, mu), units.force)
+            moments = [*pressure_rows(force, moment, size), *yaw_rows(force, moment, size, mu)]
+            found.at_least_zero(moments, units.torque)
         return found.rows()
 
 
@@ -237,6 +266,8 @@ class NormalForce(PointConstraint):
     Raises:
         InputError: without a bound, or for lower > upper.
     """
+
+    acts_on_forces: ClassVar[bool] = True
 
     contact: str
     lower: float | None = None

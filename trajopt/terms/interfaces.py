@@ -20,6 +20,7 @@ import numpy as np
 from trajopt.errors import InputError, require_not_negative
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Schedule
 from trajopt.schedule.targets import Target
 from trajopt.terms.context import Context
 
@@ -36,6 +37,10 @@ class Term:
 
     acts_at_points: ClassVar[bool] = True
     acts_at_impacts: ClassVar[bool] = False
+    # Whether a function made it for a schedule, in which it may have no node to act at.
+    made_for_schedule: ClassVar[bool] = False
+    # Whether it is about the forces of active contacts: without one it has nothing to act on.
+    acts_on_forces: ClassVar[bool] = False
 
     phases: tuple[str, ...] | None = None
 
@@ -48,6 +53,18 @@ class Term:
     def acts_in(self, phase: str) -> bool:
         """Whether the term acts in the phase of that name."""
         return self.phases is None or phase in self.phases
+
+    def idle(self, robot: Robot, schedule: Schedule) -> str:
+        """Why the term would have no effect with this robot and schedule; empty where it can act.
+
+        For what names of phases, contacts and frames do not tell. A problem refuses a term with a reason. A
+        term without ``phases`` about contacts that a schedule happens not to have is no error.
+        """
+        if self.acts_on_forces and self.phases is not None:
+            touching = [phase.contacts for phase in schedule.phases if self.acts_in(phase.name)]
+            if not any(touching):
+                return f"no contact is active in phases {', '.join(self.phases)}"
+        return ""
 
     def targets(self) -> tuple[Target, ...]:
         """Goals of the term at single moments, to be drawn; default: none."""

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
+from typing_extensions import override
 
 from trajopt.errors import InputError
 from trajopt.robot.units import Units
@@ -82,7 +83,7 @@ class AtMoment(Term):
         fraction: of the phase's duration.
 
     Raises:
-        InputError: for a fraction outside 0 to 1.
+        InputError: for a fraction outside 0 to 1, and for ``phases``.
     """
 
     phase: str
@@ -91,7 +92,14 @@ class AtMoment(Term):
     def __post_init__(self) -> None:
         if not 0 <= self.fraction <= 1:
             raise InputError(f"fraction of {self.name} is {self.fraction:g}", "allowed: 0 to 1")
-        object.__setattr__(self, "phases", (self.phase,))
+        if self.phases is not None:
+            raise InputError(
+                f"phases of {self.name}: {self.phases!r}, which this term does not use", "allowed: phase="
+            )
+
+    @override
+    def acts_in(self, phase: str) -> bool:
+        return phase == self.phase
 
     def acts_at(self, place: NodePlace) -> bool:
         """Whether this is that node."""

@@ -13,13 +13,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
 from typing_extensions import override
 
 from trajopt.errors import InputError
+from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Schedule
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Rows
 from trajopt.terms.landing import along_normal, contact_points
@@ -69,6 +72,14 @@ class SwingClearance(NodeConstraint):
             )
 
     @override
+    def idle(self, robot: Robot, schedule: Schedule) -> str:
+        acting = [phase for phase in schedule.phases if self.acts_in(phase.name)]
+        stands = all(contact.name in phase.contacts for phase in acting for contact in robot.contacts)
+        if self.phases is not None and stands:
+            return f"no contact is in the air in phases {', '.join(self.phases)}"
+        return ""
+
+    @override
     def acts_at(self, place: NodePlace) -> bool:
         return _acts_at(place, between_phases=False) and self.acts_in(place.phase.name)
 
@@ -113,6 +124,8 @@ class SwingArc(NodeConstraint):
             before it too, or at the nodes inside the phases.
     """
 
+    made_for_schedule: ClassVar[bool] = True
+
     height: float
     terrain: FlatGround | SmoothTerrain
     parts: Mapping[str, tuple[SwingPart, ...]]
@@ -123,6 +136,11 @@ class SwingArc(NodeConstraint):
 
     def _acting(self, phase: str) -> list[SwingPart]:
         return [part for part in self.parts.get(phase, ()) if part.begin > 0 or not self.between_phases]
+
+    @override
+    def idle(self, robot: Robot, schedule: Schedule) -> str:
+        unknown = [name for name in self.parts if name not in schedule.names]
+        return f"its swings are in phase '{unknown[0]}', which does not exist" if unknown else ""
 
     @override
     def acts_at(self, place: NodePlace) -> bool:

@@ -18,6 +18,7 @@ from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.robot.validation import require_configuration
+from trajopt.schedule.schedule import Schedule
 from trajopt.schedule.targets import Target
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Rows
@@ -163,6 +164,11 @@ class TerminalPosture(NodeConstraint):
 
     q: np.ndarray
     over: str
+
+    @override
+    def idle(self, robot: Robot, schedule: Schedule) -> str:
+        last = schedule.phases[-1]
+        return "" if self.over in last.contacts else f"'{self.over}' is not active in phase '{last.name}'"
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:

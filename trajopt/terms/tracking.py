@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -17,7 +18,7 @@ from trajopt.dynamics.rotations import quaternion_product
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
-from trajopt.schedule.schedule import Motion
+from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Cost
 
@@ -69,6 +70,16 @@ class TrackingCost(Cost):
                 parts.append(_distance(context, joint, goal[joint.v], quaternion, units))
         return ca.vertcat(*parts)
 
+    @override
+    def idle(self, robot: Robot, schedule: Schedule) -> str:
+        if self.part == "base" and not robot.n_unactuated:
+            return f"part='base', and robot '{robot.name}' is fixed to the world"
+        times = self.reference.times if isinstance(self.reference, KeyFrames) else (0.0, math.inf)
+        if times[0] >= schedule.duration_range[1] or times[-1] <= 0.0:
+            span = f"from {times[0]:g} to {times[-1]:g} s"
+            return f"its key frames are {span}, outside the schedule of {schedule.duration:g} s"
+        return super().idle(robot, schedule)
+
     def _state(self, context: Context, t: float) -> np.ndarray:
         """The reference at a time as rotations and additive positions of the context's coordinates."""
         coordinates = context.coordinates
@@ -90,7 +101,24 @@ def _distance(context: Context, joint: Joint, goal: ca.SX, quaternion: ca.SX | N
     return away / units.position[joint.v]
 
 
-def key_frames(robot: Robot, times: Sequence[float], configurations: np.ndarray) -> Motion:
+@dataclass(frozen=True, eq=False)
+class KeyFrames:
+    """A motion through ``configurations`` (n, nq) at ``times`` (n,), s; see `key_frames`."""
+
+    robot: Robot
+    times: np.ndarray
+    configurations: np.ndarray
+
+    def __call__(self, t: float) -> np.ndarray:
+        """Configuration (nq,) at a time in s."""
+        at, rows = self.times, self.configurations
+        k = int(np.clip(np.searchsorted(at, t, side="right") - 1, 0, len(at) - 2))
+        fraction = float(np.clip((t - at[k]) / (at[k + 1] - at[k]), 0.0, 1.0))
+        between: np.ndarray = pin.interpolate(self.robot.model, rows[k], rows[k + 1], fraction)
+        return between
+
+
+def key_frames(robot: Robot, times: Sequence[float], configurations: np.ndarray) -> KeyFrames:
     """A motion through key frames: geodesics between them, at rest before the first and after the last.
 
     Args:
@@ -112,11 +140,4 @@ def key_frames(robot: Robot, times: Sequence[float], configurations: np.ndarray)
         )
     if not all(pin.isNormalized(robot.model, row, NORMALIZED) for row in rows):
         raise InputError("a key frame's rotation has no unit norm", "allowed: normalised configurations")
-
-    def motion(t: float) -> np.ndarray:
-        k = int(np.clip(np.searchsorted(at, t, side="right") - 1, 0, len(at) - 2))
-        fraction = float(np.clip((t - at[k]) / (at[k + 1] - at[k]), 0.0, 1.0))
-        between: np.ndarray = pin.interpolate(robot.model, rows[k], rows[k + 1], fraction)
-        return between
-
-    return motion
+    return KeyFrames(robot, at, rows)

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.certify.closing import periodic_image
-from trajopt.certify.payloads import carrying_model, payload_wrenches
+from trajopt.certify.payloads import carrying_model
 from trajopt.certify.simulation.settings import HOLD, SimulationSettings
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
@@ -30,7 +30,7 @@ class ReferenceTrajectory:
     """A plan at the starts of n periods of the controller.
 
     t: (n,) s. period: s. q, v: (n, nq), (n, nv), Pinocchio's. torque: (n, nu) that the drives deliver, in the
-    middle of each period. f: (n, nc, 6) of the surroundings, without what is carried. active: (n, nc).
+    middle of each period. f: (n, nc, 6) of the surroundings. active: (n, nc).
     phase: (n,) index into ``phase_names``; source: (n,) phase of the file. held: periods after the plan.
     end: (nq,) where the plan ends.
     """
@@ -92,7 +92,7 @@ def _once(plan: Solution, rate: float) -> ReferenceTrajectory:
         q=np.array([sample.q for sample in samples]),
         v=np.array([sample.v for sample in samples]),
         torque=_torques(plan, t + period / 2),
-        f=_without_payload(plan, motion, np.array([sample.f for sample in samples]), t),
+        f=np.array([sample.f for sample in samples]),
         active=active[phase],
         phase=phase,
         source=phase,
@@ -120,14 +120,6 @@ def _polynomials(plan: Solution, values: np.ndarray, t: np.ndarray) -> np.ndarra
         s = (t[rows] - start) / (end - start)
         found[rows] = np.vander(s, len(coefficients), increasing=True) @ coefficients
     return found
-
-
-def _without_payload(plan: Solution, motion: SolutionMotion, f: np.ndarray, t: np.ndarray) -> np.ndarray:
-    if not plan.meta.get("payloads"):
-        return f
-    points = np.flatnonzero(plan.collocation)
-    carried = payload_wrenches(plan)[points].reshape(len(points), -1)
-    return f - _polynomials(plan, carried, t).reshape(f.shape)
 
 
 def _repeated(

@@ -9,12 +9,10 @@ at the samples; an interval has one collocation point, in its middle.
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from trajopt.certify.payloads import payload_wrenches
 from trajopt.certify.simulation.bodies import mujoco_package
 from trajopt.certify.simulation.figures import loaded_contacts
 from trajopt.certify.simulation.reference import ReferenceTrajectory
@@ -63,7 +61,7 @@ def simulated_solution(
     a = world.coordinates.accelerations_from_mujoco(record.qpos[:n], record.qvel[:n], record.qacc)
     t = np.append(reference.t[:n], reference.t[n - 1] + reference.period)
     phase = np.array([reference.phase[first] for first, _ in chunks])
-    found = Solution(
+    return Solution(
         meta=_meta(plan, reference, report, phase),
         model_text=plan.model_text,
         t=t[rows],
@@ -78,7 +76,6 @@ def simulated_solution(
         f=record.force[last],
         active=np.repeat(_active(plan, reference, record, world, chunks), 3, axis=0),
     )
-    return replace(found, f=found.f + payload_wrenches(found)) if found.meta.get("payloads") else found
 
 
 def _chunks(phase: np.ndarray) -> list[tuple[int, int]]:

@@ -97,9 +97,9 @@ def _reduced(term: Term, reduction: Reduction) -> Term | None:
         kind = WholeCost if term.acts_at_points else WholeImpactCost
         return kind(weight=term.weight, phases=term.phases, term=term, reduction=reduction)
     if isinstance(term, NodeCost):
-        return WholeNodeCost(weight=term.weight, phases=term.phases, term=term, reduction=reduction)
+        return WholeNodeCost(weight=term.weight, term=term, reduction=reduction)
     if isinstance(term, NodeConstraint):
-        return WholeNodeRows(phases=term.phases, term=term, reduction=reduction)
+        return WholeNodeRows(term=term, reduction=reduction)
     if isinstance(term, PointConstraint):
         return WholePointRows(phases=term.phases, term=term, reduction=reduction)
     return term
@@ -136,12 +136,12 @@ def _(term: FrameHeight | FramePose | FrameVelocity, reduction: Reduction) -> Te
         return None
     if not reduction.is_half or isinstance(term, FrameHeight):
         return term
-    return WholeNodeRows(phases=term.phases, term=term, reduction=reduction)
+    return WholeNodeRows(term=term, reduction=reduction)
 
 
 @_reduced.register(TerminalState)
 @_reduced.register(TerminalRest)
 def _(term: TerminalState | TerminalRest, reduction: Reduction) -> Term:
     if reduction.is_half:
-        return HalfEnd(phases=term.phases, term=term, reduction=reduction)
+        return HalfEnd(term=term, reduction=reduction)
     return replace(term, q=reduction.drop_q(np.asarray(term.q, dtype=float)))

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from trajopt.errors import InputError
-from trajopt.problem.family import Family, not_among
+from trajopt.errors import InputError, not_among
+from trajopt.problem.family import Family
 from trajopt.robot.catalogue import robot_kind
 
 # A robot that no family lists may be given as a file that builds it.

@@ -135,11 +135,8 @@ class MotionQuantities:
 
     @cached_property
     def force(self) -> np.ndarray:
-        """Forces (K, nc, 3) N on active contacts, NaN on others; without carried loads."""
-        force = self.solution.f[..., :3]
-        if self.solution.meta.get("payloads"):
-            force = force - payload_wrenches(self.solution)[..., :3]
-        return np.where(self.solution.active[..., None], force, np.nan)
+        """Forces (K, nc, 3) N on active contacts, NaN on others."""
+        return np.where(self.solution.active[..., None], self.solution.f[..., :3], np.nan)
 
     @cached_property
     def normal(self) -> np.ndarray:

@@ -1,0 +1,260 @@
+"""A term that could not act is refused when the problem is built, in one line that says what may be meant."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import dataclass, fields, replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from typing_extensions import override
+
+import trajopt.terms
+from tests.support.problems import hop, reach
+from trajopt import InputError
+from trajopt.problem.acting_terms import NAMES
+from trajopt.robot.units import Units
+from trajopt.terms import (
+    Context,
+    Cost,
+    DistanceCost,
+    FrameDirection,
+    FrameHeight,
+    FrameHeightCost,
+    FramePose,
+    FramesAbove,
+    FrameVelocity,
+    FrictionCone,
+    FrictionPyramid,
+    ImpulseCost,
+    NodeConstraint,
+    NodePlace,
+    NormalForce,
+    Rows,
+    SoleCone,
+    SwingClearance,
+    Term,
+    TerminalPosture,
+    TerminalRest,
+    TorqueCost,
+    TrackingCost,
+    WrenchCost,
+    swing_arcs,
+)
+from trajopt.terms.tracking import key_frames
+from trajopt.terrain.flat import FlatGround
+
+HOP = hop()
+PHASES, FOOT = HOP.schedule.names, "foot"
+STILL = np.zeros(6)
+
+
+def with_term(term: Term):
+    return replace(HOP, terms=(*HOP.terms, term))
+
+
+UNKNOWN = {
+    "phases": (TorqueCost(weight=1.0, phases=("Stance",)), "torque_cost names phase 'Stance'", "stance"),
+    "waypoint": (FramePose(frame=FOOT, position=[0, 0, 1], phase="fligth"), "phase 'fligth'", "flight"),
+    "velocity": (FrameVelocity(frame=FOOT, velocity=STILL, phase="fly"), "phase 'fly'", None),
+    "moment": (FrameHeight(frame=FOOT, height=0.1, phase="Flight"), "frame_height names phase", "flight"),
+    "direction": (
+        FrameDirection(frame=FOOT, axis=(0, 0, 1), direction=(0, 0, 1), angle=0.1, phase="up"),
+        "phase 'up'",
+        None,
+    ),
+    "cost": (FrameHeightCost(weight=1.0, frame=FOOT, phase="flights"), "phase 'flights'", "flight"),
+    "frame": (FramePose(frame="fot", position=[0, 0, 1]), "frame_pose names frame 'fot'", FOOT),
+    "frames": (FramesAbove(frames=(FOOT, "knees"), height=0.0), "frame 'knees'", None),
+    "contact": (FrictionCone(contacts=("Foot",)), "friction_cone names contact 'Foot'", FOOT),
+    "force": (NormalForce(contact="heel", lower=1.0), "normal_force names contact 'heel'", None),
+}
+
+
+@pytest.mark.parametrize("case", UNKNOWN)
+def test_an_unknown_name_is_refused_with_the_one_that_may_be_meant(case):
+    term, what, meant = UNKNOWN[case]
+    with pytest.raises(InputError) as caught:
+        with_term(term)
+    message = str(caught.value)
+    assert what in message
+    assert "which does not exist" in message
+    assert "allowed: " in message
+    assert meant is None or f"did you mean {meant}?" in message
+    assert "\n" not in message
+
+
+UNUSED = {
+    "pose": FramePose(frame=FOOT, position=[0, 0, 1], phases=(PHASES[0],)),
+    "velocity": FrameVelocity(frame=FOOT, velocity=STILL, phases=(PHASES[0],)),
+    "rest": TerminalRest(q=HOP.initial_q, phases=(PHASES[0],)),
+    "distance": DistanceCost(weight=1.0, frame=FOOT, phases=(PHASES[0],)),
+}
+
+
+@pytest.mark.parametrize("case", UNUSED)
+def test_phases_of_a_term_that_does_not_use_them_are_refused(case):
+    with pytest.raises(InputError, match="which this term does not use; allowed: "):
+        with_term(UNUSED[case])
+
+
+def test_a_moment_has_one_phase():
+    with pytest.raises(InputError, match=r"phases of frame_height: .* which this term does not use"):
+        FrameHeight(frame=FOOT, height=0.1, phase="flight", phases=("stance",))
+    term = replace(FrameHeight(frame=FOOT, height=0.1, phase="flight"), phase="landing")
+    assert [name for name in PHASES if term.acts_in(name)] == ["landing"]
+
+
+@pytest.mark.parametrize("phases", [(), "stance", 3])
+def test_phases_are_names(phases):
+    with pytest.raises(InputError, match="allowed: a tuple of names of phases, or None for all"):
+        with_term(TorqueCost(weight=1.0, phases=phases))
+
+
+@pytest.mark.parametrize(
+    "term",
+    [
+        NormalForce(contact=FOOT, lower=1.0, phases=("flight",)),
+        FrictionCone(contacts=(FOOT,), phases=("flight",)),
+    ],
+)
+def test_a_contact_that_is_inactive_wherever_the_term_acts_is_refused(term):
+    with pytest.raises(
+        InputError, match="active in none of the phases flight; it is active in stance, landing"
+    ):
+        with_term(term)
+
+
+NO_SWING = SwingClearance(height=0.1, terrain=FlatGround())
+IDLE = {
+    "impacts": (ImpulseCost(weight=1.0, phases=("landing",)), "no impact begins phases landing"),
+    "forces": (WrenchCost(weight=1.0, phases=("flight",)), "no contact is active in phases flight"),
+    "friction": (FrictionPyramid(phases=("flight",)), "no contact is active in phases flight"),
+    "soles": (SoleCone(contacts=(FOOT,)), "'foot' is a point contact"),
+    "swings": (
+        SwingClearance(height=0.1, terrain=FlatGround(), phases=("stance", "landing")),
+        "no contact is in the air in phases stance, landing",
+    ),
+    "time": (
+        TrackingCost(weight=1.0, reference=key_frames(HOP.robot, [0.8, 1.0], [HOP.initial_q] * 2)),
+        "its key frames are from 0.8 to 1 s, outside the schedule of 0.8 s",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", IDLE)
+def test_a_term_without_anything_to_act_on_is_refused(case):
+    term, what = IDLE[case]
+    with pytest.raises(InputError, match=what):
+        with_term(term)
+
+
+@pytest.mark.parametrize("term", [ImpulseCost(weight=1.0), NO_SWING, SoleCone()])
+def test_a_term_that_names_nothing_may_find_nothing(term):
+    """Terms that are used for many schedules and robots need no change for one without impacts or swings."""
+    stance = replace(HOP.schedule, phases=HOP.schedule.phases[:1])
+    assert replace(HOP, schedule=stance, terms=(term,)).terms == (term,)
+
+
+def test_key_frames_that_meet_the_schedule_are_accepted():
+    frames = key_frames(HOP.robot, [-1.0, 0.1], [HOP.initial_q] * 2)
+    assert with_term(TrackingCost(weight=1.0, reference=frames))
+
+
+def test_the_base_of_a_fixed_robot_is_not_tracked():
+    with pytest.raises(InputError, match="robot 'arm' is fixed to the world"):
+        reach(terms=(TrackingCost(weight=1.0, reference=lambda t: np.zeros(1), part="base"),))
+
+
+def test_a_posture_is_over_a_contact_that_is_active_at_the_end():
+    ends = replace(HOP.schedule, phases=HOP.schedule.phases[:2])
+    with pytest.raises(InputError, match="'foot' is not active in phase 'flight'"):
+        replace(HOP, schedule=ends, terms=(TerminalPosture(q=HOP.initial_q, over=FOOT),))
+
+
+def test_a_pose_has_a_goal():
+    with pytest.raises(InputError, match="frame_pose of 'foot' has no goal; allowed: position"):
+        FramePose(frame=FOOT)
+
+
+def test_arcs_of_a_schedule_without_swings_over_phases_are_accepted():
+    """The one swing of the hop lies within a phase: the term between phases has no node."""
+    arcs = swing_arcs(HOP.schedule, (FOOT,), height=0.05, terrain=FlatGround())
+    assert replace(HOP, terms=arcs).terms == arcs
+
+
+def test_arcs_of_another_schedule_are_refused():
+    arc, _ = swing_arcs(HOP.schedule, (FOOT,), height=0.05, terrain=FlatGround())
+    with pytest.raises(InputError, match="its swings are in phase 'Flight', which does not exist"):
+        with_term(replace(arc, parts={"Flight": arc.parts["flight"]}))
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnCost(Cost):
+    """A term of a user, with names of its own."""
+
+    frame: str
+    contacts: tuple[str, ...] = ()
+
+    @override
+    def residual(self, context: Context, units: Units) -> ca.SX:
+        return context.frame(self.frame).position
+
+
+def test_the_terms_of_a_user_are_judged_by_the_same_check():
+    assert with_term(OwnCost(weight=1.0, frame=FOOT, contacts=(FOOT,)))
+    with pytest.raises(InputError, match="own_cost names frame 'feet'"):
+        with_term(OwnCost(weight=1.0, frame="feet"))
+    with pytest.raises(InputError, match="own_cost names contact 'feet'"):
+        with_term(OwnCost(weight=1.0, frame=FOOT, contacts=("feet",)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnWaypoint(NodeConstraint):
+    """A term of a user that acts at one fraction of a phase, or ignores its phases."""
+
+    at: str = ""
+
+    @override
+    def acts_at(self, place: NodePlace) -> bool:
+        return place.index == 0 and place.phase.name == (self.at or PHASES[1])
+
+    @override
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        return Rows.create(context.frame(FOOT).position[2], 0.0, 1.0, units.length)
+
+
+def test_nodes_of_a_users_term_are_found_by_asking_it():
+    assert with_term(OwnWaypoint())
+    with pytest.raises(InputError, match="own_waypoint acts at no node of any phase"):
+        with_term(OwnWaypoint(at="Flight"))
+    with pytest.raises(InputError, match="which this term does not use"):
+        with_term(OwnWaypoint(phases=(PHASES[1],)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnLanding(OwnWaypoint):
+    """A term of a user that acts where its phases begin, if they begin with a contact."""
+
+    @override
+    def acts_at(self, place: NodePlace) -> bool:
+        return place.index == 0 and self.acts_in(place.phase.name) and FOOT in place.phase.contacts
+
+
+def test_a_phase_without_a_node_of_the_term_is_named():
+    assert with_term(OwnLanding(phases=("stance", "landing")))
+    with pytest.raises(InputError, match="own_landing acts at no node of phase 'flight'"):
+        with_term(OwnLanding(phases=("stance", "flight")))
+
+
+def test_every_term_holds_names_in_fields_that_the_check_knows():
+    """A field such as ``at_phase`` or ``link`` would escape the check."""
+    known = set(NAMES)
+    for name in dir(trajopt.terms):
+        term = getattr(trajopt.terms, name)
+        if inspect.isclass(term) and issubclass(term, Term) and not inspect.isabstract(term):
+            odd = {
+                f.name for f in fields(term) if any(word in f.name for word in ("phase", "contact", "frame"))
+            }
+            assert odd - known <= {"between_phases"}, name

@@ -1,0 +1,117 @@
+"""Every term of a problem can act: its names exist, it acts somewhere, and it uses all its arguments."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
+
+from trajopt.errors import InputError, not_among
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Schedule
+from trajopt.terms.interfaces import Term
+from trajopt.terms.node_costs import NodeCost
+from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
+
+# Fields of terms that hold names, and what they name.
+NAMES = {
+    "phase": "phase",
+    "phases": "phase",
+    "contact": "contact",
+    "contacts": "contact",
+    "over": "contact",
+    "frame": "frame",
+    "frames": "frame",
+}
+# Intervals of a phase in which a term at nodes is looked for: more than any mesh that is of use.
+INTERVALS = 200
+# A name that no phase has.
+NO_PHASE = "\0"
+
+
+def require_acting(robot: Robot, schedule: Schedule, terms: Sequence[Term]) -> None:
+    """Raise `InputError` for a term that cannot act, or that has an argument it does not use.
+
+    The check needs only fields (``phase``, ``contacts`` ...), ``acts_at`` and `Term.idle`, so it applies to
+    terms of users too.
+    """
+    known = {
+        "phase": schedule.names,
+        "contact": tuple(contact.name for contact in robot.contacts),
+        "frame": tuple(str(frame.name) for frame in robot.model.frames),
+    }
+    for term in terms:
+        _require_names(term, known, schedule)
+        if isinstance(term, NodeConstraint | NodeCost):
+            _require_nodes(term, schedule)
+        reason = term.idle(robot, schedule)
+        if reason:
+            raise InputError(f"{term.name} cannot act: {reason}", "allowed: terms that act")
+
+
+def _require_names(term: Term, known: Mapping[str, tuple[str, ...]], schedule: Schedule) -> None:
+    """Names in the fields of a term are among those ``known`` of their kind."""
+    if term.phases is not None and (not isinstance(term.phases, tuple | list) or not term.phases):
+        what = f"phases of {term.name}: {term.phases!r}"
+        raise InputError(what, "allowed: a tuple of names of phases, or None for all")
+    for field in fields(term):
+        kind = NAMES.get(field.name, "")
+        for name in _names(getattr(term, field.name)) if kind else ():
+            if name not in known[kind]:
+                what = f"{term.name} names {kind} '{name}', which does not exist"
+                raise not_among(known[kind], name, what)
+            if kind == "contact":
+                _require_active(term, name, schedule)
+
+
+def _names(value: object) -> tuple[str, ...]:
+    if isinstance(value, str):
+        return (value,)
+    return tuple(value) if isinstance(value, list | tuple) else ()
+
+
+def _require_active(term: Term, contact: str, schedule: Schedule) -> None:
+    """A contact of a term is active in some phase; of a term on forces, in a phase in which the term acts."""
+    where = [phase.name for phase in schedule.phases if contact in phase.contacts]
+    if not any(term.acts_in(name) or not term.acts_on_forces for name in where):
+        phases = "no phase" if term.phases is None else f"none of the phases {', '.join(term.phases)}"
+        active = f"it is active in {', '.join(where)}" if where else "allowed: contacts of the schedule"
+        raise InputError(f"{term.name} is about contact '{contact}', which is active in {phases}", active)
+
+
+def _require_nodes(term: NodeConstraint | NodeCost, schedule: Schedule) -> None:
+    """A term at nodes acts at one at least, in each phase that it names, and ``phases`` have an effect."""
+    if term.phases is None:
+        if not term.made_for_schedule and not any(term.acts_at(place) for place in _places(schedule)):
+            raise InputError(f"{term.name} acts at no node of any phase", "allowed: terms that act")
+        return
+    if not _uses_phases(term, schedule):
+        own = "phase=" if any(field.name == "phase" for field in fields(term)) else "leave phases out"
+        raise InputError(
+            f"phases of {term.name}: {term.phases!r}, which this term does not use", f"allowed: {own}"
+        )
+    for name in term.phases:
+        if not any(term.acts_at(place) for place in _places(schedule) if place.phase.name == name):
+            raise InputError(
+                f"{term.name} acts at no node of phase '{name}'", "allowed: phases where it acts"
+            )
+
+
+def _uses_phases(term: NodeConstraint | NodeCost, schedule: Schedule) -> bool:
+    """Whether the places where the term acts depend on its ``phases``."""
+    anywhere = copy.copy(term)
+    object.__setattr__(anywhere, "phases", None)
+    places = (*_places(schedule), *_places(schedule, name=NO_PHASE))
+    return any(term.acts_at(place) != anywhere.acts_at(place) for place in places)
+
+
+def _places(schedule: Schedule, name: str = "") -> Iterator[NodePlace]:
+    """Nodes of a fine mesh, in phases renamed to ``name``; the last of a phase where the schedule ends."""
+    fractions = tuple(k / INTERVALS for k in range(INTERVALS + 1))
+    for phase in schedule.phases:
+        ends, shown = phase is schedule.phases[-1], copy.copy(phase)
+        object.__setattr__(shown, "name", name or phase.name)
+        for k in range(INTERVALS + ends):
+            yield NodePlace(
+                phase=shown, index=k, fractions=fractions, last=k == INTERVALS, ends_schedule=ends
+            )

@@ -1,0 +1,229 @@
+"""Whether start, footholds and goals can be, judged before solving by what a check allows afterwards."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.errors import InputError
+from trajopt.problem.validation import require_limits
+from trajopt.robot.contact import Contact
+from trajopt.robot.kinematics import contact_poses
+from trajopt.robot.reach import LinkPoint, longest_between
+from trajopt.robot.robot import Robot
+from trajopt.robot.validation import require_configuration
+from trajopt.schedule.schedule import Schedule
+from trajopt.schedule.targets import Target
+from trajopt.terms.frames import FrameHeight
+from trajopt.terms.interfaces import PointConstraint, Term
+from trajopt.terms.terminal import TerminalState
+from trajopt.terrain.surface import SAME_PLANE, Surface
+from trajopt.terrain.terrain import Ground
+
+# What a check allows: distance of contacts from their ground where they begin, m; angle of soles on it, rad.
+CONTACT_GAP, SOLE_TILT = 1e-3, 1e-2
+# A goal may have contacts this fraction of the robot's length away from where they stand, and places may be
+# further apart than the links by as much: what a check allows feet to drift, on a robot of a metre.
+PLACE_SLACK = 1e-3
+
+_Places = Mapping[str, np.ndarray]
+_Goal = tuple[str, Target]  # the name of its term, and the target
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stances:
+    """Where the contacts of a schedule stand.
+
+    Args:
+        robot: the robot.
+        schedule: its contacts over time.
+        grounds: by phase, what each active contact touches; nothing for a model that holds no contacts.
+        places: by phase, the positions (3,) m of the contacts that are known before solving.
+    """
+
+    robot: Robot
+    schedule: Schedule
+    grounds: tuple[Mapping[str, Ground], ...]
+    places: tuple[_Places, ...]
+
+    def index(self, phase: str | None) -> int:
+        """Index of the phase of that name, of the last one for None."""
+        return len(self.places) - 1 if phase is None else self.schedule.names.index(phase)
+
+
+def require_places(
+    stances: Stances,
+    start: np.ndarray | None,
+    terms: Sequence[Term],
+    rows: Sequence[PointConstraint],
+) -> None:
+    """Raise `InputError` for a start, a foothold or a goal at which no motion can be.
+
+    Whether bodies are clear at the start and at goals belongs here, too.
+
+    Args:
+        stances: where contacts stand.
+        start: configuration (nq,); None where it is free.
+        terms: of the problem.
+        rows: constraints at collocation points, with the limits.
+    """
+    require_footholds(stances)
+    require_apart(stances)
+    if start is not None:
+        require_start_contacts(stances, start)
+    for term in terms:
+        if isinstance(term, TerminalState):
+            require_configuration(stances.robot.model, np.array(term.q, dtype=float), f"q of {term.name}")
+    goals = [(term.name, target) for term in terms for target in term.targets()]
+    require_postures(stances, goals, rows)
+    require_reach(stances, goals)
+    require_heights(stances, terms)
+
+
+def require_start_contacts(stances: Stances, q: np.ndarray) -> None:
+    """Contacts of the first phase are on their ground, soles flat on it."""
+    robot, poses = stances.robot, contact_poses(stances.robot, q)
+    allowed = "or a first phase without it"
+    for name, ground in stances.grounds[0].items():
+        contact, where = robot.contact(name), "initial_q has"
+        _require_gap(where, contact, ground, poses[name].translation, allowed)
+        tilt = _tilt(contact, ground, poses[name])
+        if tilt > SOLE_TILT:
+            raise InputError(
+                f"{where} sole '{name}' tilted by {tilt:.4g} rad on its ground",
+                f"allowed: up to {SOLE_TILT:g} rad, {allowed}",
+            )
+
+
+def _require_gap(where: str, contact: Contact, ground: Ground, place: np.ndarray, allowed: str) -> None:
+    gap = contact.gap(ground, place)
+    if not abs(gap) <= CONTACT_GAP:
+        raise InputError(
+            f"{where} contact '{contact.name}' {_side(gap)} its ground",
+            f"allowed: within {CONTACT_GAP:g} m, {allowed}",
+        )
+
+
+def _side(gap: float) -> str:
+    return f"{abs(gap):.4g} m {'above' if gap > 0 else 'below'}"
+
+
+def _tilt(contact: Contact, ground: Ground, pose: pin.SE3) -> float:
+    """Angle of a sole's z axis from the normal of its ground, rad; zero for a point."""
+    if contact.kind == "point" or not isinstance(ground, Surface):
+        return 0.0
+    chord = float(np.linalg.norm(pose.rotation[:, 2] - ground.normal))
+    return 2 * math.asin(min(chord / 2, 1.0))
+
+
+def require_footholds(stances: Stances) -> None:
+    """Footholds are on their ground; those of contacts that stand already are where they stand."""
+    for index, phase in enumerate(stances.schedule.phases):
+        for name, foothold in phase.footholds.items():
+            what, ground = f"foothold of '{name}' in phase '{phase.name}'", stances.grounds[index].get(name)
+            contact = stances.robot.contact(name)
+            gap = 0.0 if ground is None else contact.gap(ground, foothold) + contact.radius
+            allowed = SAME_PLANE if isinstance(ground, Surface) else CONTACT_GAP
+            if not abs(gap) <= allowed:
+                raise InputError(f"{what} is {_side(gap)} its ground", f"allowed: within {allowed:g} m")
+            lands = name in stances.schedule.new_contacts(index)
+            stands = foothold if lands else stances.places[index].get(name, foothold)
+            off = float(np.linalg.norm(foothold - stands)) - (0.0 if lands else contact.radius)
+            if off > CONTACT_GAP:
+                raise InputError(
+                    f"{what} is {off:.4g} m from where the contact stands already",
+                    f"allowed: within {CONTACT_GAP:g} m, or a phase before it without the contact",
+                )
+
+
+def require_postures(stances: Stances, goals: Sequence[_Goal], rows: Sequence[PointConstraint]) -> None:
+    """Configurations to reach are within limits, with contacts where they stand or on their ground.
+
+    Goals constrain only the directions that contacts leave free: a goal that contradicts the contacts would
+    be dropped silently.
+    """
+    robot = stances.robot
+    for term, target in goals:
+        if target.q is None:
+            continue
+        index, where = stances.index(target.phase), f"q of {term} has"
+        name = stances.schedule.names[index]
+        require_configuration(robot.model, target.q, f"q of {term}")
+        limits = [limit for limit in rows if limit.acts_in(name)]
+        require_limits(f"in q of {term}", robot, target.q, np.zeros(robot.nv), limits)
+        for contact, pose in contact_poses(robot, target.q).items():
+            place, ground = stances.places[index].get(contact), stances.grounds[index].get(contact)
+            off = 0.0 if place is None else float(np.linalg.norm(pose.translation - place))
+            if off > PLACE_SLACK * robot.length:
+                raise InputError(
+                    f"{where} '{contact}' {off:.4g} m from where it stands in phase '{name}'",
+                    "allowed: a configuration in which contacts are where they stand, or landed",
+                )
+            if place is None and ground is not None:
+                _require_gap(
+                    where, robot.contact(contact), ground, pose.translation, "or a last phase without it"
+                )
+
+
+def require_apart(stances: Stances) -> None:
+    """Contacts that stand at once are no further apart than the links between them are long."""
+    for phase, places in zip(stances.schedule.names, stances.places, strict=True):
+        feet = _feet(stances.robot, places)
+        for one, other in combinations(places, 2):
+            what = f"contacts '{one}' and '{other}' stand in phase '{phase}'"
+            _require_near(stances.robot, what, (feet[one], feet[other]), places[one] - places[other])
+
+
+def require_reach(stances: Stances, goals: Sequence[_Goal]) -> None:
+    """Places to reach are within reach of contacts where they stand, and of a fixed base.
+
+    Only goals that no posture reaches are rejected, not those out of reach because of limits or other places.
+    """
+    robot = stances.robot
+    for term, target in goals:
+        if target.frame is None or target.position is None:
+            continue
+        index, frame = stances.index(target.phase), LinkPoint.of_frame(robot.model, target.frame)
+        # The beginning of a phase is the end of the one before it.
+        before = {} if target.phase is None or index == 0 else stances.places[index - 1]
+        for name, point, place in _anchors(robot, frame, {**before, **stances.places[index]}):
+            what = f"{term} has '{target.frame}' and {name}"
+            _require_near(robot, what, (point, frame), target.position - place)
+
+
+def require_heights(stances: Stances, terms: Sequence[Term]) -> None:
+    """The same for heights of frames in phases with contacts."""
+    robot = stances.robot
+    for term in terms:
+        if isinstance(term, FrameHeight) and math.isfinite(term.height):
+            frame = LinkPoint.of_frame(robot.model, term.frame)
+            for name, point, place in _anchors(robot, frame, stances.places[stances.index(term.phase)]):
+                over = (term.height - float(place[2])) * (-1 if term.below else 1)
+                what = f"{term.name} has '{term.frame}' and {name}"
+                _require_near(robot, what, (point, frame), np.array([0.0, 0.0, max(over, 0.0)]))
+
+
+def _anchors(robot: Robot, frame: LinkPoint, places: _Places) -> Iterator[tuple[str, LinkPoint, np.ndarray]]:
+    """What a frame hangs on: contacts where they stand, and the place of its first joint; (3,) m, world."""
+    for name, point in _feet(robot, places).items():
+        yield f"contact '{name}'", point, places[name]
+    root = frame.root(robot.model)
+    yield "the place where its first joint is fixed", root, root.point
+
+
+def _feet(robot: Robot, places: _Places) -> dict[str, LinkPoint]:
+    return {name: LinkPoint.of_frame(robot.model, robot.contact(name).frame) for name in places}
+
+
+def _require_near(robot: Robot, what: str, ends: tuple[LinkPoint, LinkPoint], apart: np.ndarray) -> None:
+    longest, distance = longest_between(robot.model, *ends), float(np.linalg.norm(apart))
+    if distance > longest + PLACE_SLACK * robot.length:
+        raise InputError(
+            f"{what} {distance:.4g} m apart",
+            f"allowed: up to {longest:.4g} m, all links between them in line",
+        )
