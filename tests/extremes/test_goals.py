@@ -98,7 +98,9 @@ def test_a_goal_that_only_postures_put_out_of_reach_names_its_rows(place):
 
 def test_a_goal_beyond_the_limits_is_refused():
     goal = with_joints(ur5(), {"elbow_joint": 4.0})
-    refused = Refused("terminal_state joint 'elbow_joint' is at 4, beyond its position_limits; allowed: -3.14")
+    refused = Refused(
+        "terminal_state joint 'elbow_joint' is at 4, beyond its position_limits; allowed: -3.14"
+    )
     assert_outcome(refused, lambda: reach(ur5(), ur5().reference, goal))
 
 

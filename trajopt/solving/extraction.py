@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.model_quantities import generalized_force
+from trajopt.problem.bodies import bodies_meta
 from trajopt.problem.goals import goals_meta
 from trajopt.problem.problem import Problem
-from trajopt.problem.bodies import bodies_meta
 from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Schedule

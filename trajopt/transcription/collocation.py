@@ -75,11 +75,11 @@ class Collocation:
         eye = np.eye(layout.window_size(stage))
         contacts = layout.contacts[phase]
         loaded = np.repeat([c.name in loads for c in contacts], [c.dimension for c in contacts]).astype(bool)
-        interpolated = [
-            sum(weight * eye[place(phase, j)] for j, weight in enumerate(scheme.interpolation([fraction])[0]))
-            for place in (layout.local_derivative, layout.local_wrench)
-        ]
-        rows = [eye[form.rotations], *lower, interpolated[0], interpolated[1][loaded]]
+        weights = scheme.interpolation(np.array([fraction]))[0]
+        places = [(layout.local_derivative(phase, j), layout.local_wrench(phase, j)) for j in range(scheme.s)]
+        highest = np.einsum("j,jin->in", weights, np.array([eye[own] for own, _ in places]))
+        wrench = np.einsum("j,jin->in", weights, np.array([eye[own] for _, own in places]))
+        rows = [eye[form.rotations], *lower, highest, wrench[loaded]]
         return sparse.csr_matrix(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(stage))
 
     def impact_gather(self, k: int) -> sparse.csr_matrix:

@@ -95,7 +95,8 @@ def nearest(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> Approa
 
 def _apart(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> float:
     """Least height of the first body along a normal minus the greatest of the second, m."""
-    top = second.height if second.normal is not None else float((second.placed @ normal).max()) + second.radius
+    solid = second.normal is None
+    top = float((second.placed @ normal).max()) + second.radius if solid else second.height
     return float((first.placed @ normal).min()) - first.radius - top
 
 
