@@ -12,7 +12,7 @@ from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.description import RobotShapes, robot_shapes
 from trajopt.robot.collision.near import CollisionScene, ShapePair, separable_pairs
-from trajopt.robot.collision.planes import CornerRow, corner_rows
+from trajopt.robot.collision.planes import SeparatingPlane, separating_plane
 from trajopt.robot.collision.shapes import LinkShape
 from trajopt.robot.robot import Robot
 from trajopt.terms.clearance import Clearance
@@ -39,20 +39,20 @@ class ProblemBodies:
         """Pairs of the scene."""
         return self.scene.pairs
 
-    def rows(
+    def planes(
         self, configurations: np.ndarray, wanted: Sequence[tuple[int, ShapePair]], within: float
-    ) -> list[tuple[CornerRow, ...]]:
-        """Rows that keep pairs apart near configurations (K, nq).
+    ) -> list[tuple[SeparatingPlane, ...]]:
+        """Planes that keep pairs apart near configurations (K, nq): several where the ground has faces.
 
         Args:
             configurations: where planes are laid.
             wanted: of each the configuration's number and the pair.
-            within: bodies of the ground farther away than this, m, get no rows.
+            within: bodies of the ground farther away than this, m, get no plane.
         """
         margins = dict(zip(self.pairs, self.margins.tolist(), strict=True))
         found = self.scene.approaches(configurations, wanted, within)
         return [
-            tuple(row for own in approaches for row in corner_rows(own, margins[pair]))
+            tuple(separating_plane(own, margins[pair]) for own in approaches)
             for (_, pair), approaches in zip(wanted, found, strict=True)
         ]
 

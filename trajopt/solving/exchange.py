@@ -19,7 +19,7 @@ import numpy as np
 from trajopt.problem.bodies import ProblemBodies, bodies_of
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.near import ShapePair
-from trajopt.robot.collision.planes import CornerRow
+from trajopt.robot.collision.planes import SeparatingPlane
 from trajopt.solution.interpolation import collocation_fractions, interval_interpolant
 from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
@@ -49,10 +49,11 @@ class Look:
 
 @dataclass
 class Exchange:
-    """The moments at which pairs of a problem's bodies have rows; they grow from look to look."""
+    """Which pairs of a problem's bodies have rows, when, and for which corners: they grow from look to look."""
 
     problem: Problem
     moments: defaultdict[ShapePair, set[Moment]] = field(default_factory=lambda: defaultdict(set))
+    corners: dict[tuple[ShapePair, Moment, str | None, str | None], np.ndarray] = field(default_factory=dict)
 
     @cached_property
     def bodies(self) -> ProblemBodies:
@@ -104,17 +105,17 @@ class Exchange:
         Args:
             motion: phase, fraction of its duration -> configuration (nq,), as `along` or `guess` give it.
         """
-        groups: defaultdict[tuple[int, str | None, str | None], list[tuple[float, CornerRow]]]
+        groups: defaultdict[tuple[int, str | None, str | None], list[tuple[float, SeparatingPlane]]]
         groups = defaultdict(list)
-        for (phase, fraction), row in self._laid(motion):
-            groups[phase, row.frame, row.body].append((fraction, row))
+        for (phase, fraction), plane in self._laid(motion):
+            groups[phase, plane.frame, plane.body].append((fraction, plane))
         terms = [
             PlaneSide(
                 phase=self.problem.schedule.names[phase],
                 frame=frame,
                 body=body,
-                fractions=np.array([fraction for fraction, _ in own]),
-                parameters=np.array([row.parameters for _, row in own]),
+                fractions=np.repeat([f for f, _ in own], [len(plane.corners) for _, plane in own]),
+                parameters=np.concatenate([plane.parameters for _, plane in own]),
             )
             for (phase, frame, body), own in groups.items()
         ]
@@ -134,7 +135,7 @@ class Exchange:
         columns = [column for column, pair in enumerate(self.bodies.pairs) if pair in self.moments]
         return bool((short[:, columns] >= self.bodies.margins[columns] - TOO_NEAR).all())
 
-    def _laid(self, motion: PhaseMotion) -> Iterator[tuple[Moment, CornerRow]]:
+    def _laid(self, motion: PhaseMotion) -> Iterator[tuple[Moment, SeparatingPlane]]:
         every = sorted({moment for moments in self.moments.values() for moment in moments})
         if not every:
             return
@@ -142,8 +143,12 @@ class Exchange:
         q = np.array([motion(*moment) for moment in every])
         pairs = [(pair, moment) for pair, moments in self.moments.items() for moment in sorted(moments)]
         wanted = [(numbers[moment], pair) for pair, moment in pairs]
-        for (_, moment), rows in zip(pairs, self.bodies.rows(q, wanted, self.band), strict=True):
-            yield from ((moment, row) for row in rows)
+        for (pair, moment), planes in zip(pairs, self.bodies.planes(q, wanted, self.band), strict=True):
+            for plane in planes:
+                key = (pair, moment, plane.frame, plane.body)
+                kept = plane.with_corners(self.corners.get(key, plane.corners))
+                self.corners[key] = kept.corners
+                yield moment, kept
 
 
 def along(solution: Solution) -> PhaseMotion:

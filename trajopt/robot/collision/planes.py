@@ -14,7 +14,7 @@ nearer. So what satisfies it is apart. The rows are smooth, at touching and for 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -63,15 +63,29 @@ class Approach:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class CornerRow:
-    """A corner in the axes of ``frame`` and a plane in those of ``body`` (None: the world).
+class SeparatingPlane:
+    """A plane that one body carries, and the corners of another that stay on its positive side.
 
-    ``parameters`` (7,): corner (3,) m, normal (3,), offset m, as of `trajopt.terms.moments.PlaneSide`.
+    ``normal`` (3,), unit, and ``offset`` m are in the axes of ``body``, ``corners`` (n, 3) m in those of
+    ``frame`` (None: the world).
     """
 
     frame: str | None
     body: str | None
-    parameters: np.ndarray
+    normal: np.ndarray
+    offset: float
+    corners: np.ndarray
+
+    def with_corners(self, others: np.ndarray) -> SeparatingPlane:
+        """The plane with further corners (n, 3) m of the same body."""
+        every = np.unique(np.concatenate([self.corners, others]), axis=0)
+        return replace(self, corners=every)
+
+    @property
+    def parameters(self) -> np.ndarray:
+        """Corner, normal and offset (n, 7) of each row, as of `trajopt.terms.moments.PlaneSide`."""
+        plane = np.concatenate([self.normal, [self.offset]])
+        return np.column_stack([self.corners, np.tile(plane, (len(self.corners), 1))])
 
 
 def nearest(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> Approach:
@@ -100,22 +114,20 @@ def _apart(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> float:
     return float((first.placed @ normal).min()) - first.radius - top
 
 
-def corner_rows(found: Approach, margin: float) -> tuple[CornerRow, ...]:
-    """Rows that keep two bodies apart: corners of one beyond a supporting plane of the other.
+def separating_plane(found: Approach, margin: float) -> SeparatingPlane:
+    """A plane that keeps two bodies ``margin`` m apart: it supports one, corners of the other are beyond it.
 
-    Args:
-        found: where the bodies are near each other.
-        margin: least distance, m.
+    Of two bodies the one with the larger face there carries it.
     """
     first, second, normal = found.first, found.second, found.normal
     reach = first.radius + second.radius + margin
     if second.normal is not None:
-        return _rows(first, second, second.normal, second.height + reach)
+        return _plane(first, second, second.normal, second.height + reach)
     along, against = first.placed @ normal, second.placed @ normal
     ahead = _extent(first.placed[along <= along.min() + FACE])
     if _extent(second.placed[against >= against.max() - FACE]) >= ahead:
-        return _rows(first, second, normal, _support(second, normal) + reach)
-    return _rows(second, first, -normal, _support(first, -normal) + reach)
+        return _plane(first, second, normal, _support(second, normal) + reach)
+    return _plane(second, first, -normal, _support(first, -normal) + reach)
 
 
 def _support(body: PlacedBody, normal: np.ndarray) -> float:
@@ -123,18 +135,14 @@ def _support(body: PlacedBody, normal: np.ndarray) -> float:
     return float((body.points @ (body.rotation.T @ normal)).max())
 
 
-def _rows(
-    corners: PlacedBody, carrier: PlacedBody, normal: np.ndarray, offset: float
-) -> tuple[CornerRow, ...]:
-    own = carrier.rotation.T @ normal
+def _plane(corners: PlacedBody, carrier: PlacedBody, normal: np.ndarray, offset: float) -> SeparatingPlane:
     chosen = _nearest(corners.placed, corners.placed @ normal)
-    return tuple(
-        CornerRow(
-            frame=corners.frame,
-            body=carrier.frame,
-            parameters=np.concatenate([corners.points[index], own, [offset]]),
-        )
-        for index in chosen
+    return SeparatingPlane(
+        frame=corners.frame,
+        body=carrier.frame,
+        normal=carrier.rotation.T @ normal,
+        offset=offset,
+        corners=corners.points[chosen],
     )
 
 
