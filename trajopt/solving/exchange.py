@@ -49,7 +49,7 @@ class Look:
 
 @dataclass
 class Exchange:
-    """Which pairs of a problem's bodies have rows, when, and for which corners: they grow from look to look."""
+    """Which pairs of bodies have rows, when, and for which corners: they grow from look to look."""
 
     problem: Problem
     moments: defaultdict[ShapePair, set[Moment]] = field(default_factory=lambda: defaultdict(set))
