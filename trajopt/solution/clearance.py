@@ -16,6 +16,8 @@ FINER = 4
 
 def clearance_figures(plan: Solution) -> dict[str, float | None]:
     """Least distances of a motion from obstacles and of its links, at the samples and between."""
+    if plan.meta.get("collision") is None:
+        return distance_figures(plan, ())
     return distance_figures(plan, refined_configurations(plan))
 
 

@@ -6,8 +6,8 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from trajopt.certify.contact_figures import place_figures
-from trajopt.certify.samples import sample_quantities
+from trajopt.certify.contact_figures import ContactStarts, place_traces
+from trajopt.certify.samples import contact_places
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin_along
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import touched_surfaces
@@ -64,9 +64,12 @@ def fail_on_contact_drift(solution: Solution, length: float) -> Solution:
     """Mark a solution as failed if its contacts drift by a large fraction of the robot's ``length`` in m."""
     if not solution.success:
         return solution
-    samples = sample_quantities(solution)
-    creep = place_figures(solution, samples, touched_surfaces(solution, samples.position))["foot_drift"]
-    if creep is None or creep <= MOST_CREEP * length:
+    places = contact_places(solution)
+    surfaces = touched_surfaces(solution, places.position)
+    starts = ContactStarts.of(solution, places, surfaces)
+    found = place_traces(solution, places, surfaces, starts)["foot_drift"].worst()
+    creep = 0.0 if found is None else found[0]
+    if creep <= MOST_CREEP * length:
         return solution
     status = Status.COARSE_GRID
     advice = f"{status.advice} (by {creep:.2g} m, most {MOST_CREEP * length:.2g} m)"
