@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,12 +12,15 @@ from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.certify.closing import periodicity_error
 from trajopt.certify.consistency import interval_gaps
 from trajopt.certify.contact_figures import ContactStarts, inactive_force, landing_height
-from trajopt.certify.dense import DenseMotion, dense_motion, figures_at
+from trajopt.certify.dense import dense_motion, figures_at
 from trajopt.certify.dynamics_figures import dynamics_traces
-from trajopt.certify.flight import FIGURES, flight_errors
+from trajopt.certify.flight import FIGURES as FLIGHT
+from trajopt.certify.flight import flight_errors
 from trajopt.certify.impact_figures import impact_figures
 from trajopt.certify.reintegration import OpenLoopError, open_loop
 from trajopt.certify.report import (
+    FIGURES,
+    GRADE,
     OPEN_LOOP,
     OPEN_LOOP_JOINTS,
     OPEN_LOOP_ORIENTATION,
@@ -24,8 +28,9 @@ from trajopt.certify.report import (
     STABLE_GROWTH,
     CheckReport,
     PhaseReport,
+    Tolerances,
 )
-from trajopt.certify.samples import SampleQuantities, largest, largest_known, sample_quantities
+from trajopt.certify.samples import largest, largest_known, sample_quantities
 from trajopt.certify.traces import Found, Place, Traces, phase_names, worst_of
 from trajopt.dynamics.virtual_base import gimbal_margin_along
 from trajopt.solution.clearance import clearance_figures
@@ -35,7 +40,7 @@ from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
 
 # Worst of all phases in the report.
-PHASE_FIGURES = (*FIGURES, *OPEN_LOOP, "local_position", "local_joints")
+PHASE_FIGURES = (*FLIGHT, *OPEN_LOOP, "local_position", "local_joints")
 # Rows of the NLP hold at the collocation points, or at all samples of the file; the same figures at any time
 # have the suffix.
 AT_POINTS = (
@@ -49,6 +54,8 @@ AT_POINTS = (
 )
 AT_SAMPLES = ("velocity_excess", "position_excess")
 BETWEEN = "_between"
+# Figures that grow along a phase: a finer mesh there mends them, wherever they are largest.
+DRIFTS = ("foot_drift", "stance_drift", "foot_turn")
 
 
 def check(solution: SolutionOrFile, *, integrate: bool = True) -> CheckReport:
@@ -65,12 +72,79 @@ def check(solution: SolutionOrFile, *, integrate: bool = True) -> CheckReport:
         SolutionFileError: for a file that is inconsistent or not finite.
         InputError: for such a solution.
     """
+    return examine(solution, integrate=integrate).report
+
+
+@dataclass(frozen=True, kw_only=True)
+class Examination:
+    """A check with what a finer mesh follows from.
+
+    local: errors of the intervals. broken: (I,) the largest figure at any time in each interval, over its
+    tolerance. drift: (n_phases,) the same of contacts that must stay where they are.
+    """
+
+    report: CheckReport
+    local: LocalErrors
+    broken: np.ndarray
+    drift: np.ndarray
+
+
+def examine(
+    solution: SolutionOrFile, tolerances: Tolerances = GRADE, *, integrate: bool = False
+) -> Examination:
+    """Check a solution, and compare intervals and phases with ``tolerances``; see `check`."""
     given = consistent_solution(solution)
     plan = given.normalized()  # the norm error of rotations has its own figure and must not affect others
     motion, samples = InterpolatedMotion.of(plan), sample_quantities(plan)
-    surfaces = touched_surfaces(plan, samples.position)
-    phases = tuple(_phases(plan, local_errors(plan, motion), integrate))
-    found = _found(plan, samples, surfaces, motion)
+    surfaces, local = touched_surfaces(plan, samples.position), local_errors(plan, motion)
+    starts = ContactStarts.of(plan, samples, surfaces)
+    here = figures_at(plan, samples, surfaces, starts)
+    dense = dense_motion(plan, motion, here, starts)
+    phases = tuple(_phases(plan, local, integrate))
+    own: Traces = {
+        **dynamics_traces(plan, samples, surfaces),
+        **{name: here[name].at(plan.collocation) for name in AT_POINTS},
+        **{name: here[name] for name in (*AT_SAMPLES, "contact_velocity")},
+        "inactive_force": inactive_force(plan),
+        "landing_height": landing_height(plan, samples, surfaces, starts),
+    }
+    anywhere = {
+        f"{name}{BETWEEN}" if name in (*AT_POINTS, *AT_SAMPLES) else name: trace
+        for name, trace in dense.traces.items()
+        if name not in own or name in (*AT_POINTS, *AT_SAMPLES)
+    }
+    found = {
+        **{name: worst_of((plan, trace)) for name, trace in own.items()},
+        **{name: worst_of((dense.plan, trace)) for name, trace in anywhere.items()},
+    }
+    steady = {name: trace for name, trace in anywhere.items() if name in DRIFTS}
+    moving = {name: trace for name, trace in anywhere.items() if name not in DRIFTS}
+    return Examination(
+        report=_report(given, plan, surfaces, found, phases),
+        local=local,
+        broken=_largest_ratio(moving, tolerances, dense.plan.interval, plan.n_intervals),
+        drift=_largest_ratio(steady, tolerances, dense.plan.phase, len(phases)),
+    )
+
+
+def _largest_ratio(traces: Traces, tolerances: Tolerances, group: np.ndarray, count: int) -> np.ndarray:
+    """Largest ratio of judged figures to their tolerances in each of ``count`` groups of samples."""
+    largest = np.zeros(count)
+    for name, trace in traces.items():
+        key = FIGURES[name].tolerance
+        limit = None if key is None else getattr(tolerances, key)
+        if limit is not None:
+            np.maximum.at(largest, group, trace.badness.max(axis=1, initial=0.0) / limit)
+    return largest
+
+
+def _report(
+    given: Solution,
+    plan: Solution,
+    surfaces: TouchedSurfaces,
+    found: dict[str, Found | None],
+    phases: tuple[PhaseReport, ...],
+) -> CheckReport:
     gaps = interval_gaps(plan)
     return CheckReport(
         **{name: None if own is None else own.value for name, own in found.items()},
@@ -88,28 +162,6 @@ def check(solution: SolutionOrFile, *, integrate: bool = True) -> CheckReport:
             **_places_of_phases(phases),
         },
     )
-
-
-def _found(
-    plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces, motion: InterpolatedMotion
-) -> dict[str, Found | None]:
-    """Worst of every figure of joints and contacts, with its place."""
-    starts = ContactStarts.of(plan, samples, surfaces)
-    here = figures_at(plan, samples, surfaces, starts)
-    dense: DenseMotion = dense_motion(plan, motion, here, starts)
-    own: Traces = {
-        **dynamics_traces(plan, samples, surfaces),
-        **{name: here[name].at(plan.collocation) for name in AT_POINTS},
-        **{name: here[name] for name in (*AT_SAMPLES, "contact_velocity")},
-        "inactive_force": inactive_force(plan),
-        "landing_height": landing_height(plan, samples, surfaces, starts),
-    }
-    anywhere = {name: trace for name, trace in dense.traces.items() if name not in own}
-    between = {f"{name}{BETWEEN}": dense.traces[name] for name in (*AT_POINTS, *AT_SAMPLES)}
-    return {
-        **{name: worst_of((plan, trace)) for name, trace in own.items()},
-        **{name: worst_of((dense.plan, trace)) for name, trace in (anywhere | between).items()},
-    }
 
 
 def _places_of_phases(phases: tuple[PhaseReport, ...]) -> dict[str, Place]:

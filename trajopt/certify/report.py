@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
@@ -55,6 +56,8 @@ class Tolerances:
     local_position: float | None = LOCAL_POSITION
     local_joints: float | None = LOCAL_JOINTS
     foot_drift: float | None = FOOT_DRIFT
+    stance_drift: float | None = FOOT_DRIFT
+    foot_turn: float | None = SOLE_TILT
     sole_tilt: float | None = SOLE_TILT
     penetration: float | None = PENETRATION
     quaternion: float | None = QUATERNION
@@ -63,6 +66,20 @@ class Tolerances:
     open_loop_position: float | None = OPEN_LOOP_POSITION
     open_loop_orientation: float | None = OPEN_LOOP_ORIENTATION
     open_loop_joints: float | None = OPEN_LOOP_JOINTS
+
+
+# The grade of a motion that holds at any time, and that of one on a fixed mesh, which holds at its points.
+GRADE = Tolerances()
+AT_POINTS = Tolerances(
+    between=None,
+    local_position=None,
+    local_joints=None,
+    stance_drift=None,
+    foot_turn=None,
+    open_loop_position=None,
+    open_loop_orientation=None,
+    open_loop_joints=None,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,8 +222,8 @@ class CheckReport:
     landing_height: float | None = _figure("height of contacts where they begin", "m", "foot_drift")
     patch_margin: float | None = _figure("distance inside the patch", "m", "foot_drift", margin=True)
     foot_drift: float | None = _figure("drift of active contacts", "m", "foot_drift")
-    stance_drift: float | None = _figure("drift from touchdown to lift-off", "m", "foot_drift")
-    foot_turn: float | None = _figure("turn of active soles", "rad", "sole_tilt")
+    stance_drift: float | None = _figure("drift from touchdown to lift-off", "m", "stance_drift")
+    foot_turn: float | None = _figure("turn of active soles", "rad", "foot_turn")
     sole_tilt: float | None = _figure("tilt of active soles on their surface", "rad", "sole_tilt")
     impact_residual: float | None = _figure("law of the impacts", "momentum", "residual")
     impact_velocity: float | None = _figure("velocity of contacts after impacts", "speed", "residual")
@@ -257,17 +274,39 @@ class CheckReport:
         limits = tolerances or Tolerances()
         return tuple(name for name in FIGURES if self._fails(name, limits))
 
+    def worst(self, tolerances: Tolerances | None = None) -> tuple[str, float]:
+        """The judged figure with the largest ratio to its tolerance: name and ratio (above 1: beyond)."""
+        used = self.used(tolerances)
+        name = max(used, key=lambda name: math.inf if math.isnan(used[name]) else used[name])
+        return name, used[name]
+
+    def used(self, tolerances: Tolerances | None = None) -> dict[str, float]:
+        """Ratio of every judged figure to its tolerance."""
+        limits = tolerances or Tolerances()
+        return {name: ratio for name in FIGURES if (ratio := self._ratio(name, limits)) is not None}
+
+    def said(self, name: str) -> str:
+        """A figure in words: what, value, unit and place."""
+        figure, place = FIGURES[name], self.places.get(name)
+        where = "" if place is None else f" at {place}"
+        return f"{figure.text} {getattr(self, name):.2g} {figure.unit}{where}"
+
     def _fails(self, name: str, tolerances: Tolerances) -> bool:
+        ratio = self._ratio(name, tolerances)
+        return ratio is not None and not ratio <= 1
+
+    def _ratio(self, name: str, tolerances: Tolerances) -> float | None:
+        """A figure over its tolerance; None where it is not judged."""
         figure, value = FIGURES[name], getattr(self, name)
         limit = None if figure.tolerance is None else getattr(tolerances, figure.tolerance)
         if name in OPEN_LOOP:
             known = [getattr(phase, name) for phase in self.phases if phase.stable]
             value = max((own for own in known if own is not None), default=None)
         if limit is None or value is None:
-            return False
+            return None
         if figure.least:
-            return not value >= limit
-        return not (value >= -limit if figure.margin else value <= limit)
+            return float(limit / value if value > 0 else math.nan if math.isnan(value) else math.inf)
+        return float((-value if figure.margin else value) / limit)
 
     def to_dict(self, tolerances: Tolerances | None = None) -> dict[str, Any]:
         """JSON-able figures by name, ``ok``, ``failures`` and ``phases``; inf and NaN become null."""
