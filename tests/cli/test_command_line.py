@@ -105,7 +105,7 @@ def test_default_output_is_named_for_the_settings(
     hop: subprocess.CompletedProcess[str], hop_file: Path
 ) -> None:
     assert hop_file.name == "solo12-jump-distance=10cm-intervals=12.npz"
-    assert Solution.load(hop_file).success
+    assert Solution.load(hop_file).converged
 
 
 def test_accuracy_is_what_check_prints(hop: subprocess.CompletedProcess[str], hop_file: Path) -> None:
@@ -129,7 +129,7 @@ def test_summary_says_where_the_file_is_and_what_is_beyond(tmp_path: Path) -> No
     assert target.is_file()
     assert f"trajopt check '{target}'" in result.stdout
     assert "beyond the tolerances of a check: " in result.stdout
-    assert Solution.load(target).success
+    assert Solution.load(target).converged
 
 
 def test_solve_leaves_the_handler_of_ctrl_c_as_it_was(tmp_path: Path) -> None:

@@ -214,7 +214,7 @@ def _require_solved(
     expected: Solved, problem: Problem, solution: Solution, report: CheckReport | None
 ) -> None:
     meta = solution.meta
-    _require(solution.success, f"{meta['status']} ({meta['advice']}): {meta['worst_blocks'][:1]}")
+    _require(solution.converged, f"{meta['status']} ({meta['advice']}): {meta['worst_blocks'][:1]}")
     assert report is not None
     tolerances = Tolerances()
     if expected.coarse is not None:

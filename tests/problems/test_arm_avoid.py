@@ -70,7 +70,7 @@ def test_guess_starts_and_ends_at_rest_at_the_ends(robot):
 def test_solution_is_clear_and_brings_the_tool_to_its_goal(robot):
     built = problem(robot)
     solution = solve(built, compile="none")
-    assert solution.success, solution.meta["advice"]
+    assert solution.converged, solution.meta["advice"]
     report = check(solution)
     assert report.ok, report.failures()
     assert report.obstacle_distance > 0
@@ -85,7 +85,7 @@ def test_solution_is_clear_and_brings_the_tool_to_its_goal(robot):
 @pytest.mark.parametrize("robot", ["panda", "kinova", *OTHERS])
 def test_other_arms_get_past_too(robot):
     solution = solve(problem(robot), compile="none")
-    assert solution.success, solution.meta["advice"]
+    assert solution.converged, solution.meta["advice"]
     assert check(solution).ok
 
 

@@ -225,7 +225,7 @@ def test_trot_solves_as_a_whole_cycle_and_as_half_of_one() -> None:
     whole = trajopt.solve(problem, compile="quick")
     half = trajopt.solve(problems.load("quadruped-trot", cycle="half"), compile="quick")
     for solution in (whole, half):
-        assert solution.success, solution.meta["advice"]
+        assert solution.converged, solution.meta["advice"]
         assert solution.meta["iterations"] <= MOST_ITERATIONS
         assert not trajopt.check(solution).failures()
     period, speed = problem.parameters["period"], problem.parameters["speed"]
@@ -243,7 +243,7 @@ def test_start_and_stop_solve_and_meet_in_one_state() -> None:
     start, stop = (problems.load(f"quadruped-{kind}") for kind in ("start", "stop"))
     solutions = [trajopt.solve(problem, compile="quick") for problem in (start, stop)]
     for solution in solutions:
-        assert solution.success, solution.meta["advice"]
+        assert solution.converged, solution.meta["advice"]
         assert solution.meta["iterations"] <= MOST_ITERATIONS
         assert not trajopt.check(solution).failures()
     first, second = solutions

@@ -265,7 +265,7 @@ def test_a_walk_over_waves_lands_on_them_and_swings_over_them() -> None:
     ground = problem.terrain
     assert isinstance(ground, SmoothTerrain)
     solution = trajopt.solve(problem, compile="none")
-    assert solution.success, solution.meta["advice"]
+    assert solution.converged, solution.meta["advice"]
     report = trajopt.check(solution)
     assert report.ok, report.failures()
     lift = problem.parameters["clearance"]
@@ -301,7 +301,7 @@ def is_node(t: float, begins: np.ndarray, index: int, counts: list[int], problem
 def test_a_trot_up_stairs_keeps_off_edges() -> None:
     problem = problems.load("quadruped-stairs", steps=2)
     solution = trajopt.solve(problem, compile="none", intervals=LEAST_GRID * len(problem.schedule.phases))
-    assert solution.success, solution.meta["advice"]
+    assert solution.converged, solution.meta["advice"]
     report = trajopt.check(solution)
     assert report.ok, report.failures()
     assert report.patch_margin >= problem.parameters["margin"] - DRIFT

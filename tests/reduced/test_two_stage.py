@@ -142,7 +142,7 @@ def test_compiled_graph_of_stage_one_has_no_actuated_rows() -> None:
 
 def test_recovered_torques_reproduce_the_motion_in_forward_dynamics() -> None:
     solution = trajopt.solve(base_rows_problem(hop()), compile="none")
-    assert solution.success
+    assert solution.converged
     torque, report = recover_torques(hop(), solution)
     assert report.base_residual < 1e-5  # what a solver leaves at 1e-6 in natural units
     model, robot = solution.model, hop().robot
@@ -254,7 +254,7 @@ def test_largest_excess_after_redistribution_is_the_least_that_a_linear_program_
             b_eq=jacobian[:, :6].T @ w,
             bounds=[(None, None)] * 12 + [(0, None)],
         )
-        assert found.success
+        assert found.converged
         after = max(0.0, np.abs(shared.tau[row]).max() / limit - 1)
         assert after == pytest.approx(found.x[-1], abs=OPTIMAL)
 
@@ -322,8 +322,8 @@ def test_stage_one_costs_more_than_the_full_jump_and_sharing_anew_brings_it_near
     settings = {"intervals": 30, "compile": "quick"}
     full = trajopt.solve(problem, **settings)
     motion = trajopt.solve(base_rows_problem(problem), **settings)
-    assert full.success
-    assert motion.success
+    assert full.converged
+    assert motion.converged
     assert motion.meta["iterations"] <= MOST_ITERATIONS
     shared = redistribute_wrenches(problem, motion)
     # Both Gauss points of an interval weigh the same.

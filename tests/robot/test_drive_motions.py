@@ -145,8 +145,8 @@ def test_envelope_binds_and_costs_what_a_quadratic_programme_says():
         trajopt.solve(driven_reach(SLOW, limits), compile="none", intervals=INTERVALS)
         for limits in ((), (DriveLimits(),))
     )
-    assert free.success
-    assert bound.success
+    assert free.converged
+    assert bound.converged
     use = SLOW.voltage_use(free.tau[:, 0] + SLOW.friction_torque(free.v[:, 0]), free.v[:, 0])
     assert np.abs(use).max() > 1.1  # without the envelope the motion is not possible
     ratio = least_effort(SLOW, limited=True) / least_effort(SLOW, limited=False)
@@ -167,7 +167,7 @@ def test_least_time_with_friction_is_that_of_full_torque_helped_by_friction_when
     phase = replace(problem.schedule.phases[0], duration_bounds=(0.1, 3.0))
     problem = replace(problem, schedule=Schedule((phase,)))
     solution = trajopt.solve(problem, compile="none", intervals=INTERVALS, transcription="legendre:1")
-    assert solution.success
+    assert solution.converged
     model = one_joint_arm().model
     inertia = pin.crba(model, model.createData(), np.zeros(1))[0, 0]
     rates = inertia / np.array([limit - friction, limit + friction])
@@ -239,7 +239,7 @@ def test_envelope_of_its_motors_binds_in_the_jump_of_solo12_and_changes_it():
     full, low = (problems.load("solo12-jump", voltage=voltage) for voltage in (24.0, JUMP_VOLTAGE))
     free, bound = (trajopt.solve(problem, intervals=26) for problem in (full, low))
     for solution in (free, bound):
-        assert solution.success
+        assert solution.converged
         assert solution.meta["iterations"] <= 60
         assert trajopt.check(solution).ok
     assert trajopt.check(free).drive_voltage_excess < -0.5

@@ -47,7 +47,7 @@ def _solution() -> trajopt.Solution:
 
 def test_torques_are_those_of_the_model_with_the_body_welded_on() -> None:
     solution, robot = _solution(), _empty().robot
-    assert solution.success
+    assert solution.converged
     model = pin.Model(robot.model)
     frame = model.frames[model.getFrameId("tool0")]
     model.appendBodyToJoint(frame.parentJoint, pin.Inertia(MASS, CENTRE, INERTIA), frame.placement)

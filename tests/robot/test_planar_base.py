@@ -111,7 +111,7 @@ def hop(robot: Robot) -> Problem:
 @pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
 def test_a_planar_quadruped_hops_and_passes_its_check(make, solver):
     solution = trajopt.solve(hop(make("planar")), solver=solver, compile="none")
-    assert solution.success, solution.meta["advice"]
+    assert solution.converged, solution.meta["advice"]
     assert solution.meta["iterations"] <= 60
     report = trajopt.check(solution)
     assert report.ok, str(report)

@@ -64,7 +64,7 @@ def solved(name: str, **parameters: object) -> tuple[Problem, Solution]:
 @pytest.mark.parametrize("name", SWING_UPS)
 def test_swing_up_goes_from_hanging_to_upright_at_rest(name, goal):
     _, solution = solved(name, goal=goal)
-    assert solution.success
+    assert solution.converged
     assert check(solution).ok
     model, data = solution.model, solution.model.createData()
     heights = [pin.centerOfMass(model, data, q)[2] for q in solution.q]
@@ -112,14 +112,14 @@ def test_the_least_time_of_the_double_pendulum_takes_all_the_torque():
 def test_swing_ups_are_solved_from_perturbed_guesses(name):
     problem = problems.load(name)
     for seed in SEEDS:
-        assert solve(problem, compile="none", perturb=NOISE, seed=seed).success
+        assert solve(problem, compile="none", perturb=NOISE, seed=seed).converged
 
 
 def test_another_pendulum_swings_up_by_name_of_its_file(tmp_path):
     file = tmp_path / "point.py"
     file.write_text(POINT_PENDULUM)
     problem, solution = solved("double-pendulum", robot=str(file))
-    assert solution.success
+    assert solution.converged
     assert check(solution).ok
     period = 2 * math.pi * math.sqrt(0.7 / 9.81)
     assert_allclose(problem.parameters["duration"] / period, 2.5, rtol=2e-3)  # its radius of 0.05 m counts
@@ -138,7 +138,7 @@ def test_other_robots_do_not_swing_up(name):
 @pytest.mark.parametrize("robot", HOPPERS)
 def test_hop_lands_on_its_foothold(robot):
     problem, solution = solved("hopper-hop", robot=robot)
-    assert solution.success
+    assert solution.converged
     assert check(solution).ok
     feet = [contact_positions(problem.robot, q)["foot"] for q in solution.q[[0, -1]]]
     assert_allclose(feet[1] - feet[0], [0.2, 0.0, 0.0], atol=DRIFT)
@@ -149,7 +149,7 @@ def test_goals_of_a_hop_are_met_better_than_by_least_effort():
     for goal in ("effort", "height", "distance", "time"):
         problem = problems.load("hopper-hop", goal=goal)
         solution = solve(problem, compile="none", intervals=24)
-        assert solution.success
+        assert solution.converged
         reached[goal] = (solution.q[:, 1].max(), solution.q[-1, 0] - solution.q[0, 0], solution.t[-1])
     assert reached["height"][0] > reached["effort"][0] + 0.2
     assert reached["distance"][1] > reached["effort"][1] + 0.5
@@ -183,7 +183,7 @@ def test_hops_of_other_robots_and_coordinates_are_refused():
 @pytest.mark.parametrize("robot", HOPPERS)
 def test_hopping_is_periodic_at_the_commanded_speed(robot):
     problem, solution = solved("hopper-gait", robot=robot)
-    assert solution.success
+    assert solution.converged
     assert check(solution).ok
     speed, period = (float(problem.parameters[name]) for name in ("speed", "period"))
     way = np.zeros(problem.robot.nq)
@@ -211,7 +211,7 @@ def test_hopping_for_transport_draws_less_than_for_effort():
 @pytest.mark.parametrize("given", [{"speed": -0.8}, {"duty": 0.4}, {"durations": "free"}])
 def test_hopping_is_solved_for_other_commands(given):
     problem, solution = solved("hopper-gait", **given)
-    assert solution.success
+    assert solution.converged
     assert check(solution).ok
     lengths = np.array(solution.meta["durations"])
     nominal = np.array([phase.duration for phase in problem.schedule.phases])

@@ -99,7 +99,7 @@ def test_a_step_that_fails_is_halved():
     between = [step for step in found.steps if not step.asked]
     assert between[0].value == pytest.approx(1.1)
     assert found.steps[-1].value == 2.0
-    assert found.steps[-1].solution.success
+    assert found.steps[-1].solution.converged
     assert found.solutions.keys() == {0.2, 2.0}
 
 

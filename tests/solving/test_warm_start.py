@@ -205,7 +205,7 @@ def test_a_solve_started_at_its_solution_ends_there(solver):
     # The SQP does not find this hop from a guess that stands.
     first = trajopt.solve(hop(), compile="none", solver="ipopt" if solver == "sqp" else solver)
     again = trajopt.solve(hop(), compile="none", solver=solver, start=first)
-    assert again.success
+    assert again.converged
     assert again.meta["warm_start"] is True
     assert first.meta["warm_start"] is False
     assert again.meta["iterations"] < first.meta["iterations"]
@@ -217,7 +217,7 @@ def test_a_solve_started_at_its_solution_ends_there(solver):
 def test_multipliers_of_fatrop_start_ipopt():
     first = trajopt.solve(hop(), compile="none", solver="fatrop", tolerance=1e-8)
     again = trajopt.solve(hop(), compile="none", start=first)
-    assert again.success
+    assert again.converged
     assert again.meta["iterations"] <= trajopt.solve(hop(), compile="none").meta["iterations"] / 2
 
 
@@ -248,7 +248,7 @@ def test_a_solution_without_multipliers_starts_too(tmp_path):
     t = solved_hop().transcription
     assert warm_start(t, loaded).multipliers is None
     again = trajopt.solve(hop(), compile="none", start=loaded)
-    assert again.success
+    assert again.converged
     assert again.meta["iterations"] < first.meta["iterations"]
 
 

@@ -19,7 +19,6 @@ from trajopt.errors import InputError
 from trajopt.study.suite import data
 from trajopt.study.suite.outcome import Outcome, quantile
 from trajopt.study.suite.records import SuiteRecords
-from trajopt.study.suite.run import worst_figure
 from trajopt.study.suite.settings import SuiteSettings
 from trajopt.study.suite.versions import versions
 
@@ -33,7 +32,7 @@ STARTS = replace(VIRTUAL_MACHINE, perturbed=3)
 def test_the_worst_figure_is_beyond_where_the_check_fails():
     for problem in (reach(), suite_problems.coarse()):
         report = check(solve(problem, compile="none"))
-        name, used = worst_figure(report)
+        name, used = report.worst()
         assert (used > 1) == (not report.ok)
         assert report.ok or name in report.failures()
 

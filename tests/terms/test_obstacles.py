@@ -100,7 +100,7 @@ def test_straight_motion_collides_and_the_solution_does_not():
     scene = collision_scene(problem.terms)
     straight = [problem.guess(t) for t in np.linspace(0, 1.5, 40)]
     assert scene.least_distances(straight).min() < -0.03
-    assert solution.success, solution.meta["advice"]
+    assert solution.converged, solution.meta["advice"]
     points = solution.q[solution.collocation]
     assert scene.least_distances(points).min() > MARGIN - DISTANCE
     report = check(solution)
@@ -133,7 +133,7 @@ def test_missed_pairs_are_added_until_nothing_is_near():
     )
     assert "obstacle_distance" in check(solve(blind, compile="none")).failures()
     solution, problem = solve_clear(blind, compile="none")
-    assert solution.success
+    assert solution.converged
     assert check(solution).ok
     remaining = missed_pairs(problem, solution).get("swing", ())
     (term,) = (term for term in problem.terms if isinstance(term, Clearance))
@@ -144,7 +144,7 @@ def test_missed_pairs_are_added_until_nothing_is_near():
 def test_motion_that_slips_between_points_is_solved_on_a_finer_grid():
     problem = with_obstacles(swing(), [POLE], margin=MARGIN)
     slipped = solve(problem, compile="none")
-    assert slipped.success
+    assert slipped.converged
     assert "obstacle_distance" in check(slipped).failures()
     solution, _ = solve_clear(problem, compile="none")
     assert solution.n_intervals > slipped.n_intervals

@@ -24,6 +24,7 @@ FROM_META = (
     "problem",
     "robot",
     "success",
+    "converged",
     "status",
     "solver_status",
     "advice",

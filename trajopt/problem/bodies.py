@@ -20,9 +20,9 @@ from trajopt.terrain.flat import FlatGround
 
 # Points of a link this much farther from a contact's frame than its radius or sole, m, touch with it.
 TOUCHING = 0.01
-# Links that touch the ground may be this deep in it, m, or this much deeper than where the robot stands at
-# first: in stance they are held on the ground by other rows.
-GIVE = 5e-4
+# Links that touch the ground may be this deep in it, m, and deeper where the robot stands so at first, by
+# this much more: in stance other rows hold them on the ground.
+GIVE, DEEPER = 4e-4, 1e-4
 # A start may have bodies this much nearer than their margin, m: what a check allows.
 START_ERROR = 1e-3
 
@@ -103,11 +103,8 @@ def _margins(problem: Problem, scene: CollisionScene, margin: float) -> np.ndarr
     if scene.n_ground and problem.periodicity is None:
         standing = np.minimum(standing, scene.distances(problem.initial_q)[0, : scene.n_ground])
     touching = np.array([_touches(robot, shape) for shape in scene.shapes[: scene.n_ground]], dtype=bool)
-    found[: scene.n_ground] = np.where(touching, np.minimum(standing, 0.0) - GIVE, 0.0)
-    frames = {shape.name: robot.model.frames[robot.model.getFrameId(shape.frame)] for shape in scene.shapes}
-    for column, (shape, _) in enumerate(scene.pairs[: scene.n_outer]):
-        if frames[shape].parentJoint == 0:
-            found[column] = -np.inf
+    found[: scene.n_ground] = np.where(touching, np.minimum(standing - DEEPER, -GIVE), 0.0)
+    found[~scene.movable] = -np.inf
     return found
 
 

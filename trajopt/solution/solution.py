@@ -86,8 +86,13 @@ class Solution:
 
     @property
     def success(self) -> bool:
-        """The solver met its tolerance."""
+        """The verdict: the solver converged, and the motion is within the tolerances it was judged by."""
         return bool(self.meta["success"])
+
+    @property
+    def converged(self) -> bool:
+        """The solver met its tolerance: all rows hold at the points; ``success`` in files without the key."""
+        return bool(self.meta.get("converged", self.meta["success"]))
 
     @property
     def n_samples(self) -> int:

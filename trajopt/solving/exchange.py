@@ -20,7 +20,7 @@ from trajopt.problem.bodies import ProblemBodies, bodies_of
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.near import ShapePair
 from trajopt.robot.collision.planes import SeparatingPlane
-from trajopt.solution.interpolation import collocation_fractions, interval_interpolant
+from trajopt.solution.interpolation import InterpolatedMotion, collocation_fractions
 from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
 from trajopt.terms.moments import PlaneSide
@@ -32,6 +32,8 @@ TOO_NEAR = 5e-4
 BAND = 0.06
 # Between its nodes an interval is looked at this many times, evenly, and at its points.
 LOOKS = 5
+# Moments that agree to this many digits are the same.
+DIGITS = 12
 
 # Phase, fraction of its duration; and a motion over these.
 Moment = tuple[int, float]
@@ -66,26 +68,30 @@ class Exchange:
         return BAND * self.problem.robot.length
 
     @property
-    def outer_pairs(self) -> tuple[ShapePair, ...]:
-        """Pairs with obstacles."""
-        return self.bodies.pairs[self.bodies.scene.n_ground : self.bodies.scene.n_outer]
+    def passes_obstacles(self) -> bool:
+        """Whether a pair with an obstacle has rows."""
+        scene = self.bodies.scene
+        return any(pair in self.moments for pair in scene.pairs[scene.n_ground : scene.n_outer])
 
     def look(self, solution: Solution) -> Look:
         """Distances of all pairs along a solution, exact where they are within the band."""
         plan = solution.normalized()
-        seen = [_seen(plan, number) for number in range(plan.n_intervals)]
-        q = np.concatenate([configurations for configurations, _, _ in seen])
-        reach = self.band + float(self.bodies.margins.max(initial=0.0))
+        numbers, fractions, regular = _moments_to_look_at(plan)
+        q = InterpolatedMotion.of(plan).at(numbers, fractions).q
         return Look(
-            distances=self.bodies.scene.distances(q, reach),
-            moments=tuple(moment for _, moments, _ in seen for moment in moments),
-            regular=np.concatenate([regular for _, _, regular in seen]),
+            distances=self.bodies.scene.distances(q, self.band + float(self.bodies.margins.max(initial=0.0))),
+            moments=_in_phases(plan, numbers, fractions),
+            regular=regular,
         )
 
     def missing(self, look: Look) -> tuple[ShapePair, ...]:
         """Pairs that are too near somewhere."""
         short = (look.distances - self.bodies.margins).min(axis=0, initial=np.inf)
         return tuple(pair for pair, own in zip(self.bodies.pairs, short, strict=True) if own < -TOO_NEAR)
+
+    def depth(self, look: Look) -> float:
+        """By how much the worst pair is too near, m; zero if none is."""
+        return max(-TOO_NEAR - float((look.distances - self.bodies.margins).min(initial=np.inf)), 0.0)
 
     def add(self, look: Look) -> bool:
         """Add the moments where pairs that are, or were, too near are near; whether there are new ones."""
@@ -157,18 +163,29 @@ def along(solution: Solution) -> PhaseMotion:
     return lambda phase, fraction: motion.in_phase(phase, fraction, 0.5).q
 
 
-def _seen(plan: Solution, number: int) -> tuple[np.ndarray, list[Moment], np.ndarray]:
-    """Configurations (k, nq) in an interval, their moments, and which of them are its nodes and points."""
-    _, points = collocation_fractions(plan, number)
-    regular = np.unique(np.round([0.0, *points, 1.0], 12))
-    fractions = np.unique(np.concatenate([regular, np.linspace(0.0, 1.0, LOOKS + 2)]))
-    phase = int(plan.phase[plan.intervals[number].start])
-    start, end = plan.interval_t[plan.intervals_of(phase)][[0, -1], [0, 1]]
-    own = plan.interval_t[number]
-    times = own[0] + fractions * (own[1] - own[0])
-    shares = np.clip((times - start) / (end - start), 0.0, 1.0)
-    moments = [(phase, round(float(share), 12)) for share in shares]
-    return interval_interpolant(plan, number).at(fractions).q, moments, np.isin(fractions, regular)
+def _moments_to_look_at(plan: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Numbers and fractions (K,) of intervals, and which of them are nodes and points."""
+    numbers, fractions, regular = [], [], []
+    for number in range(plan.n_intervals):
+        own = np.unique(np.round([0.0, *collocation_fractions(plan, number)[1], 1.0], DIGITS))
+        every = np.unique(np.concatenate([own, np.round(np.linspace(0.0, 1.0, LOOKS + 2), DIGITS)]))
+        numbers.append(np.full(len(every), number))
+        fractions.append(every)
+        regular.append(np.isin(every, own))
+    return np.concatenate(numbers), np.concatenate(fractions), np.concatenate(regular)
+
+
+def _in_phases(plan: Solution, numbers: np.ndarray, fractions: np.ndarray) -> tuple[Moment, ...]:
+    """Phase and fraction of it at fractions of intervals."""
+    start, end = plan.interval_t[numbers].T
+    times = start + fractions * (end - start)
+    phases = plan.phase[[rows.start for rows in plan.intervals]][numbers]
+    spans = np.array(
+        [plan.interval_t[plan.intervals_of(phase)][[0, -1], [0, 1]] for phase in range(len(plan.phases))]
+    )
+    begin, length = spans[phases, 0], np.diff(spans, axis=1)[phases, 0]
+    shares = np.clip((times - begin) / length, 0.0, 1.0).round(DIGITS)
+    return tuple(zip(phases.tolist(), shares.tolist(), strict=True))
 
 
 def _least_around(values: np.ndarray) -> np.ndarray:

@@ -73,6 +73,13 @@ class CollisionScene:
         """Number of leading pairs that are of a shape with the ground."""
         return 0 if self.terrain is None else len(self.moving)
 
+    @cached_property
+    def movable(self) -> np.ndarray:
+        """Which pairs (n_pairs,) a motion changes: not links fixed to the world with ground or obstacles."""
+        frames = {s.name: self.model.frames[self.model.getFrameId(s.frame)] for s in self.shapes}
+        moves = {name: frame.parentJoint > 0 for name, frame in frames.items()}
+        return np.array([moves[first] or second in moves for first, second in self.pairs], dtype=bool)
+
     @property
     def n_outer(self) -> int:
         """Number of leading pairs that are of a shape with the ground or an obstacle."""
