@@ -176,7 +176,7 @@ class CollisionScene:
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
         return {
-            "capsules": [shape.describe() for shape in self.shapes],
+            "capsules": [shape.describe_capsule() for shape in self.shapes],
             "obstacles": [obstacle.describe() for obstacle in self.obstacles],
             "self_pairs": [list(pair) for pair in self.self_pairs],
         }
