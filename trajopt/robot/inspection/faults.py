@@ -211,11 +211,11 @@ def _deep_feet(robot: Robot, standing: StandingPosture) -> _Lines:
         yield f"shapes of feet reach {worst:.3g} m below the frames of {listed(far)}: are they the feet's?"
     deep = [name for name in below if name not in far and robot.contact(name).kind == "point"]
     if deep:
-        worst = max(deep, key=lambda name: below[name])
-        radius = robot.contact(worst).radius
+        deepest = max(deep, key=lambda name: below[name])
+        radius = robot.contact(deepest).radius
         yield (
-            f"feet reach {1e3 * below[worst]:.1f} mm into the ground under {listed(deep)}, contacts"
-            f" of radius {radius:g} m; Contact(radius={radius + below[worst]:.3g})?"
+            f"feet reach {1e3 * below[deepest]:.1f} mm into the ground under {listed(deep)}, contacts"
+            f" of radius {radius:g} m; Contact(radius={radius + below[deepest]:.3g})?"
         )
 
 
