@@ -45,7 +45,7 @@ IMPEDANCE = (0.95, 0.99, 0.5, 2.0)
 FRICTION_STIFFNESS = 10.0
 # Friction of links on the ground and on obstacles: matters only in a fall.
 LINK_FRICTION = 0.7
-# Of MuJoCo's solver of contact forces, relative: with its own 1e-8 forces of balls that roll miss the equations
+# Of MuJoCo's solver of contact forces, relative: with its own 1e-8 forces of rolling balls miss the equations
 # of motion by 1e-5 of the weight.
 FORCE_TOLERANCE = 1e-12
 # A contact's time is at least so many steps: MuJoCo's own bound is two.
