@@ -255,6 +255,7 @@ def test_impact_with_a_carried_body_is_judged_with_its_mass():
         "contact_frames": [*plan.contact_frames, "trunk"],
         "contact_kinds": [*plan.meta["contact_kinds"], "surface"],
         "contact_sizes": [*plan.meta["contact_sizes"], None],
+        "contact_radius": [*plan.meta["contact_radius"], 0.0],
         "friction": [*plan.meta["friction"], 0.7],
     }
     wider = {

@@ -179,11 +179,13 @@ def test_robots_of_any_size_do_the_same_in_their_own_units(scale, stand):
         own = model.frames[frame].placement
         model.frames[frame].placement = pin.SE3(own.rotation, scale * own.translation)
     model.armature[:] *= scale**5
+    radii = [scale * radius for radius in stand.meta["contact_radius"]]
     slow, q = np.sqrt(scale), stand.q.copy()
     q[:, :3] *= scale
     scaled = replace(
         stand, model_text=model.saveToString(), q=q, t=slow * stand.t, interval_t=slow * stand.interval_t,
-        tau=scale**4 * stand.tau, f=scale**3 * stand.f, meta={**stand.meta, "effort_limit": None},
+        tau=scale**4 * stand.tau, f=scale**3 * stand.f,
+        meta={**stand.meta, "effort_limit": None, "contact_radius": radii},
     )  # fmt: skip
     free = replace(stand, meta={**stand.meta, "effort_limit": None})
     mine = simulate(free, noise=0.005).report
