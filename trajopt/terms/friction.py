@@ -61,6 +61,8 @@ class ContactConstraint(PointConstraint):
 
     @override
     def idle(self, robot: Robot, schedule: Schedule) -> str:
+        if self.contacts is not None and not self.contacts:
+            return "contacts is empty"
         for name in self.contacts or ():
             if not self._applies_to(robot.contact(name)):
                 return f"'{name}' is a point contact"
