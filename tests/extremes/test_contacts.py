@@ -287,6 +287,7 @@ def test_the_longest_stretch_of_two_feet_is_allowed():
         robot, {f"{leg}_HFE": -np.pi / 2 if leg[0] == "F" else np.pi / 2 for leg in ("FL", "HL")}
         | {f"{leg}_KFE": 0.0 for leg in ("FL", "HL")},
     )  # fmt: skip
+    spread[2] -= contact_positions(robot, spread)[FL][2]  # on the two legs that are spread
     places = contact_positions(robot, spread)
     assert np.linalg.norm(places[FL] - places[HL]) > 0.9
     problem = stance(robot, robot.reference)
