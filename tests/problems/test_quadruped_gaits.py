@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import trajopt
+from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
 from trajopt.errors import InputError
 from trajopt.reduced.gait_guess import Pace, base_pose, plan_of_cycle
@@ -227,7 +228,7 @@ def test_trot_solves_as_a_whole_cycle_and_as_half_of_one() -> None:
     for solution in (whole, half):
         assert solution.converged, solution.meta["advice"]
         assert solution.meta["iterations"] <= MOST_ITERATIONS
-        assert not trajopt.check(solution).failures()
+        assert not trajopt.check(solution).failures(AT_POINTS)
     period, speed = problem.parameters["period"], problem.parameters["speed"]
     assert_allclose(whole.q[-1][:3] - whole.q[0][:3], [speed * period, 0.0, 0.0], atol=SOLVED)
     assert_allclose(whole.q[-1][3:], whole.q[0][3:], atol=SOLVED)
@@ -245,7 +246,7 @@ def test_start_and_stop_solve_and_meet_in_one_state() -> None:
     for solution in solutions:
         assert solution.converged, solution.meta["advice"]
         assert solution.meta["iterations"] <= MOST_ITERATIONS
-        assert not trajopt.check(solution).failures()
+        assert not trajopt.check(solution).failures(AT_POINTS)
     first, second = solutions
     assert_allclose(first.q[-1][2:], second.q[0][2:], atol=SOLVED)
     assert_allclose(first.v[-1], second.v[0], atol=SOLVED)

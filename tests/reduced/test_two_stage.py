@@ -14,6 +14,7 @@ from scipy.optimize import linprog
 
 import trajopt
 from tests.support.problems import FOOT, hop, hopper, reach
+from trajopt.certify.report import AT_POINTS
 from trajopt.certify.samples import sample_quantities
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
@@ -334,7 +335,7 @@ def test_stage_one_costs_more_than_the_full_jump_and_sharing_anew_brings_it_near
     assert excess[0] < 1e-6
     assert excess[1] < excess[2]
     # Nothing but what sharing cannot mend is wrong, and the check sees that too.
-    assert trajopt.check(shared).failures() == ("effort_excess",) * (excess[1] > 1e-6)
+    assert trajopt.check(shared).failures(AT_POINTS) == ("effort_excess",) * (excess[1] > 1e-6)
 
 
 def test_prepared_sizes_are_those_of_the_full_problem_because_torques_are_no_unknowns() -> None:

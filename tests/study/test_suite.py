@@ -209,7 +209,7 @@ def test_a_pair_is_solved_as_the_library_solves_it(tmp_path: Path):
         solution = solve(suite_problems.coarse(), compile="none", **noise)
         assert start.iterations == solution.meta["iterations"]
         assert start.objective == pytest.approx(solution.meta["objective"], rel=SAME)
-        assert start.solved == solution.converged
+        assert start.solved == solution.success
     written = Solution.load(tmp_path / "t-coarse@arm.npz")
     assert written.meta["objective"] == pytest.approx(outcome.own.objective, rel=SAME)
     assert outcome.grid.legged

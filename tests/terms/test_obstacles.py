@@ -14,6 +14,7 @@ from tests.support.replay_pages import objects_of, placements_of, shown
 from tests.support.synthetic_motions import with_meta
 from trajopt import solve
 from trajopt.certify.check import check
+from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
 from trajopt.problem import Problem
@@ -104,7 +105,7 @@ def test_straight_motion_collides_and_the_solution_does_not():
     points = solution.q[solution.collocation]
     assert scene.least_distances(points).min() > MARGIN - DISTANCE
     report = check(solution)
-    assert report.ok, report.failures()
+    assert report.within(AT_POINTS), report.failures(AT_POINTS)
     assert report.obstacle_distance == pytest.approx(
         scene.least_distances(refined_configurations(solution)).min()
     )
@@ -122,7 +123,7 @@ def test_check_finds_a_motion_that_collides():
     _, solution = avoided()
     moved = {**solution.meta["collision"], "obstacles": [replace(BALL, radius=0.2).describe()]}
     report = check(with_meta(solution, collision=moved))
-    assert report.failures() == ("obstacle_distance",)
+    assert report.failures(AT_POINTS) == ("obstacle_distance",)
     assert report.obstacle_distance < -0.03
 
 
@@ -131,10 +132,10 @@ def test_missed_pairs_are_added_until_nothing_is_near():
     blind = replace(
         blind, terms=tuple(replace(t, pairs=()) if isinstance(t, Clearance) else t for t in blind.terms)
     )
-    assert "obstacle_distance" in check(solve(blind, compile="none")).failures()
+    assert "obstacle_distance" in check(solve(blind, compile="none")).failures(AT_POINTS)
     solution, problem = solve_clear(blind, compile="none")
     assert solution.converged
-    assert check(solution).ok
+    assert check(solution).within(AT_POINTS)
     remaining = missed_pairs(problem, solution).get("swing", ())
     (term,) = (term for term in problem.terms if isinstance(term, Clearance))
     assert term.pairs
@@ -145,10 +146,10 @@ def test_motion_that_slips_between_points_is_solved_on_a_finer_grid():
     problem = with_obstacles(swing(), [POLE], margin=MARGIN)
     slipped = solve(problem, compile="none")
     assert slipped.converged
-    assert "obstacle_distance" in check(slipped).failures()
+    assert "obstacle_distance" in check(slipped).failures(AT_POINTS)
     solution, _ = solve_clear(problem, compile="none")
     assert solution.n_intervals > slipped.n_intervals
-    assert check(solution).ok or not solution.success
+    assert check(solution).within(AT_POINTS) or not solution.success
 
 
 def test_links_keep_clear_of_each_other():

@@ -72,7 +72,11 @@ def remeshed(
 
 
 def remeshed_where_broken(
-    mesh: Mesh, errors: Sequence[PhaseErrors], broken: np.ndarray, length: float
+    mesh: Mesh,
+    errors: Sequence[PhaseErrors],
+    broken: np.ndarray,
+    length: float,
+    raise_degree: bool = True,
 ) -> Mesh:
     """The mesh for the next round of a motion that misses tolerances.
 
@@ -85,7 +89,7 @@ def remeshed_where_broken(
         if own.phase <= 1:
             phases.append(phase.split(split.tolist()) if split.max() > 1 else phase)
         else:
-            phases.append(_remeshed_phase(phase, own, 1.0, length, True))
+            phases.append(_remeshed_phase(phase, own, 1.0, length, raise_degree))
     return Mesh(phases=tuple(phases))
 
 

@@ -57,9 +57,7 @@ def mode_of(meta: Mapping[str, Any]) -> str:
 
 def failure_text(meta: Mapping[str, Any]) -> str:
     """Status and worst block of a failed solve, in words; empty for one that succeeded."""
-    if meta.get("converged", meta["success"]):
-        return ""
-    return f"{meta['status']}: {describe_block(meta['worst_blocks'][0])}"
+    return "" if meta["success"] else f"{meta['status']}: {describe_block(meta['worst_blocks'][0])}"
 
 
 def worst_condition(
