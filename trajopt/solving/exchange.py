@@ -9,6 +9,7 @@ constrained optimization problems", 1976). No pair enters that never matters.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -20,6 +21,7 @@ from trajopt.problem.bodies import ProblemBodies, bodies_of
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.near import ShapePair
 from trajopt.robot.collision.planes import SeparatingPlane
+from trajopt.robot.units import Units
 from trajopt.solution.interpolation import InterpolatedMotion, collocation_fractions
 from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
@@ -30,8 +32,9 @@ TOO_NEAR = 5e-4
 # Pairs that are too near somewhere get rows wherever they are nearer than their margin plus this part of the
 # robot's length: a motion that gives way there may come near here.
 BAND = 0.06
-# Between its nodes an interval is looked at this many times, evenly, and at its points.
-LOOKS = 5
+# A motion is looked at at all nodes and points, and at intervals of this part of sqrt(l / g) in between, but
+# at least so often in each of its intervals.
+LOOK_STEP, LEAST_LOOKS = 0.02, 5
 # Moments that agree to this many digits are the same.
 DIGITS = 12
 
@@ -76,7 +79,8 @@ class Exchange:
     def look(self, solution: Solution) -> Look:
         """Distances of all pairs along a solution, exact where they are within the band."""
         plan = solution.normalized()
-        numbers, fractions, regular = _moments_to_look_at(plan)
+        step = LOOK_STEP * Units(self.problem.robot).time
+        numbers, fractions, regular = _moments_to_look_at(plan, step)
         q = InterpolatedMotion.of(plan).at(numbers, fractions).q
         return Look(
             distances=self.bodies.scene.distances(q, self.band + float(self.bodies.margins.max(initial=0.0))),
@@ -163,12 +167,14 @@ def along(solution: Solution) -> PhaseMotion:
     return lambda phase, fraction: motion.in_phase(phase, fraction, 0.5).q
 
 
-def _moments_to_look_at(plan: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _moments_to_look_at(plan: Solution, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Numbers and fractions (K,) of intervals, and which of them are nodes and points."""
     numbers, fractions, regular = [], [], []
     for number in range(plan.n_intervals):
         own = np.unique(np.round([0.0, *collocation_fractions(plan, number)[1], 1.0], DIGITS))
-        every = np.unique(np.concatenate([own, np.round(np.linspace(0.0, 1.0, LOOKS + 2), DIGITS)]))
+        start, end = plan.interval_t[number]
+        looks = max(LEAST_LOOKS, math.ceil((end - start) / step))
+        every = np.unique(np.concatenate([own, np.round(np.linspace(0.0, 1.0, looks + 2), DIGITS)]))
         numbers.append(np.full(len(every), number))
         fractions.append(every)
         regular.append(np.isin(every, own))
