@@ -71,10 +71,9 @@ class Exchange:
         return BAND * self.problem.robot.length
 
     @property
-    def passes_obstacles(self) -> bool:
-        """Whether a pair with an obstacle has rows."""
-        scene = self.bodies.scene
-        return any(pair in self.moments for pair in scene.pairs[scene.n_ground : scene.n_outer])
+    def takes_sides(self) -> bool:
+        """Whether a pair other than with the ground has rows: there may be several ways past each other."""
+        return any(pair in self.moments for pair in self.bodies.pairs[self.bodies.scene.n_ground :])
 
     def look(self, solution: Solution) -> Look:
         """Distances of all pairs along a solution, exact where they are within the band."""
@@ -109,12 +108,15 @@ class Exchange:
                 self.moments[pair] |= {look.moments[row] for row in np.flatnonzero(near)}
         return sum(map(len, self.moments.values())) > before
 
-    def constrained(self, motion: PhaseMotion) -> Problem:
+    def constrained(self, motion: PhaseMotion, last: PhaseMotion) -> Problem:
         """The problem with rows at all moments so far, their planes laid along a motion.
 
         Args:
             motion: phase, fraction of its duration -> configuration (nq,), as `along` or `guess` give it.
+            last: the motion that was too near: its nearest corners get rows, too.
         """
+        for _ in self._laid(last):
+            pass
         groups: defaultdict[tuple[int, str | None, str | None], list[tuple[float, SeparatingPlane]]]
         groups = defaultdict(list)
         for (phase, fraction), plane in self._laid(motion):

@@ -147,7 +147,7 @@ class _Loop:
                 return "a finer mesh does not mend what is missed"
             if unknowns_on_mesh(self.problem, mesh) > MOST_VARIABLES:
                 return f"the next mesh would have more than {MOST_VARIABLES} variables"
-            solution = self._solved_from(mesh, solution)
+            solution = self._solved_from(mesh, solution, near >= DEEP)
         return f"a mesh was not solved: {self.rounds[-1].status.replace('_', ' ')}"
 
     def _first(self, mesh: Mesh, start: Solution | str | Path | None) -> Solution | None:
@@ -173,11 +173,11 @@ class _Loop:
         self.rounds.append(Round.of(mesh, self.last))
         return self.last if self.last.converged else None
 
-    def _solved_from(self, mesh: Mesh, solution: Solution) -> Solution | None:
-        """From the last motion or from the guess, whichever is on the right side of obstacles.
+    def _solved_from(self, mesh: Mesh, solution: Solution, deep: bool) -> Solution | None:
+        """From the last motion or from the guess, whichever is on the right side of bodies to pass.
 
-        A motion that goes through an obstacle may be on no side of it; the guess of a problem with obstacles
-        passes them where its author wants it to.
+        A motion that goes ``deep`` through a body may be on no side of it; a guess that is clear passes it
+        where its author wants it to.
         """
         if not self.exchange.moments:
             return self._solved(mesh, solution)
@@ -185,10 +185,11 @@ class _Loop:
             (along(solution), solution),
             (self.exchange.guess, None),
         ]
-        if self.exchange.passes_obstacles and self.exchange.guess_is_clear():
+        if deep and self.exchange.takes_sides and self.exchange.guess_is_clear():
             starts.reverse()
         for motion, start in starts:
-            found = self._solved(mesh, start, self.exchange.constrained(motion))
+            problem = self.exchange.constrained(motion, along(solution))
+            found = self._solved(mesh, start, problem)
             if found is not None:
                 before, after = solution.meta["objective"], found.meta["objective"]
                 self.settled = abs(after - before) <= SETTLED * max(abs(before), abs(after))
