@@ -74,7 +74,7 @@ def solve_command(
     By default PROBLEM is solved as built. With --smallest or --explain, joints that the task does not need
     are locked and a symmetric task is solved for half of the robot; the file holds the whole robot's motion.
     The motion is examined at any time, and the mesh refined where it misses the tolerances of trajopt check;
-    --draft takes the first mesh, --fixed-mesh or both --transcription and --intervals that mesh.
+    --draft takes the first mesh, --fixed-mesh the problem's own, --transcription or --intervals another.
     With --accuracy or --budget, scheme, mesh and solver are chosen from measured fronts; with --accuracy the
     error is measured, and the mesh refined until it is small enough.
 

@@ -7,6 +7,7 @@ check: local errors and drift by phase, figures that are broken between points b
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import numpy as np
 from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.certify.check import Examination, examine
 from trajopt.certify.report import GRADE, OPEN_LOOP, CheckReport, Tolerances
+from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.robot.units import Units
 from trajopt.solution.grid import mesh_of
@@ -23,7 +25,7 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.ladder import INTERRUPTED
 from trajopt.solving.refine import Round, unknowns_by_phase, unknowns_on_mesh
 from trajopt.solving.remeshing import PhaseErrors, remeshed_where_broken
-from trajopt.solving.solving import solve
+from trajopt.solving.solving import solve as solve_on_mesh
 from trajopt.solving.verdicts import judged_by
 from trajopt.transcription.mesh import Mesh
 
@@ -40,12 +42,13 @@ MOST_VARIABLES = 100_000
 
 @dataclass(frozen=True, kw_only=True)
 class Graded:
-    """The best motion found, its check, the solves, and what ended them."""
+    """The best motion found, its check, the solves, and what ended them; ``examined``: s of all checks."""
 
     solution: Solution
     report: CheckReport | None
     rounds: tuple[Round, ...]
     why: str
+    examined: float
 
     @property
     def reached(self) -> bool:
@@ -63,6 +66,7 @@ class Graded:
             "reached": self.reached,
             "why": self.why,
             "spent_s": self.spent,
+            "examined_s": self.examined,
             "rounds": [own.to_dict() for own in self.rounds],
         }
 
@@ -78,6 +82,45 @@ def first_mesh(problem: Problem) -> Mesh:
         for count, phase in zip(counts, problem.schedule.phases, strict=True)
     ]
     return Mesh.uniform(FIRST_SCHEME, wanted)
+
+
+def solve(
+    problem: Problem,
+    *,
+    transcription: str | None = None,
+    intervals: int | None = None,
+    mesh: Mesh | None = None,
+    fixed_mesh: bool = False,
+    draft: bool = False,
+    **settings: Any,
+) -> Solution:
+    """Solve a problem until its motion holds at any time; never raises because that is not reached.
+
+    The mesh is refined, see `solve_graded`. A mesh that is named is solved once, like that of a reduced model
+    without legs.
+
+    Args:
+        problem: What to solve.
+        transcription: Scheme of a mesh to solve on once, as in `trajopt.solving.solving.solve`.
+        intervals: Its number of intervals over the whole schedule.
+        mesh: That mesh, instead of both.
+        fixed_mesh: Solve once, on the problem's own mesh where none is named.
+        draft: Solve once, on the first mesh of a refinement.
+        **settings: Those of `trajopt.solving.solving.solve`.
+
+    Returns:
+        The best motion. Its ``success`` is the verdict of the check, ``converged`` that all rows hold at its
+        points; its meta has under ``graded`` the meshes, under ``failures`` and ``advice`` what is missed.
+
+    Raises:
+        InputError: For a value that is not allowed.
+    """
+    named = fixed_mesh or (transcription, intervals, mesh) != (None, None, None)
+    if named or not problem.holds_contacts:
+        if draft:
+            raise InputError("a draft and a mesh are both asked for", "allowed: one of them")
+        return solve_on_mesh(problem, transcription=transcription, intervals=intervals, mesh=mesh, **settings)
+    return solve_graded(problem, max_rounds=1 if draft else MOST_ROUNDS, **settings).solution
 
 
 def solve_graded(
@@ -115,6 +158,7 @@ class _Loop:
     settings: dict[str, Any]
     rounds: list[Round] = field(default_factory=list)
     last: Solution | None = None
+    examined: float = 0.0
     best: tuple[float, Solution, CheckReport] | None = None
 
     def run(self, mesh: Mesh, start: Solution | str | Path | None, rounds: int) -> str:
@@ -122,7 +166,9 @@ class _Loop:
         solution = self._first(mesh, start)
         while solution is not None:
             # Rows at any time, of what the motion breaks between points, are to be added to the problem here.
+            begun = time.perf_counter()
             found = examine(solution, self.tolerances)
+            self.examined += time.perf_counter() - begun
             self._keep(solution, found.report)
             if not found.report.failures(self.tolerances):
                 return "the grade is reached"
@@ -150,7 +196,9 @@ class _Loop:
 
     def _solved(self, mesh: Mesh, start: Solution | str | Path | None) -> Solution | None:
         label = f"mesh {len(self.rounds) + 1}"
-        self.last = solve(self.problem, mesh=mesh, start=start, label=label, judge=False, **self.settings)
+        self.last = solve_on_mesh(
+            self.problem, mesh=mesh, start=start, label=label, judge=False, **self.settings
+        )
         self.settings.pop("perturb", None)  # noise is for the first start
         self.rounds.append(Round.of(mesh, self.last))
         return self.last if self.last.converged else None
@@ -195,5 +243,6 @@ class _Loop:
         assert solution is not None
         if report is not None:
             solution = judged_by(solution, report, self.tolerances)
-        made = Graded(solution=solution, report=report, rounds=tuple(self.rounds), why=why)
+        rounds = tuple(self.rounds)
+        made = Graded(solution=solution, report=report, rounds=rounds, why=why, examined=self.examined)
         return replace(made, solution=replace(solution, meta={**solution.meta, "graded": made.to_dict()}))
