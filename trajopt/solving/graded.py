@@ -26,7 +26,7 @@ from trajopt.solving.ladder import INTERRUPTED
 from trajopt.solving.refine import Round, unknowns_by_phase, unknowns_on_mesh
 from trajopt.solving.remeshing import PhaseErrors, remeshed_where_broken
 from trajopt.solving.solving import solve as solve_on_mesh
-from trajopt.solving.verdicts import judged_by
+from trajopt.solving.verdicts import judged, judged_by
 from trajopt.transcription.mesh import Mesh
 
 # Scheme of the first mesh, and its part of the problem's own intervals: on gaits and small jumps as accurate
@@ -119,7 +119,9 @@ def solve(
     if named or not problem.holds_contacts:
         if draft:
             raise InputError("a draft and a mesh are both asked for", "allowed: one of them")
-        return solve_on_mesh(problem, transcription=transcription, intervals=intervals, mesh=mesh, **settings)
+        grid: dict[str, Any] = {"transcription": transcription, "intervals": intervals, "mesh": mesh}
+        found = solve_on_mesh(problem, **grid, **{**settings, "judge": False})
+        return judged(found, GRADE) if problem.holds_contacts else found
     return solve_graded(problem, max_rounds=1 if draft else MOST_ROUNDS, **settings).solution
 
 
