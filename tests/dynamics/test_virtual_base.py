@@ -254,7 +254,10 @@ def free_flyer_path(solution: Solution) -> np.ndarray:
 
 
 def both(problem: Problem, order: str, **options: object) -> tuple[Solution, Solution]:
-    solutions = [trajopt.solve(asked, **options) for asked in (problem, with_virtual_base(problem, order))]
+    solutions = [
+        trajopt.solve(asked, **options, fixed_mesh=True)
+        for asked in (problem, with_virtual_base(problem, order))
+    ]
     for solution in solutions:
         assert solution.converged, solution.meta["advice"]
     return solutions[0], solutions[1]
@@ -325,10 +328,11 @@ def test_the_same_jump_on_both_bases_agrees(yaw):
 
 def test_a_skeleton_shows_no_virtual_joints(tmp_path):
     problem = with_virtual_base(lean())
-    solution = trajopt.solve(problem, compile="none", max_iterations=0)
+    solution = trajopt.solve(problem, compile="none", max_iterations=0, fixed_mesh=True)
     shown = draw_skeleton(meshcat.Visualizer(window=Recorder()), solution)
     still = draw_skeleton(
-        meshcat.Visualizer(window=Recorder()), trajopt.solve(lean(), compile="none", max_iterations=0)
+        meshcat.Visualizer(window=Recorder()),
+        trajopt.solve(lean(), compile="none", max_iterations=0, fixed_mesh=True),
     )
     assert {joint - 5 for joint in shown.points} == set(still.points)
     for joint, points in still.points.items():

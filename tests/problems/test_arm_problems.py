@@ -29,7 +29,7 @@ STEP, DIFFERENCE = 1e-4, 1e-5
 
 def solve(family, **values):
     problem = family.load(values)
-    solution = trajopt.solve(problem)
+    solution = trajopt.solve(problem, fixed_mesh=True)
     assert solution.converged
     assert trajopt.check(solution).within(AT_POINTS)
     return problem, solution

@@ -142,7 +142,7 @@ def test_compiled_graph_of_stage_one_has_no_actuated_rows() -> None:
 
 
 def test_recovered_torques_reproduce_the_motion_in_forward_dynamics() -> None:
-    solution = trajopt.solve(base_rows_problem(hop()), compile="none")
+    solution = trajopt.solve(base_rows_problem(hop()), compile="none", fixed_mesh=True)
     assert solution.converged
     torque, report = recover_torques(hop(), solution)
     assert report.base_residual < 1e-5  # what a solver leaves at 1e-6 in natural units
@@ -321,8 +321,8 @@ def test_foreign_solutions_and_problems_without_torques_are_refused() -> None:
 def test_stage_one_costs_more_than_the_full_jump_and_sharing_anew_brings_it_nearer() -> None:
     problem = problems.load("solo12-jump", effort=2.2)
     settings = {"intervals": 30, "compile": "quick"}
-    full = trajopt.solve(problem, **settings)
-    motion = trajopt.solve(base_rows_problem(problem), **settings)
+    full = trajopt.solve(problem, **settings, fixed_mesh=True)
+    motion = trajopt.solve(base_rows_problem(problem), **settings, fixed_mesh=True)
     assert full.converged
     assert motion.converged
     assert motion.meta["iterations"] <= MOST_ITERATIONS

@@ -82,7 +82,7 @@ def swing(**changes: object) -> Problem:
 @lru_cache
 def avoided() -> tuple[Problem, Solution]:
     problem = with_obstacles(swing(), [BALL, FAR], margin=MARGIN)
-    return problem, solve(problem, compile="none")
+    return problem, solve(problem, compile="none", fixed_mesh=True)
 
 
 def test_only_what_comes_near_the_guess_becomes_rows():
@@ -93,7 +93,7 @@ def test_only_what_comes_near_the_guess_becomes_rows():
     nothing = with_obstacles(swing(), [FAR])
     (term,) = (term for term in nothing.terms if isinstance(term, Clearance))
     assert term.pairs == ()
-    assert check(solve(nothing, compile="none", max_iterations=0)).obstacle_distance > 1
+    assert check(solve(nothing, compile="none", max_iterations=0, fixed_mesh=True)).obstacle_distance > 1
 
 
 def test_straight_motion_collides_and_the_solution_does_not():
@@ -132,7 +132,7 @@ def test_missed_pairs_are_added_until_nothing_is_near():
     blind = replace(
         blind, terms=tuple(replace(t, pairs=()) if isinstance(t, Clearance) else t for t in blind.terms)
     )
-    assert "obstacle_distance" in check(solve(blind, compile="none")).failures(AT_POINTS)
+    assert "obstacle_distance" in check(solve(blind, compile="none", fixed_mesh=True)).failures(AT_POINTS)
     solution, problem = solve_clear(blind, compile="none")
     assert solution.converged
     assert check(solution).within(AT_POINTS)
@@ -144,7 +144,7 @@ def test_missed_pairs_are_added_until_nothing_is_near():
 
 def test_motion_that_slips_between_points_is_solved_on_a_finer_grid():
     problem = with_obstacles(swing(), [POLE], margin=MARGIN)
-    slipped = solve(problem, compile="none")
+    slipped = solve(problem, compile="none", fixed_mesh=True)
     assert slipped.converged
     assert "obstacle_distance" in check(slipped).failures(AT_POINTS)
     solution, _ = solve_clear(problem, compile="none")
@@ -164,7 +164,7 @@ def test_links_keep_clear_of_each_other():
     )
     problem = with_obstacles(problem, [], margin=MARGIN, self_collision=True)
     assert collision_scene(problem.terms).pairs == (("joint0", "joint2"),)
-    solution = solve(problem, compile="none")
+    solution = solve(problem, compile="none", fixed_mesh=True)
     assert check(solution).self_distance > 0
     assert check(solution).obstacle_distance is None
 

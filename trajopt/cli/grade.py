@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 grade_options = option_group(
     click.option("--draft", is_flag=True, help="Solve on the first, coarse mesh only."),
-    click.option("--fixed-mesh", is_flag=True, help="Solve once, on the problem's own or the named mesh."),
+    click.option("--fixed-mesh", is_flag=True, help="Solve once, on the problem's own mesh."),
 )
 
 
 def wants_grade(arguments: dict[str, Any]) -> bool:
-    """Whether the mesh is refined: unless scheme and intervals, a ladder or ``--fixed-mesh`` are given."""
+    """Whether the mesh is refined: unless a scheme, intervals, a ladder or ``--fixed-mesh`` are given."""
     fixed = arguments.pop("fixed_mesh")
-    named = None not in (arguments["transcription"], arguments["intervals"])
+    named = (arguments["transcription"], arguments["intervals"]) != (None, None)
     other = fixed or named or arguments["ladder"] is not None or arguments["compare"]
     if other and arguments["draft"]:
         raise InputError("--draft and a mesh are both given", "allowed: one of them")
@@ -39,14 +39,12 @@ def solve_to_grade(
 ) -> SolveReport:
     """Solve, examine and refine, with progress."""
     from trajopt.solving.graded import MOST_ROUNDS, solve_graded
-    from trajopt.transcription.transcription import uniform_mesh
 
-    del arguments["ladder"], arguments["compare"]
+    for name in ("ladder", "compare", "transcription", "intervals"):
+        del arguments[name]
     rounds = 1 if arguments.pop("draft") else MOST_ROUNDS
-    grid = arguments.pop("transcription"), arguments.pop("intervals")
-    mesh = None if grid == (None, None) else uniform_mesh(problem, *grid)
     with watched(title, arguments["max_time"] * (1 + rounds), log, viewer) as callbacks:
-        found = solve_graded(problem, mesh=mesh, max_rounds=rounds, **callbacks, **arguments)
+        found = solve_graded(problem, max_rounds=rounds, **callbacks, **arguments)
     reached = found.reached or (rounds == 1 and found.solution.converged)
     return SolveReport(found.solution, reached, _lines(found), {"graded": found.to_dict()})
 

@@ -83,9 +83,9 @@ def solve_command(
     prints what is modelled then, and changes nothing.
 
     The motion is examined at any time, and the mesh refined where it misses the tolerances of trajopt check;
-    --draft takes the first mesh, --fixed-mesh or both --transcription and --intervals that mesh. With
-    --accuracy or --budget, scheme, mesh and solver are chosen from measured fronts; with --accuracy the error
-    is measured, and the mesh refined until it is small enough.
+    --draft takes the first mesh, --fixed-mesh the problem's own, --transcription or --intervals another.
+    With --accuracy or --budget, scheme, mesh and solver are chosen from measured fronts; with --accuracy the
+    error is measured, and the mesh refined until it is small enough.
 
     Without --output the file is named for PROBLEM and the settings given, such as
     solo12-jump-distance=0.8.npz: other settings do not overwrite it.

@@ -7,6 +7,7 @@ check: local errors and drift by phase, figures that are broken between points b
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import numpy as np
 from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.certify.check import Examination, examine
 from trajopt.certify.report import GRADE, OPEN_LOOP, CheckReport, Tolerances
+from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.robot.units import Units
 from trajopt.solution.grid import mesh_of
@@ -24,8 +26,8 @@ from trajopt.solving.exchange import Exchange, PhaseMotion, along
 from trajopt.solving.ladder import INTERRUPTED
 from trajopt.solving.refine import Round, unknowns_by_phase, unknowns_on_mesh
 from trajopt.solving.remeshing import PhaseErrors, remeshed_where_broken
-from trajopt.solving.solving import solve
-from trajopt.solving.verdicts import judged_by
+from trajopt.solving.solving import solve as solve_on_mesh
+from trajopt.solving.verdicts import judged, judged_by
 from trajopt.transcription.mesh import Mesh
 
 # Scheme of the first mesh, and its part of the problem's own intervals: on gaits and small jumps as accurate
@@ -46,12 +48,13 @@ MOST_VARIABLES = 100_000
 
 @dataclass(frozen=True, kw_only=True)
 class Graded:
-    """The best motion found, its check, the solves, and what ended them."""
+    """The best motion found, its check, the solves, and what ended them; ``examined``: s of all checks."""
 
     solution: Solution
     report: CheckReport | None
     rounds: tuple[Round, ...]
     why: str
+    examined: float
 
     @property
     def reached(self) -> bool:
@@ -69,6 +72,7 @@ class Graded:
             "reached": self.reached,
             "why": self.why,
             "spent_s": self.spent,
+            "examined_s": self.examined,
             "rounds": [own.to_dict() for own in self.rounds],
         }
 
@@ -84,6 +88,47 @@ def first_mesh(problem: Problem) -> Mesh:
         for count, phase in zip(counts, problem.schedule.phases, strict=True)
     ]
     return Mesh.uniform(FIRST_SCHEME, wanted)
+
+
+def solve(
+    problem: Problem,
+    *,
+    transcription: str | None = None,
+    intervals: int | None = None,
+    mesh: Mesh | None = None,
+    fixed_mesh: bool = False,
+    draft: bool = False,
+    **settings: Any,
+) -> Solution:
+    """Solve a problem until its motion holds at any time; never raises because that is not reached.
+
+    The mesh is refined, see `solve_graded`. A mesh that is named is solved once, like that of a reduced model
+    without legs.
+
+    Args:
+        problem: What to solve.
+        transcription: Scheme of a mesh to solve on once, as in `trajopt.solving.solving.solve`.
+        intervals: Its number of intervals over the whole schedule.
+        mesh: That mesh, instead of both.
+        fixed_mesh: Solve once, on the problem's own mesh where none is named.
+        draft: Solve once, on the first mesh of a refinement.
+        **settings: Those of `trajopt.solving.solving.solve`.
+
+    Returns:
+        The best motion. Its ``success`` is the verdict of the check, ``converged`` that all rows hold at its
+        points; its meta has under ``graded`` the meshes, under ``failures`` and ``advice`` what is missed.
+
+    Raises:
+        InputError: For a value that is not allowed.
+    """
+    named = fixed_mesh or (transcription, intervals, mesh) != (None, None, None)
+    if named or not problem.holds_contacts:
+        if draft:
+            raise InputError("a draft and a mesh are both asked for", "allowed: one of them")
+        grid: dict[str, Any] = {"transcription": transcription, "intervals": intervals, "mesh": mesh}
+        found = solve_on_mesh(problem, **grid, **{**settings, "judge": False})
+        return judged(found, GRADE) if problem.holds_contacts else found
+    return solve_graded(problem, max_rounds=1 if draft else MOST_ROUNDS, **settings).solution
 
 
 def solve_graded(
@@ -121,6 +166,7 @@ class _Loop:
     settings: dict[str, Any]
     rounds: list[Round] = field(default_factory=list)
     last: Solution | None = None
+    examined: float = 0.0
     best: tuple[float, Solution, CheckReport] | None = None
     settled: bool = True
 
@@ -131,7 +177,9 @@ class _Loop:
         """Solve, examine, refine; return why it ends."""
         solution = self._first(mesh, start)
         while solution is not None:
+            begun = time.perf_counter()
             found = examine(solution, self.tolerances)
+            self.examined += time.perf_counter() - begun
             self._keep(solution, found.report)
             if not found.report.failures(self.tolerances) and self.settled:
                 return "the grade is reached"
@@ -166,7 +214,7 @@ class _Loop:
         self, mesh: Mesh, start: Solution | str | Path | None, problem: Problem | None = None
     ) -> Solution | None:
         label = f"mesh {len(self.rounds) + 1}"
-        self.last = solve(
+        self.last = solve_on_mesh(
             problem or self.problem, mesh=mesh, start=start, label=label, judge=False, **self.settings
         )
         self.settings.pop("perturb", None)  # noise is for the first start
@@ -236,5 +284,6 @@ class _Loop:
         assert solution is not None
         if report is not None:
             solution = judged_by(solution, report, self.tolerances)
-        made = Graded(solution=solution, report=report, rounds=tuple(self.rounds), why=why)
+        rounds = tuple(self.rounds)
+        made = Graded(solution=solution, report=report, rounds=rounds, why=why, examined=self.examined)
         return replace(made, solution=replace(solution, meta={**solution.meta, "graded": made.to_dict()}))

@@ -344,7 +344,7 @@ def transcribe(
     Raises:
         InputError: for an unknown scheme, fewer intervals than phases, or a mesh that does not fit.
     """
-    chosen = mesh if mesh is not None else uniform_mesh(problem, transcription, intervals)
+    chosen = mesh if mesh is not None else _uniform_mesh(problem, transcription, intervals)
     if mesh is not None and (transcription is not None or intervals is not None):
         raise InputError("a mesh is given with a transcription or intervals", "allowed: one of them")
     phases = problem.schedule.phases
@@ -362,8 +362,7 @@ def transcribe(
     return Transcriber(problem, chosen).build()
 
 
-def uniform_mesh(problem: Problem, transcription: str | None, intervals: int | None) -> Mesh:
-    """The mesh of a scheme and a number of intervals, None for the problem's. Raises `InputError`."""
+def _uniform_mesh(problem: Problem, transcription: str | None, intervals: int | None) -> Mesh:
     total = problem.default_intervals if intervals is None else intervals
     if not isinstance(total, (int, np.integer)) or isinstance(total, bool):
         raise InputError(f"intervals is {total!r}", "allowed: a whole number")

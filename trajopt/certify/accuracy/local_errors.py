@@ -25,8 +25,8 @@ from trajopt.solution.solution import Solution
 
 # Points of the quadrature beyond those of the scheme.
 MORE_POINTS = 2
-# Steps of the fixed-point iteration after the first.
-SWEEPS = 2
+# Most steps of the fixed-point iteration. It ends where velocities at the ends change by less than this part.
+MOST_SWEEPS, SETTLED = 6, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,14 +67,17 @@ def _collocated(
     force[:, plan.n_unactuated :] = sample.tau
     step = np.diff(plan.interval_t[numbers.start : numbers.stop], axis=1)[:, None]
     q, v = sample.q, sample.v
+    ends = np.full((len(numbers), plan.model.nv), np.inf)
     with np.errstate(all="ignore"):
-        for sweep in range(1 + SWEEPS):
+        for _ in range(MOST_SWEEPS):
             apart = (dynamics.accelerations(q, v, force) - sample.a).reshape(len(numbers), count, -1)
             faster, moved = step * (once @ apart), step**2 * (twice @ apart)
-            if sweep < SWEEPS:
-                there = moved[:, :-1].reshape(len(q), -1)
-                q = np.array([pin.integrate(plan.model, *row) for row in zip(sample.q, there, strict=True)])
-                v = sample.v + faster[:, :-1].reshape(len(q), -1)
+            changed, ends = np.abs(faster[:, -1] - ends).max(), faster[:, -1]
+            if not changed > SETTLED * np.abs(ends).max():
+                break
+            there = moved[:, :-1].reshape(len(q), -1)
+            q = np.array([pin.integrate(plan.model, *row) for row in zip(sample.q, there, strict=True)])
+            v = sample.v + faster[:, :-1].reshape(len(q), -1)
         gap = motion.gaps(np.array(numbers))
         return moved[:, -1] - gap[:, 0], faster[:, -1] - gap[:, 1]
 
