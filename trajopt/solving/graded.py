@@ -27,8 +27,9 @@ from trajopt.solving.ladder import INTERRUPTED
 from trajopt.solving.refine import Round, unknowns_by_phase, unknowns_on_mesh
 from trajopt.solving.remeshing import PhaseErrors, remeshed_where_broken
 from trajopt.solving.solving import solve as solve_on_mesh
-from trajopt.solving.verdicts import judged, judged_by
+from trajopt.solving.verdicts import judged_by
 from trajopt.transcription.mesh import Mesh
+from trajopt.transcription.transcription import chosen_mesh
 
 # Scheme of the first mesh, and its part of the problem's own intervals: on gaits and small jumps as accurate
 # as two points on all of them, in half the time.
@@ -125,9 +126,10 @@ def solve(
     if named or not problem.holds_contacts:
         if draft:
             raise InputError("a draft and a mesh are both asked for", "allowed: one of them")
-        grid: dict[str, Any] = {"transcription": transcription, "intervals": intervals, "mesh": mesh}
-        found = solve_on_mesh(problem, **grid, **{**settings, "judge": False})
-        return judged(found, GRADE) if problem.holds_contacts else found
+        fixed = chosen_mesh(problem, transcription, intervals, mesh)
+        if not problem.holds_contacts:
+            return solve_on_mesh(problem, mesh=fixed, **{**settings, "judge": False})
+        return solve_graded(problem, mesh=fixed, refine=False, **settings).solution
     return solve_graded(problem, max_rounds=1 if draft else MOST_ROUNDS, **settings).solution
 
 
@@ -138,6 +140,7 @@ def solve_graded(
     start: Solution | str | Path | None = None,
     tolerances: Tolerances = GRADE,
     max_rounds: int = MOST_ROUNDS,
+    refine: bool = True,
     **settings: Any,
 ) -> Graded:
     """Solve a problem until its motion is within ``tolerances`` at any time, or no mesh is left to try.
@@ -148,12 +151,13 @@ def solve_graded(
         start: A solution, or its file, from which the first solve starts.
         tolerances: The grade.
         max_rounds: Limit of solves; one is a draft.
+        refine: False keeps the first mesh: only rows for bodies that come too near are added.
         **settings: Those of `trajopt.solve`; limits of time and iterations are for each solve.
 
     Raises:
         InputError: As `trajopt.solve` does.
     """
-    loop = _Loop(problem, tolerances, settings)
+    loop = _Loop(problem, tolerances, refine, settings)
     return loop.result(loop.run(mesh or first_mesh(problem), start, max_rounds))
 
 
@@ -163,6 +167,7 @@ class _Loop:
 
     problem: Problem
     tolerances: Tolerances
+    refine: bool
     settings: dict[str, Any]
     rounds: list[Round] = field(default_factory=list)
     last: Solution | None = None
@@ -189,10 +194,10 @@ class _Loop:
             near = self.exchange.depth(look)
             self.exchange.add(look)
             mesh = mesh_of(solution)
-            if near < DEEP:  # else the motion will be another one: its mesh is judged then
+            if self.refine and near < DEEP:  # else the motion will be another one: its mesh is judged then
                 mesh = self._refined(mesh, solution, found)
             if mesh == mesh_of(solution) and near <= 0 and self.settled:
-                return "a finer mesh does not mend what is missed"
+                return "a finer mesh does not mend what is missed" if self.refine else "the mesh is fixed"
             if unknowns_on_mesh(self.problem, mesh) > MOST_VARIABLES:
                 return f"the next mesh would have more than {MOST_VARIABLES} variables"
             solution = self._solved_from(mesh, solution, near >= DEEP)
@@ -200,11 +205,7 @@ class _Loop:
 
     def _first(self, mesh: Mesh, start: Solution | str | Path | None) -> Solution | None:
         """The solution on the first mesh, or on the problem's own mesh where that fails."""
-        own = Mesh.uniform(
-            self.problem.default_transcription,
-            self.problem.schedule.intervals(self.problem.default_intervals),
-        )
-        for tried in dict.fromkeys((mesh, own)):
+        for tried in dict.fromkeys((mesh, *([chosen_mesh(self.problem)] if self.refine else []))):
             solution = self._solved(tried, start)
             if solution is not None or self.rounds[-1].status == INTERRUPTED:
                 return solution
@@ -242,11 +243,13 @@ class _Loop:
                 before, after = solution.meta["objective"], found.meta["objective"]
                 self.settled = abs(after - before) <= SETTLED * max(abs(before), abs(after))
                 return found
+            if self.rounds[-1].status == INTERRUPTED:
+                break
         return None
 
     def _keep(self, solution: Solution, report: CheckReport) -> None:
         _, used = report.worst(self.tolerances)
-        if self.best is None or used < self.best[0]:
+        if self.best is None or used < self.best[0] or used <= 1:
             self.best = (used, solution, report)
 
     def _refined(self, mesh: Mesh, solution: Solution, found: Examination) -> Mesh:
