@@ -60,6 +60,7 @@ class Tolerances:
     foot_turn: float | None = SOLE_TILT
     sole_tilt: float | None = SOLE_TILT
     penetration: float | None = PENETRATION
+    bodies: float | None = PENETRATION
     quaternion: float | None = QUATERNION
     gimbal: float | None = GIMBAL
     flight: float | None = None
@@ -72,6 +73,7 @@ class Tolerances:
 GRADE = Tolerances()
 AT_POINTS = Tolerances(
     between=None,
+    bodies=None,
     local_position=None,
     local_joints=None,
     stance_drift=None,
@@ -217,11 +219,11 @@ class CheckReport:
         "position beyond its limit between samples", "range", "between"
     )
     penetration: float | None = _figure("depth below the terrain", "m", "penetration")
-    link_depth: float | None = _figure("depth of links in the ground", "m", "penetration")
+    link_depth: float | None = _figure("depth of links in the ground", "m", "bodies")
     obstacle_distance: float | None = _figure(
-        "least distance from obstacles", "m", "penetration", margin=True
+        "least distance from obstacles", "m", "bodies", margin=True
     )
-    self_distance: float | None = _figure("least distance between links", "m", "penetration", margin=True)
+    self_distance: float | None = _figure("least distance between links", "m", "bodies", margin=True)
     landing_height: float | None = _figure("height of contacts where they begin", "m", "foot_drift")
     patch_margin: float | None = _figure("distance inside the patch", "m", "foot_drift", margin=True)
     foot_drift: float | None = _figure("drift of active contacts", "m", "foot_drift")
