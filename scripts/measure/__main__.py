@@ -8,7 +8,18 @@ from __future__ import annotations
 
 import click
 
-from scripts.measure import guesses, machine, models, pages, programs, scenes, two_stage, viewing, warm_starts
+from scripts.measure import (
+    grades,
+    guesses,
+    machine,
+    models,
+    pages,
+    programs,
+    scenes,
+    two_stage,
+    viewing,
+    warm_starts,
+)
 
 COMMANDS = (
     models.models,
@@ -16,6 +27,7 @@ COMMANDS = (
     models.goals,
     models.jump_range,
     two_stage.two_stage,
+    grades.grades,
     guesses.guesses,
     scenes.scenes,
     warm_starts.warm_starts,
