@@ -9,6 +9,7 @@ from __future__ import annotations
 import click
 
 from scripts.measure import (
+    grades,
     guesses,
     machine,
     models,
@@ -27,6 +28,7 @@ COMMANDS = (
     models.goals,
     models.jump_range,
     two_stage.two_stage,
+    grades.grades,
     guesses.guesses,
     scenes.scenes,
     shapes.shapes,

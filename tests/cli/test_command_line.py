@@ -128,7 +128,7 @@ def test_summary_says_where_the_file_is_and_what_is_beyond(tmp_path: Path) -> No
     assert target.is_file()
     assert f"trajopt diagnose '{target}'" in result.stdout
     assert "solved at its points only, coarse grid" in result.stdout
-    assert "drift of active contacts" in result.stdout
+    assert "times what is allowed" in result.stdout
     assert Solution.load(target).converged
 
 

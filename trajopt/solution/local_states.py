@@ -24,6 +24,8 @@ def _cosine_series(first: int) -> Polynomial:
 # Terms of the series in the squared angle of a rotation.
 SERIES_TERMS = 16
 _C2, _C3 = _cosine_series(2), _cosine_series(3)
+_C2_RATE, _C3_RATE = _C2.deriv(), _C3.deriv()
+_CYCLES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 # Below this, the sine of half an angle is the half angle, to rounding.
 SMALL = 1e-8
 
@@ -38,7 +40,7 @@ def local_state(model: pin.Model, start: np.ndarray, q: np.ndarray, v: np.ndarra
             rotation = _rotation(q[..., iq + 3 : iq + 7])
             xi[..., move] = q[..., iq : iq + 3] - start[..., iq : iq + 3]
             rate[..., move] = _times(rotation, v[..., move])
-            second[..., move] = _times(rotation, a[..., move] + np.cross(v[..., turn], v[..., move]))
+            second[..., move] = _times(rotation, a[..., move] + _cross(v[..., turn], v[..., move]))
             xi[..., turn] = _exponential(start[..., iq + 3 : iq + 7], q[..., iq + 3 : iq + 7])
             _to_exponential(turn, xi, rate, second)
         elif kind == "JointModelPlanar":
@@ -76,7 +78,7 @@ def state_from_local(
             q[..., iq + 3 : iq + 7] = quaternion
             back = np.swapaxes(_rotation(quaternion), -1, -2)
             v[..., move] = _times(back, rate[..., move])
-            a[..., move] = _times(back, second[..., move]) - np.cross(v[..., turn], v[..., move])
+            a[..., move] = _times(back, second[..., move]) - _cross(v[..., turn], v[..., move])
         elif kind == "JointModelPlanar":
             move = slice(iv, iv + 2)
             q[..., iq : iq + 2] = start[..., iq : iq + 2] + xi[..., move]
@@ -106,16 +108,24 @@ def _rotation(quaternion: np.ndarray) -> np.ndarray:
 
 
 def _cross_matrix(vector: np.ndarray) -> np.ndarray:
-    x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    entries = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
-    return np.moveaxis(entries, (0, 1), (-2, -1))
+    found = np.zeros((*vector.shape, 3))
+    for i, j, k in _CYCLES:
+        found[..., k, j], found[..., j, k] = vector[..., i], -vector[..., i]
+    return found
+
+
+def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Cross products of vectors (..., 3); for few of them much faster than NumPy's."""
+    found = np.empty(np.broadcast_shapes(first.shape, second.shape))
+    for i, j, k in _CYCLES:
+        found[..., i] = first[..., j] * second[..., k] - first[..., k] * second[..., j]
+    return found
 
 
 def _product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Product of quaternions (x, y, z, w)."""
     u, w, v, s = first[..., :3], first[..., 3:], second[..., :3], second[..., 3:]
-    axis = w * v + s * u + np.cross(u, v)
+    axis = w * v + s * u + _cross(u, v)
     return np.concatenate([axis, w * s - np.sum(u * v, axis=-1, keepdims=True)], axis=-1)
 
 
@@ -148,8 +158,10 @@ def _direction(start: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 
 def _plane_rotation(direction: np.ndarray) -> np.ndarray:
-    cosine, sine = np.moveaxis(direction, -1, 0)
-    return np.moveaxis(np.array([[cosine, -sine], [sine, cosine]]), (0, 1), (-2, -1))
+    found = np.empty((*direction.shape, 2))
+    found[..., 0, 0] = found[..., 1, 1] = direction[..., 0]
+    found[..., 0, 1], found[..., 1, 0] = -direction[..., 1], direction[..., 1]
+    return found
 
 
 def _turned(v: np.ndarray, iv: int) -> np.ndarray:
@@ -182,7 +194,7 @@ def _turning(theta: np.ndarray, rate: np.ndarray) -> np.ndarray:
     """(d/dt Jr(theta)) theta' along theta' = ``rate``."""
     squared = np.sum(theta * theta, axis=-1, keepdims=True)
     change = 2 * np.sum(theta * rate, axis=-1, keepdims=True)
-    once = np.cross(theta, rate)
-    twice = np.cross(theta, once)
-    moved = change * (_C3.deriv()(squared) * twice - _C2.deriv()(squared) * once)
-    return np.asarray(moved + _C3(squared) * np.cross(rate, once))
+    once = _cross(theta, rate)
+    twice = _cross(theta, once)
+    moved = change * (_C3_RATE(squared) * twice - _C2_RATE(squared) * once)
+    return np.asarray(moved + _C3(squared) * _cross(rate, once))

@@ -142,9 +142,12 @@ class Solution:
 
     def with_arrays(self, **arrays: np.ndarray | None) -> Solution:
         """Return the same solution with other arrays; the model is not read from its text again."""
-        made = replace(self, **arrays)  # type: ignore[arg-type]
-        made.__dict__["model"] = self.model
-        return made
+        return replace(self, **arrays).with_model(self.model)  # type: ignore[arg-type]
+
+    def with_model(self, model: pin.Model) -> Solution:
+        """Return this solution, which then does not read its model from its text."""
+        self.__dict__["model"] = model
+        return self
 
     def normalized(self) -> Solution:
         """Return the same solution with rotations of unit norm."""
