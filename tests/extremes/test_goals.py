@@ -15,8 +15,9 @@ from tests.extremes.changed_robots import limited, solo, ur5
 from tests.extremes.moves import legged, reach, stance, with_joints
 from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.problem.problem import Problem
-from trajopt.robot.kinematics import contact_positions, frame_pose
+from trajopt.robot.kinematics import frame_pose
 from trajopt.robot.robot import Robot
+from trajopt.schedule.placing import footholds_at
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solution.solution import Solution
 from trajopt.solvers.status import Status
@@ -131,7 +132,7 @@ def hop(robot: Robot, *, away: tuple[float, float, float] = (0.0, 0.0, 0.0), ris
     start[:3] += away
     goal = start.copy()
     goal[0] += 0.1
-    feet = contact_positions(robot, goal)
+    feet = footholds_at(robot, goal)
     schedule = Schedule(
         (
             Phase(name="stance", duration=0.3, contacts=tuple(feet)),

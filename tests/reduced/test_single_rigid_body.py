@@ -202,7 +202,8 @@ def test_footholds_come_from_the_schedule_or_from_the_guess_onto_the_ground() ->
     landing = problem.schedule.phases[2]
     feet = footholds_of(problem).supports[2].feet
     for name, point in landing.footholds.items():
-        assert_allclose(feet[name].position, point)
+        above = np.array([0.0, 0.0, problem.robot.contact(name).radius])
+        assert_allclose(feet[name].position, point + above)
     free = replace(hop(), guess=lambda t: hopper().reference + np.eye(9)[0] * 0.2 + np.eye(9)[2] * 0.1)
     found = footholds_of(free).supports[2].feet[FOOT].position
     start = feet_of(free.robot, free.initial_q)[FOOT].position
