@@ -9,6 +9,7 @@ from __future__ import annotations
 import click
 
 from scripts.measure import (
+    clearance,
     guesses,
     machine,
     models,
@@ -30,6 +31,7 @@ COMMANDS = (
     guesses.guesses,
     scenes.scenes,
     shapes.shapes,
+    clearance.clearance,
     warm_starts.warm_starts,
     programs.programs,
     machine.compilation,

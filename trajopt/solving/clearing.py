@@ -28,10 +28,12 @@ def solve_clear(problem: Problem, **options: Any) -> Solution:
         if not is_usable_start(solution):
             break
         look = exchange.look(solution)
-        if settled and not exchange.missing(look):
+        missing = exchange.missing(look)
+        if settled and not missing:
             break
+        sideless = any(pair in exchange.outer_pairs and pair not in exchange.moments for pair in missing)
         exchange.add(look)
-        again = _solved_again(exchange, solution, {**options, "label": f"clearing {number + 1}"})
+        again = _solved_again(exchange, solution, sideless, {**options, "label": f"clearing {number + 1}"})
         if not is_usable_start(again):
             break
         before, after = solution.meta["objective"], again.meta["objective"]
@@ -40,17 +42,20 @@ def solve_clear(problem: Problem, **options: Any) -> Solution:
     return solution
 
 
-def _solved_again(exchange: Exchange, solution: Solution, options: dict[str, Any]) -> Solution:
+def _solved_again(
+    exchange: Exchange, solution: Solution, sideless: bool, options: dict[str, Any]
+) -> Solution:
     """From the last motion or from the guess, whichever is on the right side; from the other if that fails.
 
-    A motion that goes through an obstacle may be on no side of it; the guess of a problem with obstacles
-    passes them where its author wants it to.
+    A motion that goes through an obstacle without rows yet (``sideless``) may be on no side of it; the guess
+    of a problem with obstacles passes them where its author wants it to. From then on motions are on that
+    side, and planes along them hold them back less than those along the guess.
     """
     starts: list[tuple[PhaseMotion, dict[str, Any]]] = [
         (along(solution), {**options, "start": solution}),
         (exchange.guess, options),
     ]
-    if any(pair in exchange.outer_pairs for pair in exchange.moments) and exchange.guess_is_clear():
+    if sideless and exchange.guess_is_clear():
         starts.reverse()
     for motion, settings in starts:
         found = solve(exchange.constrained(motion), **settings)

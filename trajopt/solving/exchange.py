@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from trajopt.problem.bodies import ProblemBodies, bodies_of
+from trajopt.problem.bodies import TOO_NEAR, ProblemBodies, bodies_of
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.near import ShapePair
 from trajopt.robot.collision.planes import SeparatingPlane
@@ -25,8 +25,6 @@ from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
 from trajopt.terms.moments import PlaneSide
 
-# A pair this much nearer than it may be, m, is too near: what a solver and a look between moments leave.
-TOO_NEAR = 5e-4
 # Pairs that are too near somewhere get rows wherever they are nearer than their margin plus this part of the
 # robot's length: a motion that gives way there may come near here.
 BAND = 0.06
@@ -75,9 +73,8 @@ class Exchange:
         plan = solution.normalized()
         seen = [_seen(plan, number) for number in range(plan.n_intervals)]
         q = np.concatenate([configurations for configurations, _, _ in seen])
-        reach = self.band + float(self.bodies.margins.max(initial=0.0))
         return Look(
-            distances=self.bodies.scene.distances(q, reach),
+            distances=self.bodies.scene.distances(q, self.band + self.bodies.widest),
             moments=tuple(moment for _, moments, _ in seen for moment in moments),
             regular=np.concatenate([regular for _, _, regular in seen]),
         )
@@ -131,9 +128,10 @@ class Exchange:
         every = sorted({moment for moments in self.moments.values() for moment in moments})
         if not every:
             return True
-        short = self.bodies.scene.distances(np.array([self.guess(*moment) for moment in every]), self.band)
+        q = np.array([self.guess(*moment) for moment in every])
+        short = self.bodies.scene.distances(q, self.band + self.bodies.widest) - self.bodies.margins
         columns = [column for column, pair in enumerate(self.bodies.pairs) if pair in self.moments]
-        return bool((short[:, columns] >= self.bodies.margins[columns] - TOO_NEAR).all())
+        return bool((short[:, columns] >= -TOO_NEAR).all())
 
     def _laid(self, motion: PhaseMotion) -> Iterator[tuple[Moment, SeparatingPlane]]:
         every = sorted({moment for moments in self.moments.values() for moment in moments})
@@ -158,10 +156,15 @@ def along(solution: Solution) -> PhaseMotion:
 
 
 def _seen(plan: Solution, number: int) -> tuple[np.ndarray, list[Moment], np.ndarray]:
-    """Configurations (k, nq) in an interval, their moments, and which of them are its nodes and points."""
+    """Configurations (k, nq) in an interval, their moments, and which of them are its nodes and points.
+
+    Its end is the start of the next one, where that is looked at; only the last has an end of its own.
+    """
     _, points = collocation_fractions(plan, number)
     regular = np.unique(np.round([0.0, *points, 1.0], 12))
     fractions = np.unique(np.concatenate([regular, np.linspace(0.0, 1.0, LOOKS + 2)]))
+    if number < plan.n_intervals - 1:
+        fractions = fractions[fractions < 1.0]
     phase = int(plan.phase[plan.intervals[number].start])
     start, end = plan.interval_t[plan.intervals_of(phase)][[0, -1], [0, 1]]
     own = plan.interval_t[number]

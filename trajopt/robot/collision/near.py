@@ -6,7 +6,6 @@ import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -165,14 +164,6 @@ class CollisionScene:
         """Pairs that come closer than ``within`` m at one of the configurations (nq,)."""
         least = self.least_distances(configurations, within)
         return tuple(pair for pair, distance in zip(self.pairs, least, strict=True) if distance < within)
-
-    def describe(self) -> dict[str, Any]:
-        """JSON-able description for a solution file."""
-        return {
-            "capsules": [shape.describe() for shape in self.shapes],
-            "obstacles": [obstacle.describe() for obstacle in self.obstacles],
-            "self_pairs": [list(pair) for pair in self.self_pairs],
-        }
 
     def _placements(self, q: np.ndarray) -> Placements:
         """Rotations (n, K, 3, 3) and origins (n, K, 3) of the shapes' frames, then of the obstacles: zero."""
