@@ -52,10 +52,10 @@ class ProblemBodies:
         Args:
             configurations: where planes are laid.
             wanted: of each the configuration's number and the pair.
-            within: bodies farther away than their margin and this, m, get no plane.
+            within: faces of the ground farther away than this, m, get no plane, except for the nearest one.
         """
         margins = dict(zip(self.pairs, self.margins.tolist(), strict=True))
-        found = self.scene.approaches(configurations, wanted, within + self.widest)
+        found = self.scene.approaches(configurations, wanted, within)
         return [
             tuple(separating_plane(own, margins[pair]) for own in approaches)
             for (_, pair), approaches in zip(wanted, found, strict=True)

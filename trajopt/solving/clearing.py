@@ -20,16 +20,18 @@ SETTLED = 5e-3
 def solve_clear(problem: Problem, **options: Any) -> Solution:
     """Solve, and solve again with rows for the pairs that came too near; options as for `solve`.
 
-    Returns the last motion that was solved; `Exchange.missing` tells whether it is clear.
+    Returns the best clear motion, or the last one that was solved; `Exchange.missing` tells whether it is
+    clear.
     """
-    exchange, solution = Exchange(problem), solve(problem, **options)
+    exchange, solution, clear = Exchange(problem), solve(problem, **options), list[Solution]()
     settled = True
-    for number in range(MOST_ROUNDS):
+    for number in range(MOST_ROUNDS + 1):
         if not is_usable_start(solution):
             break
         look = exchange.look(solution)
         missing = exchange.missing(look)
-        if settled and not missing:
+        clear += [] if missing else [solution]
+        if (settled and not missing) or number == MOST_ROUNDS:
             break
         sideless = any(pair in exchange.outer_pairs and pair not in exchange.moments for pair in missing)
         exchange.add(look)
@@ -39,7 +41,7 @@ def solve_clear(problem: Problem, **options: Any) -> Solution:
         before, after = solution.meta["objective"], again.meta["objective"]
         settled = abs(after - before) <= SETTLED * max(abs(before), abs(after))
         solution = again
-    return solution
+    return min(clear, key=lambda found: found.meta["objective"], default=solution)
 
 
 def _solved_again(

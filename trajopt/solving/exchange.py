@@ -9,6 +9,7 @@ constrained optimization problems", 1976). No pair enters that never matters.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -20,6 +21,7 @@ from trajopt.problem.bodies import TOO_NEAR, ProblemBodies, bodies_of
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.near import ShapePair
 from trajopt.robot.collision.planes import SeparatingPlane
+from trajopt.robot.units import Units
 from trajopt.solution.interpolation import collocation_fractions, interval_interpolant
 from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
@@ -28,8 +30,9 @@ from trajopt.terms.moments import PlaneSide
 # Pairs that are too near somewhere get rows wherever they are nearer than their margin plus this part of the
 # robot's length: a motion that gives way there may come near here.
 BAND = 0.06
-# Between its nodes an interval is looked at this many times, evenly, and at its points.
-LOOKS = 5
+# Between its nodes an interval is looked at this many times, evenly, and at its points; more often where a
+# coordinate changes by more than this from look to look, in natural units (rad, lengths of the robot).
+LOOKS, LOOK_STEP = 5, 0.03
 
 # Phase, fraction of its duration; and a motion over these.
 Moment = tuple[int, float]
@@ -71,7 +74,8 @@ class Exchange:
     def look(self, solution: Solution) -> Look:
         """Distances of all pairs along a solution, exact where they are within the band."""
         plan = solution.normalized()
-        seen = [_seen(plan, number) for number in range(plan.n_intervals)]
+        units = Units(self.problem.robot).position
+        seen = [_seen(plan, number, units) for number in range(plan.n_intervals)]
         q = np.concatenate([configurations for configurations, _, _ in seen])
         return Look(
             distances=self.bodies.scene.distances(q, self.band + self.bodies.widest),
@@ -155,19 +159,21 @@ def along(solution: Solution) -> PhaseMotion:
     return lambda phase, fraction: motion.in_phase(phase, fraction, 0.5).q
 
 
-def _seen(plan: Solution, number: int) -> tuple[np.ndarray, list[Moment], np.ndarray]:
+def _seen(plan: Solution, number: int, units: np.ndarray) -> tuple[np.ndarray, list[Moment], np.ndarray]:
     """Configurations (k, nq) in an interval, their moments, and which of them are its nodes and points.
 
     Its end is the start of the next one, where that is looked at; only the last has an end of its own.
     """
     _, points = collocation_fractions(plan, number)
     regular = np.unique(np.round([0.0, *points, 1.0], 12))
-    fractions = np.unique(np.concatenate([regular, np.linspace(0.0, 1.0, LOOKS + 2)]))
+    own = plan.interval_t[number]
+    travel = (own[1] - own[0]) * float((np.abs(plan.v[plan.intervals[number]]) / units).max())
+    looks = max(LOOKS, math.ceil(travel / LOOK_STEP))
+    fractions = np.unique(np.concatenate([regular, np.linspace(0.0, 1.0, looks + 2)]))
     if number < plan.n_intervals - 1:
         fractions = fractions[fractions < 1.0]
     phase = int(plan.phase[plan.intervals[number].start])
     start, end = plan.interval_t[plan.intervals_of(phase)][[0, -1], [0, 1]]
-    own = plan.interval_t[number]
     times = own[0] + fractions * (own[1] - own[0])
     shares = np.clip((times - start) / (end - start), 0.0, 1.0)
     moments = [(phase, round(float(share), 12)) for share in shares]

@@ -119,9 +119,10 @@ class CollisionScene:
     def approaches(
         self, configurations: np.ndarray, wanted: Sequence[tuple[int, ShapePair]], within: float
     ) -> list[list[Approach]]:
-        """For each wanted (row of the configurations (K, nq), pair) where its bodies are within ``within`` m.
+        """How bodies approach each other, for each wanted (row of the configurations (K, nq), pair).
 
-        One approach, or none; with ground of several faces one for each that is near.
+        Of two bodies one approach; with ground of several faces one for each within ``within`` m, or for the
+        nearest one.
         """
         rotation, origin = self._placements(np.atleast_2d(configurations))
         numbers = {pair: number for number, pair in enumerate(self.pairs)}
@@ -130,7 +131,8 @@ class CollisionScene:
             here = slice(row, row + 1)
             places = [(turn[here], at[here]) for turn, at in zip(rotation, origin, strict=True)]
             own = self._approaches(numbers[pair], places)
-            found.append([approach for approach in own if approach.distance <= within])
+            reach = max(within, min(approach.distance for approach in own))
+            found.append([approach for approach in own if approach.distance <= reach])
         return found
 
     def _approaches(self, number: int, places: Sequence[Placements]) -> list[Approach]:
