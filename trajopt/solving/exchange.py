@@ -169,7 +169,7 @@ def _seen(plan: Solution, number: int, units: np.ndarray) -> tuple[np.ndarray, l
     own = plan.interval_t[number]
     travel = (own[1] - own[0]) * float((np.abs(plan.v[plan.intervals[number]]) / units).max())
     looks = max(LOOKS, math.ceil(travel / LOOK_STEP))
-    fractions = np.unique(np.concatenate([regular, np.linspace(0.0, 1.0, looks + 2)]))
+    fractions = np.unique(np.round(np.concatenate([regular, np.linspace(0.0, 1.0, looks + 2)]), 12))
     if number < plan.n_intervals - 1:
         fractions = fractions[fractions < 1.0]
     phase = int(plan.phase[plan.intervals[number].start])
