@@ -151,8 +151,10 @@ def build(
     place = (radius * reach, height * reach)
     start, goal = (turned(arm, side * turn, *place) for side in (-1.0, 1.0))
     obstacles = obstacles_of(arm, turn, *place, rise * reach)
-    shapes = robot_shapes(body).shapes or robot_capsules(body)
-    scene = CollisionScene(model=body.model, shapes=shapes, obstacles=obstacles)
+    shapes = None if robot_shapes(body).shapes else robot_capsules(body)
+    clearance = Clearance(obstacles=obstacles, margin=margin * reach, shapes=shapes)
+    solid = shapes or robot_shapes(body).shapes
+    scene = CollisionScene(model=body.model, shapes=solid, obstacles=obstacles)
     path = raised_path(arm, (start, goal), scene, margin * reach)
     given = _duration(body, start, goal) if duration is None else duration
     problem = arms.between(
@@ -167,7 +169,6 @@ def build(
         parameters={"duration": given},
         default_intervals=30,
     )
-    clearance = Clearance(obstacles=obstacles, margin=margin * reach, shapes=shapes)
     return replace(problem, terms=(*problem.terms, clearance))
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import click
 
 from scripts.measure import (
+    clearance,
     grades,
     guesses,
     machine,
@@ -32,6 +33,7 @@ COMMANDS = (
     guesses.guesses,
     scenes.scenes,
     shapes.shapes,
+    clearance.clearance,
     warm_starts.warm_starts,
     programs.programs,
     machine.compilation,

@@ -28,6 +28,7 @@ DOCUMENTS = (
     "docs/modelling/contacts-dynamics.md",
     "docs/modelling/terrain.md",
     "docs/modelling/objectives.md",
+    "docs/modelling/obstacles.md",
     "docs/modelling/periodicity.md",
     "docs/modelling/structure.md",
     "docs/modelling/reduced-models.md",

@@ -15,6 +15,7 @@ from tests.support.problems import hopper
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
+from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 from trajopt.schedule.placing import footholds_at
 from trajopt.schedule.schedule import Phase, Schedule

@@ -58,10 +58,9 @@ class FileBodies:
 
 
 def _kinds(scene: CollisionScene) -> list[str]:
-    """Of every pair what the second body is; empty for one that no motion changes."""
+    """Of every pair what the second body is."""
     kinds = ["ground"] * scene.n_ground + ["obstacle"] * (scene.n_outer - scene.n_ground)
-    kinds += ["self"] * (len(scene.pairs) - scene.n_outer)
-    return [kind if moves else "" for kind, moves in zip(kinds, scene.movable, strict=True)]
+    return kinds + ["self"] * (len(scene.pairs) - scene.n_outer)
 
 
 def missing_shapes(plan: Solution) -> tuple[str, ...]:

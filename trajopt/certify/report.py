@@ -220,9 +220,7 @@ class CheckReport:
     )
     penetration: float | None = _figure("depth below the terrain", "m", "penetration")
     link_depth: float | None = _figure("depth of links in the ground", "m", "bodies")
-    obstacle_distance: float | None = _figure(
-        "least distance from obstacles", "m", "bodies", margin=True
-    )
+    obstacle_distance: float | None = _figure("least distance from obstacles", "m", "bodies", margin=True)
     self_distance: float | None = _figure("least distance between links", "m", "bodies", margin=True)
     landing_height: float | None = _figure("height of contacts where they begin", "m", "foot_drift")
     patch_margin: float | None = _figure("distance inside the patch", "m", "foot_drift", margin=True)

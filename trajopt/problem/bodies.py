@@ -10,7 +10,7 @@ import numpy as np
 
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.robot.collision.description import RobotShapes, robot_shapes
+from trajopt.robot.collision.description import RobotShapes, above_ground, robot_shapes
 from trajopt.robot.collision.near import CollisionScene, ShapePair, separable_pairs
 from trajopt.robot.collision.planes import SeparatingPlane, separating_plane
 from trajopt.robot.collision.shapes import LinkShape
@@ -23,8 +23,8 @@ TOUCHING = 0.01
 # Links that touch the ground may be this deep in it, m, and deeper where the robot stands so at first, by
 # this much more: in stance other rows hold them on the ground.
 GIVE, DEEPER = 4e-4, 1e-4
-# A start may have bodies this much nearer than their margin, m: what a check allows.
-START_ERROR = 1e-3
+# A pair this much nearer than it may be, m, is too near: what a solver and a look between moments leave.
+TOO_NEAR = 5e-4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,6 +39,11 @@ class ProblemBodies:
         """Pairs of the scene."""
         return self.scene.pairs
 
+    @property
+    def widest(self) -> float:
+        """The largest margin of a pair, m; zero if none is positive."""
+        return float(self.margins.max(initial=0.0))
+
     def planes(
         self, configurations: np.ndarray, wanted: Sequence[tuple[int, ShapePair]], within: float
     ) -> list[tuple[SeparatingPlane, ...]]:
@@ -47,7 +52,7 @@ class ProblemBodies:
         Args:
             configurations: where planes are laid.
             wanted: of each the configuration's number and the pair.
-            within: bodies of the ground farther away than this, m, get no plane.
+            within: faces of the ground farther away than this, m, get no plane, except for the nearest one.
         """
         margins = dict(zip(self.pairs, self.margins.tolist(), strict=True))
         found = self.scene.approaches(configurations, wanted, within)
@@ -72,7 +77,8 @@ def shapes_of(problem: Problem) -> RobotShapes:
         known = robot_shapes(robot)
     else:
         pairs = separable_pairs(robot.model, clearance.shapes, robot.reference, clearance.margin)
-        known = RobotShapes(shapes=clearance.shapes, pairs=pairs)
+        solid = above_ground(robot, clearance.shapes)
+        known = RobotShapes(shapes=clearance.shapes, pairs=pairs, above_ground=solid)
     return known if clearance.self_collision else replace(known, pairs=())
 
 
@@ -96,15 +102,18 @@ def bodies_meta(problem: Problem) -> dict[str, Any]:
 
 
 def _margins(problem: Problem, scene: CollisionScene, margin: float) -> np.ndarray:
-    """Least distance (n_pairs,) m of each pair; -inf for what is fixed to the world from the world."""
+    """Least distance (n_pairs,) m of each pair; two links keep no more than in the reference posture."""
     robot, found = problem.robot, np.full(len(scene.pairs), margin)
     flat = CollisionScene(model=robot.model, shapes=scene.shapes, terrain=FlatGround())
     standing = flat.distances(robot.reference)[0] if scene.n_ground else np.zeros(0)
     if scene.n_ground and problem.periodicity is None:
         standing = np.minimum(standing, scene.distances(problem.initial_q)[0, : scene.n_ground])
-    touching = np.array([_touches(robot, shape) for shape in scene.shapes[: scene.n_ground]], dtype=bool)
-    found[: scene.n_ground] = np.where(touching, np.minimum(standing - DEEPER, -GIVE), 0.0)
-    found[~scene.movable] = -np.inf
+    if scene.n_ground:
+        touching = np.array([_touches(robot, shape) for shape in scene.moving], dtype=bool)
+        found[: scene.n_ground] = np.where(touching, np.minimum(standing - DEEPER, -GIVE), 0.0)
+    if margin > 0 and scene.self_pairs:
+        apart = scene.distances(robot.reference)[0, scene.n_outer :]
+        found[scene.n_outer :] = np.minimum(margin, np.maximum(apart, 0.0))
     return found
 
 
@@ -129,7 +138,7 @@ def _require_clear_start(problem: Problem, bodies: ProblemBodies) -> None:
         return
     short = bodies.scene.distances(problem.initial_q)[0] - bodies.margins
     worst = int(np.argmin(short))
-    if short[worst] < -START_ERROR:
+    if short[worst] < -TOO_NEAR:
         (first, second), margin = bodies.pairs[worst], float(bodies.margins[worst])
         raise InputError(
             f"'{first}' starts {short[worst] + margin:.4f} m from '{second}' (negative: inside it)",

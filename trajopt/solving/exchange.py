@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from trajopt.problem.bodies import ProblemBodies, bodies_of
+from trajopt.problem.bodies import TOO_NEAR, ProblemBodies, bodies_of
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.near import ShapePair
 from trajopt.robot.collision.planes import SeparatingPlane
@@ -27,14 +27,12 @@ from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
 from trajopt.terms.moments import PlaneSide
 
-# A pair this much nearer than it may be, m, is too near: what a solver and a look between moments leave.
-TOO_NEAR = 5e-4
 # Pairs that are too near somewhere get rows wherever they are nearer than their margin plus this part of the
 # robot's length: a motion that gives way there may come near here.
 BAND = 0.06
-# A motion is looked at at all nodes and points, and at intervals of this part of sqrt(l / g) in between, but
-# at least so often in each of its intervals.
-LOOK_STEP, LEAST_LOOKS = 0.02, 5
+# Between its nodes an interval is looked at this many times, evenly, and at its points; more often where a
+# coordinate changes by more than this from look to look, in natural units (rad, lengths of the robot).
+LOOKS, LOOK_STEP = 5, 0.03
 # Moments that agree to this many digits are the same.
 DIGITS = 12
 
@@ -71,18 +69,18 @@ class Exchange:
         return BAND * self.problem.robot.length
 
     @property
-    def takes_sides(self) -> bool:
-        """Whether a pair other than with the ground has rows: there may be several ways past each other."""
-        return any(pair in self.moments for pair in self.bodies.pairs[self.bodies.scene.n_ground :])
+    def sided_pairs(self) -> tuple[ShapePair, ...]:
+        """Pairs other than with the ground: their bodies may pass each other on several sides."""
+        return self.bodies.pairs[self.bodies.scene.n_ground :]
 
     def look(self, solution: Solution) -> Look:
         """Distances of all pairs along a solution, exact where they are within the band."""
         plan = solution.normalized()
-        step = LOOK_STEP * Units(self.problem.robot).time
-        numbers, fractions, regular = _moments_to_look_at(plan, step)
+        units = Units(self.problem.robot).position
+        numbers, fractions, regular = _moments_to_look_at(plan, units)
         q = InterpolatedMotion.of(plan).at(numbers, fractions).q
         return Look(
-            distances=self.bodies.scene.distances(q, self.band + float(self.bodies.margins.max(initial=0.0))),
+            distances=self.bodies.scene.distances(q, self.band + self.bodies.widest),
             moments=_in_phases(plan, numbers, fractions),
             regular=regular,
         )
@@ -143,9 +141,10 @@ class Exchange:
         every = sorted({moment for moments in self.moments.values() for moment in moments})
         if not every:
             return True
-        short = self.bodies.scene.distances(np.array([self.guess(*moment) for moment in every]), self.band)
+        q = np.array([self.guess(*moment) for moment in every])
+        short = self.bodies.scene.distances(q, self.band + self.bodies.widest) - self.bodies.margins
         columns = [column for column, pair in enumerate(self.bodies.pairs) if pair in self.moments]
-        return bool((short[:, columns] >= self.bodies.margins[columns] - TOO_NEAR).all())
+        return bool((short[:, columns] >= -TOO_NEAR).all())
 
     def _laid(self, motion: PhaseMotion) -> Iterator[tuple[Moment, SeparatingPlane]]:
         every = sorted({moment for moments in self.moments.values() for moment in moments})
@@ -169,14 +168,20 @@ def along(solution: Solution) -> PhaseMotion:
     return lambda phase, fraction: motion.in_phase(phase, fraction, 0.5).q
 
 
-def _moments_to_look_at(plan: Solution, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Numbers and fractions (K,) of intervals, and which of them are nodes and points."""
+def _moments_to_look_at(plan: Solution, units: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Numbers and fractions (K,) of intervals, and which of them are nodes and points.
+
+    The end of an interval is the start of the next one, where that is looked at; only the last has its own.
+    """
     numbers, fractions, regular = [], [], []
     for number in range(plan.n_intervals):
         own = np.unique(np.round([0.0, *collocation_fractions(plan, number)[1], 1.0], DIGITS))
         start, end = plan.interval_t[number]
-        looks = max(LEAST_LOOKS, math.ceil((end - start) / step))
+        travel = (end - start) * float((np.abs(plan.v[plan.intervals[number]]) / units).max())
+        looks = max(LOOKS, math.ceil(travel / LOOK_STEP))
         every = np.unique(np.concatenate([own, np.round(np.linspace(0.0, 1.0, looks + 2), DIGITS)]))
+        if number < plan.n_intervals - 1:
+            every = every[every < 1.0]
         numbers.append(np.full(len(every), number))
         fractions.append(every)
         regular.append(np.isin(every, own))

@@ -192,6 +192,7 @@ class _Loop:
                 return "it is a draft" if rounds == 1 else f"{rounds} rounds were not enough"
             look = self.exchange.look(solution)
             near = self.exchange.depth(look)
+            new = {pair for pair in self.exchange.missing(look) if pair not in self.exchange.moments}
             self.exchange.add(look)
             mesh = mesh_of(solution)
             if self.refine and near < DEEP:  # else the motion will be another one: its mesh is judged then
@@ -200,7 +201,8 @@ class _Loop:
                 return "a finer mesh does not mend what is missed" if self.refine else "the mesh is fixed"
             if unknowns_on_mesh(self.problem, mesh) > MOST_VARIABLES:
                 return f"the next mesh would have more than {MOST_VARIABLES} variables"
-            solution = self._solved_from(mesh, solution, near >= DEEP)
+            sideless = near >= DEEP and not new.isdisjoint(self.exchange.sided_pairs)
+            solution = self._solved_from(mesh, solution, sideless)
         return f"a mesh was not solved: {self.rounds[-1].status.replace('_', ' ')}"
 
     def _first(self, mesh: Mesh, start: Solution | str | Path | None) -> Solution | None:
@@ -222,11 +224,12 @@ class _Loop:
         self.rounds.append(Round.of(mesh, self.last))
         return self.last if self.last.converged else None
 
-    def _solved_from(self, mesh: Mesh, solution: Solution, deep: bool) -> Solution | None:
+    def _solved_from(self, mesh: Mesh, solution: Solution, sideless: bool) -> Solution | None:
         """From the last motion or from the guess, whichever is on the right side of bodies to pass.
 
-        A motion that goes ``deep`` through a body may be on no side of it; a guess that is clear passes it
-        where its author wants it to.
+        A motion that goes deep through a body that had no rows may be on no side of it (``sideless``); a
+        guess that is clear passes it where its author wants it to. From then on motions are on that side, and
+        planes along them hold them back less than those along the guess.
         """
         if not self.exchange.moments:
             return self._solved(mesh, solution)
@@ -234,7 +237,7 @@ class _Loop:
             (along(solution), solution),
             (self.exchange.guess, None),
         ]
-        if deep and self.exchange.takes_sides and self.exchange.guess_is_clear():
+        if sideless and self.exchange.guess_is_clear():
             starts.reverse()
         for motion, start in starts:
             problem = self.exchange.constrained(motion, along(solution))

@@ -18,7 +18,8 @@ class Clearance(Term):
 
     Args:
         obstacles: in the world.
-        margin: least distance from obstacles and between links, m.
+        margin: least distance from obstacles and between links, m; of two links that are nearer than that in
+            the reference posture, their distance there.
         shapes: of the robot's links; default those of its description (`robot_shapes`).
         self_collision: keep links apart from each other.
 

@@ -1,1 +1,1 @@
-"""Links as capsules, obstacles, smooth distances between them, and which pairs are near."""
+"""Shapes of links, obstacles, the distances between them, and planes that keep them apart."""

@@ -140,11 +140,12 @@ def _robot_shapes(keyed: _Keyed) -> RobotShapes:
         pairs=pairs,
         left_out=MappingProxyType(left_out),
         missing=missing,
-        above_ground=_above_ground(robot, shapes),
+        above_ground=above_ground(robot, shapes),
     )
 
 
-def _above_ground(robot: Robot, shapes: tuple[LinkShape, ...]) -> bool:
+def above_ground(robot: Robot, shapes: tuple[LinkShape, ...]) -> bool:
+    """Whether terrain is solid to a robot with these shapes, see `RobotShapes`."""
     if robot.base != "fixed":
         return True
     scene = CollisionScene(model=robot.model, shapes=shapes, terrain=FlatGround())

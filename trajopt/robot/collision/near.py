@@ -6,7 +6,6 @@ import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -73,13 +72,6 @@ class CollisionScene:
         """Number of leading pairs that are of a shape with the ground."""
         return 0 if self.terrain is None else len(self.moving)
 
-    @cached_property
-    def movable(self) -> np.ndarray:
-        """Which pairs (n_pairs,) a motion changes: not links fixed to the world with ground or obstacles."""
-        frames = {s.name: self.model.frames[self.model.getFrameId(s.frame)] for s in self.shapes}
-        moves = {name: frame.parentJoint > 0 for name, frame in frames.items()}
-        return np.array([moves[first] or second in moves for first, second in self.pairs], dtype=bool)
-
     @property
     def n_outer(self) -> int:
         """Number of leading pairs that are of a shape with the ground or an obstacle."""
@@ -127,9 +119,10 @@ class CollisionScene:
     def approaches(
         self, configurations: np.ndarray, wanted: Sequence[tuple[int, ShapePair]], within: float
     ) -> list[list[Approach]]:
-        """For each wanted (row of the configurations (K, nq), pair) where its bodies are nearest.
+        """How bodies approach each other, for each wanted (row of the configurations (K, nq), pair).
 
-        One approach; with ground of several faces one for each that is within ``within`` m, at least one.
+        Of two bodies one approach; with ground of several faces one for each within ``within`` m, or for the
+        nearest one.
         """
         rotation, origin = self._placements(np.atleast_2d(configurations))
         numbers = {pair: number for number, pair in enumerate(self.pairs)}
@@ -138,8 +131,8 @@ class CollisionScene:
             here = slice(row, row + 1)
             places = [(turn[here], at[here]) for turn, at in zip(rotation, origin, strict=True)]
             own = self._approaches(numbers[pair], places)
-            least = min(approach.distance for approach in own)
-            found.append([approach for approach in own if approach.distance <= max(within, least)])
+            reach = max(within, min(approach.distance for approach in own))
+            found.append([approach for approach in own if approach.distance <= reach])
         return found
 
     def _approaches(self, number: int, places: Sequence[Placements]) -> list[Approach]:
@@ -173,14 +166,6 @@ class CollisionScene:
         """Pairs that come closer than ``within`` m at one of the configurations (nq,)."""
         least = self.least_distances(configurations, within)
         return tuple(pair for pair, distance in zip(self.pairs, least, strict=True) if distance < within)
-
-    def describe(self) -> dict[str, Any]:
-        """JSON-able description for a solution file."""
-        return {
-            "capsules": [shape.describe_capsule() for shape in self.shapes],
-            "obstacles": [obstacle.describe() for obstacle in self.obstacles],
-            "self_pairs": [list(pair) for pair in self.self_pairs],
-        }
 
     def _placements(self, q: np.ndarray) -> Placements:
         """Rotations (n, K, 3, 3) and origins (n, K, 3) of the shapes' frames, then of the obstacles: zero."""

@@ -7,9 +7,11 @@ far side:
 
     n . x_i >= max_j n . y_j + r + s + margin        corners x_i of one, y_j of the other, radii r and s
 
-At the configuration where a plane is laid, the least of these rows is the signed distance minus the margin,
-and has its gradient; elsewhere it is a lower bound of the distance, as far as the corners left out are not
-nearer. So what satisfies it is apart. The rows are smooth, at touching and for parallel faces too.
+At the configuration where a plane is laid, the least of these rows is the signed distance minus the margin.
+It has the distance's gradient where one corner is nearest; where an edge or a face is, the rows of its
+corners are equal, and a convex combination of them has it. Elsewhere the least row is a lower bound of the
+distance, as far as the corners left out are not nearer. So what satisfies it is apart. The rows are smooth,
+at touching and for parallel faces too.
 """
 
 from __future__ import annotations
@@ -18,6 +20,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from trajopt.terrain.surface import UP
+
 # Corners at most this much farther than the nearest one, m, get a row: with a turn of 0.1 rad a corner that
 # is 0.1 m away from the nearest one comes nearer by as much.
 DEPTH = 0.01
@@ -25,6 +29,8 @@ DEPTH = 0.01
 MOST_CORNERS, APART = 3, 5e-3
 # Corners within this of the supporting plane, m, count to the face that lies in it.
 FACE = 1e-3
+# A direction's length differs from one by less than this: rounding of a search.
+UNIT = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,8 +98,8 @@ def nearest(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> Approa
     """The approach of two bodies, from what a search for their nearest points found as their ``normal``.
 
     Iterative searches fail now and then for bodies of very different sizes. Any direction gives a lower bound
-    of the signed distance, so the best one is taken of the direction found, its opposite, and the way from
-    centre to centre.
+    of the signed distance, so the best one is taken of the direction found, its opposite, the way from centre
+    to centre, and the known faces of the second body. What was found may be no direction at all: zero, NaN.
     """
     if second.normal is not None:
         return Approach(
@@ -101,7 +107,8 @@ def nearest(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> Approa
         )
     way = first.placed.mean(axis=0) - second.placed.mean(axis=0)
     length = float(np.linalg.norm(way))
-    directions = [normal, -normal, *([way / length] if length > 0 else []), *second.sides]
+    found = [normal, -normal] if abs(np.linalg.norm(normal) - 1) < UNIT else []
+    directions = [*found, way / length if length > 0 else np.array(UP), *second.sides]
     distances = [_apart(first, second, direction) for direction in directions]
     best = int(np.argmax(distances))
     return Approach(first=first, second=second, normal=directions[best], distance=distances[best])

@@ -1,4 +1,4 @@
-"""Shapes of collision avoidance: convex bodies on links; boxes, capsules and spheres in the world."""
+"""Shapes that stay apart: convex bodies on links; boxes, capsules and spheres in the world."""
 
 from __future__ import annotations
 

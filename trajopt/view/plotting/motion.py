@@ -17,8 +17,9 @@ from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.dynamics.virtual_base import angles_of
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.on_robot import drive_torque_values
+from trajopt.robot.collision.near import GROUND
 from trajopt.robot.sole import centre_of_pressure
-from trajopt.solution.descriptions import scene_of_meta
+from trajopt.solution.descriptions import body_scene_of, scene_of_meta
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
 from trajopt.view.replay.motion import LEAST_PRESSURE
@@ -192,13 +193,19 @@ class MotionQuantities:
 
     @cached_property
     def clearances(self) -> dict[str, np.ndarray]:
-        """Least signed distance (K,) m to each obstacle by name, and under "itself" between links."""
-        scene = scene_of_meta(self.solution.model, self.solution.meta.get("collision"))
+        """Least signed distance (K,) m to each obstacle by name, "ground", and under "itself" between links.
+
+        Of a motion with obstacles, by the shapes of its links; of an older file's by its capsules.
+        """
+        model, meta = self.solution.model, self.solution.meta
+        given = scene_of_meta(model, meta.get("collision"))
+        scene = None if given is None else body_scene_of(model, meta) or given
         if scene is None or not scene.pairs:
             return {}
         distances = np.full((len(self.t), len(scene.pairs)), np.nan)
         distances[self.finite] = scene.distances(self.solution.q[self.finite])
-        columns: dict[str, list[int]] = {name: [] for name in (*(o.name for o in scene.obstacles), "itself")}
+        names = (GROUND, *(obstacle.name for obstacle in scene.obstacles), "itself")
+        columns: dict[str, list[int]] = {name: [] for name in names}
         for i, pair in enumerate(scene.pairs):
             columns[pair[1] if i < scene.n_outer else "itself"].append(i)
         return {name: distances[:, index].min(axis=1) for name, index in columns.items() if index}

@@ -119,7 +119,7 @@ def clearance_row(tracks: Tracks) -> PlotRow | None:
     if not names:
         return None
     curves = draw.numbered(((name, partial(_clearance, name)) for name in names), dots=False)
-    title, scale = "least distance of the links' capsules", partial(draw.fit_with_zero_line, **draw.LIMIT)
+    title, scale = "least distance of the links", partial(draw.fit_with_zero_line, **draw.LIMIT)
     return draw.curve_row("clearance", title, "distance d [m]", curves, scale)
 
 

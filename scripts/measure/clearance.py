@@ -1,0 +1,69 @@
+"""What rows that keep bodies apart cost: only where pairs come near, and for all pairs at all points."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import click
+import numpy as np
+from typing_extensions import override
+
+import trajopt
+from scripts.measure.shared import head, row
+from trajopt.solving.exchange import Exchange, Look, along
+from trajopt.solving.solving import solve
+
+ROUNDS = 8
+GRID = {"transcription": "legendre:3", "intervals": 20, "compile": "none"}
+
+
+@dataclass
+class AllPairs(Exchange):
+    """Rows for every pair at every node and point."""
+
+    @property
+    @override
+    def band(self) -> float:
+        return np.inf
+
+    @override
+    def add(self, look: Look) -> bool:
+        before = sum(map(len, self.moments.values()))
+        regular = {moment for moment, own in zip(look.moments, look.regular, strict=True) if own}
+        for pair in self.bodies.pairs:
+            self.moments[pair] |= regular
+        return super().add(look) or sum(map(len, self.moments.values())) > before
+
+
+@click.command()
+@click.option("--distance", default=0.8, help="Of the jump, m.")
+def clearance(distance: float) -> None:
+    """Rows and solver time of solo12-jump until it is clear: only what comes near, and all pairs."""
+    head(
+        "rows for",
+        "solve",
+        "rows",
+        "of bodies",
+        "iterations",
+        "solver [s]",
+        "build [s]",
+        "look [s]",
+        "least [mm]",
+    )
+    problem = trajopt.load("solo12-jump", distance=distance)
+    for name, kind in (("what comes near", Exchange), ("all pairs", AllPairs)):
+        exchange, solution = kind(problem), solve(problem, **GRID)
+        without = solution.meta["constraints"]
+        for number in range(ROUNDS):
+            begun = time.perf_counter()
+            look, meta = exchange.look(solution), solution.meta
+            spent = time.perf_counter() - begun
+            least = 1e3 * float((look.distances - exchange.bodies.margins).min())
+            times = (f"{own:.2f}" for own in (meta["wall_time_s"], meta["build_time_s"], spent))
+            rows = meta["constraints"]
+            row(name, number, rows, rows - without, meta["iterations"], *times, f"{least:.2f}")
+            if not exchange.missing(look):
+                break
+            exchange.add(look)
+            solution = solve(exchange.constrained(along(solution)), start=solution, **GRID)

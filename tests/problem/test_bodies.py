@@ -1,0 +1,197 @@
+"""Which bodies of a problem must stay apart, by how much, and which starts are refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import trajopt
+from tests.support.ground import STAIRS
+from tests.support.swings import BALL, FAR, MARGIN, past, rods, swing
+from trajopt.errors import InputError
+from trajopt.problem.bodies import GIVE, TOO_NEAR, ProblemBodies, bodies_meta, bodies_of, clearance_of
+from trajopt.problem.problem import Problem
+from trajopt.robot.collision.description import robot_shapes
+from trajopt.robot.collision.link_capsules import robot_capsules
+from trajopt.robot.collision.near import GROUND
+from trajopt.robot.collision.shapes import LinkShape, SphereObstacle
+from trajopt.solving.rest import rest
+from trajopt.terms import Clearance
+from trajopt.terrain.flat import FlatGround
+from trajopt_library import robots
+
+EXACT = 1e-8  # m; what Coal's iterations leave for balls and capsules
+
+
+def standing(robot: str = "solo12", clearance: Clearance | None = None) -> Problem:
+    """A robot at rest on level ground."""
+    problem = replace(rest(robots.load(robot)), terrain=FlatGround())
+    return problem if clearance is None else replace(problem, terms=(*problem.terms, clearance))
+
+
+def margins(problem: Problem) -> dict[tuple[str, str], float]:
+    found = bodies_of(problem)
+    return dict(zip(found.pairs, found.margins.tolist(), strict=True))
+
+
+@pytest.mark.parametrize(("robot", "feet"), [("solo12", 4), ("go2", 4), ("talos", 2)])
+def test_feet_may_be_on_the_ground_and_other_links_not_in_it(robot, feet):
+    problem = standing(robot)
+    scene = bodies_of(problem).scene
+    deep = {
+        pair: float(distance)
+        for pair, distance in zip(scene.pairs, scene.distances(problem.initial_q)[0], strict=True)
+    }
+    found = margins(problem)
+    touching = {pair for pair, margin in found.items() if margin < 0}
+    assert {pair[1] for pair in touching} == {GROUND}
+    assert len(touching) >= feet
+    for pair in touching:
+        assert found[pair] == pytest.approx(min(deep[pair], 0.0) - GIVE, abs=EXACT)
+    assert all(found[pair] == 0.0 for pair in found if pair not in touching)
+    assert len(touching) < scene.n_ground / 2
+
+
+def test_obstacles_and_links_keep_the_margin_and_the_ground_does_not():
+    far = SphereObstacle(name="far", centre=[3.0, 0.0, 0.0], radius=0.1)
+    problem = standing(clearance=Clearance(obstacles=(far,), margin=0.004))
+    scene, found = bodies_of(problem).scene, margins(problem)
+    assert {found[pair] for pair in scene.pairs[scene.n_ground : scene.n_outer]} == {0.004}
+    assert {found[pair] for pair in scene.self_pairs} == {0.004}
+    assert max(found[pair] for pair in scene.pairs[: scene.n_ground]) == 0.0
+
+
+def test_two_links_keep_no_more_than_in_the_reference_posture():
+    problem = standing(clearance=Clearance(margin=0.1))
+    scene, found = bodies_of(problem).scene, margins(problem)
+    apart = scene.distances(problem.robot.reference)[0, scene.n_outer :]
+    assert apart.min() < 0.1 < apart.max()
+    assert [found[pair] for pair in scene.self_pairs] == pytest.approx(np.minimum(apart, 0.1))
+
+
+def test_links_that_touch_are_those_around_contacts_whatever_else_is_fixed():
+    robot = robots.load("solo12")
+    shapes = robot_shapes(robot).shapes
+    post = LinkShape.sphere("post", "universe", np.array([5.0, 0.0, 1.0]), 0.1)
+    problem = standing()
+    without = margins(replace(problem, terms=(Clearance(shapes=shapes),)))
+    first = margins(replace(problem, terms=(Clearance(shapes=(post, *shapes)),)))
+    assert {pair: first[pair] for pair in without} == without
+    assert ("post", GROUND) not in first
+
+
+def test_two_clearances_are_refused():
+    problem = past(past(swing(), BALL), FAR)
+    with pytest.raises(InputError, match="2 clearance terms; allowed: one"):
+        clearance_of(problem)
+    assert clearance_of(swing()).obstacles == ()
+
+
+def test_self_collision_can_be_left_out():
+    free = bodies_of(standing(clearance=Clearance(self_collision=False)))
+    assert free.scene.self_pairs == ()
+    assert free.pairs == bodies_of(standing()).pairs[: free.scene.n_ground]
+
+
+def test_shapes_given_by_hand_replace_those_of_the_description():
+    robot = replace(rods(), reference=np.array([0.0, 1.0, 1.0]))
+    problem = past(swing(robot=robot), BALL, self_collision=True)
+    assert bodies_of(problem).scene.self_pairs == (("joint0", "joint2"),)
+    capsules = robot_capsules(robots.load("solo12"))
+    given = bodies_of(standing(clearance=Clearance(shapes=capsules, self_collision=False)))
+    assert given.scene.shapes == capsules
+
+
+def test_robot_without_shapes_has_no_pairs():
+    found = bodies_of(swing())
+    assert found.pairs == ()
+    assert found.widest == 0.0
+    assert bodies_meta(swing()) == {}
+
+
+def test_ground_is_not_solid_to_a_pendulum():
+    assert bodies_of(past(swing(), BALL)).scene.n_ground == 0
+    raised = tuple(replace(s, points=s.points + 0.1 * np.eye(3)[2]) for s in robot_capsules(rods()))
+    assert bodies_of(past(swing(), BALL, shapes=raised)).scene.n_ground == len(raised)
+
+
+def test_start_too_near_an_obstacle_is_refused_in_one_line():
+    near = SphereObstacle(name="near", centre=[-0.3, 0.0, 1.2], radius=0.1)
+    with pytest.raises(InputError, match=r"starts .* m from 'near' .*; allowed: at least 0.02 m") as caught:
+        bodies_of(past(swing(), near))
+    assert "\n" not in str(caught.value)
+
+
+def beside_the_start(gap: float) -> Problem:
+    """The swing beside a ball that is ``gap`` m from the last rod at the start."""
+    problem = swing()
+    (rod,) = (shape for shape in robot_capsules(problem.robot) if shape.name == "joint2")
+    middle = np.array([np.sin(-0.3), 0.0, np.cos(-0.3)]) * 1.25
+    centre = middle + (rod.radius + 0.1 + gap) * np.array([0.0, 1.0, 0.0])
+    return past(problem, SphereObstacle(name="near", centre=centre, radius=0.1))
+
+
+def test_start_may_be_as_near_as_a_look_allows_and_no_nearer():
+    assert isinstance(bodies_of(beside_the_start(MARGIN - 0.9 * TOO_NEAR)), ProblemBodies)
+    with pytest.raises(InputError, match="from 'near'"):
+        bodies_of(beside_the_start(MARGIN - 1.1 * TOO_NEAR))
+
+
+def test_link_in_the_ground_at_the_start_is_refused():
+    problem = standing()
+    sunk = problem.initial_q.copy()
+    sunk[2] -= 0.25
+    with pytest.raises(InputError, match="from 'ground'"):
+        bodies_of(replace(in_the_air(problem), initial_q=sunk))
+
+
+def in_the_air(problem: Problem) -> Problem:
+    """The problem without its contacts, which are refused first off the ground."""
+    phases = tuple(replace(phase, contacts=()) for phase in problem.schedule.phases)
+    return replace(problem, schedule=trajopt.Schedule(phases), terms=())
+
+
+def test_free_start_is_not_judged():
+    problem = trajopt.load("quadruped-trot", robot="solo12")
+    assert problem.periodicity is not None
+    sunk = replace(problem, terrain=replace(problem.terrain, height=5.0))
+    assert bodies_of(sunk).pairs
+
+
+SAME = SphereObstacle(name="joint1", centre=[3.0, 0.0, 0.0], radius=0.1)
+NOWHERE = LinkShape.sphere("c", "nose", np.zeros(3), 0.1)
+BAD = {
+    "margin": (lambda: Clearance(margin=-0.1), "margin"),
+    "nan": (lambda: Clearance(margin=np.nan), "margin"),
+    "two obstacles": (lambda: Clearance(obstacles=(BALL, BALL)), "named ball"),
+    "name of a link": (lambda: bodies_of(past(swing(), SAME)), "named joint1"),
+    "name of the ground": (lambda: bodies_of(past(swing(), replace(FAR, name=GROUND))), "named ground"),
+    "frame": (lambda: bodies_of(past(swing(), shapes=[NOWHERE])), "nose"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_settings_are_refused_in_one_line(case):
+    build, message = BAD[case]
+    with pytest.raises(InputError, match=message) as caught:
+        build()
+    assert "\n" not in str(caught.value)
+
+
+def test_planes_of_the_ground_are_those_of_its_near_faces():
+    problem = in_the_air(standing())
+    found = bodies_of(replace(problem, terrain=STAIRS, initial_q=high()))
+    foot = next(pair for pair in found.pairs if pair[0] == "FL_FOOT")
+    q = high()[None]
+    (every,), (one,) = (found.planes(q, [(0, foot)], within) for within in (np.inf, 0.0))
+    assert len(every) == len(STAIRS.faces) > 1
+    assert len(one) == 1  # the nearest, however far
+    assert all(plane.body is None for plane in every)
+
+
+def high() -> np.ndarray:
+    q = robots.load("solo12").reference.copy()
+    q[2] += 1.0
+    return q

@@ -1,0 +1,172 @@
+"""The exchange of rows: none where a motion is clear, and only for what is near, where it is near."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from tests.support.problems import FOOT, hop, landing
+from tests.support.swings import BALL, DURATION, END, FAR, MARGIN, POLE, START, avoided, past, rods, swing
+from trajopt.problem.problem import Problem
+from trajopt.robot.collision.shapes import LinkShape, SphereObstacle
+from trajopt.solution.motion import SolutionMotion
+from trajopt.solution.solution import Solution
+from trajopt.solving.exchange import LOOK_STEP, LOOKS, TOO_NEAR, Exchange, Look, along
+from trajopt.solving.solving import solve
+from trajopt.terms import Clearance
+from trajopt.terms.moments import PlaneSide
+from trajopt_library.problems.common import PosturePath
+
+ROUNDING = 1e-9  # of interpolants, in natural units
+PAIR = ("joint2", "ball")
+
+
+@lru_cache
+def straight() -> Solution:
+    return solve(past(swing(), BALL, FAR), compile="none")
+
+
+def begun(problem: Problem, solution: Solution) -> tuple[Exchange, Look]:
+    """The exchange after its first look at a solution."""
+    exchange = Exchange(problem)
+    look = exchange.look(solution)
+    exchange.add(look)
+    return exchange, look
+
+
+def planes(problem: Problem) -> list[PlaneSide]:
+    return [term for term in problem.terms if isinstance(term, PlaneSide)]
+
+
+def test_clear_motion_has_no_rows():
+    problem = past(swing(), FAR)
+    exchange, look = begun(problem, straight())
+    assert exchange.missing(look) == ()
+    assert exchange.moments == {}
+    assert not exchange.add(look)
+    assert exchange.constrained(along(straight())).terms == problem.terms
+
+
+def test_only_pairs_that_came_too_near_have_rows_and_only_where_they_are_near():
+    problem = past(swing(), BALL, FAR)
+    exchange, look = begun(problem, straight())
+    assert exchange.missing(look) == (PAIR,)
+    assert set(exchange.moments) == {PAIR}
+    short = (look.distances - exchange.bodies.margins)[:, exchange.bodies.pairs.index(PAIR)]
+    near = {moment for moment, own in zip(look.moments, short, strict=True) if own < exchange.band}
+    assert exchange.moments[PAIR] <= near
+    assert 0 < len(near) < len(look.moments)
+    regular = {m for m, own in zip(look.moments, look.regular, strict=True) if own}
+    assert near & regular <= exchange.moments[PAIR]
+    (term,) = planes(exchange.constrained(along(straight())))
+    assert {(0, float(f)) for f in term.fractions} == exchange.moments[PAIR]
+
+
+def test_moment_between_points_where_a_pair_is_nearest_has_a_row():
+    problem = past(swing(), POLE)
+    exchange, look = begun(problem, solve(problem, compile="none"))
+    regular = {m for m, own in zip(look.moments, look.regular, strict=True) if own}
+    short = (look.distances - exchange.bodies.margins)[:, exchange.bodies.pairs.index(("joint2", "pole"))]
+    assert look.moments[int(np.argmin(short))] in exchange.moments["joint2", "pole"]
+    inner = exchange.moments["joint2", "pole"] - regular
+    rows = dict(zip(look.moments, short, strict=True))
+    assert all(rows[moment] < -TOO_NEAR for moment in inner)
+
+
+def test_distances_of_a_look_are_those_along_the_motion():
+    exchange, look = begun(past(swing(), BALL, FAR), straight())
+    motion = SolutionMotion(straight())
+    q = np.array([motion.in_phase(*moment, 0.5).q for moment in look.moments])
+    true = exchange.bodies.scene.distances(q)
+    near = true < exchange.band + MARGIN
+    assert look.distances[near] == pytest.approx(true[near], abs=ROUNDING)
+    assert (look.distances[~near] >= exchange.band + MARGIN).all()
+    assert look.regular.sum() == 3 * straight().n_intervals + 1  # a node, two points, and the end
+
+
+def test_every_node_is_looked_at_once():
+    problem = landing(free=True)
+    solution = solve(problem, transcription="radau:2", intervals=9, compile="none")
+    moments = Exchange(problem).look(solution).moments
+    bounds = [solution.interval_t[solution.intervals_of(phase)][[0, -1], [0, 1]] for phase in range(3)]
+    times = [bounds[phase] @ [1 - fraction, fraction] for phase, fraction in moments]
+    assert np.diff(times).min() > 1e-4
+    assert {phase for phase, _ in moments} == {0, 1, 2}
+    assert (2, 1.0) in moments
+    assert (0, 1.0) not in moments
+
+
+def test_faster_intervals_are_looked_at_more_often():
+    counts = [
+        len(Exchange(past(swing(), FAR)).look(solve(swing(), compile="none", intervals=n)).moments)
+        for n in (3, 100)
+    ]
+    assert counts[0] > float(np.abs(END - START).max()) / LOOK_STEP
+    assert counts[1] == pytest.approx(100 * (LOOKS + 3), rel=0.02)
+
+
+def test_rows_stay_when_the_motion_has_left():
+    exchange, _ = begun(past(swing(), BALL, FAR), straight())
+    moments = set(exchange.moments[PAIR])
+    aside = exchange.constrained(lambda phase, fraction: np.array([-2.0, 0.0, 0.0]))
+    (term,) = planes(aside)
+    assert {(0, float(f)) for f in term.fractions} == moments
+    exchange.add(exchange.look(avoided()[1]))
+    assert exchange.moments[PAIR] >= moments
+
+
+def test_corners_stay_once_they_have_a_row():
+    exchange, _ = begun(past(swing(), BALL, FAR), straight())
+    before = planes(exchange.constrained(exchange.guess))[0]
+    again = planes(exchange.constrained(along(avoided()[1])))[0]
+    assert len(again.fractions) >= len(before.fractions)
+    once = planes(exchange.constrained(along(avoided()[1])))[0]
+    assert once.parameters == pytest.approx(again.parameters)
+
+
+def test_guess_is_clear_where_it_is_apart_at_the_rows():
+    up = np.array([0.4, 0.0, 0.0])  # the guess stays short of the ball
+    problem = past(swing(), BALL, FAR)
+    aside = replace(
+        problem, guess=PosturePath(model=rods().model, postures=(START, -up, START), durations=(0.75, 0.75))
+    )
+    for given, clear in ((problem, False), (aside, True)):
+        exchange = Exchange(given)
+        assert exchange.guess_is_clear()  # without rows
+        exchange.add(exchange.look(straight()))
+        assert exchange.guess_is_clear() is clear
+
+
+def test_guess_is_taken_at_the_time_of_its_phase():
+    exchange = Exchange(past(swing(), BALL))
+    assert exchange.guess(0, 0.25) == pytest.approx(swing().guess_at(0.25 * DURATION))
+    legged = Exchange(hop())
+    assert legged.guess(2, 0.5) == pytest.approx(hop().guess_at(0.3 + 0.2 + 0.15))
+
+
+def test_outer_pairs_are_those_with_obstacles():
+    problem = past(
+        swing(robot=replace(rods(), reference=np.array([0.0, 1.0, 1.0]))), BALL, self_collision=True
+    )
+    assert {pair[1] for pair in Exchange(problem).outer_pairs} == {"ball"}
+
+
+def test_bodies_of_a_hopper_have_rows_in_the_phases_where_they_are_near():
+    free, solution = hop(), solve(hop(), compile="none")
+    data, places = free.robot.model.createData(), []
+    for q in solution.q:
+        pin.framesForwardKinematics(free.robot.model, data, q)
+        places.append(data.oMf[free.robot.model.getFrameId(FOOT)].translation.copy())
+    top = max(places, key=lambda place: place[2])
+    above = SphereObstacle(name="above", centre=top + 0.3 * np.eye(3)[2], radius=0.3)
+    shape = LinkShape.sphere("toe", FOOT, np.zeros(3), 0.01)
+    problem = replace(free, terms=(*free.terms, Clearance(obstacles=(above,), shapes=(shape,))))
+    exchange, look = begun(problem, solution)
+    assert ("toe", "above") in exchange.missing(look)
+    terms = planes(exchange.constrained(along(solution)))
+    assert "flight" in {term.phase for term in terms}
+    assert {(term.frame, term.body) for term in terms} == {(FOOT, None)}

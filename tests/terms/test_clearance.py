@@ -1,0 +1,107 @@
+"""Obstacles of a problem's `Clearance` in its solution: in the file, in the check, replayed, plotted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.replay_pages import objects_of, placements_of, shown
+from tests.support.swings import BALL, FAR, avoided
+from tests.support.synthetic_motions import with_meta
+from trajopt.certify.check import check
+from trajopt.errors import InputError
+from trajopt.robot.collision.near import CollisionScene
+from trajopt.robot.collision.shapes import LinkShape
+from trajopt.solution.clearance import refined_configurations
+from trajopt.solution.descriptions import scene_of_meta
+from trajopt.solution.solution import Solution
+from trajopt.terms import Clearance
+from trajopt.view.plotting.motion import MotionQuantities
+
+POLYNOMIAL = 1e-9  # a cubic through its own values and rates: rounding
+
+
+def test_file_holds_obstacles_and_the_shapes_of_the_links(tmp_path):
+    problem, solution = avoided()
+    loaded = Solution.load(solution.save(tmp_path / "swing.npz"))
+    (term,) = (term for term in problem.terms if isinstance(term, Clearance))
+    assert loaded.meta["collision"] == {
+        "capsules": [],
+        "obstacles": [BALL.describe(), FAR.describe()],
+        "self_pairs": [],
+    }
+    assert loaded.meta["bodies"]["shapes"] == [shape.describe() for shape in term.shapes]
+    assert check(loaded).to_dict() == check(solution).to_dict()
+
+
+def test_check_finds_a_motion_that_collides():
+    _, solution = avoided()
+    moved = {**solution.meta["collision"], "obstacles": [replace(BALL, radius=0.2).describe()]}
+    report = check(with_meta(solution, collision=moved))
+    assert report.failures() == ("obstacle_distance",)
+    assert report.obstacle_distance < -0.03
+
+
+def test_older_file_with_capsules_alone_is_measured_by_them():
+    _, solution = avoided()
+    capsules = solution.meta["bodies"]["shapes"]
+    meta = {key: value for key, value in solution.meta.items() if key != "bodies"}
+    meta["collision"] = {**meta["collision"], "capsules": capsules}
+    assert check(replace(solution, meta=meta)).obstacle_distance == pytest.approx(
+        check(solution).obstacle_distance
+    )
+
+
+def test_cubics_between_samples_are_the_motion():
+    _, solution = avoided()
+    rows = solution.intervals[3]
+    found = np.array(refined_configurations(solution, rows))
+    times = np.concatenate(
+        [np.linspace(solution.t[a], solution.t[a + 1], 6)[1 if a > rows[0] else 0 :] for a in rows[:-1]]
+    )
+    inner = np.polynomial.polynomial.polyfit(times, found, 3)  # one cubic over the whole interval
+    assert np.abs(np.polynomial.polynomial.polyval(times, inner).T - found).max() < POLYNOMIAL
+
+
+NOWHERE = LinkShape.sphere("c", "nose", np.zeros(3), 0.1)
+WRONG = {
+    "list": [],
+    "capsules": {"capsules": None, "obstacles": [], "self_pairs": []},
+    "obstacle": {"capsules": [], "obstacles": [{"kind": "cone"}], "self_pairs": []},
+    "pair": {"capsules": [], "obstacles": [], "self_pairs": [["a"]]},
+    "frame": {"capsules": [NOWHERE.describe()], "obstacles": [], "self_pairs": []},
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_description_in_a_file_is_refused_in_one_line(case):
+    _, solution = avoided()
+    with pytest.raises(InputError, match="collision of meta: ") as caught:
+        check(with_meta(solution, collision=WRONG[case]))
+    assert "\n" not in str(caught.value)
+
+
+def test_replay_draws_obstacles_where_they_are(tmp_path):
+    _, solution = avoided()
+    page = shown(solution, tmp_path)
+    drawn, places = objects_of(page), placements_of(page)
+    found = {name.split("obstacles/")[1] for name in drawn if "obstacles/" in name}
+    assert found == {"ball/start", "far/start", "far/end", "far/side"}
+    (ball,) = (matrix for name, matrix in places.items() if name.endswith("ball/start"))
+    assert ball[:3, 3] == pytest.approx(BALL.centre, abs=1e-6)
+
+
+def test_plots_have_the_distance_from_each_obstacle_by_the_links_shapes():
+    problem, solution = avoided()
+    (term,) = (term for term in problem.terms if isinstance(term, Clearance))
+    scene = CollisionScene(model=solution.model, shapes=term.shapes, obstacles=term.obstacles)
+    least = scene.distances(solution.q)
+    found = MotionQuantities(solution).clearances
+    assert set(found) == {"ball", "far"}
+    assert found["ball"] == pytest.approx(least[:, ::2].min(axis=1))
+    assert found["far"] == pytest.approx(least[:, 1::2].min(axis=1))
+    without = {key: value for key, value in solution.meta.items() if key != "collision"}
+    assert MotionQuantities(replace(solution, meta=without)).clearances == {}
+    assert scene_of_meta(solution.model, None) is None
