@@ -116,7 +116,9 @@ def build(
         end=_way(arm, [arm.pose(*where) for where in places], over_place),
         terrain=FlatGround(height=_below(arm)),
         parameters={"payload": mass, "duration": float(np.sum(durations))},
-        default_intervals=INTERVALS,
+        default_intervals=2 * INTERVALS if goal == "time" else INTERVALS,
+        # Torques of least time jump between limits: polynomials of a higher degree overshoot between points.
+        default_transcription="legendre:1" if goal == "time" else "legendre:2",
         payloads=dict.fromkeys(CARRIED, cube(arm, mass)) if mass > 0 else {},
     )
 

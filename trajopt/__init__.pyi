@@ -12,8 +12,8 @@ from .schedule.schedule import Schedule as Schedule
 from .solution.motion import motion_of as motion_of
 from .solution.solution import Solution as Solution
 from .solving.continuation import continuation as continuation
+from .solving.graded import solve as solve
 from .solving.ladder import solve_ladder as solve_ladder
-from .solving.solving import solve as solve
 from .study.diagnosis.diagnose import diagnose as diagnose
 from .terrain.flat import FlatGround as FlatGround
 from .view.replay.show import replay as replay

@@ -10,6 +10,7 @@ import click
 
 from scripts.measure import (
     clearance,
+    grades,
     guesses,
     machine,
     models,
@@ -28,6 +29,7 @@ COMMANDS = (
     models.goals,
     models.jump_range,
     two_stage.two_stage,
+    grades.grades,
     guesses.guesses,
     scenes.scenes,
     shapes.shapes,

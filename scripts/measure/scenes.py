@@ -42,8 +42,7 @@ def upright_jump(name: str = "solo12") -> Scene:
     model, standing = robot.model, robot.reference
     angles = {model.names[i]: standing[model.joints[i].idx_q] for i in range(2, model.njoints)}
     angles |= dict.fromkeys(hips(robot), 0.0)
-    frames = [contact.frame for contact in robot.contacts]
-    robot = replace(robot, reference=reference_posture(model, "freeflyer", frames, angles))
+    robot = replace(robot, reference=reference_posture(model, "freeflyer", robot.contacts, angles))
     end = robot.reference.copy()
     end[0] += DISTANCE
     legs = tuple(contact.name for contact in robot.contacts)

@@ -70,7 +70,7 @@ def two_phases() -> Solution:
 @lru_cache
 def landed() -> Solution:
     solution = trajopt.solve(landing(impact=True), compile="none", intervals=24)
-    assert solution.success
+    assert solution.converged
     return solution
 
 
@@ -112,7 +112,7 @@ def test_local_error_falls_with_the_order_and_one_more_of_the_step(scheme, order
         plan = trajopt.solve(
             reach(gravity=True), transcription=scheme, intervals=intervals, compile="none", tolerance=1e-10
         )
-        assert plan.success
+        assert plan.converged
         found = measure(plan)
         errors.append(found.interval_error)
         whole.append(found.open_loop)
@@ -130,7 +130,7 @@ def test_intervals_of_unequal_width_and_phases_of_other_schemes_are_measured():
     widths = (0.4, 0.3, 0.2, 0.1)
     phases = [PhaseMesh(scheme=name, widths=widths) for name in ("legendre:1", "legendre:3", "radau:2")]
     plan = trajopt.solve(landing(), mesh=Mesh(phases=tuple(phases)), compile="none")
-    assert plan.success
+    assert plan.converged
     found = measure(plan)
     assert found.interval_errors.shape == (12,)
     assert found.phases[0].interval_error == found.interval_errors[:4].max()
@@ -207,8 +207,8 @@ def test_source_of_velocity_is_exact_where_its_rates_are_polynomials():
 @pytest.mark.parametrize("coordinates", ["excess", "minimal"])
 def test_both_coordinates_of_a_hop_are_measured(coordinates):
     problem = problems.load("hopper-hop", coordinates=coordinates)
-    plan = trajopt.solve(problem, compile="none")
-    assert plan.success
+    plan = trajopt.solve(problem, compile="none", fixed_mesh=True)
+    assert plan.converged
     found = measure(plan)
     assert found.open_loop < 0.05
     assert found.interval_error < 1e-3
@@ -255,6 +255,7 @@ def test_impact_with_a_carried_body_is_judged_with_its_mass():
         "contact_frames": [*plan.contact_frames, "trunk"],
         "contact_kinds": [*plan.meta["contact_kinds"], "surface"],
         "contact_sizes": [*plan.meta["contact_sizes"], None],
+        "contact_radius": [*plan.meta["contact_radius"], 0.0],
         "friction": [*plan.meta["friction"], 0.7],
     }
     wider = {

@@ -10,24 +10,27 @@ import pytest
 
 import trajopt
 from tests.support.problems import landing, still
+from trajopt.certify.report import Tolerances
 from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
 from trajopt_library import problems
 
 # What a solver leaves that stops at 1e-6 in units of weight and length.
 MET = 1e-6
+# Friction at the nodes of a coarse mesh, where its bound becomes inactive.
+COARSE = Tolerances(between=0.05)
 
 
 @lru_cache
 def landed() -> Solution:
-    solution = trajopt.solve(landing(impact=True), compile="none", intervals=16)
-    assert solution.success
+    solution = trajopt.solve(landing(impact=True), compile="none", intervals=16, transcription="legendre:3")
+    assert solution.converged
     return solution
 
 
 def test_impact_of_a_solution_meets_its_law_and_loses_energy():
     report = trajopt.check(landed())
-    assert report.ok
+    assert report.within(COARSE)
     assert report.impact_residual < MET
     assert report.impact_velocity < MET
     assert report.impact_momentum_error < MET
@@ -50,14 +53,15 @@ def test_figures_of_impacts_are_none_without_one():
     ],
 )
 def test_impulse_that_is_not_the_impacts_is_found(factor, failing):
-    assert set(trajopt.check(replace(landed(), impulse=factor * landed().impulse)).failures()) == failing
+    wrong = trajopt.check(replace(landed(), impulse=factor * landed().impulse))
+    assert set(wrong.failures(COARSE)) == failing
 
 
 def test_velocity_that_jumps_without_an_impact_is_found():
     hidden = replace(landed(), impulse=None, impact_index=None)
     report = trajopt.check(hidden)
     assert report.state_jump > 1e-3
-    assert report.failures() == ("state_jump",)
+    assert report.failures(COARSE) == ("state_jump",)
 
 
 def test_impact_at_a_sample_within_an_interval_is_refused():
@@ -69,7 +73,7 @@ def test_impact_at_a_sample_within_an_interval_is_refused():
 
 def test_statics_of_a_velocity_source_are_judged_not_its_dynamics():
     solution = trajopt.solve(still(), compile="none", intervals=10)
-    assert solution.success
+    assert solution.converged
     assert solution.meta["actuation"] == "velocity"
     report = trajopt.check(solution)
     assert report.ok

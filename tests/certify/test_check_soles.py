@@ -39,7 +39,7 @@ def box_on_a_sole(offset: float) -> tuple[Robot, Motion]:
     )
 
 
-@pytest.mark.parametrize(("offset", "failures"), [(0.03, ()), (0.12, ("sole_margin",))])
+@pytest.mark.parametrize(("offset", "failures"), [(0.03, ()), (0.12, ("sole_margin", "sole_margin_between"))])
 def test_surface_contact_holds_force_and_moment(offset, failures):
     robot, motion = box_on_a_sole(offset)
     report = check(sampled(robot, [motion], 3, contact_sizes=[[0.1, 0.05]]))

@@ -87,7 +87,10 @@ def test_slope_may_be_the_terrain():
 
 def test_box_slides_beyond_the_friction_angle():
     assert check(resting_on(sloping(np.arctan(0.45)))).ok
-    assert check(resting_on(sloping(np.arctan(0.55)))).failures() == ("friction_margin",)
+    assert check(resting_on(sloping(np.arctan(0.55)))).failures() == (
+        "friction_margin",
+        "friction_margin_between",
+    )
 
 
 def test_box_tips_where_its_weight_leaves_the_sole():
@@ -98,7 +101,8 @@ def test_box_tips_where_its_weight_leaves_the_sole():
 def test_bolt_holds_what_a_ceiling_drops():
     ceiling = Surface(point=POINT, normal=[0.0, 0.0, -1.0], friction=FRICTION)
     dropped = check(resting_on(ceiling))
-    assert set(dropped.failures()) == {"friction_margin", "unilateral_margin", "sole_margin"}
+    margins = {"friction_margin", "unilateral_margin", "sole_margin"}
+    assert set(dropped.failures()) == {f"{name}{when}" for name in margins for when in ("", "_between")}
     held = check(resting_on(replace(ceiling, bilateral=True)))
     assert held.ok, held.failures()
     assert held.friction_margin is held.unilateral_margin is held.sole_margin is None

@@ -179,11 +179,13 @@ def test_robots_of_any_size_do_the_same_in_their_own_units(scale, stand):
         own = model.frames[frame].placement
         model.frames[frame].placement = pin.SE3(own.rotation, scale * own.translation)
     model.armature[:] *= scale**5
+    radii = [scale * radius for radius in stand.meta["contact_radius"]]
     slow, q = np.sqrt(scale), stand.q.copy()
     q[:, :3] *= scale
     scaled = replace(
         stand, model_text=model.saveToString(), q=q, t=slow * stand.t, interval_t=slow * stand.interval_t,
-        tau=scale**4 * stand.tau, f=scale**3 * stand.f, meta={**stand.meta, "effort_limit": None},
+        tau=scale**4 * stand.tau, f=scale**3 * stand.f,
+        meta={**stand.meta, "effort_limit": None, "contact_radius": radii},
     )  # fmt: skip
     free = replace(stand, meta={**stand.meta, "effort_limit": None})
     mine = simulate(free, noise=0.005).report
@@ -300,7 +302,7 @@ def test_grasp_holds_what_the_plan_holds():
 
 
 def test_carried_object_is_felt():
-    plan = solve(problems.load("arm-pick-place"), compile="none")
+    plan = solve(problems.load("arm-pick-place"), compile="none", fixed_mesh=True)
     found = simulate(plan).report
     light = replace(plan, meta={key: value for key, value in plan.meta.items() if key != "payloads"})
     without = simulate(light).report
@@ -309,7 +311,7 @@ def test_carried_object_is_felt():
 
 
 def test_cycles_follow_each_other_as_images():
-    plan = solve(problems.load("hopper-gait"), compile="none")
+    plan = solve(problems.load("hopper-gait"), compile="none", fixed_mesh=True)
     reference = reference_of(plan, SimulationSettings(cycles=3))
     count, described = len(reference.t) // 3, plan.meta["periodicity"]
     duration = float(plan.t[-1] - plan.t[0])
@@ -326,7 +328,7 @@ def test_cycles_follow_each_other_as_images():
 
 
 def test_half_a_cycle_is_followed_by_its_mirror_image():
-    plan = solve(problems.load("quadruped-trot", cycle="half"), compile="none")
+    plan = solve(problems.load("quadruped-trot", cycle="half"), compile="none", fixed_mesh=True)
     found = simulate(plan, cycles=1)
     reference, half = found.reference, len(found.reference.t) // 2
     np.testing.assert_array_equal(reference.active[0], ~reference.active[half])
@@ -338,7 +340,7 @@ def test_half_a_cycle_is_followed_by_its_mirror_image():
 @pytest.mark.parametrize("robot", ["solo12", "go2", "anymal_c"])
 @pytest.mark.parametrize("problem", ["quadruped-jump-forward", "quadruped-trot"])
 def test_jumps_and_trots_end_within_five_centimetres(problem, robot):
-    report = simulate(solve(problems.load(problem, robot=robot), compile="none")).report
+    report = simulate(solve(problems.load(problem, robot=robot), compile="none", fixed_mesh=True)).report
     assert not report.fell
     assert report.base_error_end < AT_THE_END
     assert report.passed

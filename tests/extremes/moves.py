@@ -9,8 +9,9 @@ import pinocchio as pin
 
 from trajopt.problem.problem import Problem
 from trajopt.robot.building import put_on_ground
-from trajopt.robot.kinematics import contact_poses, contact_positions, frame_pose, inverse_kinematics
+from trajopt.robot.kinematics import contact_poses, frame_pose, inverse_kinematics
 from trajopt.robot.robot import Robot
+from trajopt.schedule.placing import footholds_at
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import (
     EffortLimits,
@@ -97,7 +98,7 @@ def steps(
     footholds: bool = True,
 ) -> Problem:
     """Phases on these contacts, on the spot: whatever lifts lands where it was, by default at footholds."""
-    places, before, phases = contact_positions(robot, robot.reference), set(sets[0]), []
+    places, before, phases = footholds_at(robot, robot.reference), set(sets[0]), []
     for index, names in enumerate(sets):
         new = [name for name in names if name not in before]
         phases.append(

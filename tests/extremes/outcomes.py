@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.certify.check import check
-from trajopt.certify.report import CheckReport, Tolerances
+from trajopt.certify.report import AT_POINTS, CheckReport
 from trajopt.cli.report import solve_dict, solve_summary, to_json
 from trajopt.errors import InputError, SolutionFileError, TrajoptError
 from trajopt.problem.problem import Problem
@@ -214,9 +214,9 @@ def _require_solved(
     expected: Solved, problem: Problem, solution: Solution, report: CheckReport | None
 ) -> None:
     meta = solution.meta
-    _require(solution.success, f"{meta['status']} ({meta['advice']}): {meta['worst_blocks'][:1]}")
+    _require(solution.converged, f"{meta['status']} ({meta['advice']}): {meta['worst_blocks'][:1]}")
     assert report is not None
-    tolerances = Tolerances()
+    tolerances = AT_POINTS
     if expected.coarse is not None:
         tolerances = replace(tolerances, foot_drift=expected.coarse, penetration=expected.coarse)
     failures = [f"{name} {getattr(report, name):.2e}" for name in report.failures(tolerances)]

@@ -17,6 +17,7 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
+from trajopt.schedule.placing import footholds_at
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solvers.status import Status
@@ -134,7 +135,7 @@ def test_fewer_intervals_than_phases_are_refused():
 def test_a_very_short_phase_is_solved(brief):
     """Between two stances a diagonal is off the ground for no time at all."""
     robot = robots.load("solo12")
-    places = contact_positions(robot, robot.reference)
+    places = footholds_at(robot, robot.reference)
     phases = (
         Phase(name="before", duration=0.2, contacts=SOLO),
         Phase(name="blink", duration=brief, contacts=DIAGONALS[0]),
@@ -269,7 +270,7 @@ def test_two_contacts_of_one_name_and_one_named_twice_are_refused():
 def test_a_foothold_further_than_the_links_is_refused():
     """Two feet that stand at once are never further apart than all links between them."""
     robot = robots.load("solo12")
-    place = contact_positions(robot, robot.reference)[FL] + [2.0, 0.0, 0.0]
+    place = footholds_at(robot, robot.reference)[FL] + [2.0, 0.0, 0.0]
     phases = (
         Phase(name="before", duration=0.2, contacts=(FR, HL, HR)),
         Phase(name="after", duration=0.2, contacts=SOLO, footholds={FL: place}),
@@ -287,7 +288,9 @@ def test_the_longest_stretch_of_two_feet_is_allowed():
         robot, {f"{leg}_HFE": -np.pi / 2 if leg[0] == "F" else np.pi / 2 for leg in ("FL", "HL")}
         | {f"{leg}_KFE": 0.0 for leg in ("FL", "HL")},
     )  # fmt: skip
-    places = contact_positions(robot, spread)
+    height = contact_positions(robot, spread)[FL][2] - robot.contact(FL).radius
+    spread[2] -= height  # on the two legs that are spread
+    places = footholds_at(robot, spread)
     assert np.linalg.norm(places[FL] - places[HL]) > 0.9
     problem = stance(robot, robot.reference)
     endless = tuple(term for term in problem.terms if not term.name.startswith("terminal"))

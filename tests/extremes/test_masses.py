@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache, partial
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.testing import assert_allclose
 from tests.extremes.changed_robots import longer, made, robot_file
 from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.certify.check import check
-from trajopt.certify.report import Tolerances
+from trajopt.certify.report import AT_POINTS
 from trajopt.solution.solution import Solution
 from trajopt.solvers.status import Status
 from trajopt_library import problems, robots
@@ -117,7 +118,7 @@ def test_joint_that_moves_no_mass_is_planned_and_its_open_loop_is_none(name, rob
         Solved(open_loop=None, coarse=coarse), partial(made, name, path), intervals=intervals
     )
     report = check(found)
-    assert not report.failures(Tolerances(foot_drift=coarse))
+    assert not report.failures(replace(AT_POINTS, foot_drift=coarse))
     assert np.isinf(report.open_loop_joints)
     assert report.to_dict()["open_loop_joints"] is None
 

@@ -270,7 +270,7 @@ def test_a_planar_base_does_the_turns_of_its_guess(turns):
         guess=guess,
     )
     solution = assert_outcome(None, lambda: problem, intervals=10)
-    assert solution.success
+    assert solution.converged
     angle = np.unwrap(np.arctan2(solution.q[:, 3], solution.q[:, 2]))
     assert_allclose(angle[-1] - angle[0], 2 * np.pi * turns, atol=1e-6)
 

@@ -132,6 +132,7 @@ IDLE = {
     "forces": (WrenchCost(weight=1.0, phases=("flight",)), "no contact is active in phases flight"),
     "friction": (FrictionPyramid(phases=("flight",)), "no contact is active in phases flight"),
     "soles": (SoleCone(contacts=(FOOT,)), "'foot' is a point contact"),
+    "contacts": (FrictionCone(contacts=()), "contacts is empty"),
     "swings": (
         SwingClearance(height=0.1, terrain=FlatGround(), phases=("stance", "landing")),
         "no contact is in the air in phases stance, landing",

@@ -16,8 +16,8 @@ from trajopt.problem.bodies import ProblemBodies, bodies_of
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.description import robot_shapes
 from trajopt.robot.kinematics import frame_pose
-from trajopt.solving.clearing import solve_clear
 from trajopt.solving.exchange import TOO_NEAR, Exchange
+from trajopt.solving.graded import solve as solve_graded
 from trajopt.terms import Clearance
 from trajopt_library.problems import arm_avoid
 from trajopt_library.problems.common import smooth_step
@@ -68,7 +68,7 @@ def test_guess_starts_and_ends_at_rest_at_the_ends(robot):
 @pytest.mark.parametrize("robot", ["ur5", "irb1600"])
 def test_solution_is_clear_and_brings_the_tool_to_its_goal(robot):
     built = problem(robot)
-    solution = solve_clear(built, compile="none")
+    solution = solve_graded(built, fixed_mesh=True, compile="none")
     assert solution.success, solution.meta["advice"]
     report, exchange = check(solution), Exchange(built)
     assert report.ok, report.failures()
@@ -83,7 +83,7 @@ def test_solution_is_clear_and_brings_the_tool_to_its_goal(robot):
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["panda", "kinova", *OTHERS])
 def test_other_arms_get_past_too(robot):
-    solution = solve_clear(problem(robot), compile="none")
+    solution = solve_graded(problem(robot), fixed_mesh=True, compile="none")
     assert solution.success, solution.meta["advice"]
     assert check(solution).ok
     assert check(solution).obstacle_distance > built_margin(robot) - BETWEEN
@@ -93,7 +93,7 @@ def test_other_arms_get_past_too(robot):
 def test_motion_keeps_no_more_than_the_margin():
     built = problem("ur5")
     exchange = Exchange(built)
-    distances = exchange.look(solve_clear(built, compile="none")).distances
+    distances = exchange.look(solve_graded(built, fixed_mesh=True, compile="none")).distances
     scene = exchange.bodies.scene
     least = distances[:, scene.n_ground : scene.n_outer].min()
     assert built_margin("ur5") - TOO_NEAR < least < built_margin("ur5") + BETWEEN

@@ -11,6 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import trajopt
+from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
@@ -74,7 +75,7 @@ def test_feet_of_the_guess_stand_on_the_ground_and_never_swing_below_it(name: st
     for t in np.linspace(0.0, problem.schedule.duration, SAMPLES):
         q = problem.guess(float(t))
         for foot, place in contact_positions(body, q).items():
-            height = height_under(ground, place)
+            height = height_under(ground.offset(body.contact(foot).radius), place)
             index = min(
                 int(np.searchsorted(starts_of(problem.schedule), t, "right")) - 1,
                 len(problem.schedule.phases) - 1,
@@ -155,9 +156,10 @@ def test_standing_on_a_plane_leans_the_base_as_the_plane(
     assert_allclose(base.rotation @ reference.rotation.T @ [0.0, 0.0, 1.0], up, atol=ROUNDING)
     rise = (-up[0] * base.translation[0] - up[1] * base.translation[1]) / up[2]
     feet = np.mean([place[2] for place in contact_positions(body, body.reference).values()])
-    assert base.translation[2] - rise == pytest.approx(reference.translation[2] - feet, abs=1e-4)
+    over = reference.translation[2] - feet + body.contacts[0].radius / up[2]
+    assert base.translation[2] - rise == pytest.approx(over, abs=1e-4)
     for name, place in contact_positions(body, q).items():
-        assert up @ place == pytest.approx(0.0, abs=1e-6 * body.length)
+        assert up @ place == pytest.approx(body.contact(name).radius, abs=1e-6 * body.length)
         assert_allclose(place[:2], contact_positions(body, body.reference)[name][:2], atol=1e-6)
 
 
@@ -209,8 +211,10 @@ def test_stones_are_in_two_rows_under_the_feet_with_holes_between() -> None:
 def test_lengths_scale_with_the_robot() -> None:
     small, large = (problems.load("quadruped-stairs", robot=name) for name in ("solo12", "hyq"))
     ratio = large.robot.length / small.robot.length
-    for name in ("rise", "run", "clearance", "margin"):
+    for name in ("rise", "run", "clearance"):
         assert large.parameters[name] / small.parameters[name] == pytest.approx(ratio)
+    assert large.parameters["margin"] == pytest.approx(0.05 * large.robot.length)
+    assert small.parameters["margin"] == small.robot.contacts[0].radius  # a ball beside a riser
 
 
 def test_any_ground_can_be_planned_over() -> None:
@@ -264,10 +268,10 @@ def test_a_walk_over_waves_lands_on_them_and_swings_over_them() -> None:
     problem = problems.load("quadruped-waves", gait="walk", cycles=2, way=0.15)
     ground = problem.terrain
     assert isinstance(ground, SmoothTerrain)
-    solution = trajopt.solve(problem, compile="none")
-    assert solution.success, solution.meta["advice"]
+    solution = trajopt.solve(problem, compile="none", fixed_mesh=True)
+    assert solution.converged, solution.meta["advice"]
     report = trajopt.check(solution)
-    assert report.ok, report.failures()
+    assert report.within(AT_POINTS), report.failures(AT_POINTS)
     lift = problem.parameters["clearance"]
     assert isinstance(lift, float)
     begins, checked = starts_of(problem.schedule), 0
@@ -301,7 +305,7 @@ def is_node(t: float, begins: np.ndarray, index: int, counts: list[int], problem
 def test_a_trot_up_stairs_keeps_off_edges() -> None:
     problem = problems.load("quadruped-stairs", steps=2)
     solution = trajopt.solve(problem, compile="none", intervals=LEAST_GRID * len(problem.schedule.phases))
-    assert solution.success, solution.meta["advice"]
+    assert solution.converged, solution.meta["advice"]
     report = trajopt.check(solution)
-    assert report.ok, report.failures()
+    assert report.within(AT_POINTS), report.failures(AT_POINTS)
     assert report.patch_margin >= problem.parameters["margin"] - DRIFT

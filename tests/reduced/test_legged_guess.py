@@ -15,6 +15,7 @@ from trajopt.errors import InputError
 from trajopt.reduced.base_path import BaseWaypoint, WaypointPath, flights
 from trajopt.reduced.legged_guess import LeggedPosture, legged_guess
 from trajopt.robot.kinematics import contact_poses, contact_positions
+from trajopt.schedule.placing import footholds_at
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terrain.flat import FlatGround
 from trajopt_library import robots
@@ -156,8 +157,10 @@ def test_bad_waypoints_are_refused(solo, names):
 
 
 def test_feet_stand_where_the_schedule_has_them(solo, names):
-    places = {name: place + np.array([0.12, 0.01, 0.0]) for name, place in _feet(solo).items()}
-    guess = legged_guess(solo, hop(names, footholds=places), somersault(solo.reference[:3]))
+    way = np.array([0.12, 0.01, 0.0])
+    places = {name: place + way for name, place in _feet(solo).items()}
+    footholds = {name: place + way for name, place in footholds_at(solo, solo.reference).items()}
+    guess = legged_guess(solo, hop(names, footholds=footholds), somersault(solo.reference[:3]))
     for t in (0.0, 0.1, 0.3):
         _assert_feet(solo, guess(t), _feet(solo))
     for t in (0.7, 0.8, 1.0):
@@ -169,7 +172,9 @@ def test_feet_without_foothold_land_under_the_base(solo, names):
     guess = legged_guess(solo, schedule, points, terrain=FlatGround(height=0.01))
     # The middle of the landing is at 0.85 s.
     ahead = WaypointPath(schedule, points)(0.85).translation[0]
-    moved = {name: np.array([place[0] + ahead, place[1], 0.01]) for name, place in _feet(solo).items()}
+    moved = {
+        name: np.array([place[0] + ahead, place[1], place[2] + 0.01]) for name, place in _feet(solo).items()
+    }
     for t in (0.7, 0.85, 1.0):
         _assert_feet(solo, guess(t), moved)
 
@@ -208,12 +213,13 @@ def test_feet_do_not_jump_and_stay_above_the_ground_in_flight(solo, names):
 
 def test_a_swing_while_others_stand_is_an_arc_or_the_given_path(solo, names):
     lifted, held = names[0], names[1:]
-    goal = _feet(solo)[lifted] + [0.05, 0.0, 0.0]
+    way = np.array([0.05, 0.0, 0.0])
+    goal, foothold = _feet(solo)[lifted] + way, footholds_at(solo, solo.reference)[lifted] + way
     schedule = Schedule(
         (
             Phase(name="all", duration=0.2, contacts=names),
             Phase(name="three", duration=0.4, contacts=held),
-            Phase(name="again", duration=0.2, contacts=names, footholds={lifted: goal}),
+            Phase(name="again", duration=0.2, contacts=names, footholds={lifted: foothold}),
         )
     )
     still = [BaseWaypoint(time=0.0, position=solo.reference[:3])]

@@ -14,6 +14,7 @@ from tests.support.problems import reach
 from tests.support.scene_optima import SAME_MOTION, SAME_OPTIMUM, objective, solved
 from tests.support.scenes import FEET, biped, push, usual
 from trajopt import Contact, InputError, Phase, Schedule
+from trajopt.certify.report import AT_POINTS
 from trajopt.reduced.scenes.smallest import smallest
 from trajopt.robot.units import Units
 from trajopt.terms import (
@@ -85,7 +86,7 @@ def test_a_lifted_solution_holds_its_locked_joints_and_passes_the_check() -> Non
     made = smallest(push(biped(waist=True)))
     lifted = made.lift(solved(made.problem, 20))
     report = trajopt.check(lifted)
-    assert report.ok, report.failures()
+    assert report.within(AT_POINTS), report.failures(AT_POINTS)
     model = lifted.model
     for name in ARMS:
         joint = model.joints[model.getJointId(name)]

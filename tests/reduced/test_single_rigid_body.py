@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 
 import trajopt
 from tests.support.problems import FOOT, hop, hopper, planar_hopper
+from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
@@ -155,7 +156,7 @@ def test_the_problem_has_no_legs_and_no_torques_but_all_that_is_about_the_base()
 @pytest.mark.long
 def test_solution_flies_on_a_parabola_with_constant_momentum() -> None:
     _, solution = jump()
-    assert solution.success
+    assert solution.converged
     assert solution.tau.shape == (solution.n_samples, 0)
     model, data = solution.model, solution.model.createData()
     rows = solution.phases[1]
@@ -201,7 +202,8 @@ def test_footholds_come_from_the_schedule_or_from_the_guess_onto_the_ground() ->
     landing = problem.schedule.phases[2]
     feet = footholds_of(problem).supports[2].feet
     for name, point in landing.footholds.items():
-        assert_allclose(feet[name].position, point)
+        above = np.array([0.0, 0.0, problem.robot.contact(name).radius])
+        assert_allclose(feet[name].position, point + above)
     free = replace(hop(), guess=lambda t: hopper().reference + np.eye(9)[0] * 0.2 + np.eye(9)[2] * 0.1)
     found = footholds_of(free).supports[2].feet[FOOT].position
     start = feet_of(free.robot, free.initial_q)[FOOT].position
@@ -268,7 +270,7 @@ def test_full_jump_from_the_guess_of_one_body_reaches_the_same_optimum() -> None
     problem, solution = jump()
     guess = guess_from_srb(problem, solution)
     # On the problem's own grid: on 30 intervals this guess is nearer to an optimum whose feet slide.
-    found = [trajopt.solve(p) for p in (problem, replace(problem, guess=guess))]
-    assert all(s.success and s.meta["iterations"] <= MOST_ITERATIONS for s in found)
+    found = [trajopt.solve(p, fixed_mesh=True) for p in (problem, replace(problem, guess=guess))]
+    assert all(s.converged and s.meta["iterations"] <= MOST_ITERATIONS for s in found)
     assert found[1].meta["objective"] == pytest.approx(found[0].meta["objective"], rel=1e-4)
-    assert not trajopt.check(found[1]).failures()
+    assert not trajopt.check(found[1]).failures(AT_POINTS)

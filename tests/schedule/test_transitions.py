@@ -24,6 +24,7 @@ from tests.support.problems import (
     reach,
     still,
 )
+from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
@@ -141,9 +142,9 @@ def test_terms_that_a_velocity_source_cannot_have_are_refused(term, lacks):
 
 def test_acceleration_source_has_accelerations_but_no_torques():
     problem = replace(reach(), actuation="acceleration")
-    assert trajopt.solve(problem, compile="none").success
+    assert trajopt.solve(problem, compile="none", fixed_mesh=True).converged
     with pytest.raises(InputError, match="asks for torques, which a source of acceleration does not have"):
-        trajopt.solve(replace(problem, terms=(TorqueCost(weight=1.0),)), compile="none")
+        trajopt.solve(replace(problem, terms=(TorqueCost(weight=1.0),)), compile="none", fixed_mesh=True)
 
 
 @pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
@@ -158,11 +159,11 @@ def test_minimum_time_of_a_double_integrator_is_that_of_full_torque_both_ways(so
     solution = trajopt.solve(
         replace(problem, schedule=Schedule((phase,))), compile="none", intervals=20, solver=solver
     )
-    assert solution.success
+    assert solution.converged
     exact = 2 * math.sqrt(inertia * REACH / torque)
     assert solution.meta["durations"] == pytest.approx([exact], rel=SWITCH)
     assert solution.t[-1] == pytest.approx(solution.meta["durations"][0])
-    assert trajopt.check(solution).ok
+    assert trajopt.check(solution).within(AT_POINTS)
 
 
 def test_velocity_limits_hold_at_nodes_of_a_free_duration():
@@ -172,7 +173,7 @@ def test_velocity_limits_hold_at_nodes_of_a_free_duration():
     solution = trajopt.solve(
         replace(problem, robot=robot, schedule=Schedule((phase,))), compile="none", intervals=12
     )
-    assert solution.success
+    assert solution.converged
     assert np.abs(solution.v).max() == pytest.approx(2.0, rel=SOLVED)
 
 
@@ -183,14 +184,14 @@ def test_duration_keeps_within_its_bounds_and_a_fixed_one_is_a_free_one_without_
         for phase in landing().schedule.phases
     )
     free = trajopt.solve(replace(landing(), schedule=Schedule(narrow)), compile="none", intervals=10)
-    assert [fixed.success, free.success] == [True, True]
+    assert [fixed.converged, free.converged] == [True, True]
     assert free.meta["objective"] == pytest.approx(fixed.meta["objective"], rel=SOLVED)
     assert_allclose(free.q, fixed.q, atol=1e-3)
 
 
 def test_start_that_moves_keeps_its_velocity_whatever_the_duration():
     solution = trajopt.solve(moving_start(), compile="none", intervals=6)
-    assert solution.success
+    assert solution.converged
     assert_allclose(solution.v[0], moving_start().initial_v, atol=SOLVED)
     assert solution.meta["durations"][0] != pytest.approx(0.1)
 
@@ -199,7 +200,7 @@ def test_start_that_moves_keeps_its_velocity_whatever_the_duration():
 def test_impact_obeys_its_law_and_loses_energy():
     problem = landing(impact=True)
     solution = trajopt.solve(problem, compile="none", intervals=16)
-    assert solution.success
+    assert solution.converged
     model, after = solution.model, int(solution.impact_index[0])
     q, before, behind = solution.q[after], solution.v[after - 1], solution.v[after]
     assert_allclose(solution.q[after - 1], q, atol=1e-12)
@@ -253,8 +254,8 @@ def test_kinematic_reach_of_an_arm_solves_with_less_than_a_dynamic_one():
     )
     sizes = [prepare(p, compile="none").transcription.layout.n_unknowns for p in (dynamic, kinematic)]
     assert sizes[1] < sizes[0]
-    solution = trajopt.solve(kinematic, compile="none")
-    assert solution.success
+    solution = trajopt.solve(kinematic, compile="none", fixed_mesh=True)
+    assert solution.converged
     # Least squares of rates between two postures is a straight line in the joints.
     line = np.linspace(solution.q[0], solution.q[-1], 31)
     nodes = solution.q[np.searchsorted(solution.t, np.linspace(0, solution.t[-1], 31) - 1e-9)]

@@ -60,7 +60,7 @@ def test_saved_solution_is_read_back_exactly(which, request, tmp_path):
         np.testing.assert_array_equal(getattr(loaded, name), getattr(solution, name))
     assert loaded.meta == solution.meta
     assert loaded.model == robots.load(solution.meta["robot"]).limited_model()
-    assert loaded.success
+    assert loaded.converged
     assert loaded.n_intervals == solution.n_intervals
 
 

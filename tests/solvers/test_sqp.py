@@ -126,8 +126,8 @@ def test_after_a_small_change_a_start_from_the_solution_takes_fewer_steps():
     first = solve(lean(), solver="sqp", compile="none")
     changed = replace(lean(), initial_v=1.02 * lean().initial_v)
     cold, warm = (solve(changed, solver="sqp", compile="none", start=s) for s in (None, first))
-    assert cold.success
-    assert warm.success
+    assert cold.converged
+    assert warm.converged
     assert warm.meta["iterations"] < cold.meta["iterations"]
     assert warm.meta["objective"] == pytest.approx(cold.meta["objective"], rel=SAME_OBJECTIVE)
 

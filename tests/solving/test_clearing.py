@@ -16,8 +16,8 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
 from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
-from trajopt.solving.clearing import solve_clear
 from trajopt.solving.exchange import TOO_NEAR, Exchange
+from trajopt.solving.graded import solve as solve_graded
 from trajopt.solving.solving import solve
 from trajopt_library.problems.common import PosturePath
 
@@ -35,7 +35,7 @@ def least(problem: Problem, solution: Solution) -> float:
 
 def test_clear_motion_is_solved_once():
     problem = past(swing(), FAR)
-    solution = solve_clear(problem, compile="none")
+    solution = solve_graded(problem, fixed_mesh=True, compile="none")
     assert solution.meta["constraints"] == solve(swing(), compile="none").meta["constraints"]
     assert check(solution).obstacle_distance > 1
 
@@ -55,7 +55,7 @@ def test_pole_is_not_passed_between_points():
     problem = past(swing(), POLE)
     slipped = solve(problem, compile="none")
     assert least(problem, slipped) < -0.1
-    solution = solve_clear(problem, compile="none")
+    solution = solve_graded(problem, fixed_mesh=True, compile="none")
     assert solution.success
     assert least(problem, solution) > -TOO_NEAR
     assert check(solution).ok
@@ -67,7 +67,7 @@ def test_obstacle_in_the_way_is_passed_on_the_side_of_the_guess(side):
     bent = np.array([0.45, 1.2 * side, 0.0])
     guess = PosturePath(model=rods().model, postures=(START, bent, END), durations=(0.75, 0.75))
     problem = past(swing(guess=guess), POLE)
-    solution = solve_clear(problem, compile="none")
+    solution = solve_graded(problem, fixed_mesh=True, compile="none")
     assert solution.success
     assert least(problem, solution) > -TOO_NEAR
     elbow = solution.q[:, 1]
@@ -83,7 +83,7 @@ def test_links_keep_clear_of_each_other():
         margin=0.028,
     )
     assert least(problem, solve(problem, compile="none")) < -5 * TOO_NEAR
-    solution = solve_clear(problem, compile="none")
+    solution = solve_graded(problem, fixed_mesh=True, compile="none")
     assert solution.success
     assert -TOO_NEAR < least(problem, solution) < TOO_NEAR
     report = check(solution)
@@ -95,7 +95,7 @@ def test_without_self_collision_links_may_come_near():
     robot = replace(rods(), reference=np.array([0.0, 1.0, 1.0]))
     ends = np.array([0.0, 1.2, 2.7]), np.array([0.0, 2.6, 1.4])
     problem = past(swing(*ends, robot=robot), self_collision=False, margin=0.028)
-    solution = solve_clear(problem, compile="none")
+    solution = solve_graded(problem, fixed_mesh=True, compile="none")
     assert solution.meta["objective"] == pytest.approx(
         solve(swing(*ends, robot=robot), compile="none").meta["objective"], rel=EQUAL
     )
@@ -103,14 +103,14 @@ def test_without_self_collision_links_may_come_near():
 
 def test_motion_that_is_not_solved_is_returned_as_it_is():
     problem = past(swing(), BALL)
-    solution = solve_clear(problem, compile="none", max_iterations=0)
+    solution = solve_graded(problem, fixed_mesh=True, compile="none", max_iterations=0)
     assert not solution.success
 
 
 def test_goal_in_an_obstacle_is_returned_with_what_is_missing():
     over = replace(BALL, centre=np.array([1.3, 0.0, 0.5]))
     problem = past(swing(), over)
-    solution = solve_clear(problem, compile="none")
+    solution = solve_graded(problem, fixed_mesh=True, compile="none")
     exchange = Exchange(problem)
     assert exchange.missing(exchange.look(solution)) == (("joint2", "ball"),)
     assert "obstacle_distance" in check(solution).failures()
@@ -140,7 +140,7 @@ def test_knees_of_a_far_jump_stay_out_of_the_ground():
     problem = trajopt.load("solo12-jump", distance=0.8)
     grid = {"transcription": "legendre:3", "intervals": 20, "compile": "none"}
     assert depth_in_ground(problem.robot, solve(problem, **grid)) > 0.1
-    solution = solve_clear(problem, **grid)
+    solution = solve_graded(problem, **grid)
     assert solution.success
     assert check(solution).ok
     assert depth_in_ground(problem.robot, solution) < DEPTH

@@ -38,7 +38,7 @@ def by_interval(solution: Solution, name: str) -> np.ndarray:
 @pytest.mark.parametrize("name", SCHEMES)
 def test_samples_are_start_points_and_end_of_each_interval(name):
     solution, method = solved(name), scheme(name)
-    assert solution.meta["status"] == "solved"
+    assert solution.converged
     assert solution.n_samples == INTERVALS * (method.s + 2)
     assert_array_equal(by_interval(solution, "collocation")[0], [False] + [True] * method.s + [False])
     assert_array_equal(
@@ -56,7 +56,7 @@ def test_extracted_solution_is_a_consistent_file(name, tmp_path):
     solution = solved(name)
     read = Solution.load(solution.save(tmp_path / "hop.npz"))
     assert_array_equal(read.q, solution.q)
-    assert read.meta["status"] == "solved"
+    assert read.converged
 
 
 @pytest.mark.parametrize("name", SCHEMES)

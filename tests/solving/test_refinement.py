@@ -148,7 +148,7 @@ def test_target_below_rounding_is_not_reached_and_says_why():
     found = refine(reach(), 1e-300, compile="none", max_rounds=2)
     assert not found.reached
     assert found.why == "2 rounds were not enough"
-    assert found.solution.success
+    assert found.solution.converged
     assert found.to_dict()["reached"] is False
 
 
@@ -156,7 +156,7 @@ def test_limit_of_unknowns_stops_with_the_best_solution():
     found = refine(hop(), 1e-8, compile="none", max_variables=300)
     assert not found.reached
     assert "more than 300 variables" in found.why
-    assert found.solution.success
+    assert found.solution.converged
 
 
 def test_problem_without_a_solution_is_told_as_such():

@@ -148,7 +148,7 @@ def test_states_between_schemes_agree_to_the_collocation_error():
 
 def test_another_duration_scales_rates_and_accelerations():
     slower = replace(reach(), schedule=Schedule((Phase(name="reach", duration=2 * REACH_TIME),)))
-    coarse = trajopt.solve(reach(), compile="none")
+    coarse = trajopt.solve(reach(), compile="none", fixed_mesh=True)
     t = prepare(slower, transcription="legendre:3", intervals=9, compile="none").transcription
     motion = extract(t, warm_start(t, coarse).x, {})
     s = motion.t / (2 * REACH_TIME)
@@ -203,9 +203,11 @@ def test_soft_and_hard_landings_start_from_each_other():
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_solve_started_at_its_solution_ends_there(solver):
     # The SQP does not find this hop from a guess that stands.
-    first = trajopt.solve(hop(), compile="none", solver="ipopt" if solver == "sqp" else solver)
-    again = trajopt.solve(hop(), compile="none", solver=solver, start=first)
-    assert again.success
+    first = trajopt.solve(
+        hop(), compile="none", solver="ipopt" if solver == "sqp" else solver, fixed_mesh=True
+    )
+    again = trajopt.solve(hop(), compile="none", solver=solver, start=first, fixed_mesh=True)
+    assert again.converged
     assert again.meta["warm_start"] is True
     assert first.meta["warm_start"] is False
     assert again.meta["iterations"] < first.meta["iterations"]
@@ -215,10 +217,13 @@ def test_a_solve_started_at_its_solution_ends_there(solver):
 
 
 def test_multipliers_of_fatrop_start_ipopt():
-    first = trajopt.solve(hop(), compile="none", solver="fatrop", tolerance=1e-8)
-    again = trajopt.solve(hop(), compile="none", start=first)
-    assert again.success
-    assert again.meta["iterations"] <= trajopt.solve(hop(), compile="none").meta["iterations"] / 2
+    first = trajopt.solve(hop(), compile="none", solver="fatrop", tolerance=1e-8, fixed_mesh=True)
+    again = trajopt.solve(hop(), compile="none", start=first, fixed_mesh=True)
+    assert again.converged
+    assert (
+        again.meta["iterations"]
+        <= trajopt.solve(hop(), compile="none", fixed_mesh=True).meta["iterations"] / 2
+    )
 
 
 def test_multipliers_on_a_finer_grid_are_near_those_found_there():
@@ -234,21 +239,24 @@ def test_multipliers_on_a_finer_grid_are_near_those_found_there():
 
 
 def test_multipliers_survive_the_file(tmp_path):
-    solution = trajopt.solve(hop(), compile="none")
+    solution = trajopt.solve(hop(), compile="none", fixed_mesh=True)
     loaded = Solution.load(solution.save(tmp_path / "hop.npz"))
     assert_array_equal(loaded.row_multiplier, solution.row_multiplier)
     assert_array_equal(loaded.bound_multiplier, solution.bound_multiplier)
-    assert trajopt.solve(hop(), compile="none", start=tmp_path / "hop.npz").meta["iterations"] <= 1
+    assert (
+        trajopt.solve(hop(), compile="none", start=tmp_path / "hop.npz", fixed_mesh=True).meta["iterations"]
+        <= 1
+    )
 
 
 def test_a_solution_without_multipliers_starts_too(tmp_path):
-    first = trajopt.solve(hop(), compile="none")
+    first = trajopt.solve(hop(), compile="none", fixed_mesh=True)
     bare = replace(first, row_multiplier=None, row_place=None, bound_multiplier=None)
     loaded = Solution.load(bare.save(tmp_path / "hop.npz"))
     t = solved_hop().transcription
     assert warm_start(t, loaded).multipliers is None
-    again = trajopt.solve(hop(), compile="none", start=loaded)
-    assert again.success
+    again = trajopt.solve(hop(), compile="none", start=loaded, fixed_mesh=True)
+    assert again.converged
     assert again.meta["iterations"] < first.meta["iterations"]
 
 

@@ -43,12 +43,12 @@ def test_phases_of_other_names_are_mapped_by_order():
 @pytest.mark.parametrize("start", [5, {}, b"file"])
 def test_a_start_that_is_no_solution_is_refused(start):
     with pytest.raises(InputError, match="is not a solution; allowed: a Solution or the path"):
-        trajopt.solve(reach(), compile="none", start=start)
+        trajopt.solve(reach(), compile="none", start=start, fixed_mesh=True)
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(SolutionFileError, match="does not exist"):
-        trajopt.solve(reach(), compile="none", start=tmp_path / "none.npz")
+        trajopt.solve(reach(), compile="none", start=tmp_path / "none.npz", fixed_mesh=True)
 
 
 @pytest.mark.parametrize(

@@ -172,7 +172,7 @@ def test_active_limits_are_those_that_the_torques_of_the_solution_reach():
     """With the least acceleration the torque falls linearly from its largest value: cut off at 0.8 of it."""
     limit = 0.8 * 6 * REACH / REACH_TIME**2 * inertia()
     problem = limited_reach(limit)
-    solution = trajopt.solve(problem, compile="none")
+    solution = trajopt.solve(problem, compile="none", fixed_mesh=True)
     found = diagnose(solution, problem)
     tau = solution.tau[solution.collocation, 0]
     sides = {active.side: active for active in found.limits if active.block == "effort_limits"}
@@ -208,7 +208,7 @@ def least_violation(snapshot: Snapshot) -> float:
 def test_a_goal_that_torques_do_not_reach_is_named_with_them():
     """The least torque that gets there in time switches once: 4 I angle / T^2. Here is half of it."""
     problem = limited_reach(0.5 * 4 * REACH / REACH_TIME**2 * inertia())
-    solution = trajopt.solve(problem, compile="none")
+    solution = trajopt.solve(problem, compile="none", fixed_mesh=True)
     assert not solution.success
     found = diagnose(solution, problem)
     assert found.conflict is not None
@@ -223,7 +223,7 @@ def test_a_goal_that_torques_do_not_reach_is_named_with_them():
 
 def test_an_iterate_that_is_only_early_is_not_called_a_conflict():
     problem = hop()
-    solution = trajopt.solve(problem, compile="none", max_iterations=2)
+    solution = trajopt.solve(problem, compile="none", max_iterations=2, fixed_mesh=True)
     found = diagnose(solution, problem)
     assert found.status == "iteration_limit"
     assert found.conflict is not None

@@ -156,7 +156,9 @@ def test_a_failed_solve_has_its_mode(problem: str, changes: dict[str, Any], mode
 @pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
 def test_the_primal_figure_is_the_largest_violation_of_a_row(solver: str):
     """The solver's own figure, against all rows evaluated anew at the iterate it left."""
-    solution = solve(suite_problems.coarse(), solver=solver, max_iterations=3, compile="none")
+    solution = solve(
+        suite_problems.coarse(), solver=solver, max_iterations=3, compile="none", fixed_mesh=True
+    )
     assert solution.meta["status"] == "iteration_limit"
     assert solution.meta["primal_infeasibility"] == pytest.approx(solution.meta["max_violation"], rel=SLACK)
 
@@ -206,7 +208,7 @@ def test_a_pair_is_solved_as_the_library_solves_it(tmp_path: Path):
     outcome = run_pairs(["t-coarse"], settings, folder=tmp_path)["t-coarse"]
     for start in (outcome.own, *outcome.starts):
         noise = {} if start.seed is None else {"seed": start.seed, "perturb": 0.2}
-        solution = solve(suite_problems.coarse(), compile="none", **noise)
+        solution = solve(suite_problems.coarse(), compile="none", **noise, fixed_mesh=True)
         assert start.iterations == solution.meta["iterations"]
         assert start.objective == pytest.approx(solution.meta["objective"], rel=SAME)
         assert start.solved == solution.success

@@ -15,11 +15,11 @@ from tests.support import suite_problems
 from tests.support.problems import reach
 from tests.support.suite_outcomes import outcome_of
 from trajopt import check, solve
+from trajopt.certify.report import AT_POINTS
 from trajopt.errors import InputError
 from trajopt.study.suite import data
 from trajopt.study.suite.outcome import Outcome, quantile
 from trajopt.study.suite.records import SuiteRecords
-from trajopt.study.suite.run import worst_figure
 from trajopt.study.suite.settings import SuiteSettings
 from trajopt.study.suite.versions import versions
 
@@ -32,10 +32,10 @@ STARTS = replace(VIRTUAL_MACHINE, perturbed=3)
 
 def test_the_worst_figure_is_beyond_where_the_check_fails():
     for problem in (reach(), suite_problems.coarse()):
-        report = check(solve(problem, compile="none"))
-        name, used = worst_figure(report)
-        assert (used > 1) == (not report.ok)
-        assert report.ok or name in report.failures()
+        report = check(solve(problem, compile="none", fixed_mesh=True))
+        name, used = report.worst(AT_POINTS)
+        assert (used > 1) == (not report.within(AT_POINTS))
+        assert report.within(AT_POINTS) or name in report.failures(AT_POINTS)
 
 
 @pytest.mark.parametrize("part", [0.1, 0.5, 0.9, 1.0])

@@ -16,7 +16,7 @@ def solved(problem: Problem, intervals: int | None = None) -> Solution:
     solution = trajopt.solve(
         problem, intervals=intervals, compile="none", tolerance=SOLVED, max_iterations=MOST_ITERATIONS
     )
-    assert solution.success, solution.meta["advice"]
+    assert solution.converged, solution.meta["advice"]
     return solution
 
 

@@ -14,7 +14,7 @@ from trajopt.robot.collision.shapes import CapsuleObstacle, Obstacle, SphereObst
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solution.solution import Solution
-from trajopt.solving.clearing import solve_clear
+from trajopt.solving.graded import solve as solve_graded
 from trajopt.terms import AccelerationCost, Clearance, TerminalRest, TerminalState
 from trajopt.terrain.flat import FlatGround
 from trajopt_library.problems.common import PosturePath
@@ -72,4 +72,4 @@ def past(problem: Problem, *obstacles: Obstacle, **changes: object) -> Problem:
 def avoided() -> tuple[Problem, Solution]:
     """The swing past the ball, solved until it is clear."""
     problem = past(swing(), BALL, FAR)
-    return problem, solve_clear(problem, compile="none")
+    return problem, solve_graded(problem, fixed_mesh=True, compile="none")

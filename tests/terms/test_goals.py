@@ -26,7 +26,7 @@ def test_tool_passes_its_goal_with_the_velocity_asked(solver):
         solver=solver,
         intervals=15,
     )
-    assert solution.success
+    assert solution.converged
     model, data = reach.robot.model, reach.robot.model.createData()
     pin.forwardKinematics(model, data, solution.q[-1], solution.v[-1])
     frame = model.getFrameId(TOOL)

@@ -107,7 +107,7 @@ def test_highest_point_is_that_of_full_thrust(goal, solver):
         "distance": DistanceCost(weight=1.0, frame="top", direction=(0.0, 0.0, 1.0)),
     }
     solution = solve(thrust(costs[goal]), solver=solver)
-    assert solution.success
+    assert solution.converged
     acceleration = PUSH / 2.0 - 9.81
     assert_allclose(solution.q[-1], acceleration * THRUST_TIME**2 / 2, rtol=SOLVED)
     assert_allclose(solution.tau, PUSH, rtol=SOLVED)
@@ -217,7 +217,7 @@ def test_least_time_of_a_double_integrator_is_bang_bang(solver):
         ),
     )  # fmt: skip
     solution = solve(problem, solver=solver, intervals=10)
-    assert solution.success
+    assert solution.converged
     assert_allclose(solution.meta["durations"], 2 * math.sqrt(REACH * inertia / torque), rtol=SOLVED)
 
 
@@ -245,8 +245,8 @@ def test_goals_of_half_a_robot_are_those_of_the_whole():
     made = smallest(problem, keep=("left_abduction", "right_abduction", "left_arm", "right_arm"), plane=True)
     assert made.report.is_exact
     whole, half = (solve(own, compile="none", tolerance=1e-8) for own in (problem, made.problem))
-    assert whole.success
-    assert half.success
+    assert whole.converged
+    assert half.converged
     assert_allclose(half.meta["objective"], whole.meta["objective"], rtol=SAME_OPTIMUM)
 
 

@@ -224,7 +224,7 @@ def test_a_hop_lands_on_smooth_ground_with_forces_in_the_cone_of_its_normal(fric
         guess=lambda t: start,
     )
     solution = solve(problem, compile="none")
-    assert solution.success, solution.meta["advice"]
+    assert solution.converged, solution.meta["advice"]
     report = check(solution)
     assert report.landing_height < SOLVED
     assert report.friction_margin > -SOLVED

@@ -47,7 +47,7 @@ def kept(problem: Problem, **settings: Any) -> list[Iterate]:
         found.append(iterate)
 
     settings = {"transcription": "legendre:2", "compile": "none", **settings}
-    solve(problem, watch=keep, **settings)
+    solve(problem, watch=keep, **settings, fixed_mesh=True)
     return found
 
 
@@ -79,9 +79,9 @@ def test_configurations_at_nodes_are_those_of_the_solution(name: str):
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_watching_changes_neither_iterations_nor_result(solver: str):
     settings: dict[str, Any] = {"solver": solver, "transcription": "legendre:2", "compile": "none"}
-    alone = solve(lean(), **settings)
+    alone = solve(lean(), **settings, fixed_mesh=True)
     with Viewer() as viewer:
-        watched = solve(lean(), watch=viewer, **settings)
+        watched = solve(lean(), watch=viewer, **settings, fixed_mesh=True)
         assert viewer.flush(LIMIT)
         assert viewer.drawn >= 2
     assert watched.meta["iterations"] == alone.meta["iterations"]
@@ -116,7 +116,7 @@ def test_the_end_is_the_solution_and_the_guess_the_start():
 
 def test_unknowns_that_were_not_read_in_time_are_refused():
     found: list[Iterate] = []
-    solve(hop(), compile="none", watch=found.append, max_iterations=2)
+    solve(hop(), compile="none", watch=found.append, max_iterations=2, fixed_mesh=True)
     with pytest.raises(RuntimeError, match="during its callback only"):
         _ = found[1].unknowns
 
@@ -326,10 +326,10 @@ def test_a_viewer_whose_server_dies_is_one_warning_and_the_solve_goes_on():
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        found = solve(hop(), compile="none", watch=watch)
+        found = solve(hop(), compile="none", watch=watch, fixed_mesh=True)
         viewer.flush(LIMIT)
         viewer.close()
-    assert found.success
+    assert found.converged
     (text,) = [str(warning.message) for warning in caught if "viewer" in str(warning.message)]
     assert text.startswith("the viewer has stopped, solving goes on")
 

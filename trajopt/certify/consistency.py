@@ -34,25 +34,29 @@ def interval_gaps(solution: Solution) -> IntegrationGaps:
     collocation points. Both vanish up to rounding for collocation of the acceleration; schemes
     that are inconsistent within an interval (semi-implicit Euler) show their step error.
     """
-    found = [_interval(solution, rows) for rows in solution.intervals]
+    counts = np.array([len(rows) for rows in solution.intervals])
+    same = (np.flatnonzero(counts == size) for size in set(counts.tolist()))
+    found = [_intervals(solution, numbers) for numbers in same]
     return IntegrationGaps(max(gap.position for gap in found), max(gap.velocity for gap in found))
 
 
-def _interval(solution: Solution, rows: range) -> IntegrationGaps:
-    start, end = solution.interval_t[solution.interval[rows.start]]
-    fractions = (solution.t[rows.start : rows.stop] - start) / (end - start)
-    points = np.flatnonzero(solution.collocation[rows.start : rows.stop])
-    local = [local_state(solution.model, solution.q[rows.start], *_state(solution, row)) for row in rows]
-    xi, rate, second = (np.array(part) for part in zip(*local, strict=True))
-    distinct = np.concatenate([[0], 1 + np.flatnonzero(np.diff(fractions) > SAME_POINT)])
-    step = end - start
-    position = xi[-1] - xi[0] - step * quadrature_weights(fractions[distinct]) @ rate[distinct]
-    velocity = rate[-1] - rate[0] - step * quadrature_weights(fractions[points]) @ second[points]
-    return IntegrationGaps(float(np.abs(position).max()), float(np.abs(velocity).max()))
-
-
-def _state(solution: Solution, row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return solution.q[row], solution.v[row], solution.a[row]
+def _intervals(solution: Solution, numbers: np.ndarray) -> IntegrationGaps:
+    """Gaps of intervals with the same number of samples."""
+    rows = np.array([solution.intervals[number] for number in numbers])
+    start, step = solution.interval_t[numbers, :1], np.diff(solution.interval_t[numbers], axis=1)
+    fractions, points = (solution.t[rows] - start) / step, solution.collocation[rows]
+    origin = solution.q[rows[:, :1]]
+    xi, rate, second = local_state(
+        solution.model, origin, solution.q[rows], solution.v[rows], solution.a[rows]
+    )
+    worst = np.zeros(2)
+    for i, h in enumerate(step[:, 0]):
+        distinct = np.concatenate([[0], 1 + np.flatnonzero(np.diff(fractions[i]) > SAME_POINT)])
+        inner = points[i]
+        position = xi[i, -1] - xi[i, 0] - h * quadrature_weights(fractions[i, distinct]) @ rate[i, distinct]
+        velocity = rate[i, -1] - rate[i, 0] - h * quadrature_weights(fractions[i, inner]) @ second[i, inner]
+        worst = np.maximum(worst, [np.abs(position).max(), np.abs(velocity).max()])
+    return IntegrationGaps(*worst.tolist())
 
 
 def quadrature_weights(fractions: np.ndarray) -> np.ndarray:

@@ -2,43 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
-from trajopt.certify.samples import SampleQuantities, largest, least
+from trajopt.certify.samples import ContactPlaces
 from trajopt.certify.sliding import held_part, sliding_error
+from trajopt.certify.traces import Trace, Traces
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.robot.sole import pressure_rows, yaw_rows
 from trajopt.solution.descriptions import patches_of
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces
 
-_Figures = dict[str, float | None]
 
-
-def force_figures(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> _Figures:
+def force_traces(plan: Solution, places: ContactPlaces, surfaces: TouchedSurfaces) -> Traces:
     """Margins of contact forces over the weight; none on bilateral surfaces."""
     weight = mass_of(plan.model) * gravity_of(plan.model)
-    points = plan.collocation[:, None]
-    force = plan.f[..., :3] / weight
+    force, frames = plan.f[..., :3] / weight, plan.contact_frames
     normal = surfaces.along_normal(force)
     tangential = np.linalg.norm(force - normal[..., None] * surfaces.normal, axis=-1)
-    margin = surfaces.friction * normal - tangential
     pressed = plan.active & ~surfaces.bilateral
     return {
-        "friction_margin": least(margin[pressed & points]),
-        "friction_margin_between": least(margin[pressed & ~points]),
-        "unilateral_margin": least(normal[pressed & points]),
-        "sole_margin": _sole_margin(plan, samples, surfaces, weight),
-        "sliding_friction": sliding_error(plan, samples, surfaces),
-        "inactive_force": largest(np.abs(plan.f[~plan.active]) / weight),
+        "friction_margin": Trace.of(surfaces.friction * normal - tangential, pressed, frames, margin=True),
+        "unilateral_margin": Trace.of(normal, pressed, frames, margin=True),
+        "sole_margin": _sole_margin(plan, places, surfaces, weight),
+        "sliding_friction": sliding_error(plan, places.velocity[..., :3], surfaces),
     }
 
 
-def _sole_margin(
-    plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces, weight: float
-) -> float | None:
+def inactive_force(plan: Solution) -> Trace:
+    """Largest component of a wrench of an inactive contact over the weight."""
+    weight = mass_of(plan.model) * gravity_of(plan.model)
+    size = np.abs(plan.f).max(axis=-1, initial=0.0) / weight
+    return Trace.of(size, ~plan.active, plan.contact_frames)
+
+
+def _sole_margin(plan: Solution, places: ContactPlaces, surfaces: TouchedSurfaces, weight: float) -> Trace:
     """Least distance from the limits of pressure and yaw moment in the sole's axes, weight times metre.
 
     Half sizes [half_length, half_width] come from the optional key ``contact_sizes`` of meta (null for a
@@ -46,87 +46,102 @@ def _sole_margin(
     axes leaves of it: beyond that no distribution of forces in Coulomb's cones exists.
     """
     sizes = plan.meta.get("contact_sizes")
+    margin, counts = np.zeros(plan.active.shape), np.zeros(plan.active.shape, dtype=bool)
     if not isinstance(sizes, list) or len(sizes) != plan.f.shape[1]:
-        return None
-    found = []
+        sizes = [None] * plan.f.shape[1]
     for index in np.flatnonzero(is_sole(plan)):
-        rows = plan.active[:, index] & ~surfaces.bilateral[:, index] & plan.collocation
+        rows = plan.active[:, index] & ~surfaces.bilateral[:, index]
         if sizes[index] is None or not rows.any():
             continue
         size = (float(sizes[index][0]), float(sizes[index][1]))
-        to_sole = np.swapaxes(samples.rotation[rows, index], -1, -2)
+        to_sole = np.swapaxes(places.rotation[rows, index], -1, -2)
         force, moment = (
             np.einsum("kij,kj->ik", to_sole, part) / weight
             for part in (plan.f[rows, index, :3], plan.f[rows, index, 3:])
         )
         margins = pressure_rows(force, moment, size)
         margins += yaw_rows(force, moment, size, surfaces.friction[rows, index])
-        found.append(float(np.min(margins)))
-    return min(found) if found else None
+        counts[rows, index], margin[rows, index] = True, np.min(margins, axis=0)
+    return Trace.of(margin, counts, plan.contact_frames, margin=True)
 
 
-def place_figures(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> _Figures:
-    """Where contacts are, and whether they stay: over all samples, and from the start of each phase.
+@dataclass(frozen=True, kw_only=True)
+class ContactStarts:
+    """Where contacts begin, by phase: positions (n_phases, nc, 3), rotations (n_phases, nc, 3, 3).
+
+    phase: at the phase's start. stance: at the touchdown, in whatever phase that was. rows: (n_phases,) the
+    first sample of each phase.
+    """
+
+    phase: np.ndarray
+    stance: np.ndarray
+    rotation: np.ndarray
+    rows: np.ndarray
+
+    @classmethod
+    def of(cls, plan: Solution, places: ContactPlaces, surfaces: TouchedSurfaces) -> ContactStarts:
+        """Read them from a plan's own samples."""
+        rows = np.array([phase.start for phase in plan.phases])
+        held = held_part(places.position, surfaces)[rows]
+        stance = held.copy()
+        for later in range(1, len(rows)):
+            goes_on = plan.active[rows[later]] & plan.active[rows[later - 1]]
+            stance[later, goes_on] = stance[later - 1, goes_on]
+        return cls(phase=held, stance=stance, rotation=places.rotation[rows], rows=rows)
+
+
+def place_traces(
+    plan: Solution, places: ContactPlaces, surfaces: TouchedSurfaces, starts: ContactStarts
+) -> Traces:
+    """Where contacts are, and whether they stay where they began.
 
     ``stance_drift`` is from a touchdown to the lift-off, whatever phases that spans. Of sliding contacts,
     only motion along the normal counts.
     """
-    drift, turn, landing = [], [], []
-    distance, moved = surfaces.distance(samples.position), held_part(samples.position, surfaces)
-    for phase in plan.phases:
-        for index in np.flatnonzero(plan.active[phase.start]):
-            rows = slice(phase.start, phase.stop)
-            drift.append(_way(moved[rows, index]))
-            if surfaces.known[phase.start, index]:
-                landing.append(abs(distance[phase.start, index]))
-            if is_sole(plan)[index]:
-                turn.append(_turn(samples.rotation[rows, index]))
-    stances = [_way(moved[first:stop, index]) for index, first, stop in _stances(plan)]
-    speed = np.linalg.norm(held_part(samples.velocity[..., :3], surfaces)[plan.active], axis=1)
+    frames, active, phase = plan.contact_frames, plan.active, plan.phase
+    distance, held = surfaces.distance(places.position), held_part(places.position, surfaces)
+    speed = np.linalg.norm(held_part(places.velocity[..., :3], surfaces), axis=-1)
+    soles = active & is_sole(plan)
     return {
-        "contact_velocity": largest(speed),
-        "penetration": largest(np.maximum(-distance[surfaces.known], 0.0)),
-        "landing_height": largest(np.array(landing)),
-        "foot_drift": largest(np.array(drift)),
-        "stance_drift": largest(np.array(stances)),
-        "foot_turn": largest(np.array(turn)),
-        "sole_tilt": _sole_tilt(plan, samples, surfaces),
-        "patch_margin": _patch_margin(plan, samples),
+        "contact_velocity": Trace.of(speed, active, frames),
+        "penetration": Trace.of(np.maximum(-distance, 0.0), surfaces.known, frames),
+        "foot_drift": Trace.of(np.linalg.norm(held - starts.phase[phase], axis=-1), active, frames),
+        "stance_drift": Trace.of(np.linalg.norm(held - starts.stance[phase], axis=-1), active, frames),
+        "foot_turn": Trace.of(_angle(places.rotation - starts.rotation[phase], np.sqrt(8)), soles, frames),
+        "sole_tilt": Trace.of(
+            _angle(places.rotation[..., 2] - surfaces.normal, 2.0), soles & surfaces.known, frames
+        ),
+        "patch_margin": _patch_margin(plan, places),
     }
 
 
-def _way(places: np.ndarray) -> float:
-    """Largest distance (m) of positions (n, 3) from the first."""
-    return float(np.linalg.norm(places - places[0], axis=1).max())
+def landing_height(
+    plan: Solution, places: ContactPlaces, surfaces: TouchedSurfaces, starts: ContactStarts
+) -> Trace:
+    """Distance (K, nc) of active contacts from their surface, unsigned, at the start of their phase."""
+    begins = np.zeros((plan.n_samples, 1), dtype=bool)
+    begins[starts.rows] = True
+    height = np.abs(surfaces.distance(places.position))
+    return Trace.of(height, begins & plan.active & surfaces.known, plan.contact_frames)
 
 
-def _stances(plan: Solution) -> Iterator[tuple[int, int, int]]:
-    """Contact, first sample and the one behind the last, of every stretch of phases with it active."""
-    for index in range(plan.active.shape[1]):
-        first: int | None = None
-        for phase in plan.phases:
-            if plan.active[phase.start, index]:
-                first = phase.start if first is None else first
-            elif first is not None:
-                yield index, first, phase.start
-                first = None
-        if first is not None:
-            yield index, first, plan.n_samples
-
-
-def _patch_margin(plan: Solution, samples: SampleQuantities) -> float | None:
+def _patch_margin(plan: Solution, places: ContactPlaces) -> Trace:
     """Least distance (m) of active contacts (of a sole: its corners) inside the edges of their patches."""
-    frames, sizes, found = list(plan.contact_frames), plan.meta.get("contact_sizes") or [], []
+    frames, sizes = list(plan.contact_frames), plan.meta.get("contact_sizes") or []
+    margin, counts = np.zeros(plan.active.shape), np.zeros(plan.active.shape, dtype=bool)
     for phase, patches in enumerate(patches_of(plan.meta.get("patches"))):
         for frame, patch in patches.items():
             index = frames.index(frame)
             rows = plan.active[:, index] & (plan.phase == phase)
-            places = samples.position[rows, index][:, None]
+            if not rows.any():
+                continue
+            position = places.position[rows, index][:, None]
             if is_sole(plan)[index] and index < len(sizes) and sizes[index]:
                 corners = np.array([[x, y, 0] for x in (-1, 1) for y in (-1, 1)]) * [*sizes[index], 0.0]
-                places = places + np.einsum("kij,cj->kci", samples.rotation[rows, index], corners)
-            found.append(patch.inside(places).ravel())
-    return least(np.concatenate([np.zeros(0), *found]))
+                position = position + np.einsum("kij,cj->kci", places.rotation[rows, index], corners)
+            inside = patch.inside(position).reshape(len(position), -1)
+            counts[rows, index], margin[rows, index] = True, inside.min(axis=1)
+    return Trace.of(margin, counts, plan.contact_frames, margin=True)
 
 
 def is_sole(plan: Solution) -> np.ndarray:
@@ -134,14 +149,7 @@ def is_sole(plan: Solution) -> np.ndarray:
     return np.array([kind == "surface" for kind in plan.meta["contact_kinds"]], dtype=bool)
 
 
-def _sole_tilt(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> float | None:
-    """Largest angle (rad) between an active sole's z axis and its surface's normal, exact for small ones."""
-    flat = plan.active & is_sole(plan) & surfaces.known
-    chord = np.linalg.norm(samples.rotation[flat][..., 2] - surfaces.normal[flat], axis=-1)
-    return largest(2 * np.arcsin(np.minimum(chord / 2, 1.0)))
-
-
-def _turn(rotation: np.ndarray) -> float:
-    """Largest angle (rad) between rotations (n, 3, 3) and the first, exact for small angles."""
-    chord = np.linalg.norm(rotation - rotation[0], axis=(1, 2)).max() / np.sqrt(8)
-    return float(2 * np.arcsin(min(chord, 1.0)))
+def _angle(apart: np.ndarray, scale: float) -> np.ndarray:
+    """Angles (K, nc) in rad of rotations or unit vectors with these differences, exact for small angles."""
+    chord = np.sqrt(np.sum(apart**2, axis=tuple(range(2, apart.ndim)))) / scale
+    return np.asarray(2 * np.arcsin(np.minimum(chord, 1.0)))

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trajopt.certify.contact_figures import is_sole
-from trajopt.certify.samples import SampleQuantities, largest, sample_quantities
+from trajopt.certify.samples import SampleQuantities, sample_quantities
 from trajopt.certify.sliding import held_part
+from trajopt.certify.traces import Trace, Traces, names_of_rows
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces
@@ -41,19 +42,19 @@ def dynamics_rows(plan: Solution, samples: SampleQuantities, surfaces: TouchedSu
     return DynamicsRows(base=balance, actuated=force[:, base:] - plan.tau, contact=contact)
 
 
-def dynamics_figures(
-    plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces
-) -> dict[str, float | None]:
+def dynamics_traces(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> Traces:
     """Largest residuals at the collocation points, over the weight (moments: times 1 m) and over g.
 
     With velocity sources, the contacts' velocities are over sqrt(g 1 m).
     """
-    rows, points = dynamics_rows(plan, samples, surfaces), plan.collocation
+    rows, points = dynamics_rows(plan, samples, surfaces), plan.collocation[:, None]
     gravity = gravity_of(plan.model)
     weight = mass_of(plan.model) * gravity
     moving = np.sqrt(gravity) if plan.meta.get("actuation") == "velocity" else gravity
+    names, contact = names_of_rows(plan), np.abs(rows.contact).max(axis=-1, initial=0.0) / moving
+    base = plan.n_unactuated
     return {
-        "base_residual": largest(np.abs(rows.base[points]) / weight),
-        "actuated_residual": largest(np.abs(rows.actuated[points]) / weight),
-        "contact_acceleration": largest(np.abs(rows.contact[points][plan.active[points]]) / moving),
+        "base_residual": Trace.of(np.abs(rows.base) / weight, points, names[:base]),
+        "actuated_residual": Trace.of(np.abs(rows.actuated) / weight, points, names[base:]),
+        "contact_acceleration": Trace.of(contact, points & plan.active, plan.contact_frames),
     }

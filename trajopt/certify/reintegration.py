@@ -55,13 +55,13 @@ class OpenLoopError:
     joints: float
 
 
-def open_loop(plan: Solution) -> tuple[OpenLoopError, ...]:
-    """Integrate every phase from its first sample with the planned torques; errors at its nodes.
+def open_loop(plan: Solution, phase: int) -> OpenLoopError:
+    """Integrate a phase from its first sample with the planned torques; errors at its nodes.
 
     With velocity sources the planned rates are integrated instead. An error is inf where the integration
     diverged before the phase's end.
     """
-    return tuple(_phase_error(plan, plan.intervals_of(phase)) for phase in range(len(plan.phases)))
+    return _phase_error(plan, plan.intervals_of(phase))
 
 
 def _phase_error(plan: Solution, numbers: range) -> OpenLoopError:
@@ -168,6 +168,22 @@ def integrate_interval(
         return None if final is None else (pin.integrate(model, q, final), coefficients.sum(axis=0))
     final = _run(motion, np.concatenate([np.zeros(nv), v]))
     return None if final is None else (pin.integrate(model, q, final[:nv]), final[nv:])
+
+
+def integrated_interval_error(
+    plan: Solution, dynamics: PhaseDynamics, number: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (nv,) of position and velocity at an interval's end, integrated from its planned start.
+
+    NaN where it diverges. With velocity sources the velocity has no error.
+    """
+    rows = plan.intervals[number]
+    end = integrate_interval(plan, dynamics, number, plan.q[rows.start], plan.v[rows.start])
+    if end is None:
+        return np.full(plan.model.nv, np.nan), np.full(plan.model.nv, np.nan)
+    apart = pin.difference(plan.model, plan.q[rows.stop - 1], end[0])
+    moved_by_rates = plan.meta.get("actuation") == "velocity"
+    return apart, np.zeros(plan.model.nv) if moved_by_rates else end[1] - plan.v[rows.stop - 1]
 
 
 def _run(rate: Callable[[float, np.ndarray], np.ndarray], state: np.ndarray) -> np.ndarray | None:

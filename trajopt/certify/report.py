@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
+from trajopt.certify.traces import Place
 from trajopt.dynamics.virtual_base import LEAST_MARGIN
 from trajopt.solution.descriptions import jsonable
 
@@ -15,6 +17,20 @@ RESIDUAL = 1e-6
 FRICTION = 1e-6
 # Limits may be exceeded by this fraction, for the same reason.
 LIMIT = 1e-6
+# Between points friction, unilateral and sole margins may be negative by this fraction of the weight, and
+# limits be exceeded by this fraction of them: below what friction coefficients and motors are known to.
+BETWEEN = 1e-2
+# Local errors of the intervals of a phase add up to this part of the robot's reach, and to this many rad:
+# what feedback has to correct is below the positioning accuracy of legs.
+LOCAL_POSITION = 1e-3
+LOCAL_JOINTS = 5e-3
+# Open loop is judged where it amplifies local errors less than this; beyond, a motion is unstable without
+# feedback, and its open loop says nothing about the plan.
+STABLE_GROWTH = 30.0
+# Open loop of a stable phase, m and rad: the positioning accuracy of legs, and of their joints.
+OPEN_LOOP_POSITION = 1e-3
+OPEN_LOOP_ORIENTATION = 2e-3
+OPEN_LOOP_JOINTS = 5e-3
 # A foot that creeps or hovers by a millimetre within a phase is within the positioning accuracy of legs.
 FOOT_DRIFT = 1e-3
 # A sole of 10 cm half length that is tilted by this lifts its edge by a millimetre.
@@ -26,6 +42,7 @@ QUATERNION = 1e-8
 # A virtual base must keep this margin to gimbal lock: below it the angles' rates are over twenty times the
 # angular velocity, and the plan is unreliable between its samples.
 GIMBAL = LEAST_MARGIN
+OPEN_LOOP = ("open_loop_position", "open_loop_orientation", "open_loop_joints")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,28 +52,57 @@ class Tolerances:
     residual: float | None = RESIDUAL
     friction: float | None = FRICTION
     limit: float | None = LIMIT
+    between: float | None = BETWEEN
+    local_position: float | None = LOCAL_POSITION
+    local_joints: float | None = LOCAL_JOINTS
     foot_drift: float | None = FOOT_DRIFT
+    stance_drift: float | None = FOOT_DRIFT
+    foot_turn: float | None = SOLE_TILT
     sole_tilt: float | None = SOLE_TILT
     penetration: float | None = PENETRATION
+    bodies: float | None = PENETRATION
     quaternion: float | None = QUATERNION
     gimbal: float | None = GIMBAL
     flight: float | None = None
-    open_loop_position: float | None = None
-    open_loop_orientation: float | None = None
-    open_loop_joints: float | None = None
+    open_loop_position: float | None = OPEN_LOOP_POSITION
+    open_loop_orientation: float | None = OPEN_LOOP_ORIENTATION
+    open_loop_joints: float | None = OPEN_LOOP_JOINTS
+
+
+# The grade of a motion that holds at any time, and that of one on a fixed mesh, which holds at its points.
+GRADE = Tolerances()
+AT_POINTS = Tolerances(
+    between=None,
+    bodies=None,
+    local_position=None,
+    local_joints=None,
+    stance_drift=None,
+    foot_turn=None,
+    open_loop_position=None,
+    open_loop_orientation=None,
+    open_loop_joints=None,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PhaseReport:
-    """Figures of one phase: open-loop errors (m, rad, rad), and in flight the errors of free motion."""
+    """Figures of one phase: open-loop errors (m, rad, rad), and in flight the errors of free motion.
+
+    local_position (reach), local_joints (rad): sums of the local errors of its intervals. stable: whether the
+    open loop amplifies them less than `STABLE_GROWTH`; None where it was not integrated.
+    """
 
     index: int
+    name: str
     start: float
     end: float
     contacts: tuple[str, ...]
+    local_position: float
+    local_joints: float
+    stable: bool | None
     open_loop_position: float | None
     open_loop_orientation: float | None
-    open_loop_joints: float
+    open_loop_joints: float | None
     ballistic_error: float | None
     momentum_error: float | None
     ballistic_error_between: float | None
@@ -65,20 +111,27 @@ class PhaseReport:
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """How one number of the report reads: what, unit, which tolerance judges it."""
+    """How one number of the report reads: what, unit, which tolerance judges it, or why none does."""
 
     text: str
     unit: str
     tolerance: str | None = None
     margin: bool = False  # a margin must not be less than minus the tolerance
     least: bool = False  # the tolerance is the smallest value allowed
+    why: str = ""  # it is information only
 
 
 def _figure(
-    text: str, unit: str, tolerance: str | None = None, *, margin: bool = False, least: bool = False
+    text: str,
+    unit: str,
+    tolerance: str | None = None,
+    *,
+    margin: bool = False,
+    least: bool = False,
+    why: str = "",
 ) -> Any:
     """A field of the report with how it reads."""
-    figure = Figure(text=text, unit=unit, tolerance=tolerance, margin=margin, least=least)
+    figure = Figure(text=text, unit=unit, tolerance=tolerance, margin=margin, least=least, why=why)
     return field(metadata={"figure": figure})
 
 
@@ -100,7 +153,12 @@ class CheckReport:
     effort_excess, velocity_excess: largest |x| / limit - 1; negative is reserve.
     drive_torque_excess: largest |tau_m| / torque_limit - 1 of the drives, with joint friction.
     drive_voltage_excess: largest |tau_m / stall_torque + omega_m / no_load_speed| - 1.
-    position_excess: largest excess over a limit, over the joint's range; negative is reserve.
+    position_excess: largest excess over a limit, over the joint's range; negative is reserve. ``..._between``
+        of all of these: at any time, see `dense`; so are penetration, drift, turn, tilt and patch_margin.
+    local_position: largest sum over a phase's intervals of what the planned torques, integrated from each
+        interval's own planned start, miss at its end, |dp| + T |dp'| of the farthest-off named point over the
+        reach; local_joints: the same of rotations, rad. See `accuracy.local_errors`.
+    places: where each figure is worst, by its name.
     impact_residual: M (v+ - v-) - J^T Lambda over mass times sqrt(g 1 m) (moments: times 1 m),
         impact_velocity: J v+ over sqrt(g 1 m), impact_friction_margin: least mu Lambda_n - |Lambda_t|,
         impact_momentum_error: change of linear and angular momentum minus the impulses (floating bases),
@@ -122,33 +180,53 @@ class CheckReport:
     base_residual: float | None = _figure("base rows of the dynamics", "weight", "residual")
     actuated_residual: float | None = _figure("actuated rows of the dynamics", "weight", "residual")
     contact_acceleration: float | None = _figure("acceleration of active contacts", "g", "residual")
-    contact_velocity: float | None = _figure("velocity of active contacts", "m/s")
+    contact_velocity: float | None = _figure("velocity of active contacts", "m/s", why="see drift")
     friction_margin: float | None = _figure("friction margin", "weight", "friction", margin=True)
-    friction_margin_between: float | None = _figure("friction margin between points", "weight", margin=True)
+    friction_margin_between: float | None = _figure(
+        "friction margin between points", "weight", "between", margin=True
+    )
     unilateral_margin: float | None = _figure("least normal force", "weight", "friction", margin=True)
+    unilateral_margin_between: float | None = _figure(
+        "least normal force between points", "weight", "between", margin=True
+    )
     sole_margin: float | None = _figure("sole margin", "weight m", "friction", margin=True)
+    sole_margin_between: float | None = _figure(
+        "sole margin between points", "weight m", "between", margin=True
+    )
     sliding_friction: float | None = _figure("law of sliding friction", "weight", "residual")
+    sliding_friction_between: float | None = _figure(
+        "law of sliding friction between points", "weight", "between"
+    )
     inactive_force: float | None = _figure("force of inactive contacts", "weight", "residual")
     effort_excess: float | None = _figure("torque beyond its limit", "limit", "limit")
-    effort_excess_between: float | None = _figure("torque beyond its limit between points", "limit")
+    effort_excess_between: float | None = _figure(
+        "torque beyond its limit between points", "limit", "between"
+    )
     drive_torque_excess: float | None = _figure("motor torque beyond its limit", "limit", "limit")
+    drive_torque_excess_between: float | None = _figure(
+        "motor torque beyond its limit between points", "limit", "between"
+    )
     drive_voltage_excess: float | None = _figure("motor voltage beyond its limit", "limit", "limit")
     drive_voltage_excess_between: float | None = _figure(
-        "motor voltage beyond its limit between points", "limit"
+        "motor voltage beyond its limit between points", "limit", "between"
     )
     velocity_excess: float | None = _figure("velocity beyond its limit", "limit", "limit")
-    position_excess: float | None = _figure("position beyond its limit", "range", "limit")
-    penetration: float | None = _figure("depth below the terrain", "m", "penetration")
-    link_depth: float | None = _figure("depth of links in the ground", "m")
-    obstacle_distance: float | None = _figure(
-        "least distance from obstacles", "m", "penetration", margin=True
+    velocity_excess_between: float | None = _figure(
+        "velocity beyond its limit between samples", "limit", "between"
     )
-    self_distance: float | None = _figure("least distance between links", "m", "penetration", margin=True)
+    position_excess: float | None = _figure("position beyond its limit", "range", "limit")
+    position_excess_between: float | None = _figure(
+        "position beyond its limit between samples", "range", "between"
+    )
+    penetration: float | None = _figure("depth below the terrain", "m", "penetration")
+    link_depth: float | None = _figure("depth of links in the ground", "m", "bodies")
+    obstacle_distance: float | None = _figure("least distance from obstacles", "m", "bodies", margin=True)
+    self_distance: float | None = _figure("least distance between links", "m", "bodies", margin=True)
     landing_height: float | None = _figure("height of contacts where they begin", "m", "foot_drift")
     patch_margin: float | None = _figure("distance inside the patch", "m", "foot_drift", margin=True)
     foot_drift: float | None = _figure("drift of active contacts", "m", "foot_drift")
-    stance_drift: float | None = _figure("drift from touchdown to lift-off", "m")
-    foot_turn: float | None = _figure("turn of active soles", "rad")
+    stance_drift: float | None = _figure("drift from touchdown to lift-off", "m", "stance_drift")
+    foot_turn: float | None = _figure("turn of active soles", "rad", "foot_turn")
     sole_tilt: float | None = _figure("tilt of active soles on their surface", "rad", "sole_tilt")
     impact_residual: float | None = _figure("law of the impacts", "momentum", "residual")
     impact_velocity: float | None = _figure("velocity of contacts after impacts", "speed", "residual")
@@ -161,17 +239,28 @@ class CheckReport:
     periodicity_error: float | None = _figure("last state against the first", "m, rad, speed", "residual")
     quaternion_error: float | None = _figure("norm error of rotations", "1", "quaternion")
     gimbal_margin: float | None = _figure("margin to gimbal lock", "1", "gimbal", least=True)
-    position_gap: float = _figure("q against the integral of v", "m, rad")
-    velocity_gap: float = _figure("v against the integral of a", "m/s, rad/s")
-    ballistic_error: float | None = _figure("flight against the parabola", "travel", "flight")
-    momentum_error: float | None = _figure("angular momentum in flight", "scale", "flight")
-    ballistic_error_between: float | None = _figure("flight against the parabola, between nodes", "travel")
-    momentum_error_between: float | None = _figure("angular momentum in flight, between nodes", "scale")
+    position_gap: float | None = _figure("q against the integral of v", "m, rad", why="see local errors")
+    velocity_gap: float | None = _figure("v against the integral of a", "m/s, rad/s", why="see local errors")
+    ballistic_error: float | None = _figure(
+        "flight against the parabola", "travel", "flight", why="see local errors"
+    )
+    momentum_error: float | None = _figure(
+        "angular momentum in flight", "scale", "flight", why="see local errors"
+    )
+    ballistic_error_between: float | None = _figure(
+        "flight against the parabola, between nodes", "travel", why="see local errors"
+    )
+    momentum_error_between: float | None = _figure(
+        "angular momentum in flight, between nodes", "scale", why="see local errors"
+    )
+    local_position: float | None = _figure("local errors of a phase, position", "reach", "local_position")
+    local_joints: float | None = _figure("local errors of a phase, rotations", "rad", "local_joints")
     open_loop_position: float | None = _figure("open loop, base position", "m", "open_loop_position")
     open_loop_orientation: float | None = _figure(
         "open loop, base orientation", "rad", "open_loop_orientation"
     )
-    open_loop_joints: float = _figure("open loop, joints", "rad", "open_loop_joints")
+    open_loop_joints: float | None = _figure("open loop, joints", "rad", "open_loop_joints")
+    places: dict[str, Place] = field(default_factory=dict)
     phases: tuple[PhaseReport, ...]
     notes: tuple[str, ...] = ()
 
@@ -189,34 +278,62 @@ class CheckReport:
         limits = tolerances or Tolerances()
         return tuple(name for name in FIGURES if self._fails(name, limits))
 
+    def worst(self, tolerances: Tolerances | None = None) -> tuple[str, float]:
+        """The judged figure with the largest ratio to its tolerance: name and ratio (above 1: beyond)."""
+        used = self.used(tolerances)
+        name = max(used, key=lambda name: math.inf if math.isnan(used[name]) else used[name])
+        return name, used[name]
+
+    def used(self, tolerances: Tolerances | None = None) -> dict[str, float]:
+        """Ratio of every judged figure to its tolerance."""
+        limits = tolerances or Tolerances()
+        return {name: ratio for name in FIGURES if (ratio := self._ratio(name, limits)) is not None}
+
+    def said(self, name: str) -> str:
+        """A figure in words: what, value, unit and place."""
+        figure, place = FIGURES[name], self.places.get(name)
+        where = "" if place is None else f" at {place}"
+        return f"{figure.text} {getattr(self, name):.2g} {figure.unit}{where}"
+
     def _fails(self, name: str, tolerances: Tolerances) -> bool:
+        ratio = self._ratio(name, tolerances)
+        return ratio is not None and not ratio <= 1
+
+    def _ratio(self, name: str, tolerances: Tolerances) -> float | None:
+        """A figure over its tolerance; None where it is not judged."""
         figure, value = FIGURES[name], getattr(self, name)
         limit = None if figure.tolerance is None else getattr(tolerances, figure.tolerance)
+        if name in OPEN_LOOP:
+            known = [getattr(phase, name) for phase in self.phases if phase.stable]
+            value = max((own for own in known if own is not None), default=None)
         if limit is None or value is None:
-            return False
+            return None
         if figure.least:
-            return not value >= limit
-        return not (value >= -limit if figure.margin else value <= limit)
+            return float(limit / value if value > 0 else math.nan if math.isnan(value) else math.inf)
+        return float((-value if figure.margin else value) / limit)
 
     def to_dict(self, tolerances: Tolerances | None = None) -> dict[str, Any]:
         """JSON-able figures by name, ``ok``, ``failures``, ``phases``, ``notes``; inf and NaN become null."""
         failures = self.failures(tolerances)
         figures = {name: getattr(self, name) for name in FIGURES}
         phases = [asdict(phase) for phase in self.phases]
-        report = {"ok": not failures, "failures": failures, **figures, "phases": phases}
-        return jsonable({**report, "notes": self.notes})
+        places = {name: place.to_dict() for name, place in self.places.items()}
+        verdict = {"ok": not failures, "failures": failures}
+        return jsonable({**verdict, **figures, "phases": phases, "places": places, "notes": self.notes})
 
     def table(self, tolerances: Tolerances | None = None) -> str:
         """Figures one a line with unit, tolerance and verdict, then the phases and notes."""
         limits = tolerances or Tolerances()
-        lines = [f"{'':42}{'value':>12}  {'unit':12}{'tolerance':>10}"]
+        lines = [f"{'':42}{'value':>12}  {'unit':14}{'tolerance':>10}          worst at"]
         for name, figure in FIGURES.items():
             value = getattr(self, name)
             limit = None if figure.tolerance is None else getattr(limits, figure.tolerance)
-            allowed = "" if limit is None else f"{-limit if figure.margin else limit:10.0e}"
-            verdict = "  beyond" if self._fails(name, limits) else ""
+            allowed = figure.why if limit is None else f"{-limit if figure.margin else limit:10.0e}"
+            verdict = "beyond" if self._fails(name, limits) else ""
             if value is not None:
-                lines.append(f"{figure.text:42}{value:12.3e}  {figure.unit:12}{allowed:>10}{verdict}")
+                place = self.places.get(name, "")
+                line = f"{figure.text:42}{value:12.3e}  {figure.unit:14}{allowed:>10}  {verdict:6}  {place}"
+                lines.append(line.rstrip())
         for phase in self.phases:
             lines.append(_phase_line(phase))
         lines += [f"note: {text}" for text in self.notes]
@@ -239,4 +356,7 @@ def _phase_line(phase: PhaseReport) -> str:
         (phase.open_loop_joints, "rad"),
     ]
     found = ", ".join(f"{value:.1e} {unit}" for value, unit in errors if value is not None)
-    return f"phase {phase.index} ({phase.start:.3f} to {phase.end:.3f} s, {names}): open loop {found}"
+    unstable = ", unstable without feedback" if phase.stable is False else ""
+    local = f"local {phase.local_position:.1e} reach, {phase.local_joints:.1e} rad"
+    loop = f"; open loop {found}{unstable}" if found else ""
+    return f"phase {phase.index} ({phase.start:.3f} to {phase.end:.3f} s, {names}): {local}{loop}"

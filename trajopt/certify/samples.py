@@ -14,19 +14,43 @@ from trajopt.solution.solution import Solution
 
 
 @dataclass(frozen=True, kw_only=True)
-class SampleQuantities:
-    """What the robot does at K samples; contact quantities in world axes at the frame's origin.
+class ContactPlaces:
+    """Contact frames at K samples, in world axes.
 
-    generalized_force: (K, nv) RNEA(q, v, a) - sum J^T f, of the robot with what it carries.
-    position (K, nc, 3), rotation (K, nc, 3, 3), velocity (K, nc, 6), acceleration (K, nc, 6,
-    classical): of the contact frames, linear rows first.
+    position (K, nc, 3), rotation (K, nc, 3, 3), velocity (K, nc, 6) at the frame's origin, linear rows first.
     """
 
-    generalized_force: np.ndarray
     position: np.ndarray
     rotation: np.ndarray
     velocity: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampleQuantities(ContactPlaces):
+    """What the robot does at K samples.
+
+    generalized_force: (K, nv) RNEA(q, v, a) - sum J^T f, of the robot with what it carries. acceleration
+    (K, nc, 6, classical): of the contact frames, like their velocity.
+    """
+
+    generalized_force: np.ndarray
     acceleration: np.ndarray
+
+
+def contact_places(solution: Solution) -> ContactPlaces:
+    """The contact frames at every sample of ``solution``."""
+    model = solution.model
+    data = model.createData()
+    frames = [model.getFrameId(frame) for frame in solution.contact_frames]
+    size = (solution.n_samples, len(frames))
+    position, rotation, velocity = np.zeros((*size, 3)), np.zeros((*size, 3, 3)), np.zeros((*size, 6))
+    for row, (q, v) in enumerate(zip(solution.q, solution.v, strict=True)):
+        pin.forwardKinematics(model, data, q, v)
+        for index, frame in enumerate(frames):
+            placement = pin.updateFramePlacement(model, data, frame)
+            position[row, index], rotation[row, index] = placement.translation, placement.rotation
+            velocity[row, index] = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).vector
+    return ContactPlaces(position=position, rotation=rotation, velocity=velocity)
 
 
 def sample_quantities(solution: Solution) -> SampleQuantities:

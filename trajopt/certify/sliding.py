@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
-from trajopt.certify.samples import SampleQuantities
+from trajopt.certify.traces import Trace
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces
@@ -19,21 +19,22 @@ def held_part(vectors: np.ndarray, surfaces: TouchedSurfaces) -> np.ndarray:
     return np.where(surfaces.slides[..., None], normal, vectors)
 
 
-def sliding_error(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> float | None:
-    """Largest difference between forces of sliding contacts and Coulomb's law, over the weight, at points.
+def sliding_error(plan: Solution, velocity: np.ndarray, surfaces: TouchedSurfaces) -> Trace:
+    """Largest difference between forces of sliding contacts and Coulomb's law, over the weight.
 
-    The law is that of `trajopt.terms.sliding`: mu f_n against the velocity within the surface, over the root
-    of its square and the square of the slip speed.
+    The law is that of `trajopt.terms.sliding`: mu f_n against the velocity (K, nc, 3) within the surface,
+    over the root of its square and the square of the slip speed.
     """
-    rows = plan.active & surfaces.slides & plan.collocation[:, None]
-    if not rows.any():
-        return None
-    normal, force, velocity = surfaces.normal[rows], plan.f[rows][:, :3], samples.velocity[rows][:, :3]
+    rows = plan.active & surfaces.slides
+    error = np.zeros(rows.shape)
+    normal, force, velocity = surfaces.normal[rows], plan.f[rows][:, :3], velocity[rows]
     pressure, approach = (np.sum(normal * part, axis=1)[:, None] for part in (force, velocity))
     along = velocity - approach * normal
     speed = np.sqrt(np.sum(along**2, axis=1) + surfaces.slip[rows] ** 2)[:, None]
     law = pressure * (normal - surfaces.friction[rows][:, None] * along / speed)
-    return float(np.abs(force - law).max() / (mass_of(plan.model) * gravity_of(plan.model)))
+    weight = mass_of(plan.model) * gravity_of(plan.model)
+    error[rows] = np.abs(force - law).max(axis=1, initial=0.0) / weight
+    return Trace.of(error, rows, plan.contact_frames)
 
 
 class SlidingDynamics:
@@ -72,3 +73,8 @@ class SlidingDynamics:
         matrix = np.block([[pin.crba(model, data, q), -push.T], [constraint, zero]])
         right = np.concatenate([generalized_force - pin.nle(model, data, q, v), -np.concatenate(drift)])
         return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0][:nv])
+
+    def accelerations(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
+        """Return accelerations (n, nv) at n states."""
+        rows = zip(q, v, generalized_force, strict=True)
+        return np.array([self.acceleration(*row) for row in rows])

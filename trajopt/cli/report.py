@@ -24,6 +24,7 @@ FROM_META = (
     "problem",
     "robot",
     "success",
+    "converged",
     "status",
     "solver_status",
     "advice",
@@ -128,7 +129,8 @@ def solve_summary(solution: Solution, report: CheckReport | None, file: Path | N
     lines = [_verdict(meta)]
     if not meta["success"]:
         lines.append(_line("advice", meta["advice"]))
-        lines += [_line("worst", describe_block(block)) for block in meta["worst_blocks"]]
+        blocks = [] if meta.get("converged") else meta["worst_blocks"]
+        lines += [_line("worst", describe_block(block)) for block in blocks]
     grid = f"{meta['transcription']}, {solution.n_intervals} intervals"
     lines.append(_line("size", f"{meta['variables']} variables, {meta['constraints']} constraints; {grid}"))
     lines.append(_line("objective", _number(meta["objective"])))
@@ -154,7 +156,9 @@ def solve_summary(solution: Solution, report: CheckReport | None, file: Path | N
 
 def _verdict(meta: dict[str, Any]) -> str:
     outcome = "solved"
-    if not meta["success"]:
+    if not meta["success"] and meta.get("converged"):
+        outcome = f"solved at its points only, {meta['status'].replace('_', ' ')}"
+    elif not meta["success"]:
         outcome = f"NOT solved, {meta['status'].replace('_', ' ')} ({meta['solver_status']})"
     count = f"{meta['solver']}, {meta['iterations']} iterations"
     return f"{meta['problem']} on {meta['robot']}: {outcome}; {count}"

@@ -10,6 +10,7 @@ import click
 from trajopt.cli.aim import aim_options, solve_aimed, wants_aim
 from trajopt.cli.diagnose import diagnose_option, diagnosis_of
 from trajopt.cli.file_names import file_of_settings
+from trajopt.cli.grade import grade_options, solve_to_grade, wants_grade
 from trajopt.cli.input import (
     COUNT,
     NOT_REACHED,
@@ -29,7 +30,10 @@ from trajopt.errors import InputError, TrajoptError
 from trajopt.solution.output import check_apart, check_output
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from trajopt.certify.report import CheckReport
+    from trajopt.cli.report import SolveReport
     from trajopt.reduced.scenes.smallest import Scene
     from trajopt.solution.solution import Solution
 
@@ -48,6 +52,7 @@ if TYPE_CHECKING:
 @click.option("--keep", multiple=True, metavar="JOINT", help="A joint that --smallest must not lock.")
 @warm_options
 @aim_options
+@grade_options
 @diagnose_option
 @watch_options
 @click.option(
@@ -75,16 +80,19 @@ def solve_command(
 
     By default PROBLEM is solved as built. With --smallest, joints that the task does not need are locked and
     a symmetric task is solved for half of the robot; the file holds the whole robot's motion. --explain
-    prints what is modelled then, and changes nothing. With --accuracy or --budget, scheme, mesh and solver
-    are chosen from measured fronts; with --accuracy the error is measured, and the mesh refined until it is
-    small enough.
+    prints what is modelled then, and changes nothing.
+
+    The motion is examined at any time, and the mesh refined where it misses the tolerances of trajopt check;
+    --draft takes the first mesh, --fixed-mesh the problem's own, --transcription or --intervals another.
+    With --accuracy or --budget, scheme, mesh and solver are chosen from measured fronts; with --accuracy the
+    error is measured, and the mesh refined until it is small enough.
 
     Without --output the file is named for PROBLEM and the settings given, such as
     solo12-jump-distance=0.8.npz: other settings do not overwrite it.
 
-    Exit status 0 when the problem is solved, with --accuracy or --budget within that target, 1 when not: the
-    file then holds the last iterate, and the status and the most violated constraints are printed. Ctrl-C
-    stops the solver, keeps the last iterate and ends with 1.
+    Exit status 0 when the motion holds, with --accuracy or --budget within that target, 1 when not: the
+    file then holds the best motion or the last iterate, and what is missed most is printed. Ctrl-C stops the
+    solver, keeps the last iterate and ends with 1.
     """
     options = options_of(solver_options)
     loaded = chosen_problem(problem, settings)
@@ -106,7 +114,7 @@ def solve_command(
         scene = None  # only explained
     asked = scene.problem if scene else loaded
     import_in_background("scipy.integrate")  # the check's integrator
-    solve_chosen = solve_aimed if wants_aim(arguments) else solve_warm
+    solve_chosen = _way_of_solving(arguments)
     viewer = open_viewer(watch)
     arguments |= {"title": problem, "options": options, "viewer": viewer}
     solved = solve_chosen(asked, **arguments)
@@ -123,6 +131,18 @@ def solve_command(
             click.echo(diagnosis[1])
     show_until_interrupted(viewer, solution)
     return 0 if solved.reached else NOT_REACHED
+
+
+def _way_of_solving(arguments: dict[str, Any]) -> Callable[..., SolveReport]:
+    """The function that solves as the options ask; removes those that it does not take."""
+    if wants_aim(arguments):
+        for name in ("draft", "fixed_mesh"):
+            if arguments.pop(name):
+                raise InputError(
+                    f"--{name.replace('_', '-')} has no effect here", "allowed: without --accuracy"
+                )
+        return solve_aimed
+    return solve_to_grade if wants_grade(arguments) else solve_warm
 
 
 def _saved(solution: Solution, target: Path) -> tuple[Path | None, list[str]]:

@@ -39,8 +39,10 @@ def solve_warm(
     **settings: Any,
 ) -> SolveReport:
     """Solve from a file, over a ladder, or neither (a ladder of one rung), with progress."""
+    from trajopt.certify.report import GRADE
     from trajopt.solution.input import solution_of
     from trajopt.solving.ladder import solve_ladder
+    from trajopt.solving.verdicts import judged
 
     grid = (settings.pop("transcription"), settings.pop("intervals"))
     if ladder is not None and grid != (None, None):
@@ -54,10 +56,11 @@ def solve_warm(
     most = settings["max_time"] * (len(rungs) + compare)
     with watched(title, most, log, viewer) as callbacks:
         found = solve_ladder(problem, rungs, start=known, compare=compare, **callbacks, **settings)
+    solution = judged(found.solution, GRADE)
     if len(found.rungs) == 1 and found.cold is None:
-        return SolveReport(found.solution, found.solution.success)
+        return SolveReport(solution, solution.success)
     figures = found.to_dict()
-    return SolveReport(found.solution, found.solution.success, _lines(figures), {"ladder": figures})
+    return SolveReport(solution, solution.success, _lines(figures), {"ladder": figures})
 
 
 def parse_ladder(text: str) -> list[tuple[str | None, int | None]]:

@@ -20,9 +20,9 @@ from trajopt.terrain.flat import FlatGround
 
 # Points of a link this much farther from a contact's frame than its radius or sole, m, touch with it.
 TOUCHING = 0.01
-# Links that touch the ground may be this deep in it, m, or this much deeper than where the robot stands at
-# first: in stance they are held on the ground by other rows.
-GIVE = 5e-4
+# Links that touch the ground may be this deep in it, m, and deeper where the robot stands so at first, by
+# this much more: in stance other rows hold them on the ground.
+GIVE, DEEPER = 4e-4, 1e-4
 # A pair this much nearer than it may be, m, is too near: what a solver and a look between moments leave.
 TOO_NEAR = 5e-4
 
@@ -110,7 +110,7 @@ def _margins(problem: Problem, scene: CollisionScene, margin: float) -> np.ndarr
         standing = np.minimum(standing, scene.distances(problem.initial_q)[0, : scene.n_ground])
     if scene.n_ground:
         touching = np.array([_touches(robot, shape) for shape in scene.moving], dtype=bool)
-        found[: scene.n_ground] = np.where(touching, np.minimum(standing, 0.0) - GIVE, 0.0)
+        found[: scene.n_ground] = np.where(touching, np.minimum(standing - DEEPER, -GIVE), 0.0)
     if margin > 0 and scene.self_pairs:
         apart = scene.distances(robot.reference)[0, scene.n_outer :]
         found[scene.n_outer :] = np.minimum(margin, np.maximum(apart, 0.0))

@@ -46,9 +46,8 @@ def consistent_solution(given: SolutionOrFile) -> Solution:
     solution = solution_of(given)
     if solution is not given:  # reading a file tests it
         return solution
-    return replace(
-        solution, meta=json.loads(consistent_meta(solution.meta, solution.model_text, solution.arrays))
-    )
+    meta = json.loads(consistent_meta(solution.meta, solution.model_text, solution.arrays))
+    return replace(solution, meta=meta).with_model(solution.model)
 
 
 def require_motion(solution: Solution) -> Solution:

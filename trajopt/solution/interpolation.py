@@ -38,75 +38,120 @@ class MotionSample:
 
 
 @dataclass(frozen=True, kw_only=True)
-class IntervalInterpolant:
-    """The polynomials of one interval over its fraction, lowest power first; see `interval_interpolant`.
+class MotionPolynomials:
+    """The polynomials of n intervals with s points each, over their fractions, lowest power first.
 
-    start: (nq,) configuration at the start. rate: (nv,) local rates there. step: s. order: 2, or 1 where the
-    rates are the highest derivative. highest: (s, nv), tau: (s, nu), f: (s, 6 nc). gap: (2, nv) of positions
-    and rates at the end.
+    numbers: (n,) of the intervals. start: (n, nq) configurations at their starts. rate: (n, nv) local rates
+    there. step: (n,) s. order: 2, or 1 where the rates are the highest derivative. highest: (n, s, nv), tau:
+    (n, s, nu), f: (n, s, 6 nc). gap: (n, 2, nv) of positions and rates at the ends.
     """
 
     model: pin.Model
+    numbers: np.ndarray
     start: np.ndarray
     rate: np.ndarray
-    step: float
+    step: np.ndarray
     order: int
     highest: np.ndarray
     tau: np.ndarray
     f: np.ndarray
     gap: np.ndarray
 
-    def local(self, s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return local coordinates relative to the start and their first two derivatives at a fraction."""
-        h, j = self.step, np.arange(len(self.highest))
-        value = s**j @ self.highest
-        once = h * (s ** (j + 1) / (j + 1)) @ self.highest
-        closing = s * s * (3 - 2 * s) * self.gap[0]
+    @classmethod
+    def of(cls, plan: Solution, numbers: np.ndarray) -> MotionPolynomials:
+        """Read intervals of a plan whose rotations have unit norm, with the same number of points."""
+        model, order = plan.model, 1 if plan.meta.get("actuation") == "velocity" else 2
+        points, fractions = (
+            np.array(part)
+            for part in zip(*(collocation_fractions(plan, int(number)) for number in numbers), strict=True)
+        )
+        first = np.array([plan.intervals[number].start for number in numbers])
+        last = np.array([plan.intervals[number].stop - 1 for number in numbers])
+        start = plan.q[first]
+
+        def local(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            origin = start if rows.ndim == 1 else start[:, None]
+            return local_state(model, origin, plan.q[rows], plan.v[rows], plan.a[rows])
+
+        open_ends = cls(
+            model=model,
+            numbers=np.asarray(numbers),
+            start=start,
+            rate=local(first)[1],
+            step=np.diff(plan.interval_t[numbers], axis=1)[:, 0],
+            order=order,
+            highest=lagrange_coefficients(fractions, local(points)[order]),
+            tau=lagrange_coefficients(fractions, plan.tau[points]),
+            f=lagrange_coefficients(fractions, plan.f[points].reshape(*points.shape, -1)),
+            gap=np.zeros((len(numbers), 2, model.nv)),
+        )
+        reached, planned = open_ends.local(np.arange(len(numbers)), np.ones(len(numbers))), local(last)
+        position = _without_turns(model, planned[0] - reached[0])
+        gap = np.stack([position, (order == 2) * (planned[1] - reached[1])], axis=1)
+        return replace(open_ends, gap=gap)
+
+    def local(self, rows: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return local coordinates (k, nv) and two derivatives at fractions (k,) of ``rows`` (k,)."""
+        h, s, j = self.step[rows, None], s[:, None], np.arange(self.highest.shape[1])
+        highest, rate, gap = self.highest[rows], self.rate[rows], self.gap[rows]
+        value = _sum(s**j, highest)
+        once = h * _sum(s ** (j + 1) / (j + 1), highest)
+        closing = s * s * (3 - 2 * s) * gap[:, 0]
         if self.order == 1:
-            return closing + once, value, (j[1:] * s ** (j[1:] - 1) @ self.highest[1:]) / h
-        twice = h * h * (s ** (j + 2) / ((j + 1) * (j + 2))) @ self.highest
-        return closing + h * s * self.rate + twice, self.rate + once + s * self.gap[1], value
+            return closing + once, value, _sum(j[1:] * s ** (j[1:] - 1), highest[:, 1:]) / h
+        twice = h * h * _sum(s ** (j + 2) / ((j + 1) * (j + 2)), highest)
+        return closing + h * s * rate + twice, rate + once + s * gap[:, 1], value
 
-    def at(self, fractions: np.ndarray) -> MotionSample:
-        """Return the motion at ``fractions`` (n,) of the interval."""
-        states = [state_from_local(self.model, self.start, *self.local(float(s))) for s in fractions]
-        q, v, a = (np.array(part) for part in zip(*states, strict=True))
-        powers = np.asarray(fractions, dtype=float)[:, None] ** np.arange(len(self.tau))
-        return MotionSample(q=q, v=v, a=a, tau=powers @ self.tau, f=(powers @ self.f).reshape(len(q), -1, 6))
+    def at(self, rows: np.ndarray, fractions: np.ndarray) -> MotionSample:
+        """Return the motion at ``fractions`` (k,) of the intervals ``rows`` (k,), counted from the first."""
+        q, v, a = state_from_local(self.model, self.start[rows], *self.local(rows, fractions))
+        powers = fractions[:, None] ** np.arange(self.tau.shape[1])
+        f = _sum(powers, self.f[rows]).reshape(len(q), -1, 6)
+        return MotionSample(q=q, v=v, a=a, tau=_sum(powers, self.tau[rows]), f=f)
 
 
-def interval_interpolant(plan: Solution, number: int) -> IntervalInterpolant:
-    """Return the polynomials of the interval ``number`` of a plan whose rotations have unit norm."""
-    rows, model = plan.intervals[number], plan.model
-    points, fractions = collocation_fractions(plan, number)
-    order = 1 if plan.meta.get("actuation") == "velocity" else 2
-    start = plan.q[rows.start]
+def _sum(powers: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+    return np.asarray((powers[:, None] @ coefficients)[:, 0])
 
-    def local(row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return local_state(model, start, plan.q[row], plan.v[row], plan.a[row])
 
-    open_end = IntervalInterpolant(
-        model=model,
-        start=start,
-        rate=local(rows.start)[1],
-        step=float(plan.interval_t[number, 1]) - float(plan.interval_t[number, 0]),
-        order=order,
-        highest=lagrange_coefficients(fractions, np.array([local(row)[order] for row in points])),
-        tau=lagrange_coefficients(fractions, plan.tau[points]),
-        f=lagrange_coefficients(fractions, plan.f[points].reshape(len(points), -1)),
-        gap=np.zeros((2, model.nv)),
-    )
-    reached, planned = open_end.local(1.0), local(rows.stop - 1)
-    position = _without_turns(model, planned[0] - reached[0])
-    return replace(open_end, gap=np.array([position, (order == 2) * (planned[1] - reached[1])]))
+@dataclass(frozen=True, kw_only=True)
+class InterpolatedMotion:
+    """A plan between its samples: the polynomials of its intervals, by their number of points."""
+
+    groups: tuple[MotionPolynomials, ...]
+
+    @classmethod
+    def of(cls, plan: Solution) -> InterpolatedMotion:
+        """Read all intervals of a plan whose rotations have unit norm."""
+        counts = np.bincount(plan.interval[plan.collocation], minlength=plan.n_intervals)
+        return cls(groups=tuple(MotionPolynomials.of(plan, np.flatnonzero(counts == s)) for s in set(counts)))
+
+    def gaps(self, numbers: np.ndarray) -> np.ndarray:
+        """Return what closes the intervals ``numbers`` (k,), see `MotionPolynomials.gap`: (k, 2, nv)."""
+        own = np.concatenate([group.numbers for group in self.groups])
+        every = np.concatenate([group.gap for group in self.groups])
+        return np.asarray(every[np.argsort(own)][numbers])
+
+    def at(self, numbers: np.ndarray, fractions: np.ndarray) -> MotionSample:
+        """Return the motion at ``fractions`` (k,) of the intervals ``numbers`` (k,)."""
+        if len(self.groups) == 1:
+            return self.groups[0].at(numbers, fractions)
+        rows, parts = [], []
+        for group in self.groups:
+            own = np.flatnonzero(np.isin(numbers, group.numbers))
+            if len(own):
+                rows.append(own)
+                parts.append(group.at(np.searchsorted(group.numbers, numbers[own]), fractions[own]))
+        back = np.argsort(np.concatenate(rows))
+        return MotionSample(**{name: array[back] for name, array in joined(parts).items()})
 
 
 def _without_turns(model: pin.Model, apart: np.ndarray) -> np.ndarray:
-    """The difference (nv,) without whole turns of the angles that q stores as cosine and sine."""
+    """Differences (..., nv) without whole turns of the angles that q stores as cosine and sine."""
     for joint in list(model.joints)[1:]:
         if joint.shortname() == "JointModelPlanar" or (joint.nq, joint.nv) == (2, 1):
             angle = joint.idx_v + joint.nv - 1
-            apart[angle] -= 2 * math.pi * round(apart[angle] / (2 * math.pi))
+            apart[..., angle] -= 2 * math.pi * np.round(apart[..., angle] / (2 * math.pi))
     return apart
 
 
@@ -119,8 +164,11 @@ def collocation_fractions(plan: Solution, number: int) -> tuple[np.ndarray, np.n
 
 
 def lagrange_coefficients(fractions: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return polynomial coefficients (s, n), lowest power first, through ``values`` (s, n)."""
-    return np.linalg.solve(np.vander(fractions, increasing=True), values)
+    """Return polynomial coefficients (..., s, n), lowest power first, through ``values`` (..., s, n).
+
+    fractions: (..., s).
+    """
+    return np.linalg.solve(fractions[..., None] ** np.arange(fractions.shape[-1]), values)
 
 
 Sampler = Callable[[Solution, int, np.ndarray], MotionSample]
@@ -128,7 +176,8 @@ Sampler = Callable[[Solution, int, np.ndarray], MotionSample]
 
 def sample_interval(plan: Solution, number: int, fractions: np.ndarray) -> MotionSample:
     """Return the motion of one interval at ``fractions`` (n,) of it."""
-    return interval_interpolant(plan, number).at(fractions)
+    found = MotionPolynomials.of(plan, np.array([number]))
+    return found.at(np.zeros(len(fractions), dtype=int), np.asarray(fractions, dtype=float))
 
 
 def joined(parts: Sequence[MotionSample]) -> dict[str, np.ndarray]:
@@ -136,22 +185,32 @@ def joined(parts: Sequence[MotionSample]) -> dict[str, np.ndarray]:
     return {name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])}
 
 
-def resampled(plan: Solution, fractions: np.ndarray, sample: Sampler = sample_interval) -> Solution:
-    """Return the same motion with samples at fractions of every interval, each marked as a point.
-
-    It serves figures only: it has no impulses and no multipliers, and rows of the dynamics do not vanish at
-    its points.
+def resampled(plan: Solution, fractions: np.ndarray, sample: Sampler | None = None) -> Solution:
+    """Return the same motion with samples at fractions of every interval, see `samples_at`.
 
     Args:
         plan: the motion, with unit rotations.
         fractions: (n,) from 0 to 1, including both so that the samples start and end at nodes.
-        sample: gives the samples of one interval.
+        sample: gives the samples of one interval; default: its polynomials.
     """
+    numbers = np.repeat(np.arange(plan.n_intervals), len(fractions))
+    every = np.tile(fractions, plan.n_intervals)
+    if sample is None:
+        return samples_at(plan, numbers, every, InterpolatedMotion.of(plan).at(numbers, every))
     parts = [sample(plan, number, fractions) for number in range(plan.n_intervals)]
-    first = np.repeat([rows.start for rows in plan.intervals], len(fractions))
-    steps = np.diff(plan.interval_t, axis=1)
+    return samples_at(plan, numbers, every, MotionSample(**joined(parts)))
+
+
+def samples_at(plan: Solution, numbers: np.ndarray, fractions: np.ndarray, motion: MotionSample) -> Solution:
+    """Return ``plan`` with samples at ``fractions`` (n,) of intervals ``numbers`` (n,), marked as points.
+
+    It serves figures only: it has no impulses and no multipliers, and rows of the dynamics do not vanish at
+    its points.
+    """
+    first = np.array([rows.start for rows in plan.intervals])[numbers]
+    steps = np.diff(plan.interval_t, axis=1)[numbers, 0]
     return plan.with_arrays(
-        t=(plan.interval_t[:, :1] + steps * fractions).ravel(),
+        t=plan.interval_t[numbers, 0] + steps * fractions,
         phase=plan.phase[first],
         interval=plan.interval[first],
         active=plan.active[first],
@@ -161,5 +220,5 @@ def resampled(plan: Solution, fractions: np.ndarray, sample: Sampler = sample_in
         row_multiplier=None,
         row_place=None,
         bound_multiplier=None,
-        **joined(parts),
+        **vars(motion),
     )

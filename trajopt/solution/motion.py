@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion
 from trajopt.solution.arrays import rows_of
-from trajopt.solution.interpolation import IntervalInterpolant, MotionSample, interval_interpolant
+from trajopt.solution.interpolation import InterpolatedMotion, MotionSample
 from trajopt.solution.solution import Solution
 
 # Fraction of a phase by which a time is moved inwards to find its interval: a node belongs to two.
@@ -22,7 +23,6 @@ class SolutionMotion:
     """The motion of a solution by phase and by time; a callable from t in s to a configuration (nq,)."""
 
     solution: Solution
-    _known: dict[int, IntervalInterpolant] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "solution", self.solution.normalized())
@@ -45,11 +45,13 @@ class SolutionMotion:
         return self._sample(numbers[max(found, 0)], start + fraction * (end - start))
 
     def _sample(self, number: int, t: float) -> MotionSample:
-        if number not in self._known:
-            self._known[number] = interval_interpolant(self.solution, number)
         start, end = self.solution.interval_t[number]
-        found = self._known[number].at(np.clip([(t - start) / (end - start)], 0.0, 1.0))
-        return rows_of(found, 0)
+        fraction = np.clip([(t - start) / (end - start)], 0.0, 1.0)
+        return rows_of(self._polynomials.at(np.array([number]), fraction), 0)
+
+    @cached_property
+    def _polynomials(self) -> InterpolatedMotion:
+        return InterpolatedMotion.of(self.solution)
 
 
 def motion_of(solution: Solution) -> Motion:

@@ -86,8 +86,13 @@ class Solution:
 
     @property
     def success(self) -> bool:
-        """The solver met its tolerance."""
+        """The verdict: the solver converged, and the motion is within the tolerances it was judged by."""
         return bool(self.meta["success"])
+
+    @property
+    def converged(self) -> bool:
+        """The solver met its tolerance: all rows hold at the points; ``success`` in files without the key."""
+        return bool(self.meta.get("converged", self.meta["success"]))
 
     @property
     def n_samples(self) -> int:
@@ -137,9 +142,12 @@ class Solution:
 
     def with_arrays(self, **arrays: np.ndarray | None) -> Solution:
         """Return the same solution with other arrays; the model is not read from its text again."""
-        made = replace(self, **arrays)  # type: ignore[arg-type]
-        made.__dict__["model"] = self.model
-        return made
+        return replace(self, **arrays).with_model(self.model)  # type: ignore[arg-type]
+
+    def with_model(self, model: pin.Model) -> Solution:
+        """Return this solution, which then does not read its model from its text."""
+        self.__dict__["model"] = model
+        return self
 
     def normalized(self) -> Solution:
         """Return the same solution with rotations of unit norm."""

@@ -25,8 +25,8 @@ class Status(Enum):
         "the solver reports success but rows are violated beyond tolerance: tighten --tol, change the solver"
     )
     COARSE_GRID = (
-        "the rows hold at the points, but between them contacts move further than a plan may err: use more "
-        "intervals or a higher degree"
+        "the rows hold at the points, but the motion between them does not: use more intervals or a higher "
+        "degree"
     )
     SINGULAR_BASE = (
         "the virtual joints of the base pass gimbal lock, where their rates have no bound: use "

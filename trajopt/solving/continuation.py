@@ -48,7 +48,7 @@ class Continuation:
     @property
     def solutions(self) -> dict[float, Solution]:
         """Solution of every value of the sequence that was solved."""
-        return {step.value: step.solution for step in self.steps if step.asked and step.solution.success}
+        return {step.value: step.solution for step in self.steps if step.asked and step.solution.converged}
 
     @property
     def success(self) -> bool:
@@ -66,7 +66,7 @@ class Continuation:
             "cold": total_effort(cold) if cold else None,
         }
         if cold:
-            found["cold_solved"] = sum(solution.success for solution in cold)
+            found["cold_solved"] = sum(solution.converged for solution in cold)
             found["saved"] = {key: found["cold"][key] - value for key, value in found["total"].items()}
         return found
 
@@ -134,7 +134,7 @@ class _Walk:
         targets = [value]
         while targets:
             step = self.solve(targets[-1], asked=len(targets) == 1)
-            if step.solution.success:
+            if step.solution.converged:
                 targets.pop()
             elif _stopped(step.solution):
                 return False
@@ -154,7 +154,7 @@ class _Walk:
         origin = None if start is None else self.origin
         step = ContinuationStep(value=value, solution=solution, origin=origin, asked=asked)
         self.steps.append(step)
-        if solution.success:
+        if solution.converged:
             self.start, self.origin = solution, value
         if self.on_step is not None:
             self.on_step(step)

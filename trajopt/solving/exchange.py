@@ -22,7 +22,7 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.collision.near import ShapePair
 from trajopt.robot.collision.planes import SeparatingPlane
 from trajopt.robot.units import Units
-from trajopt.solution.interpolation import collocation_fractions, interval_interpolant
+from trajopt.solution.interpolation import InterpolatedMotion, collocation_fractions
 from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
 from trajopt.terms.moments import PlaneSide
@@ -33,6 +33,8 @@ BAND = 0.06
 # Between its nodes an interval is looked at this many times, evenly, and at its points; more often where a
 # coordinate changes by more than this from look to look, in natural units (rad, lengths of the robot).
 LOOKS, LOOK_STEP = 5, 0.03
+# Moments that agree to this many digits are the same.
+DIGITS = 12
 
 # Phase, fraction of its duration; and a motion over these.
 Moment = tuple[int, float]
@@ -67,26 +69,30 @@ class Exchange:
         return BAND * self.problem.robot.length
 
     @property
-    def outer_pairs(self) -> tuple[ShapePair, ...]:
-        """Pairs with obstacles."""
-        return self.bodies.pairs[self.bodies.scene.n_ground : self.bodies.scene.n_outer]
+    def sided_pairs(self) -> tuple[ShapePair, ...]:
+        """Pairs other than with the ground: their bodies may pass each other on several sides."""
+        return self.bodies.pairs[self.bodies.scene.n_ground :]
 
     def look(self, solution: Solution) -> Look:
         """Distances of all pairs along a solution, exact where they are within the band."""
         plan = solution.normalized()
         units = Units(self.problem.robot).position
-        seen = [_seen(plan, number, units) for number in range(plan.n_intervals)]
-        q = np.concatenate([configurations for configurations, _, _ in seen])
+        numbers, fractions, regular = _moments_to_look_at(plan, units)
+        q = InterpolatedMotion.of(plan).at(numbers, fractions).q
         return Look(
             distances=self.bodies.scene.distances(q, self.band + self.bodies.widest),
-            moments=tuple(moment for _, moments, _ in seen for moment in moments),
-            regular=np.concatenate([regular for _, _, regular in seen]),
+            moments=_in_phases(plan, numbers, fractions),
+            regular=regular,
         )
 
     def missing(self, look: Look) -> tuple[ShapePair, ...]:
         """Pairs that are too near somewhere."""
         short = (look.distances - self.bodies.margins).min(axis=0, initial=np.inf)
         return tuple(pair for pair, own in zip(self.bodies.pairs, short, strict=True) if own < -TOO_NEAR)
+
+    def depth(self, look: Look) -> float:
+        """By how much the worst pair is too near, m; zero if none is."""
+        return max(-TOO_NEAR - float((look.distances - self.bodies.margins).min(initial=np.inf)), 0.0)
 
     def add(self, look: Look) -> bool:
         """Add the moments where pairs that are, or were, too near are near; whether there are new ones."""
@@ -100,12 +106,15 @@ class Exchange:
                 self.moments[pair] |= {look.moments[row] for row in np.flatnonzero(near)}
         return sum(map(len, self.moments.values())) > before
 
-    def constrained(self, motion: PhaseMotion) -> Problem:
+    def constrained(self, motion: PhaseMotion, last: PhaseMotion) -> Problem:
         """The problem with rows at all moments so far, their planes laid along a motion.
 
         Args:
             motion: phase, fraction of its duration -> configuration (nq,), as `along` or `guess` give it.
+            last: the motion that was too near: its nearest corners get rows, too.
         """
+        for _ in self._laid(last):
+            pass
         groups: defaultdict[tuple[int, str | None, str | None], list[tuple[float, SeparatingPlane]]]
         groups = defaultdict(list)
         for (phase, fraction), plane in self._laid(motion):
@@ -159,25 +168,37 @@ def along(solution: Solution) -> PhaseMotion:
     return lambda phase, fraction: motion.in_phase(phase, fraction, 0.5).q
 
 
-def _seen(plan: Solution, number: int, units: np.ndarray) -> tuple[np.ndarray, list[Moment], np.ndarray]:
-    """Configurations (k, nq) in an interval, their moments, and which of them are its nodes and points.
+def _moments_to_look_at(plan: Solution, units: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Numbers and fractions (K,) of intervals, and which of them are nodes and points.
 
-    Its end is the start of the next one, where that is looked at; only the last has an end of its own.
+    The end of an interval is the start of the next one, where that is looked at; only the last has its own.
     """
-    _, points = collocation_fractions(plan, number)
-    regular = np.unique(np.round([0.0, *points, 1.0], 12))
-    own = plan.interval_t[number]
-    travel = (own[1] - own[0]) * float((np.abs(plan.v[plan.intervals[number]]) / units).max())
-    looks = max(LOOKS, math.ceil(travel / LOOK_STEP))
-    fractions = np.unique(np.round(np.concatenate([regular, np.linspace(0.0, 1.0, looks + 2)]), 12))
-    if number < plan.n_intervals - 1:
-        fractions = fractions[fractions < 1.0]
-    phase = int(plan.phase[plan.intervals[number].start])
-    start, end = plan.interval_t[plan.intervals_of(phase)][[0, -1], [0, 1]]
-    times = own[0] + fractions * (own[1] - own[0])
-    shares = np.clip((times - start) / (end - start), 0.0, 1.0)
-    moments = [(phase, round(float(share), 12)) for share in shares]
-    return interval_interpolant(plan, number).at(fractions).q, moments, np.isin(fractions, regular)
+    numbers, fractions, regular = [], [], []
+    for number in range(plan.n_intervals):
+        own = np.unique(np.round([0.0, *collocation_fractions(plan, number)[1], 1.0], DIGITS))
+        start, end = plan.interval_t[number]
+        travel = (end - start) * float((np.abs(plan.v[plan.intervals[number]]) / units).max())
+        looks = max(LOOKS, math.ceil(travel / LOOK_STEP))
+        every = np.unique(np.concatenate([own, np.round(np.linspace(0.0, 1.0, looks + 2), DIGITS)]))
+        if number < plan.n_intervals - 1:
+            every = every[every < 1.0]
+        numbers.append(np.full(len(every), number))
+        fractions.append(every)
+        regular.append(np.isin(every, own))
+    return np.concatenate(numbers), np.concatenate(fractions), np.concatenate(regular)
+
+
+def _in_phases(plan: Solution, numbers: np.ndarray, fractions: np.ndarray) -> tuple[Moment, ...]:
+    """Phase and fraction of it at fractions of intervals."""
+    start, end = plan.interval_t[numbers].T
+    times = start + fractions * (end - start)
+    phases = plan.phase[[rows.start for rows in plan.intervals]][numbers]
+    spans = np.array(
+        [plan.interval_t[plan.intervals_of(phase)][[0, -1], [0, 1]] for phase in range(len(plan.phases))]
+    )
+    begin, length = spans[phases, 0], np.diff(spans, axis=1)[phases, 0]
+    shares = np.clip((times - begin) / length, 0.0, 1.0).round(DIGITS)
+    return tuple(zip(phases.tolist(), shares.tolist(), strict=True))
 
 
 def _least_around(values: np.ndarray) -> np.ndarray:

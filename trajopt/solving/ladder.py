@@ -11,7 +11,6 @@ from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import solve
-from trajopt.solving.verdicts import is_usable_start
 from trajopt.transcription.schemes import scheme
 
 # A scheme and a number of intervals over the whole schedule; None is the problem's.
@@ -94,7 +93,7 @@ def solve_ladder(
         found.append(solve(problem, **grid, start=start, perturb=noise, label=label, **settings))
         if found[-1].meta["status"] == INTERRUPTED:
             break
-        start = found[-1] if is_usable_start(found[-1]) else start
+        start = found[-1] if found[-1].converged else start
     compared = compare and found[-1].meta["status"] != INTERRUPTED
     cold = solve(problem, **rungs[-1], label=FROM_DEFAULT_GUESS, **settings) if compared else None
     return Ladder(rungs=tuple(found), cold=cold)

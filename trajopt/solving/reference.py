@@ -252,7 +252,7 @@ class _Climb:
                 max_time=max(self.left, LEAST_TIME),
                 **self.settings,
             )
-            if found.success:
+            if found.converged:
                 return found
             if self.left <= 0:
                 break
@@ -297,4 +297,4 @@ def in_other_optimum(problem: Problem, coarse: Solution, fine: Solution, **setti
     """
     apart = compare(coarse, fine).farthest
     back = solve(problem, mesh=mesh_of(coarse), start=fine, **settings)
-    return back.success and compare(back, fine).farthest < SAME_SIDE * apart
+    return back.converged and compare(back, fine).farthest < SAME_SIDE * apart

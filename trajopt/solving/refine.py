@@ -23,7 +23,6 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.ladder import INTERRUPTED
 from trajopt.solving.remeshing import PhaseErrors, remeshed
 from trajopt.solving.solving import solve
-from trajopt.solving.verdicts import is_usable_start
 from trajopt.transcription.mesh import Mesh
 
 # The first mesh has this part of the problem's own intervals, and two a phase at least: its solution takes
@@ -172,7 +171,7 @@ def refine(
     tolerance = tolerance_for(target, problem.robot.length) if tolerance is None else tolerance
     loop = _Loop(problem, float(target), raise_degree, {**settings, "tolerance": tolerance})
     known = None if start is None else solution_of(start)
-    if mesh is None and known is not None and is_usable_start(known):
+    if mesh is None and known is not None and known.converged:
         loop.record(mesh_of(known), known)
         why = loop.run(mesh_of(known), known, known, max_rounds + 1, max_variables)
     else:
@@ -220,7 +219,7 @@ class _Loop:
             for local, error, sizes in zip(
                 np.split(accuracy.interval_errors, ends[:-1]),
                 phase_errors(accuracy),
-                _unknowns_by_phase(self.problem),
+                unknowns_by_phase(self.problem),
                 strict=True,
             )
         ]
@@ -237,7 +236,7 @@ class _Loop:
             label = f"mesh {len(self.rounds) + 1}"
             solution = solve(self.problem, mesh=mesh, start=origin, label=label, **self.settings)
             self.record(mesh, solution)
-            if is_usable_start(solution):
+            if solution.converged:
                 return solution
             if solution.meta["status"] == INTERRUPTED:
                 break
@@ -253,7 +252,7 @@ class _Loop:
         return replace(made, solution=replace(solution, meta={**solution.meta, "refinement": made.to_dict()}))
 
 
-def _unknowns_by_phase(problem: Problem) -> list[tuple[int, int]]:
+def unknowns_by_phase(problem: Problem) -> list[tuple[int, int]]:
     """Approximate number of variables of each phase per node and per point: states, inputs, wrenches."""
     robot = problem.robot
     wrenches = [
@@ -266,5 +265,5 @@ def unknowns_on_mesh(problem: Problem, mesh: Mesh) -> int:
     """Approximate number of variables of a problem on a mesh."""
     return sum(
         phase.count * (node + phase.method.s * point)
-        for phase, (node, point) in zip(mesh.phases, _unknowns_by_phase(problem), strict=True)
+        for phase, (node, point) in zip(mesh.phases, unknowns_by_phase(problem), strict=True)
     )

@@ -71,6 +71,28 @@ def remeshed(
     return Mesh(phases=tuple(phases))
 
 
+def remeshed_where_broken(
+    mesh: Mesh,
+    errors: Sequence[PhaseErrors],
+    broken: np.ndarray,
+    length: float,
+    raise_degree: bool = True,
+) -> Mesh:
+    """The mesh for the next round of a motion that misses tolerances.
+
+    Phases whose error, in units of what is allowed, is above one are remeshed by their local errors. In the
+    others, intervals in which a figure is ``broken`` (I,) times its tolerance are split.
+    """
+    phases, ends = [], np.cumsum(mesh.counts)
+    parts = np.where(broken > 1, np.clip(np.ceil(np.sqrt(broken)), 2, MOST_PARTS), 1).astype(int)
+    for phase, own, split in zip(mesh.phases, errors, np.split(parts, ends[:-1]), strict=True):
+        if own.phase <= 1:
+            phases.append(phase.split(split.tolist()) if split.max() > 1 else phase)
+        else:
+            phases.append(_remeshed_phase(phase, own, 1.0, length, raise_degree))
+    return Mesh(phases=tuple(phases))
+
+
 def _remeshed_phase(
     mesh: PhaseMesh, errors: PhaseErrors, target: float, length: float, raise_degree: bool
 ) -> PhaseMesh:

@@ -24,9 +24,9 @@ from trajopt.solving.multipliers import with_multipliers
 from trajopt.solving.verdicts import (
     TRUSTED_VIOLATION,
     advice_for,
-    fail_on_contact_drift,
     fail_on_gimbal_lock,
     finite_or_none,
+    judged,
     status_by_violation,
 )
 from trajopt.solving.warm_start import warm_start
@@ -116,8 +116,9 @@ def solve(
     watch: Watch | None = None,
     label: str = "",
     start: Solution | str | Path | None = None,
+    judge: bool = True,
 ) -> Solution:
-    """Solve a problem; never raises because the solver did not converge.
+    """Solve a problem on one mesh; never raises because the solver did not converge.
 
     Args:
         problem: What to solve.
@@ -141,6 +142,7 @@ def solve(
         label: Which of several solves this is, for the watch.
         start: A solution, or its file, to start from instead of the problem's guess: of the same joints and
             phases, on any grid, scheme, durations or parameters (see `warm_start`).
+        judge: Check a motion that converged; False where the caller does.
 
     Returns:
         A solution whose ``meta`` has status, success, advice, iterations, objective, times and the worst
@@ -173,6 +175,7 @@ def solve(
         progress=progress,
         watch=watch,
         label=label,
+        judge=judge,
     )
 
 
@@ -187,6 +190,7 @@ def solve_prepared(
     progress: ProgressCallback | None = None,
     watch: Watch | None = None,
     label: str = "",
+    judge: bool = True,
 ) -> Solution:
     """Solve what `prepare` made, any number of times; never raises because the solver did not converge.
 
@@ -200,6 +204,7 @@ def solve_prepared(
         progress: Called at each iteration.
         watch: Called with the guess, each iterate and the end.
         label: Which of several solves this is.
+        judge: Check a motion that converged.
     """
     stop = stop or StoppingCriteria()
     place = nonfinite_place(prepared.nlp, start)
@@ -209,7 +214,9 @@ def solve_prepared(
         result = run_solver(prepared.nlp, start, solver, stop, options or {}, told, prepared.warm)
     else:
         result = _not_finite(prepared, start)
-    found = _solution(prepared, result, solver, stop.tolerance, place, origin)
+    found = fail_on_gimbal_lock(_solution(prepared, result, solver, stop.tolerance, place, origin))
+    if judge and prepared.transcription.problem.holds_contacts:
+        found = judged(found)
     told.end(result, found.meta["status"])
     return found
 
@@ -272,6 +279,7 @@ def _solution(
         "status": status.word,
         "solver_status": result.solver_status,
         "success": success,
+        "converged": success,
         "advice": advice_for(status, place, worst <= TRUSTED_VIOLATION * tolerance),
         "iterations": result.iterations,
         "objective": finite_or_none(result.objective * t.objective_unit),
@@ -293,6 +301,4 @@ def _solution(
         **result.figures,
         **origin,
     }
-    found = with_multipliers(extract(t, result.x, meta), t, result.lam_g, result.lam_x)
-    found = fail_on_gimbal_lock(found)
-    return fail_on_contact_drift(found, t.problem.robot.length) if t.problem.holds_contacts else found
+    return with_multipliers(extract(t, result.x, meta), t, result.lam_g, result.lam_x)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import replace
 from typing import Any
 
-from trajopt.certify.contact_figures import place_figures
-from trajopt.certify.samples import sample_quantities
+import numpy as np
+
+from trajopt.certify.check import check
+from trajopt.certify.report import AT_POINTS, CheckReport, Tolerances
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin_along
+from trajopt.errors import TrajoptError
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import touched_surfaces
 from trajopt.solvers.status import Status
 
 # A solver's "solved" is believed up to this multiple of its tolerance, measured anew on all rows.
@@ -22,9 +25,6 @@ DEPENDENT = (
     "; all rows hold at this iterate, so they may depend on each other there, as of a goal at a singular"
     " posture or the same goal stated twice: trajopt diagnose names them"
 )
-# A solved motion whose contacts move by more than this part of the robot's length within a phase has failed:
-# its grid is too coarse to hold them. What `check` allows is far less.
-MOST_CREEP = 0.25
 
 
 def status_by_violation(status: Status, worst: float, tolerance: float) -> Status:
@@ -54,30 +54,41 @@ def fail_on_gimbal_lock(solution: Solution) -> Solution:
         status = Status.SINGULAR_BASE
         found["advice"] = f"{status.advice} (margin {margin:.3f}, least {LEAST_MARGIN:g})"
         if solution.success:
-            found |= {"status": status.word, "success": False}
+            found |= {"status": status.word, "success": False, "converged": False}
         else:
             found["advice"] = f"{solution.meta['advice']}; {found['advice']}"
     return replace(solution, meta={**solution.meta, **found})
 
 
-def fail_on_contact_drift(solution: Solution, length: float) -> Solution:
-    """Mark a solution as failed if its contacts drift by a large fraction of the robot's ``length`` in m."""
-    if not solution.success:
+def judged(solution: Solution, tolerances: Tolerances = AT_POINTS) -> Solution:
+    """Judge a solution that converged by its check; one that is beyond a tolerance is no success."""
+    if not solution.converged:
         return solution
-    samples = sample_quantities(solution)
-    creep = place_figures(solution, samples, touched_surfaces(solution, samples.position))["foot_drift"]
-    if creep is None or creep <= MOST_CREEP * length:
-        return solution
-    status = Status.COARSE_GRID
-    advice = f"{status.advice} (by {creep:.2g} m, most {MOST_CREEP * length:.2g} m)"
-    return replace(
-        solution, meta={**solution.meta, "status": status.word, "success": False, "advice": advice}
-    )
+    begun = time.perf_counter()
+    try:
+        with np.errstate(all="ignore"):
+            report = check(solution, integrate=False)
+    except (TrajoptError, ArithmeticError, ValueError) as error:
+        return _failed(solution, f"the motion cannot be checked: {error}")
+    seconds = time.perf_counter() - begun
+    return judged_by(replace(solution, meta={**solution.meta, "verdict_time_s": seconds}), report, tolerances)
 
 
-def is_usable_start(solution: Solution) -> bool:
-    """Whether another solve can start from it: all rows hold, if only at the points of a coarse grid."""
-    return solution.success or solution.meta["status"] == Status.COARSE_GRID.word
+def judged_by(solution: Solution, report: CheckReport, tolerances: Tolerances) -> Solution:
+    """Judge a solution that converged by a check of it; the advice names the worst figure and its place."""
+    failures = report.failures(tolerances)
+    solved = {"status": Status.SOLVED.word, "success": True, "advice": Status.SOLVED.advice}
+    solution = replace(solution, meta={**solution.meta, **solved, "failures": list(failures)})
+    if not failures:
+        return solution
+    name, used = report.worst(tolerances)
+    beyond = f"{report.said(name)}, {used:.2g} times what is allowed"
+    return _failed(solution, f"{Status.COARSE_GRID.advice}: {beyond}")
+
+
+def _failed(solution: Solution, advice: str) -> Solution:
+    verdict = {"status": Status.COARSE_GRID.word, "success": False, "advice": advice}
+    return replace(solution, meta={**solution.meta, **verdict})
 
 
 def finite_or_none(value: float) -> float | None:

@@ -23,10 +23,15 @@ from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.smooth import CurvedSurface
 from trajopt.terrain.surface import Surface
 
-# Fraction of the weight below which the apex of a friction cone is smoothed: a violation of 1e-9, typical of
-# solvers, is then a force of 3e-6 at most (3e-5 of a squared cone). With a sharper apex IPOPT needs several
-# times the iterations where forces start at zero (talos-wall: 16 at 1e-2, 102 at 1e-3).
+# Fraction of the weight below which the apex of a friction cone is smoothed. With a sharper apex IPOPT needs
+# several times the iterations where forces start at zero (talos-wall: 16 at 1e-2, 102 at 1e-3).
 APEX = 1e-2
+# Violation of a row of the cone, as a force over the weight, up to which forces near the apex stay within
+# Coulomb's law: solvers' default tolerance. For that the tip of the cone is left out, up to a normal force of
+# sqrt(TIGHT APEX) / mu: 1e-4 / mu of the weight.
+TIGHT = 1e-6
+# Largest N = mu f_n over the weight that this tightening reaches, by exp(-(N / w)^2).
+TIP = APEX / 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +61,8 @@ class ContactConstraint(PointConstraint):
 
     @override
     def idle(self, robot: Robot, schedule: Schedule) -> str:
+        if self.contacts is not None and not self.contacts:
+            return "contacts is empty"
         for name in self.contacts or ():
             if not self._applies_to(robot.contact(name)):
                 return f"'{name}' is a point contact"
@@ -168,9 +175,15 @@ class FrictionCone(ContactConstraint):
     """Unilateral force inside the exact Coulomb cone: f_1^2 + f_2^2 <= (mu f_n)^2, f_n >= 0.
 
     The squared form is smooth at the apex, but a solver's tolerance on it is the square of a force, which
-    lets small forces slip. The row is therefore (N^2 - f_1^2 - f_2^2) / sqrt(N^2 + d^2) with N = mu f_n,
-    forces over the weight and d = `APEX`: the same set, and away from the apex about twice the distance from
-    the cone's side. Without friction f_1 = f_2 = 0.
+    lets small forces slip. The row is therefore, with N = mu f_n and forces over the weight,
+
+        (N^2 - f_1^2 - f_2^2) / sqrt(N^2 + d^2) - e exp(-(N / w)^2) >= 0        d = APEX, e = TIGHT, w = TIP
+
+    Away from the apex its set is the cone, and its value about twice the distance from the cone's side. No
+    smooth row has the whole cone as its set and a gradient at its apex; this one leaves out the tip, on the
+    safe side. A violation v <= e then means a force outside of Coulomb's law by 2 v at most: with f_t the
+    force along the surface, |f_t|^2 - N^2 <= (v - e exp(-(N / w)^2)) sqrt(N^2 + d^2), which is negative near
+    the apex, and elsewhere at most 4 v N. Without friction f_1 = f_2 = 0.
     """
 
     @override
@@ -185,7 +198,8 @@ class FrictionCone(ContactConstraint):
                 continue
             largest = context.parameter(friction) * f[2]
             inside = largest**2 - f[0] ** 2 - f[1] ** 2
-            found.at_least_zero([inside / ca.sqrt(largest**2 + APEX**2)], 1.0)
+            tight = TIGHT * ca.exp(-((largest / TIP) ** 2))
+            found.at_least_zero([inside / ca.sqrt(largest**2 + APEX**2) - tight], 1.0)
         return found.rows()
 
 

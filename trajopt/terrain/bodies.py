@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -17,6 +17,8 @@ DEPTH = 5.0
 SAME = 1e-6
 # Part of a footprint smaller than this is a crack between faces, m^2.
 CRACK_AREA = 1e-4
+# Terrains whose bodies are kept.
+MOST_TERRAINS = 32
 # A half-plane of the (x, y) plane: inward (3,) @ p >= offset, with no part along z.
 _HalfPlane = tuple[np.ndarray, float]
 
@@ -62,6 +64,20 @@ def ground_bodies(terrain: FlatGround | PiecewiseTerrain) -> tuple[GroundBody, .
     if isinstance(terrain, FlatGround):
         surface = terrain.surface
         return (HalfSpace(normal=surface.normal, offset=surface.height),)
+    return _below(_Keyed(b"".join(face.vertices.tobytes() for face in terrain.faces), terrain))
+
+
+@dataclass(frozen=True)
+class _Keyed:
+    """A terrain that is equal to another with the same faces."""
+
+    content: bytes
+    terrain: PiecewiseTerrain = field(compare=False)
+
+
+@lru_cache(maxsize=MOST_TERRAINS)
+def _below(keyed: _Keyed) -> tuple[ConvexGround, ...]:
+    terrain = keyed.terrain
     grown = [_grown(face, terrain) for face in terrain.faces]
     low = min(float(tops[:, 2].min()) for tops in grown) - DEPTH
     bodies: list[ConvexGround] = []
@@ -83,15 +99,25 @@ def _contains(body: ConvexGround, other: ConvexGround) -> bool:
 
 def _grown(face: Patch, terrain: PiecewiseTerrain) -> np.ndarray:
     """Top corners (k, 3) of the body of a face: its own, and of its neighbours as far as it stays ground."""
-    tops, waiting = face.vertices, [other for other in terrain.faces if other is not face]
     slope, level = _height_of(face)
+
+    def under(other: Patch) -> np.ndarray:
+        corners = other.vertices.copy()
+        corners[:, 2] = np.minimum(corners[:, 2], corners @ slope + level)
+        return corners
+
+    tops, waiting = face.vertices, [other for other in terrain.faces if other is not face]
+    higher = [other for other in waiting if (other.vertices @ [*-slope[:2], 1.0] >= level - SAME).all()]
+    # Most often all higher ground at once: stairs from there on. Else one face after the other.
+    joined = np.concatenate([tops, *(under(other) for other in higher)])
+    touching = any(_touch(tops, other.vertices) for other in higher)
+    if touching and _is_ground(joined, terrain):
+        tops, waiting = joined, [other for other in waiting if other not in higher]
     grown = True
     while grown:
         grown = False
         for other in [entry for entry in waiting if _touch(tops, entry.vertices)]:
-            under = other.vertices.copy()
-            under[:, 2] = np.minimum(under[:, 2], under @ slope + level)
-            joined = np.concatenate([tops, under])
+            joined = np.concatenate([tops, under(other)])
             if _is_ground(joined, terrain):
                 tops, grown = joined, True
                 waiting.remove(other)

@@ -344,9 +344,7 @@ def transcribe(
     Raises:
         InputError: for an unknown scheme, fewer intervals than phases, or a mesh that does not fit.
     """
-    chosen = mesh if mesh is not None else _uniform_mesh(problem, transcription, intervals)
-    if mesh is not None and (transcription is not None or intervals is not None):
-        raise InputError("a mesh is given with a transcription or intervals", "allowed: one of them")
+    chosen = chosen_mesh(problem, transcription, intervals, mesh)
     phases = problem.schedule.phases
     if len(chosen.phases) != len(phases):
         raise InputError(
@@ -362,7 +360,17 @@ def transcribe(
     return Transcriber(problem, chosen).build()
 
 
-def _uniform_mesh(problem: Problem, transcription: str | None, intervals: int | None) -> Mesh:
+def chosen_mesh(
+    problem: Problem,
+    transcription: str | None = None,
+    intervals: int | None = None,
+    mesh: Mesh | None = None,
+) -> Mesh:
+    """The mesh that is named, by default the problem's own; arguments and errors as of `transcribe`."""
+    if mesh is not None:
+        if transcription is not None or intervals is not None:
+            raise InputError("a mesh is given with a transcription or intervals", "allowed: one of them")
+        return mesh
     total = problem.default_intervals if intervals is None else intervals
     if not isinstance(total, (int, np.integer)) or isinstance(total, bool):
         raise InputError(f"intervals is {total!r}", "allowed: a whole number")

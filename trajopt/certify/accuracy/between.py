@@ -1,7 +1,6 @@
-"""Residuals of the dynamics and constraint violations of a solution between its collocation points.
+"""Residuals of the dynamics and constraint violations of a solution at any time, by interval and phase.
 
-Every figure is the check's, evaluated on the interpolated motion (`solution.interpolation`) at
-``FRACTIONS`` of every interval, its ends among them.
+The violations are those of the check (`certify.dense`), in natural units.
 """
 
 from __future__ import annotations
@@ -12,17 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.certify.accuracy.natural_units import NaturalUnits
-from trajopt.certify.contact_figures import force_figures, place_figures
-from trajopt.certify.dynamics_figures import DynamicsRows, dynamics_rows
-from trajopt.certify.limit_figures import drive_figures, limit_figures
-from trajopt.certify.samples import SampleQuantities, sample_quantities
-from trajopt.solution.arrays import SAMPLED, rows_of
-from trajopt.solution.clearance import distance_figures
-from trajopt.solution.interpolation import resampled
+from trajopt.certify.body_figures import FileBodies
+from trajopt.certify.contact_figures import ContactStarts
+from trajopt.certify.dense import DenseMotion, dense_motion, figures_at
+from trajopt.certify.dynamics_figures import dynamics_rows
+from trajopt.certify.samples import sample_quantities
+from trajopt.solution.interpolation import InterpolatedMotion, resampled
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
+from trajopt.solution.touched import touched_surfaces
 
-# Eleven per interval: between the points of a scheme of degree four lie at least two of them.
+# Fractions of an interval for its residuals: between the points of a scheme of degree four lie two at least.
 FRACTIONS = np.linspace(0.0, 1.0, 11)
 
 _Figures = dict[str, float | None]
@@ -54,6 +52,7 @@ VIOLATIONS = {
     "velocity": _Bound(figure="velocity_excess"),
     "position": _Bound(figure="position_excess"),
     "penetration": _Bound(figure="penetration", unit=_length),
+    "link_depth": _Bound(figure="link_depth", unit=_length),
     "obstacle": _Bound(figure="obstacle_distance", sign=-1.0, unit=_length),
     "self_collision": _Bound(figure="self_distance", sign=-1.0, unit=_length),
     "patch": _Bound(figure="patch_margin", sign=-1.0, unit=_length),
@@ -92,22 +91,24 @@ class BetweenPoints:
 
 
 def figures_between_points(plan: Solution) -> BetweenPoints:
-    """Figures of a plan whose rotations are of unit norm, at ``FRACTIONS`` of its intervals."""
-    dense = resampled(plan, FRACTIONS)
-    samples = sample_quantities(dense)
-    surfaces = touched_surfaces(dense, samples.position)
-    units = NaturalUnits.of(plan.model)
-    phases = [slice(rows.start, rows.stop) for rows in dense.phases]
-    parts = [_part(dense, samples, surfaces, rows) for rows in phases]
-    found = [_violations(part, units) for part in parts]
+    """Figures at any time of a plan whose rotations are of unit norm."""
+    samples = sample_quantities(plan)
+    surfaces = touched_surfaces(plan, samples.position)
+    starts = ContactStarts.of(plan, samples, surfaces)
+    bodies = FileBodies.of(plan)
+    here = figures_at(plan, samples, surfaces, starts, bodies)
+    dense = dense_motion(plan, InterpolatedMotion.of(plan), here, starts, bodies)
+    units, phases = NaturalUnits.of(plan.model), range(len(plan.phases))
     return BetweenPoints(
-        residuals=_residuals(dense, dynamics_rows(dense, samples, surfaces), units),
-        violations=tuple(violations for violations, _ in found),
-        foot_drift=tuple(drift for _, drift in found),
+        residuals=_residuals(resampled(plan, FRACTIONS), units),
+        violations=tuple(_violations(dense, phase, units) for phase in phases),
+        foot_drift=tuple(_worst(dense, "foot_drift", phase) for phase in phases),
     )
 
 
-def _residuals(dense: Solution, rows: DynamicsRows, units: NaturalUnits) -> IntervalResiduals:
+def _residuals(dense: Solution, units: NaturalUnits) -> IntervalResiduals:
+    samples = sample_quantities(dense)
+    rows = dynamics_rows(dense, samples, touched_surfaces(dense, samples.position))
     force = units.generalized_force(dense.model)
     base = dense.n_unactuated
     turning = np.array([1.0] * 3 + [1.0 / units.length] * 3)
@@ -122,28 +123,14 @@ def _residuals(dense: Solution, rows: DynamicsRows, units: NaturalUnits) -> Inte
     return IntervalResiduals(base=worst[0], actuated=worst[1], contact=worst[2])
 
 
-def _part(
-    dense: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces, rows: slice
-) -> tuple[Solution, SampleQuantities, TouchedSurfaces]:
-    """The samples of one phase."""
-    plan = dense.with_arrays(**{name: getattr(dense, name)[rows] for name in SAMPLED})
-    return plan, rows_of(samples, rows), rows_of(surfaces, rows)
+def _worst(dense: DenseMotion, figure: str, phase: int) -> float | None:
+    found = dense.traces[figure].at(dense.plan.phase == phase).worst()
+    return None if found is None else found[0]
 
 
-def _violations(
-    part: tuple[Solution, SampleQuantities, TouchedSurfaces], units: NaturalUnits
-) -> tuple[_Figures, float | None]:
-    plan, samples, surfaces = part
-    places = place_figures(plan, samples, surfaces)
-    figures = {
-        **force_figures(plan, samples, surfaces),
-        **limit_figures(plan),
-        **drive_figures(plan),
-        **places,
-        **distance_figures(plan, plan.q),
-    }
+def _violations(dense: DenseMotion, phase: int, units: NaturalUnits) -> _Figures:
     found: _Figures = {}
     for name, bound in VIOLATIONS.items():
-        value = figures[bound.figure]
+        value = _worst(dense, bound.figure, phase)
         found[name] = None if value is None else max(bound.sign * value / bound.unit(units), 0.0)
-    return found, places["foot_drift"]
+    return found

@@ -46,6 +46,19 @@ class NamedPoints:
             found.append((twist.linear + np.cross(twist.angular, places)) @ data.oMi[joint].rotation.T)
         return np.vstack(found)
 
+    def speeds(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Speeds (k, n) m/s at k states, q (k, nq), v (k, nv)."""
+        data = self.model.createData()
+        twists = np.zeros((len(q), self.model.njoints, 6))
+        for row, state in enumerate(zip(q, v, strict=True)):
+            pin.forwardKinematics(self.model, data, *state)
+            for joint in self.by_joint:
+                twists[row, joint] = data.v[joint].vector
+        owner = np.repeat(list(self.by_joint), [len(places) for places in self.by_joint.values()])
+        places = np.vstack(list(self.by_joint.values()))
+        own = twists[:, owner]
+        return np.asarray(np.linalg.norm(own[..., :3] + np.cross(own[..., 3:], places), axis=-1))
+
     def farthest(self, planned: np.ndarray, reached: np.ndarray) -> float:
         """Largest distance (m) of a point at one configuration (nq,) from where it is at the other."""
         apart = self.positions(reached) - self.positions(planned)

@@ -37,7 +37,11 @@ class NaturalUnits:
 
     def generalized_force(self, model: pin.Model) -> np.ndarray:
         """Units (nv,) of the rows of the dynamics: m g for forces, m g l for moments."""
-        data = model.createData()
-        columns = pin.computeJointJacobians(model, data, pin.neutral(model)).reshape(6, model.nv)
-        turning = np.linalg.norm(columns[3:], axis=0) > TRANSLATION * np.linalg.norm(columns, axis=0)
-        return np.where(turning, self.weight * self.length, self.weight)
+        return np.where(turning_rows(model), self.weight * self.length, self.weight)
+
+
+def turning_rows(model: pin.Model) -> np.ndarray:
+    """Which rows of v (nv,) are rotations."""
+    data = model.createData()
+    columns = pin.computeJointJacobians(model, data, pin.neutral(model)).reshape(6, model.nv)
+    return np.asarray(np.linalg.norm(columns[3:], axis=0) > TRANSLATION * np.linalg.norm(columns, axis=0))

@@ -23,6 +23,10 @@ from trajopt.dynamics.base_joint import BASE_ROWS, base_of
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.errors import InputError
 
+# Of Pinocchio's proximal algorithm: accuracy of the contacts' accelerations, m/s^2; what is added to the
+# diagonal of J M^-1 J^T in each of its iterations; the most of them.
+PROXIMAL, SOFTNESS, MOST_PROXIMAL = 1e-10, 1e-10, 10
+
 
 @dataclass(frozen=True, kw_only=True)
 class ContactMotion:
@@ -140,17 +144,45 @@ def _contact_acceleration(
 class ContactDynamics:
     """Forward dynamics for many calls with the same contacts: only the acceleration.
 
-    The same equations as `forward_dynamics`, without its report; well-conditioned contacts take a
-    Cholesky factor instead of singular values. NaN where the mass matrix is not positive definite.
+    The same equations as `forward_dynamics`, without its report. Points are held by Pinocchio's proximal
+    algorithm. By a projection are soles, of which it would hold the spatial, not the classical acceleration,
+    and where it does not converge, as with rows that contradict each other. NaN where the mass matrix is not
+    positive definite.
     """
 
     def __init__(self, model: pin.Model, contacts: ContactSet) -> None:
         self.model = model
         self.contacts = contacts
         self._data = model.createData()
+        self._constraints, self._states = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
+        for frame in contacts.frames:
+            place, kind = model.frames[frame], pin.ContactType.CONTACT_3D
+            axes = pin.LOCAL_WORLD_ALIGNED
+            constraint = pin.RigidConstraintModel(kind, model, place.parentJoint, place.placement, axes)
+            self._constraints.append(constraint)
+        for own in self._constraints:
+            self._states.append(own.createData())
+        pin.initConstraintDynamics(model, self._data, self._constraints, self._states)
 
     def acceleration(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
         """Return the acceleration (nv,) under ``generalized_force`` (nv,) and the contact wrenches."""
+        model, data = self.model, self._data
+        if set(self.contacts.dimensions) != {3}:
+            return self._projected(q, v, generalized_force)
+        settings = pin.ProximalSettings(PROXIMAL, SOFTNESS, MOST_PROXIMAL)
+        found: np.ndarray = pin.constraintDynamics(
+            model, data, q, v, generalized_force, self._constraints, self._states, settings
+        )
+        if settings.iter >= MOST_PROXIMAL or not np.isfinite(found).all():
+            return self._projected(q, v, generalized_force)
+        return found.copy()
+
+    def accelerations(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
+        """Return the accelerations (n, nv) at n states."""
+        rows = zip(q, v, generalized_force, strict=True)
+        return np.array([self.acceleration(*row) for row in rows])
+
+    def _projected(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
         model, data, contacts = self.model, self._data, self.contacts
         lower, failed = dpotrf(pin.crba(model, data, q).T, lower=1)
         if failed:

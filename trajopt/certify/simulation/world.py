@@ -45,6 +45,9 @@ IMPEDANCE = (0.95, 0.99, 0.5, 2.0)
 FRICTION_STIFFNESS = 10.0
 # Friction of links on the ground and on obstacles: matters only in a fall.
 LINK_FRICTION = 0.7
+# Of MuJoCo's solver of contact forces, relative: with its own 1e-8 forces of rolling balls miss the equations
+# of motion by 1e-5 of the weight.
+FORCE_TOLERANCE = 1e-12
 # A contact's time is at least so many steps: MuJoCo's own bound is two.
 LEAST_STEPS = 2.0
 
@@ -157,6 +160,7 @@ def _options(spec: Any, step: float) -> None:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = FRICTION_STIFFNESS
+    spec.option.tolerance = FORCE_TOLERANCE
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
 

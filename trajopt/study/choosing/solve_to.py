@@ -14,7 +14,6 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.ladder import INTERRUPTED
 from trajopt.solving.refine import Round, largest_error, refine
 from trajopt.solving.solving import solve
-from trajopt.solving.verdicts import is_usable_start
 from trajopt.study.choosing.choice import ChosenSetting, choices_by_time, choose_for_accuracy
 from trajopt.study.sweep.front import SettingFilter
 
@@ -57,7 +56,7 @@ class TargetSolve:
     def reached(self) -> bool:
         """Whether the goal is met, by measurement."""
         found = self.error if self.goal == "accuracy" else self.spent
-        return self.solution.success and found <= self.wanted
+        return self.solution.converged and found <= self.wanted
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able."""
@@ -97,7 +96,7 @@ def solve_to_accuracy(
     if first.meta["status"] == INTERRUPTED:
         return _recorded(TargetSolve("accuracy", wanted, (choice,), begun, first, None, "interrupted"))
     own = {name: value for name, value in choice.solver.items() if name != "tolerance"}
-    if is_usable_start(first):
+    if first.converged:
         made = refine(problem, accuracy, start=first, **own, **settings)
         begun = ()  # it is the first round of the refinement
     else:
@@ -135,7 +134,7 @@ def solve_within(
         own = {"label": f"setting {len(tried)}", "max_time": max(left, LEAST_TIME), **pick.solver}
         found = solve(problem, mesh=pick.mesh, start=best or start, **own, **settings)
         rounds.append(Round.of(pick.mesh, found))
-        best = found if found.success else best
+        best = found if found.converged else best
         if found.meta["status"] == INTERRUPTED:
             why = "interrupted"
             break

@@ -151,7 +151,7 @@ def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Di
         scaling=scaling(snapshot) if finite else None,
         limits=tuple(active_limits(snapshot)) if finite else (),
         conflict=conflict(snapshot) if finite and worst else None,
-        local_error=_local_errors(solution) if meta.get("success") else None,
+        local_error=_local_errors(solution) if meta.get("converged") else None,
         start=tuple(start_findings(t.problem)),
         notes=tuple(_notes(snapshot, solution, largest)),
     )
@@ -204,10 +204,10 @@ def _notes(snapshot: Snapshot, solution: Solution | None, largest: float | None)
     told = solution.meta.get("max_violation")
     if told is not None and largest is not None and abs(largest - told) > SAME * max(1.0, told):
         yield f"the rebuilt problem's rows miss {largest:.2e} here, the file says {told:.2e}: they differ"
-    if solution.success and snapshot.complementarity > SAME:
+    if solution.converged and snapshot.complementarity > SAME:
         yield (
             f"multipliers do not fit the slacks of the rebuilt problem's limits "
             f"({snapshot.complementarity:.1e}): the problem has changed since the file was made"
         )
-    if solution.success and snapshot.row_multiplier is None:
+    if solution.converged and snapshot.row_multiplier is None:
         yield "the file has no multipliers of these rows: limits and curvature are judged without them"

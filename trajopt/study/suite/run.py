@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.certify.check import check
-from trajopt.certify.report import FIGURES, CheckReport, Tolerances
+from trajopt.certify.report import AT_POINTS, FIGURES
 from trajopt.errors import TrajoptError
 from trajopt.problem.catalogue import families
 from trajopt.problem.family import choose
@@ -154,38 +154,28 @@ def attempt(solution: Solution, seed: int | None) -> Attempt:
 
 
 def checked(solution: Solution) -> Checked:
-    """The check of a solution, its worst figure named; one that cannot be computed is not ok."""
+    """The check of a solution at its points, its worst figure named; one that cannot be computed is not ok.
+
+    Its mesh is fixed: what it misses between points is for a finer one.
+    """
     try:
         with np.errstate(all="ignore"):  # an iterate far from a solution may overflow: its figures show it
-            report = check(solution)
+            report = check(solution, integrate=False)
     except (TrajoptError, ArithmeticError, ValueError) as error:
         return Checked(ok=False, figure="", used=None, error=f"cannot be checked: {error}")
-    name, used = worst_figure(report)
-    failures = tuple(FIGURES[failure].text for failure in report.failures())
+    name, used = report.worst(AT_POINTS)
+    failures = tuple(FIGURES[failure].text for failure in report.failures(AT_POINTS))
     return Checked(
-        ok=report.ok, figure=FIGURES[name].text, used=used if np.isfinite(used) else None, failures=failures
+        ok=not failures,
+        figure=FIGURES[name].text,
+        used=used if np.isfinite(used) else None,
+        failures=failures,
     )
-
-
-def worst_figure(report: CheckReport) -> tuple[str, float]:
-    """The judged figure with the largest ratio to its tolerance: name and ratio (above 1: beyond)."""
-    tolerances, used = Tolerances(), {}
-    for name, figure in FIGURES.items():
-        limit = None if figure.tolerance is None else getattr(tolerances, figure.tolerance)
-        value = getattr(report, name)
-        if limit is None or value is None:
-            continue
-        if figure.least:
-            used[name] = limit / value if value > 0 else np.inf
-        else:
-            used[name] = (-value if figure.margin else value) / limit
-    worst = max(used, key=lambda name: np.inf if np.isnan(used[name]) else used[name])
-    return worst, float(used[worst])
 
 
 def _physics(case: Case, prepared: PreparedProblem, solution: Solution, folder: Path | None) -> Physics:
     """Simulate a solved plan of a legged robot; nothing for other robots, or if it was not solved."""
-    if not solution.success or prepared.transcription.problem.robot.base == "fixed":
+    if not solution.converged or prepared.transcription.problem.robot.base == "fixed":
         return Physics()
     name = f"{case.problem}@{Path(case.robot).stem}{SIMULATED}.npz"
     return simulated(solution, None if folder is None else folder / name)

@@ -67,16 +67,16 @@ def run_setting(problem: Problem, setting: Setting, job: Job, request: SweepRequ
     made, first = sorted(found, key=lambda made: made.time)[len(found) // 2], found[0]
     solution, meta = made.parts[-1], made.parts[-1].meta
     objective = meta["objective"]
-    if setting.model == "two-stage" and solution.success:
+    if setting.model == "two-stage" and solution.converged:
         objective = objective_of(asked, setting, solution)
-    if solution.success:
+    if solution.converged:
         replace(solution, meta={**meta, "objective": objective}).save(file)
     # The first solve pays for graphs and the compiler, not the others.
     compile_time = first.total("compile_time_s")
     return TimedRun(
         **asdict(job),
         status=meta["status"],
-        success=meta["success"],
+        success=meta["converged"],
         iterations=made.total("iterations"),
         wall_time=meta["wall_time_s"],
         start_time=sum((part.meta["wall_time_s"] for part in made.parts[:-1]), 0.0),
@@ -150,9 +150,9 @@ def _solve(problem: Problem, setting: Setting, job: Job, request: SweepRequest) 
         least = len(problem.schedule.phases)
         intervals = max(least, round(COARSER * setting.intervals))
         coarse = solve(first, intervals=intervals, **noise, **arguments)
-        parts, noise = (coarse,), {"start": coarse} if coarse.success else noise
+        parts, noise = (coarse,), {"start": coarse} if coarse.converged else noise
     solution = solve(first, intervals=setting.intervals, **noise, **arguments)
-    if first is problem or not solution.success:
+    if first is problem or not solution.converged:
         return _Made((*parts, solution))
     begin = time.perf_counter()
     solution = with_torques(problem, solution)

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from trajopt.certify.limit_figures import _beyond
-from trajopt.dynamics.base_joint import position_limits
+from trajopt.certify.limit_figures import limit_traces
 from trajopt.solution.grid import interval_schemes
 from trajopt.view.plotting import draw, style
 from trajopt.view.plotting.draw import Curve
@@ -48,14 +47,6 @@ def _largest(rows: np.ndarray) -> np.ndarray:
     return np.abs(rows).max(axis=1, initial=0.0)
 
 
-def position_excess(motion: MotionQuantities) -> np.ndarray:
-    """Positions (K, nq) beyond their limits, over the joints' ranges."""
-    lower, upper = position_limits(motion.solution.model)
-    with np.errstate(invalid="ignore"):
-        span = np.where(np.isfinite(upper - lower) & (upper > lower), upper - lower, 1.0)
-    return np.maximum(motion.solution.q - upper, lower - motion.solution.q) / span
-
-
 RESIDUALS: dict[str, MotionQuantity] = {
     "base": partial(dynamics_residual, part="base"),
     "actuated": partial(dynamics_residual, part="actuated"),
@@ -67,9 +58,9 @@ VIOLATIONS: dict[str, MotionQuantity] = {
     "friction": lambda m: (m.tangential - m.cone) / m.units.weight,
     "pull": lambda m: np.where(m.surfaces.bilateral, np.nan, -m.normal) / m.units.weight,
     "penetration": lambda m: -m.surfaces.distance(m.samples.position) / m.units.length,
-    "torque": lambda m: _beyond(m.solution.tau, m.solution.meta["effort_limit"]),
-    "velocity": lambda m: _beyond(m.solution.v, m.solution.meta["velocity_limit"]),
-    "position": position_excess,
+    "torque": lambda m: limit_traces(m.solution)["effort_excess"].badness,
+    "velocity": lambda m: limit_traces(m.solution)["velocity_excess"].badness,
+    "position": lambda m: limit_traces(m.solution)["position_excess"].badness,
 }
 
 

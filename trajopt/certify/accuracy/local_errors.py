@@ -1,0 +1,106 @@
+"""Local errors of intervals: the planned torques integrated over each, all intervals at once.
+
+An interval of a scheme with s points is integrated from its planned start by Gauss collocation with more
+points, of which the planned motion (q, v, a)(t) is nearly a solution. With a_f the acceleration under the
+planned torques and e the error of the planned motion, fixed-point iteration gives
+
+    e''(t) = a_f(q + e, v + e', tau) - a,        e(0) = e'(0) = 0
+
+Its first step is the quadrature of the residual, which vanishes at the scheme's own points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.certify.accuracy.named_points import NamedPoints
+from trajopt.certify.accuracy.natural_units import NaturalUnits, turning_rows
+from trajopt.certify.reintegration import PhaseDynamics, integrated_interval_error, phase_dynamics
+from trajopt.solution.interpolation import InterpolatedMotion
+from trajopt.solution.solution import Solution
+
+# Points of the quadrature beyond those of the scheme.
+MORE_POINTS = 2
+# Most steps of the fixed-point iteration. It ends where velocities at the ends change by less than this part.
+MOST_SWEEPS, SETTLED = 6, 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalErrors:
+    """Errors of I intervals at their ends, each from its own planned start; inf where it diverges.
+
+    position: (I,) m, of the named point that is farthest off, |dp| + T |dp'| with T = sqrt(reach / g).
+    joints: (I,) rad, of the rotation (of a joint, or an axis of the base) that is farthest off, likewise.
+    """
+
+    position: np.ndarray
+    joints: np.ndarray
+
+
+def local_errors(plan: Solution, motion: InterpolatedMotion) -> LocalErrors:
+    """Local error of every interval of a plan, whose polynomials are ``motion``."""
+    position, speed = np.zeros((plan.n_intervals, plan.model.nv)), np.zeros((plan.n_intervals, plan.model.nv))
+    for number, samples in enumerate(plan.phases):
+        own = plan.intervals_of(number)
+        inside, dynamics = slice(own.start, own.stop), phase_dynamics(plan, samples.start)
+        if plan.meta.get("actuation") == "velocity":
+            found = [integrated_interval_error(plan, dynamics, i) for i in own]
+            position[inside], speed[inside] = (np.array(part) for part in zip(*found, strict=True))
+        else:
+            position[inside], speed[inside] = _collocated(plan, motion, dynamics, own)
+    return _measured(plan, position, speed)
+
+
+def _collocated(
+    plan: Solution, motion: InterpolatedMotion, dynamics: PhaseDynamics, numbers: range
+) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (n, nv) of positions and velocities at the ends of a phase's intervals."""
+    first = plan.intervals[numbers.start]
+    count = int(plan.collocation[first.start : first.stop].sum()) + MORE_POINTS
+    fractions, once, twice = _gauss(count)
+    sample = motion.at(np.repeat(numbers, count), np.tile(fractions, len(numbers)))
+    force = np.zeros(sample.v.shape)
+    force[:, plan.n_unactuated :] = sample.tau
+    step = np.diff(plan.interval_t[numbers.start : numbers.stop], axis=1)[:, None]
+    q, v = sample.q, sample.v
+    ends = np.full((len(numbers), plan.model.nv), np.inf)
+    with np.errstate(all="ignore"):
+        for _ in range(MOST_SWEEPS):
+            apart = (dynamics.accelerations(q, v, force) - sample.a).reshape(len(numbers), count, -1)
+            faster, moved = step * (once @ apart), step**2 * (twice @ apart)
+            changed, ends = np.abs(faster[:, -1] - ends).max(), faster[:, -1]
+            if not changed > SETTLED * np.abs(ends).max():
+                break
+            there = moved[:, :-1].reshape(len(q), -1)
+            q = np.array([pin.integrate(plan.model, *row) for row in zip(sample.q, there, strict=True)])
+            v = sample.v + faster[:, :-1].reshape(len(q), -1)
+        gap = motion.gaps(np.array(numbers))
+        return moved[:, -1] - gap[:, 0], faster[:, -1] - gap[:, 1]
+
+
+@lru_cache
+def _gauss(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gauss points (n,) of [0, 1], and integrals and double integrals of values there.
+
+    Both (n + 1, n): from 0 to every point, then to 1.
+    """
+    points = (np.polynomial.legendre.leggauss(count)[0] + 1) / 2
+    powers, ends = np.arange(count), np.append(points, 1.0)[:, None]
+    coefficients = np.linalg.inv(points[:, None] ** powers)
+    once = ends ** (powers + 1) / (powers + 1)
+    twice = ends ** (powers + 2) / ((powers + 1) * (powers + 2))
+    return points, once @ coefficients, twice @ coefficients
+
+
+def _measured(plan: Solution, position: np.ndarray, speed: np.ndarray) -> LocalErrors:
+    points, seconds = NamedPoints.of(plan.model), NaturalUnits.of(plan.model).time
+    ends = plan.q[[rows.stop - 1 for rows in plan.intervals]]
+    apart = points.speeds(ends, position) + seconds * points.speeds(ends, speed)
+    turns = (np.abs(position) + seconds * np.abs(speed))[:, turning_rows(plan.model)]
+    found = apart.max(axis=1), turns.max(axis=1, initial=0.0)
+    known = (np.where(np.isfinite(part), part, np.inf) for part in found)
+    return LocalErrors(**dict(zip(("position", "joints"), known, strict=True)))

@@ -1,0 +1,148 @@
+"""The worst of a motion at any time: figures between its samples, with more samples around the worst.
+
+Between two neighbouring samples of the file lies one more; then every figure is sampled again where the
+parabola through its worst value and the neighbours has its vertex. All figures share all samples.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajopt.certify.body_figures import FileBodies
+from trajopt.certify.contact_figures import ContactStarts, force_traces, place_traces
+from trajopt.certify.limit_figures import drive_traces, limit_traces
+from trajopt.certify.samples import ContactPlaces, contact_places
+from trajopt.certify.traces import Trace, Traces, merged
+from trajopt.solution.arrays import SAMPLED
+from trajopt.solution.interpolation import InterpolatedMotion, samples_at
+from trajopt.solution.solution import Solution
+from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
+
+# Samples nearer than this fraction of an interval are one.
+SAME = 1e-6
+# Rounds of sampling around the worst: the second parabola lies a tenth of the first's width off at most.
+ROUNDS = 2
+# Local maxima of a figure that are looked at in a round: its highest samples may not lie by its highest peak.
+PEAKS = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class DenseMotion:
+    """A motion at samples of the file and between, in no order, with its figures there.
+
+    plan: one row per sample. fractions: (K,) of its intervals.
+    """
+
+    plan: Solution
+    fractions: np.ndarray
+    traces: Traces
+
+
+def figures_at(
+    plan: Solution,
+    places: ContactPlaces,
+    surfaces: TouchedSurfaces,
+    starts: ContactStarts,
+    bodies: FileBodies,
+) -> Traces:
+    """All figures that are judged at any time, at the samples of ``plan``."""
+    return {
+        **force_traces(plan, places, surfaces),
+        **limit_traces(plan),
+        **drive_traces(plan),
+        **place_traces(plan, places, surfaces, starts),
+        **bodies.traces(plan),
+    }
+
+
+def dense_motion(
+    plan: Solution, motion: InterpolatedMotion, traces: Traces, starts: ContactStarts, bodies: FileBodies
+) -> DenseMotion:
+    """Look between the samples of a plan with polynomials ``motion``, whose ``traces`` are known at them."""
+
+    def look(numbers: np.ndarray, fractions: np.ndarray) -> DenseMotion:
+        own = samples_at(plan, numbers, fractions, motion.at(numbers, fractions))
+        places = contact_places(own)
+        found = figures_at(own, places, touched_surfaces(own, places.position), starts, bodies)
+        return DenseMotion(plan=own, fractions=fractions, traces=found)
+
+    begin, end = plan.interval_t[plan.interval].T
+    dense = DenseMotion(plan=plan, fractions=(plan.t - begin) / (end - begin), traces=traces)
+    numbers, fractions = _gaps(plan.interval, dense.fractions)
+    dense = _joined(dense, look(numbers, fractions))
+    for _ in range(ROUNDS):
+        numbers, fractions = _vertices(dense)
+        if not len(numbers):
+            break
+        dense = _joined(dense, look(numbers, fractions))
+    return dense
+
+
+def _joined(one: DenseMotion, other: DenseMotion) -> DenseMotion:
+    def along(arrays: list[np.ndarray]) -> np.ndarray:
+        return np.concatenate(arrays)
+
+    rows = {name: along([getattr(one.plan, name), getattr(other.plan, name)]) for name in SAMPLED}
+    return DenseMotion(
+        plan=one.plan.with_arrays(impulse=None, impact_index=None, **rows),
+        fractions=along([one.fractions, other.fractions]),
+        traces=merged([one.traces, other.traces], along),
+    )
+
+
+def _gaps(numbers: np.ndarray, fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Intervals and fractions of the middle between neighbouring samples."""
+    wide = (np.diff(numbers) == 0) & (np.diff(fractions) > SAME)
+    return numbers[:-1][wide], ((fractions[:-1] + fractions[1:]) / 2)[wide]
+
+
+def _vertices(dense: DenseMotion) -> tuple[np.ndarray, np.ndarray]:
+    """Intervals and fractions where parabolas through the worst samples of every figure have their vertex."""
+    numbers, fractions = dense.plan.interval, dense.fractions
+    order = np.lexsort((fractions, numbers))
+    inner = (numbers[order[:-2]] == numbers[order[2:]]) & (np.diff(fractions[order], n=1)[:-1] > SAME)
+    inner &= np.diff(fractions[order], n=1)[1:] > SAME
+    before, middle, after = (order[i : len(order) - 2 + i][inner] for i in range(3))
+    wanted: list[tuple[int, float]] = []
+    for trace in dense.traces.values():
+        for row, fraction in _peaks(trace, fractions, (before, middle, after)):
+            wanted.append((int(numbers[row]), fraction))
+    known: dict[int, list[float]] = {}
+    for number, fraction in wanted:
+        others = known.setdefault(number, [])
+        if all(abs(fraction - other) > SAME for other in others):
+            others.append(fraction)
+    found = [(number, fraction) for number, own in known.items() for fraction in own]
+    return np.array([n for n, _ in found], dtype=int), np.array([f for _, f in found])
+
+
+def _peaks(
+    trace: Trace, fractions: np.ndarray, rows: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> list[tuple[int, float]]:
+    """Row and fraction of the vertices at the worst local maxima of a figure."""
+    if not trace.counts.any():
+        return []
+    bad = trace.badness
+    left, peak, right = (bad[own] for own in rows)
+    high = np.isfinite(left) & np.isfinite(right) & (peak >= left) & (peak >= right)
+    high &= peak > np.minimum(left, right)
+    places = np.argwhere(high)
+    if len(places) > PEAKS:
+        places = places[np.argsort(-peak[high])[:PEAKS]]
+    found = []
+    for i, column in places:
+        x = fractions[[own[i] for own in rows]]
+        y = np.array([part[i, column] for part in (left, peak, right)])
+        found.append((int(rows[1][i]), _vertex(x, y)))
+    return [(row, fraction) for row, fraction in found if np.abs(fractions[row] - fraction) > SAME]
+
+
+def _vertex(x: np.ndarray, y: np.ndarray) -> float:
+    """Where the parabola through three points, the middle one highest, is highest; between the outer two."""
+    left, right = (x[1] - x[0]) * (y[1] - y[2]), (x[1] - x[2]) * (y[1] - y[0])
+    if not left - right > 0:
+        return float(x[1])
+    shift = 0.5 * ((x[1] - x[0]) * left - (x[1] - x[2]) * right) / (left - right)
+    return float(np.clip(x[1] - shift, x[0], x[2]))

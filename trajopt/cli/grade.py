@@ -1,0 +1,60 @@
+"""``trajopt solve`` until the motion holds at any time; ``--draft`` and ``--fixed-mesh``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from trajopt.cli.input import option_group
+from trajopt.cli.progress import watched
+from trajopt.cli.report import SolveReport
+from trajopt.errors import InputError
+
+if TYPE_CHECKING:
+    from trajopt.problem.problem import Problem
+    from trajopt.solving.graded import Graded
+    from trajopt.solving.monitoring import Watch
+
+grade_options = option_group(
+    click.option("--draft", is_flag=True, help="Solve on the first, coarse mesh only."),
+    click.option("--fixed-mesh", is_flag=True, help="Solve once, on the problem's own mesh."),
+)
+
+
+def wants_grade(arguments: dict[str, Any]) -> bool:
+    """Whether the mesh is refined: unless a scheme, intervals, a ladder or ``--fixed-mesh`` are given."""
+    fixed = arguments.pop("fixed_mesh")
+    named = (arguments["transcription"], arguments["intervals"]) != (None, None)
+    other = fixed or named or arguments["ladder"] is not None or arguments["compare"]
+    if other and arguments["draft"]:
+        raise InputError("--draft and a mesh are both given", "allowed: one of them")
+    if other:
+        del arguments["draft"]
+    return not other
+
+
+def solve_to_grade(
+    problem: Problem, *, title: str, log: str | None = None, viewer: Watch | None = None, **arguments: Any
+) -> SolveReport:
+    """Solve, examine and refine, with progress."""
+    from trajopt.solving.graded import MOST_ROUNDS, solve_graded
+
+    for name in ("ladder", "compare", "transcription", "intervals"):
+        del arguments[name]
+    rounds = 1 if arguments.pop("draft") else MOST_ROUNDS
+    with watched(title, arguments["max_time"] * (1 + rounds), log, viewer) as callbacks:
+        found = solve_graded(problem, max_rounds=rounds, **callbacks, **arguments)
+    reached = found.reached or (rounds == 1 and found.solution.converged)
+    return SolveReport(found.solution, reached, _lines(found), {"graded": found.to_dict()})
+
+
+def _lines(found: Graded) -> list[str]:
+    """Lines of the summary: the meshes, and the grade."""
+    lines = []
+    for own in found.rounds if len(found.rounds) > 1 else ():
+        size = f"{own.mesh.transcription} on {'+'.join(map(str, own.mesh.counts))}, {own.variables} variables"
+        lines.append(f"{size}: {own.iterations} iterations, {own.wall_time:.2f} s")
+    word = "at any time" if found.reached else "at its points" if found.solution.converged else "nowhere"
+    lines.append(f"grade: holds {word}; {found.why}; {found.spent:.2f} s of the solver in all")
+    return lines
