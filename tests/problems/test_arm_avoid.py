@@ -9,7 +9,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from trajopt import solve
 from trajopt.certify.check import check
 from trajopt.errors import InputError
 from trajopt.problem.bodies import ProblemBodies, bodies_of
@@ -18,6 +17,7 @@ from trajopt.robot.collision.description import robot_shapes
 from trajopt.robot.kinematics import frame_pose
 from trajopt.solving.exchange import TOO_NEAR, Exchange
 from trajopt.solving.graded import solve as solve_graded
+from trajopt.solving.solving import solve as solve_on_mesh
 from trajopt.terms import Clearance
 from trajopt_library.problems import arm_avoid
 from trajopt_library.problems.common import smooth_step
@@ -100,7 +100,7 @@ def test_motion_keeps_no_more_than_the_margin():
 
 
 def test_motion_that_knows_no_obstacle_collides():
-    solution = solve(problem("ur5"), compile="none")
+    solution = solve_on_mesh(problem("ur5"), compile="none")
     assert check(solution).obstacle_distance < -0.01
 
 

@@ -148,11 +148,11 @@ def test_guess_is_taken_at_the_time_of_its_phase():
     assert legged.guess(2, 0.5) == pytest.approx(hop().guess_at(0.3 + 0.2 + 0.15))
 
 
-def test_outer_pairs_are_those_with_obstacles():
+def test_sided_pairs_are_those_without_the_ground():
     problem = past(
         swing(robot=replace(rods(), reference=np.array([0.0, 1.0, 1.0]))), BALL, self_collision=True
     )
-    assert {pair[1] for pair in Exchange(problem).outer_pairs} == {"ball"}
+    assert {pair[1] for pair in Exchange(problem).sided_pairs} == {"ball", "joint2"}
 
 
 def test_bodies_of_a_hopper_have_rows_in_the_phases_where_they_are_near():
