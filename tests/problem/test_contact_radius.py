@@ -180,7 +180,7 @@ def test_on_level_ground_a_radius_moves_the_whole_problem_up():
 
 def solved(problem: Problem) -> Solution:
     solution = solve(problem, compile="none")
-    assert solution.success, solution.meta["advice"]
+    assert solution.converged, solution.meta["advice"]
     return solution
 
 

@@ -121,7 +121,7 @@ def test_feet_that_land_with_the_start_stand_on_the_ground_at_rest() -> None:
     pin.updateFramePlacements(robot.model, data)
     for name in names:
         frame = robot.model.getFrameId(name)
-        assert abs(data.oMf[frame].translation[2]) < 1e-8
+        assert data.oMf[frame].translation[2] == pytest.approx(robot.contact(name).radius, abs=1e-8)
         velocity = pin.getFrameVelocity(robot.model, data, frame, pin.LOCAL_WORLD_ALIGNED).linear
         assert np.abs(velocity).max() < 1e-6
 

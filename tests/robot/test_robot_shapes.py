@@ -147,7 +147,7 @@ def test_shapes_stay_where_they_are_on_other_bases_and_with_locked_joints(change
         other = Robot.from_urdf(
             urdf.urdf,
             base="planar",
-            contacts=[contact.frame for contact in robot.contacts],
+            contacts=robot.contacts,
             reference=joints,
             package_dirs=urdf.package_dirs,
         )

@@ -159,7 +159,15 @@ def test_foreign_file_is_refused(saved, write, message):
     [
         ({"version": 2}, "of version 2; version 1"),
         ({"friction": [0.5]}, "0 contact_frames, 0 contact_kinds, 1 friction"),
-        ({"contact_frames": ["paw"], "contact_kinds": ["point"], "friction": [1.0]}, r"'f' has shape"),
+        (
+            {
+                "contact_frames": ["paw"],
+                "contact_kinds": ["point"],
+                "friction": [1.0],
+                "contact_radius": [0.0],
+            },
+            r"'f' has shape",
+        ),
         ({"effort_limit": [1.0]}, "effort_limit of meta has 1 entries, expected 6"),
         ({"velocity_limit": "fast"}, "velocity_limit of meta is not null"),
         ({"success": "yes"}, "success of meta"),

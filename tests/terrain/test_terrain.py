@@ -105,7 +105,7 @@ BAD = {
     ),
     "foothold in the hill": (
         lambda: hop(terrain=HILLS, schedule=landing_at((0.1, 0, 0.0))),
-        "within 1e-06 m",
+        "within 0.001 m",
     ),
 }
 
