@@ -255,7 +255,7 @@ def test_largest_excess_after_redistribution_is_the_least_that_a_linear_program_
             b_eq=jacobian[:, :6].T @ w,
             bounds=[(None, None)] * 12 + [(0, None)],
         )
-        assert found.converged
+        assert found.success
         after = max(0.0, np.abs(shared.tau[row]).max() / limit - 1)
         assert after == pytest.approx(found.x[-1], abs=OPTIMAL)
 

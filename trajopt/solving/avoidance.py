@@ -117,7 +117,7 @@ def solve_clear(problem: Problem, **options: Any) -> tuple[Solution, Problem]:
         missed = missed_pairs(problem, solution)
         if missed:
             problem = _again(problem, solution, missed)
-        elif solution.success and _least(problem, solution) < -PENETRATION:
+        elif solution.converged and _least(problem, solution) < -PENETRATION:
             options = {**options, "intervals": 2 * solution.n_intervals}
         else:
             break
