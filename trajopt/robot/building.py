@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -193,16 +194,14 @@ def reach(model: pin.Model) -> float:
     """Return the longest sum of link lengths (m) from the root to any frame or centre of mass."""
     along = np.zeros(model.njoints)
     for joint in range(2, model.njoints):
-        step = np.linalg.norm(model.jointPlacements[joint].translation)
+        step = math.hypot(*model.jointPlacements[joint].translation)
         along[joint] = along[model.parents[joint]] + step
     tips = [
-        along[frame.parentJoint] + np.linalg.norm(frame.placement.translation)
+        along[frame.parentJoint] + math.hypot(*frame.placement.translation)
         for frame in model.frames
         if frame.parentJoint > 0
     ]
-    centres = [
-        along[joint] + np.linalg.norm(model.inertias[joint].lever) for joint in range(1, model.njoints)
-    ]
+    centres = [along[joint] + math.hypot(*model.inertias[joint].lever) for joint in range(1, model.njoints)]
     return float(max([*tips, *centres], default=0.0))
 
 
