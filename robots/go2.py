@@ -7,8 +7,8 @@ from trajopt.robot import Robot
 from ._quadrupeds import unitree
 
 KIND = "quadruped"
-# The foot is no ball: its collision mesh reaches 22.1 to 23.9 mm below its frame while the shank leans by up to
-# 40 degrees, forward or backward, and 24.9 mm at 60 degrees, as on stairs. So it is never deeper than 1 mm.
+# The foot is no ball: its collision mesh reaches 22.1 to 23.9 mm below its frame while the shank leans by
+# up to 40 degrees, forward or backward, and 24.9 mm at 60 degrees, as on stairs: so it is at most 1 mm deep.
 RADIUS = 0.024
 
 

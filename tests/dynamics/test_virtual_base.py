@@ -199,9 +199,8 @@ def test_pictures_hang_on_the_base():
 def test_a_file_gives_the_same_robot_as_the_conversion():
     path = robot_file("solo_description/robots/solo12.urdf")
     converted = robots.load("solo12").with_virtual_base()
-    contacts = [contact.frame for contact in converted.contacts]
     read = Robot.from_urdf(
-        path, base="virtual", contacts=contacts, reference=converted.reference[6:], name="solo12"
+        path, base="virtual", contacts=converted.contacts, reference=converted.reference[6:], name="solo12"
     )
     assert (base_of(read.model), virtual_order(read.model)) == ("virtual", "ZYX")
     np.testing.assert_allclose(read.reference, converted.reference, atol=ROUNDING)
