@@ -7,13 +7,13 @@ from trajopt.robot import Robot
 from ._quadrupeds import unitree
 
 KIND = "quadruped"
-# Within 0.9 mm, m: the foot's collision mesh reaches 22.1 to 23.9 mm below its
-# frame while the shank leans by up to 40 degrees, forward or backward.
-RADIUS = 0.023
+# The foot is no ball: its collision mesh reaches 22.1 to 23.9 mm below its frame while the shank leans by
+# up to 40 degrees, forward or backward, and 24.9 mm at 60 degrees, as on stairs: so it is at most 1 mm deep.
+RADIUS = 0.024
 
 
 def build() -> Robot:
-    """Return Go2 standing as its SRDF says; a foot frame is nearly the centre of a ball of 23 mm radius.
+    """Return Go2 standing as its SRDF says; a foot frame is nearly the centre of a ball of 24 mm radius.
 
     Limits are those of the URDF, which carries the gears' and the knee linkage's published torques.
     """

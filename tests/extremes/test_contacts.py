@@ -224,7 +224,7 @@ def test_four_coplanar_feet_at_rest_keep_all_their_rows():
 
 def repeated(robot: Robot) -> Robot:
     """The robot with its first contact a second time, under another name."""
-    return replace(robot, contacts=(*robot.contacts, Contact(frame=robot.contacts[0].frame, name="again")))
+    return replace(robot, contacts=(*robot.contacts, replace(robot.contacts[0], name="again")))
 
 
 @pytest.mark.parametrize("solver", ["ipopt", pytest.param("fatrop", marks=pytest.mark.slow)])
