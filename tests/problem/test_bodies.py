@@ -11,7 +11,7 @@ import trajopt
 from tests.support.ground import STAIRS
 from tests.support.swings import BALL, FAR, MARGIN, past, rods, swing
 from trajopt.errors import InputError
-from trajopt.problem.bodies import GIVE, TOO_NEAR, ProblemBodies, bodies_meta, bodies_of, clearance_of
+from trajopt.problem.bodies import DEEPER, GIVE, TOO_NEAR, ProblemBodies, bodies_meta, bodies_of, clearance_of
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.description import robot_shapes
 from trajopt.robot.collision.link_capsules import robot_capsules
@@ -49,7 +49,7 @@ def test_feet_may_be_on_the_ground_and_other_links_not_in_it(robot, feet):
     assert {pair[1] for pair in touching} == {GROUND}
     assert len(touching) >= feet
     for pair in touching:
-        assert found[pair] == pytest.approx(min(deep[pair], 0.0) - GIVE, abs=EXACT)
+        assert found[pair] == pytest.approx(min(deep[pair] - DEEPER, -GIVE), abs=EXACT)
     assert all(found[pair] == 0.0 for pair in found if pair not in touching)
     assert len(touching) < scene.n_ground / 2
 
