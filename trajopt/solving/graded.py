@@ -186,12 +186,12 @@ class _Loop:
             found = examine(solution, self.tolerances)
             self.examined += time.perf_counter() - begun
             self._keep(solution, found.report)
-            if not found.report.failures(self.tolerances) and self.settled:
+            look = self.exchange.look(solution)
+            near = self.exchange.depth(look)
+            if not found.report.failures(self.tolerances) and near <= 0 and self.settled:
                 return "the grade is reached"
             if len(self.rounds) >= rounds:
                 return "it is a draft" if rounds == 1 else f"{rounds} rounds were not enough"
-            look = self.exchange.look(solution)
-            near = self.exchange.depth(look)
             new = {pair for pair in self.exchange.missing(look) if pair not in self.exchange.moments}
             self.exchange.add(look)
             mesh = mesh_of(solution)
