@@ -15,7 +15,7 @@ from trajopt.solving.exchange import Exchange, Look, along
 from trajopt.solving.solving import solve
 
 ROUNDS = 8
-GRID = {"transcription": "legendre:3", "intervals": 20, "compile": "none"}
+GRID = {"transcription": "legendre:3", "intervals": 20, "compile": "none", "judge": False}
 
 
 @dataclass
@@ -66,4 +66,4 @@ def clearance(distance: float) -> None:
             if not exchange.missing(look):
                 break
             exchange.add(look)
-            solution = solve(exchange.constrained(along(solution)), start=solution, **GRID)
+            solution = solve(exchange.constrained(along(solution), along(solution)), start=solution, **GRID)

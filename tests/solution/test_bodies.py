@@ -14,7 +14,6 @@ from trajopt.certify.check import check
 from trajopt.errors import InputError
 from trajopt.robot.collision.description import RobotShapes, robot_shapes
 from trajopt.robot.collision.shapes import SphereObstacle
-from trajopt.solution.clearance import clearance_figures
 from trajopt.solution.descriptions import bodies_of, body_scene_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.rest import rest
@@ -53,24 +52,21 @@ def test_figures_are_the_least_distances_of_the_scene():
     plan = still()
     scene = body_scene_of(plan.model, plan.meta)
     distances = scene.distances(ROBOT.reference)[0]
-    found = clearance_figures(plan)
-    assert found["link_depth"] == pytest.approx(-distances[: scene.n_ground].min(), abs=EXACT)
-    assert found["self_distance"] == pytest.approx(distances[scene.n_ground :].min(), abs=EXACT)
-    assert found["obstacle_distance"] is None
-    assert check(plan).link_depth == pytest.approx(found["link_depth"])
+    found = check(plan)
+    assert found.link_depth == pytest.approx(-distances[: scene.n_ground].min(), abs=EXACT)
+    assert found.self_distance == pytest.approx(distances[scene.n_ground :].min(), abs=EXACT)
+    assert found.obstacle_distance is None
 
 
 def test_ground_and_obstacles_of_the_file_are_measured():
     plan = still()
-    raised = clearance_figures(still(terrain=FlatGround(height=0.05).describe()))
-    assert raised["link_depth"] == pytest.approx(clearance_figures(plan)["link_depth"] + 0.05, abs=EXACT)
+    raised = check(still(terrain=FlatGround(height=0.05).describe()))
+    assert raised.link_depth == pytest.approx(check(plan).link_depth + 0.05, abs=EXACT)
     hole = PiecewiseTerrain.stepping_stones([(50.0, 50.0)], 0.2).describe()
-    assert clearance_figures(still(terrain=hole))["link_depth"] < -10
+    assert check(still(terrain=hole)).link_depth < -10
     ball = SphereObstacle(name="ball", centre=ROBOT.reference[:3] + np.array([0, 0, 0.4]), radius=0.1)
     scene = {"capsules": [], "obstacles": [ball.describe()], "self_pairs": []}
-    found = clearance_figures(still(collision=scene))["obstacle_distance"]
-    assert 0.1 < found < 0.4 - 0.1
-    assert check(still(collision=scene)).obstacle_distance == pytest.approx(found)
+    assert 0.1 < check(still(collision=scene)).obstacle_distance < 0.4 - 0.1
 
 
 def test_file_without_shapes_is_read_and_has_no_figures(tmp_path):

@@ -12,10 +12,11 @@ import pytest
 from tests.support.problems import FOOT, hop, landing
 from tests.support.swings import BALL, DURATION, END, FAR, MARGIN, POLE, START, avoided, past, rods, swing
 from trajopt.problem.problem import Problem
+from trajopt.robot.collision.link_capsules import robot_capsules
 from trajopt.robot.collision.shapes import LinkShape, SphereObstacle
 from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
-from trajopt.solving.exchange import LOOK_STEP, LOOKS, TOO_NEAR, Exchange, Look, along
+from trajopt.solving.exchange import LOOK_STEP, LOOKS, TOO_NEAR, Exchange, Look, PhaseMotion, along
 from trajopt.solving.solving import solve
 from trajopt.terms import Clearance
 from trajopt.terms.moments import PlaneSide
@@ -38,6 +39,10 @@ def begun(problem: Problem, solution: Solution) -> tuple[Exchange, Look]:
     return exchange, look
 
 
+def constrained(exchange: Exchange, motion: PhaseMotion) -> Problem:
+    return exchange.constrained(motion, motion)
+
+
 def planes(problem: Problem) -> list[PlaneSide]:
     return [term for term in problem.terms if isinstance(term, PlaneSide)]
 
@@ -48,7 +53,7 @@ def test_clear_motion_has_no_rows():
     assert exchange.missing(look) == ()
     assert exchange.moments == {}
     assert not exchange.add(look)
-    assert exchange.constrained(along(straight())).terms == problem.terms
+    assert constrained(exchange, along(straight())).terms == problem.terms
 
 
 def test_only_pairs_that_came_too_near_have_rows_and_only_where_they_are_near():
@@ -62,7 +67,7 @@ def test_only_pairs_that_came_too_near_have_rows_and_only_where_they_are_near():
     assert 0 < len(near) < len(look.moments)
     regular = {m for m, own in zip(look.moments, look.regular, strict=True) if own}
     assert near & regular <= exchange.moments[PAIR]
-    (term,) = planes(exchange.constrained(along(straight())))
+    (term,) = planes(constrained(exchange, along(straight())))
     assert {(0, float(f)) for f in term.fractions} == exchange.moments[PAIR]
 
 
@@ -112,7 +117,7 @@ def test_faster_intervals_are_looked_at_more_often():
 def test_rows_stay_when_the_motion_has_left():
     exchange, _ = begun(past(swing(), BALL, FAR), straight())
     moments = set(exchange.moments[PAIR])
-    aside = exchange.constrained(lambda phase, fraction: np.array([-2.0, 0.0, 0.0]))
+    aside = constrained(exchange, lambda phase, fraction: np.array([-2.0, 0.0, 0.0]))
     (term,) = planes(aside)
     assert {(0, float(f)) for f in term.fractions} == moments
     exchange.add(exchange.look(avoided()[1]))
@@ -121,10 +126,10 @@ def test_rows_stay_when_the_motion_has_left():
 
 def test_corners_stay_once_they_have_a_row():
     exchange, _ = begun(past(swing(), BALL, FAR), straight())
-    before = planes(exchange.constrained(exchange.guess))[0]
-    again = planes(exchange.constrained(along(avoided()[1])))[0]
+    before = planes(constrained(exchange, exchange.guess))[0]
+    again = planes(constrained(exchange, along(avoided()[1])))[0]
     assert len(again.fractions) >= len(before.fractions)
-    once = planes(exchange.constrained(along(avoided()[1])))[0]
+    once = planes(constrained(exchange, along(avoided()[1])))[0]
     assert once.parameters == pytest.approx(again.parameters)
 
 
@@ -148,11 +153,32 @@ def test_guess_is_taken_at_the_time_of_its_phase():
     assert legged.guess(2, 0.5) == pytest.approx(hop().guess_at(0.3 + 0.2 + 0.15))
 
 
-def test_sided_pairs_are_those_without_the_ground():
-    problem = past(
-        swing(robot=replace(rods(), reference=np.array([0.0, 1.0, 1.0]))), BALL, self_collision=True
+def test_pairs_other_than_with_the_ground_have_sides():
+    robot = replace(rods(), reference=np.array([0.0, 1.0, 1.0]))
+    raised = tuple(
+        replace(shape, points=shape.points + 0.1 * np.eye(3)[2]) for shape in robot_capsules(robot)
     )
-    assert {pair[1] for pair in Exchange(problem).sided_pairs} == {"ball", "joint2"}
+    problem = past(swing(robot=robot), BALL, shapes=raised, self_collision=True)
+    exchange = Exchange(problem)
+    assert {pair[1] for pair in exchange.sided_pairs} == {"ball", "joint2"}
+    assert len(exchange.sided_pairs) == len(exchange.bodies.pairs) - len(raised)
+
+
+def test_depth_is_how_much_too_near_the_worst_pair_is():
+    exchange, look = begun(past(swing(), BALL, FAR), straight())
+    short = (look.distances - exchange.bodies.margins).min()
+    assert exchange.depth(look) == pytest.approx(-TOO_NEAR - short)
+    assert exchange.depth(exchange.look(avoided()[1])) == 0.0
+    assert Exchange(swing()).depth(Exchange(swing()).look(straight())) == 0.0  # no bodies
+
+
+def test_corners_of_the_motion_that_was_too_near_have_rows_too():
+    exchange, _ = begun(past(swing(), BALL, FAR), straight())
+    alone = planes(exchange.constrained(exchange.guess, exchange.guess))
+    both, _ = begun(past(swing(), BALL, FAR), straight())
+    more = planes(both.constrained(both.guess, along(straight())))
+    assert len(more[0].fractions) >= len(alone[0].fractions)
+    assert set(both.corners) >= set(exchange.corners)
 
 
 def test_bodies_of_a_hopper_have_rows_in_the_phases_where_they_are_near():
@@ -167,6 +193,6 @@ def test_bodies_of_a_hopper_have_rows_in_the_phases_where_they_are_near():
     problem = replace(free, terms=(*free.terms, Clearance(obstacles=(above,), shapes=(shape,))))
     exchange, look = begun(problem, solution)
     assert ("toe", "above") in exchange.missing(look)
-    terms = planes(exchange.constrained(along(solution)))
+    terms = planes(constrained(exchange, along(solution)))
     assert "flight" in {term.phase for term in terms}
     assert {(term.frame, term.body) for term in terms} == {(FOOT, None)}

@@ -14,13 +14,10 @@ from trajopt.certify.check import check
 from trajopt.errors import InputError
 from trajopt.robot.collision.near import CollisionScene
 from trajopt.robot.collision.shapes import LinkShape
-from trajopt.solution.clearance import refined_configurations
 from trajopt.solution.descriptions import scene_of_meta
 from trajopt.solution.solution import Solution
 from trajopt.terms import Clearance
 from trajopt.view.plotting.motion import MotionQuantities
-
-POLYNOMIAL = 1e-9  # a cubic through its own values and rates: rounding
 
 
 def test_file_holds_obstacles_and_the_shapes_of_the_links(tmp_path):
@@ -52,17 +49,6 @@ def test_older_file_with_capsules_alone_is_measured_by_them():
     assert check(replace(solution, meta=meta)).obstacle_distance == pytest.approx(
         check(solution).obstacle_distance
     )
-
-
-def test_cubics_between_samples_are_the_motion():
-    _, solution = avoided()
-    rows = solution.intervals[3]
-    found = np.array(refined_configurations(solution, rows))
-    times = np.concatenate(
-        [np.linspace(solution.t[a], solution.t[a + 1], 6)[1 if a > rows[0] else 0 :] for a in rows[:-1]]
-    )
-    inner = np.polynomial.polynomial.polyfit(times, found, 3)  # one cubic over the whole interval
-    assert np.abs(np.polynomial.polynomial.polyval(times, inner).T - found).max() < POLYNOMIAL
 
 
 NOWHERE = LinkShape.sphere("c", "nose", np.zeros(3), 0.1)

@@ -109,13 +109,6 @@ class LinkShape:
         """JSON-able description for a solution file."""
         return _described(self, ("name", "frame", "points", "radius"))
 
-    def describe_capsule(self) -> dict[str, Any]:
-        """The description of a capsule by its ends, which programs for older files know; else `describe`."""
-        if len(self.points) > 2:
-            return self.describe()
-        start, end = (point.tolist() for point in self.axis)
-        return {"name": self.name, "frame": self.frame, "start": start, "end": end, "radius": self.radius}
-
     @classmethod
     def from_description(cls, described: Any) -> LinkShape:
         """The shape that ``describe`` wrote, or a capsule of an older file. Raises InputError."""
