@@ -138,7 +138,7 @@ def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Di
         robot=t.problem.robot.name,
         source=source,
         status=meta.get("status"),
-        solved=bool(meta.get("success", False)),
+        solved=bool(meta.get("converged", meta.get("success", False))),
         variables=t.layout.n_unknowns,
         constraints=t.n_rows,
         max_violation=largest,
