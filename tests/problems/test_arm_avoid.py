@@ -9,7 +9,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from trajopt import solve
 from trajopt.certify.check import check
 from trajopt.errors import InputError
 from trajopt.problem.bodies import ProblemBodies, bodies_of
@@ -18,6 +17,7 @@ from trajopt.robot.collision.description import robot_shapes
 from trajopt.robot.kinematics import frame_pose
 from trajopt.solving.exchange import TOO_NEAR, Exchange
 from trajopt.solving.graded import solve as solve_graded
+from trajopt.solving.solving import solve as solve_on_mesh
 from trajopt.terms import Clearance
 from trajopt_library.problems import arm_avoid
 from trajopt_library.problems.common import smooth_step
@@ -83,7 +83,7 @@ def test_solution_is_clear_and_brings_the_tool_to_its_goal(robot):
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["panda", "kinova", *OTHERS])
 def test_other_arms_get_past_too(robot):
-    solution = solve_graded(problem(robot), fixed_mesh=True, compile="none")
+    solution = solve_graded(problem(robot), compile="none")
     assert solution.success, solution.meta["advice"]
     assert check(solution).ok
     assert check(solution).obstacle_distance > built_margin(robot) - BETWEEN
@@ -100,7 +100,7 @@ def test_motion_keeps_no_more_than_the_margin():
 
 
 def test_motion_that_knows_no_obstacle_collides():
-    solution = solve(problem("ur5"), compile="none")
+    solution = solve_on_mesh(problem("ur5"), compile="none")
     assert check(solution).obstacle_distance < -0.01
 
 

@@ -106,15 +106,16 @@ class Exchange:
                 self.moments[pair] |= {look.moments[row] for row in np.flatnonzero(near)}
         return sum(map(len, self.moments.values())) > before
 
-    def constrained(self, motion: PhaseMotion, last: PhaseMotion) -> Problem:
+    def constrained(self, motion: PhaseMotion, last: PhaseMotion | None = None) -> Problem:
         """The problem with rows at all moments so far, their planes laid along a motion.
 
         Args:
             motion: phase, fraction of its duration -> configuration (nq,), as `along` or `guess` give it.
-            last: the motion that was too near: its nearest corners get rows, too.
+            last: the motion that was too near, if that is another: its nearest corners get rows, too.
         """
-        for _ in self._laid(last):
-            pass
+        if last is not None:
+            for _ in self._laid(last):
+                pass
         groups: defaultdict[tuple[int, str | None, str | None], list[tuple[float, SeparatingPlane]]]
         groups = defaultdict(list)
         for (phase, fraction), plane in self._laid(motion):

@@ -233,14 +233,15 @@ class _Loop:
         """
         if not self.exchange.moments:
             return self._solved(mesh, solution)
-        starts: list[tuple[PhaseMotion, Solution | None]] = [
-            (along(solution), solution),
-            (self.exchange.guess, None),
+        last = along(solution)
+        starts: list[tuple[PhaseMotion, PhaseMotion | None, Solution | None]] = [
+            (last, None, solution),
+            (self.exchange.guess, last, None),
         ]
         if sideless and self.exchange.guess_is_clear():
             starts.reverse()
-        for motion, start in starts:
-            problem = self.exchange.constrained(motion, along(solution))
+        for motion, other, start in starts:
+            problem = self.exchange.constrained(motion, other)
             found = self._solved(mesh, start, problem)
             if found is not None:
                 before, after = solution.meta["objective"], found.meta["objective"]
