@@ -66,4 +66,4 @@ def clearance(distance: float) -> None:
             if not exchange.missing(look):
                 break
             exchange.add(look)
-            solution = solve(exchange.constrained(along(solution), along(solution)), start=solution, **GRID)
+            solution = solve(exchange.constrained(along(solution)), start=solution, **GRID)

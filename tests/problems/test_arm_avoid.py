@@ -83,7 +83,7 @@ def test_solution_is_clear_and_brings_the_tool_to_its_goal(robot):
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["panda", "kinova", *OTHERS])
 def test_other_arms_get_past_too(robot):
-    solution = solve_graded(problem(robot), fixed_mesh=True, compile="none")
+    solution = solve_graded(problem(robot), compile="none")
     assert solution.success, solution.meta["advice"]
     assert check(solution).ok
     assert check(solution).obstacle_distance > built_margin(robot) - BETWEEN

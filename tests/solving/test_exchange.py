@@ -16,7 +16,7 @@ from trajopt.robot.collision.link_capsules import robot_capsules
 from trajopt.robot.collision.shapes import LinkShape, SphereObstacle
 from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
-from trajopt.solving.exchange import LOOK_STEP, LOOKS, TOO_NEAR, Exchange, Look, PhaseMotion, along
+from trajopt.solving.exchange import LOOK_STEP, LOOKS, TOO_NEAR, Exchange, Look, along
 from trajopt.solving.solving import solve
 from trajopt.terms import Clearance
 from trajopt.terms.moments import PlaneSide
@@ -39,10 +39,6 @@ def begun(problem: Problem, solution: Solution) -> tuple[Exchange, Look]:
     return exchange, look
 
 
-def constrained(exchange: Exchange, motion: PhaseMotion) -> Problem:
-    return exchange.constrained(motion, motion)
-
-
 def planes(problem: Problem) -> list[PlaneSide]:
     return [term for term in problem.terms if isinstance(term, PlaneSide)]
 
@@ -53,7 +49,7 @@ def test_clear_motion_has_no_rows():
     assert exchange.missing(look) == ()
     assert exchange.moments == {}
     assert not exchange.add(look)
-    assert constrained(exchange, along(straight())).terms == problem.terms
+    assert exchange.constrained(along(straight())).terms == problem.terms
 
 
 def test_only_pairs_that_came_too_near_have_rows_and_only_where_they_are_near():
@@ -67,7 +63,7 @@ def test_only_pairs_that_came_too_near_have_rows_and_only_where_they_are_near():
     assert 0 < len(near) < len(look.moments)
     regular = {m for m, own in zip(look.moments, look.regular, strict=True) if own}
     assert near & regular <= exchange.moments[PAIR]
-    (term,) = planes(constrained(exchange, along(straight())))
+    (term,) = planes(exchange.constrained(along(straight())))
     assert {(0, float(f)) for f in term.fractions} == exchange.moments[PAIR]
 
 
@@ -117,7 +113,7 @@ def test_faster_intervals_are_looked_at_more_often():
 def test_rows_stay_when_the_motion_has_left():
     exchange, _ = begun(past(swing(), BALL, FAR), straight())
     moments = set(exchange.moments[PAIR])
-    aside = constrained(exchange, lambda phase, fraction: np.array([-2.0, 0.0, 0.0]))
+    aside = exchange.constrained(lambda phase, fraction: np.array([-2.0, 0.0, 0.0]))
     (term,) = planes(aside)
     assert {(0, float(f)) for f in term.fractions} == moments
     exchange.add(exchange.look(avoided()[1]))
@@ -126,10 +122,10 @@ def test_rows_stay_when_the_motion_has_left():
 
 def test_corners_stay_once_they_have_a_row():
     exchange, _ = begun(past(swing(), BALL, FAR), straight())
-    before = planes(constrained(exchange, exchange.guess))[0]
-    again = planes(constrained(exchange, along(avoided()[1])))[0]
+    before = planes(exchange.constrained(exchange.guess))[0]
+    again = planes(exchange.constrained(along(avoided()[1])))[0]
     assert len(again.fractions) >= len(before.fractions)
-    once = planes(constrained(exchange, along(avoided()[1])))[0]
+    once = planes(exchange.constrained(along(avoided()[1])))[0]
     assert once.parameters == pytest.approx(again.parameters)
 
 
@@ -193,6 +189,6 @@ def test_bodies_of_a_hopper_have_rows_in_the_phases_where_they_are_near():
     problem = replace(free, terms=(*free.terms, Clearance(obstacles=(above,), shapes=(shape,))))
     exchange, look = begun(problem, solution)
     assert ("toe", "above") in exchange.missing(look)
-    terms = planes(constrained(exchange, along(solution)))
+    terms = planes(exchange.constrained(along(solution)))
     assert "flight" in {term.phase for term in terms}
     assert {(term.frame, term.body) for term in terms} == {(FOOT, None)}
