@@ -21,7 +21,7 @@ from trajopt.transcription.compilation import CACHE_VARIABLE
 pytestmark = [pytest.mark.slow, needs_proc]
 
 SMALL = ("hopper-hop", "--intervals", "12")
-WATCH = ("solve", *SMALL, "--compile", "none", "--output", "x.npz", "--watch")
+WATCH = ("solve", "hopper-hop", "--draft", "--compile", "none", "--output", "x.npz", "--watch")
 SWEPT = ("--compile", "none", "--repeats", "0", "--reference", "0", "--intervals", "4,5")
 HOP = "hop.npz"
 REPLAY = ("replay", HOP, "--no-open")

@@ -121,7 +121,7 @@ def test_a_panel_tells_solve_iteration_figures_and_history():
     seen_by(watch, label="rung 2 of 3")
     head, solve_line, objective, primal, dual, step = panel_lines(history, "hop", 100)
     last = figures[-1]
-    assert head.startswith(f"hop: coarse grid, iteration {last['iteration']:.0f}, ")
+    assert head.startswith(f"hop: solved, iteration {last['iteration']:.0f}, ")
     assert solve_line.startswith("rung 2 of 3, legendre:1, ")
     assert f"{last['objective']:.6g}" in objective
     assert f"{last['primal']:.1e}" in primal
@@ -215,7 +215,7 @@ def test_lines_have_one_iteration_each(capsys: pytest.CaptureFixture[str]):
     seen_by(IterationLines(sys.stderr, "hop"), progress=lambda f: told.append(f["iteration"]) is None)
     found = capsys.readouterr().err.splitlines()
     assert found[0].startswith("hop: legendre:1")
-    assert found[-1].startswith("hop: coarse grid, ")
+    assert found[-1].startswith("hop: solved, ")
     numbers = [int(line.split()[0]) for line in found[1:-1] if not line.startswith(" iter")]
     assert numbers == told
 

@@ -216,9 +216,14 @@ class _Loop:
     def _solved(
         self, mesh: Mesh, start: Solution | str | Path | None, problem: Problem | None = None
     ) -> Solution | None:
-        label = f"mesh {len(self.rounds) + 1}"
+        given, number = self.settings.get("label", ""), len(self.rounds) + 1
+        # A named mesh is usually solved once; a refinement has several meshes.
+        label = ", ".join(filter(None, [given, f"mesh {number}" if self.refine or number > 1 else ""]))
         self.last = solve_on_mesh(
-            problem or self.problem, mesh=mesh, start=start, label=label, judge=False, **self.settings
+            problem or self.problem,
+            mesh=mesh,
+            start=start,
+            **{**self.settings, "label": label, "judge": False},
         )
         self.settings.pop("perturb", None)  # noise is for the first start
         self.rounds.append(Round.of(mesh, self.last))
