@@ -14,7 +14,12 @@ MOST_ITERATIONS = 60
 
 def solved(problem: Problem, intervals: int | None = None) -> Solution:
     solution = trajopt.solve(
-        problem, intervals=intervals, compile="none", tolerance=SOLVED, max_iterations=MOST_ITERATIONS
+        problem,
+        intervals=intervals,
+        compile="none",
+        tolerance=SOLVED,
+        max_iterations=MOST_ITERATIONS,
+        fixed_mesh=True,
     )
     assert solution.converged, solution.meta["advice"]
     return solution
