@@ -13,9 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.certify.simulation.bodies import add_geom, mujoco_package, mujoco_quaternion
+from trajopt.certify.simulation.bodies import (
+    Bodies,
+    add_geom,
+    body_name,
+    mujoco_package,
+    mujoco_quaternion,
+)
 from trajopt.certify.simulation.reference import image_of_contacts
-from trajopt.robot.collision.shapes import BoxObstacle, Obstacle
+from trajopt.robot.collision.shapes import BoxObstacle, LinkShape, Obstacle
 from trajopt.solution.descriptions import surfaces_of, terrain_of
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import contact_radii
@@ -266,6 +272,17 @@ def height_over(terrain: Any, points: np.ndarray) -> np.ndarray:
     if isinstance(terrain, Surface):
         return terrain.distance(points)
     return np.asarray(points[..., 2] - terrain.height(points[..., 0], points[..., 1]))
+
+
+def add_shape(bodies: Bodies, shape: LinkShape, name: str) -> str:
+    """Add a link's shape as a geom, hulls without their small radius; returns its name."""
+    frame = bodies.model.frames[bodies.model.getFrameId(shape.frame)]
+    body, within = bodies.spec.body(body_name(frame.parentJoint)), frame.placement
+    points = shape.points @ within.rotation.T + within.translation
+    if len(points) <= 2:
+        return add_capsule(body, name, points[0], points[-1], shape.radius)
+    bodies.spec.add_mesh(name=name, uservert=points.ravel())
+    return add_geom(body, name, "mesh", meshname=name)
 
 
 def add_capsule(body: Any, name: str, start: np.ndarray, end: np.ndarray, radius: float) -> str:

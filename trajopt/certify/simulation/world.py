@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.accuracy.natural_units import NaturalUnits
+from trajopt.certify.body_figures import FileBodies
 from trajopt.certify.payloads import carrying_model
 from trajopt.certify.samples import SampleQuantities, sample_quantities
 from trajopt.certify.simulation.bodies import (
@@ -26,15 +27,16 @@ from trajopt.certify.simulation.ground import (
     BALL,
     GroundGeometry,
     Surroundings,
-    add_capsule,
     add_ground,
     add_obstacles,
+    add_shape,
     height_over,
     surroundings_of,
 )
 from trajopt.certify.simulation.settings import CONTACT_TIME, SimulationSettings
 from trajopt.dynamics.base_joint import base_of
-from trajopt.solution.descriptions import scene_of_meta, terrain_of
+from trajopt.robot.collision.near import GROUND
+from trajopt.solution.descriptions import bodies_of, body_scene_of, scene_of_meta, terrain_of
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import held_samples
 
@@ -43,6 +45,8 @@ from trajopt.solution.touched import held_samples
 IMPEDANCE = (0.95, 0.99, 0.5, 2.0)
 # Of friction against pressure: how much harder a contact resists creeping than penetrating.
 FRICTION_STIFFNESS = 10.0
+# Links that a plan takes nearer to the ground than this, m, as its feet, touch nothing.
+CLEAR = 1e-3
 # Friction of links on the ground and on obstacles: matters only in a fall.
 LINK_FRICTION = 0.7
 # Of MuJoCo's solver of contact forces, relative: with its own 1e-8 forces of rolling balls miss the equations
@@ -195,25 +199,43 @@ def _add_feet(bodies: Bodies, plan: Solution, place: Surroundings) -> list[list[
 def _add_links(
     bodies: Bodies, plan: Solution, place: Surroundings, buried: Mapping[str, float]
 ) -> tuple[list[str], list[str], list[str]]:
-    """Balls at the joints of a moving base, capsules and obstacles of the file; their names."""
-    links: list[str] = []
-    if base_of(plan.model) != "fixed":
-        for index in range(1, plan.model.njoints):
-            if plan.model.names[index] in buried:
-                continue
-            body = bodies.spec.body(body_name(index))
-            links.append(add_geom(body, f"link{index}", "sphere", size=[place.ball, 0, 0]))
+    """Names of geoms of links that touch the ground, of those that touch obstacles, and of obstacles.
+
+    Shapes of the file; of a file without them balls at the joints, and its capsules.
+    """
     scene = scene_of_meta(plan.model, plan.meta.get("collision"))
-    capsules: list[str] = []
-    obstacles: tuple[str, ...] = ()
-    if scene is not None:
-        for number, capsule in enumerate(scene.shapes):
-            frame = plan.model.frames[plan.model.getFrameId(capsule.frame)]
-            start, end = (frame.placement.act(np.array(end)) for end in capsule.axis)
-            body = bodies.spec.body(body_name(frame.parentJoint))
-            capsules.append(add_capsule(body, f"capsule{number}", start, end, capsule.radius))
-        obstacles = add_obstacles(bodies.spec, scene.obstacles)
-    return links, capsules, list(obstacles)
+    obstacles = () if scene is None else add_obstacles(bodies.spec, scene.obstacles)
+    known = bodies_of(plan.meta.get("bodies"))
+    if known is None or not known.shapes:
+        shapes = () if scene is None else scene.shapes
+        solid = [add_shape(bodies, shape, f"shape{i}") for i, shape in enumerate(shapes)]
+        return _add_balls(bodies, plan, place, buried), solid, list(obstacles)
+    own = body_scene_of(plan.model, plan.meta)
+    moving = () if own is None else own.moving
+    names = {shape.name: add_shape(bodies, shape, f"shape{i}") for i, shape in enumerate(moving)}
+    sunk = _sunk(plan)
+    links = [name for shape, name in names.items() if known.above_ground and shape not in sunk]
+    return links, list(names.values()), list(obstacles)
+
+
+def _add_balls(bodies: Bodies, plan: Solution, place: Surroundings, buried: Mapping[str, float]) -> list[str]:
+    """Balls at the joints of a moving base; their names."""
+    if base_of(plan.model) == "fixed":
+        return []
+    joints = [i for i in range(1, plan.model.njoints) if plan.model.names[i] not in buried]
+    return [
+        add_geom(bodies.spec.body(body_name(i)), f"link{i}", "sphere", size=[place.ball, 0, 0])
+        for i in joints
+    ]
+
+
+def _sunk(plan: Solution) -> set[str]:
+    """Names of shapes that a plan takes into the ground, as those around its feet: they touch nothing."""
+    trace = FileBodies.of(plan).traces(plan)["link_depth"]
+    deep = (
+        trace.values.max(axis=0, initial=-np.inf) > -CLEAR if trace.values.size else np.zeros(0, dtype=bool)
+    )
+    return {name.removesuffix(f" and {GROUND}") for name, own in zip(trace.names, deep, strict=True) if own}
 
 
 def _add_grasps(
