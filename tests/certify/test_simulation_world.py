@@ -16,6 +16,7 @@ from trajopt.certify.simulation.settings import SimulationSettings
 from trajopt.certify.simulation.simulate import simulate
 from trajopt.certify.simulation.world import build_world
 from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.collision.description import robot_shapes
 from trajopt.robot.collision.shapes import LinkShape, SphereObstacle
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.shapes import Bump
@@ -90,6 +91,29 @@ def test_capsule_that_passes_through_an_obstacle_is_found():
         report = simulate(with_meta(plan, collision=scene)).report
         assert report.obstacle_hit is hit
         assert report.passed is not hit
+
+
+def test_links_have_the_shapes_of_the_file():
+    robot = robots.load("ur5")
+    plan, data = sampled(robot, [arm_motion(robot)], 10), robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, plan.q[plan.n_samples // 2])
+    shapes = robot_shapes(robot)
+    forearm = next(shape for shape in shapes.shapes if shape.name == "forearm_link")
+    middle = data.oMf[robot.model.getFrameId(forearm.frame)].act(forearm.points.mean(axis=0))
+    for distance, hit in ((0.0, True), (5.0, False)):
+        ball = SphereObstacle(name="ball", centre=middle + np.array([0, 0, distance]), radius=0.02)
+        scene = {"capsules": [], "obstacles": [ball.describe()], "self_pairs": []}
+        report = simulate(with_meta(plan, bodies=shapes.describe(), collision=scene)).report
+        assert report.obstacle_hit is hit
+
+
+def test_links_that_the_plan_has_on_the_ground_do_not_touch_it(stand):
+    shapes = robot_shapes(robots.load("solo12"))
+    plan = with_meta(stand, bodies=shapes.describe())
+    world = build_world(plan, SimulationSettings())
+    geoms = [world.compiled.geom(i).name for i in np.flatnonzero(world.links)]
+    assert len(geoms) == len(shapes.shapes) - len(stand.contact_frames)
+    assert simulate(plan).report.base_error_max < STANDS
 
 
 def test_friction_of_drives_is_overcome_by_the_planned_torques():
