@@ -18,33 +18,42 @@ if TYPE_CHECKING:
 
 grade_options = option_group(
     click.option("--draft", is_flag=True, help="Solve on the first, coarse mesh only."),
-    click.option("--fixed-mesh", is_flag=True, help="Solve once, on the problem's own mesh."),
+    click.option("--fixed-mesh", is_flag=True, help="Solve on the problem's own mesh."),
 )
 
 
 def wants_grade(arguments: dict[str, Any]) -> bool:
-    """Whether the mesh is refined: unless a scheme, intervals, a ladder or ``--fixed-mesh`` are given."""
-    fixed = arguments.pop("fixed_mesh")
-    named = (arguments["transcription"], arguments["intervals"]) != (None, None)
-    other = fixed or named or arguments["ladder"] is not None or arguments["compare"]
-    if other and arguments["draft"]:
+    """Whether the motion is examined and solved again, on a mesh that is named or refined: not on a ladder."""
+    other = arguments["ladder"] is not None or arguments["compare"]
+    if (other or _names_mesh(arguments)) and arguments["draft"]:
         raise InputError("--draft and a mesh are both given", "allowed: one of them")
     if other:
-        del arguments["draft"]
+        del arguments["draft"], arguments["fixed_mesh"]
     return not other
+
+
+def _names_mesh(arguments: dict[str, Any]) -> bool:
+    grid = arguments["transcription"], arguments["intervals"]
+    return arguments["fixed_mesh"] or grid != (None, None)
 
 
 def solve_to_grade(
     problem: Problem, *, title: str, log: str | None = None, viewer: Watch | None = None, **arguments: Any
 ) -> SolveReport:
-    """Solve, examine and refine, with progress."""
+    """Solve, examine and refine, with progress; a mesh that is named stays."""
     from trajopt.solving.graded import MOST_ROUNDS, solve_graded
+    from trajopt.transcription.transcription import chosen_mesh
 
-    for name in ("ladder", "compare", "transcription", "intervals"):
+    named = _names_mesh(arguments)
+    for name in ("ladder", "compare", "fixed_mesh"):
         del arguments[name]
+    grid = arguments.pop("transcription"), arguments.pop("intervals")
+    mesh = chosen_mesh(problem, *grid) if named else None
     rounds = 1 if arguments.pop("draft") else MOST_ROUNDS
     with watched(title, arguments["max_time"] * (1 + rounds), log, viewer) as callbacks:
-        found = solve_graded(problem, max_rounds=rounds, **callbacks, **arguments)
+        found = solve_graded(
+            problem, mesh=mesh, refine=not named, max_rounds=rounds, **callbacks, **arguments
+        )
     reached = found.reached or (rounds == 1 and found.solution.converged)
     return SolveReport(found.solution, reached, _lines(found), {"graded": found.to_dict()})
 

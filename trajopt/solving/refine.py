@@ -20,6 +20,7 @@ from trajopt.solution.descriptions import jsonable
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.input import solution_of
 from trajopt.solution.solution import Solution
+from trajopt.solving.exchange import Exchange, along
 from trajopt.solving.ladder import INTERRUPTED
 from trajopt.solving.remeshing import PhaseErrors, remeshed
 from trajopt.solving.solving import solve
@@ -190,6 +191,10 @@ class _Loop:
     rounds: list[Round] = field(default_factory=list)
     best: tuple[Solution, Accuracy] | None = None
     last: Solution | None = None
+    clear: bool = False
+
+    def __post_init__(self) -> None:
+        self.exchange = Exchange(self.problem)
 
     def run(
         self, mesh: Mesh, start: Solution | None, found: Solution | None, rounds: int, max_variables: int
@@ -202,10 +207,13 @@ class _Loop:
             accuracy = measure(solution)
             errors = phase_errors(accuracy)
             self.rounds[-1] = replace(self.rounds[-1], errors=errors)
-            if self.best is None or max(errors) <= largest_error(self.best[1]):
-                self.best = (solution, accuracy)
-            if max(errors) <= self.target:
+            look = self.exchange.look(solution)
+            clear = not self.exchange.missing(look)
+            if self.best is None or (not clear, max(errors)) <= (not self.clear, largest_error(self.best[1])):
+                self.best, self.clear = (solution, accuracy), clear
+            if max(errors) <= self.target and clear:
                 return "the target is met"
+            self.exchange.add(look)
             mesh = self._remeshed(mesh, accuracy)
             if unknowns_on_mesh(self.problem, mesh) > max_variables:
                 return f"the next mesh would have more than {max_variables} variables"
@@ -234,7 +242,11 @@ class _Loop:
         """The solution on a mesh; from the problem's guess where ``start`` does not lead to one."""
         for origin in (start, None) if start is not None else (None,):
             label = f"mesh {len(self.rounds) + 1}"
-            solution = solve(self.problem, mesh=mesh, start=origin, label=label, **self.settings)
+            problem = self.problem
+            if start is not None and self.exchange.moments:
+                motion = along(start)
+                problem = self.exchange.constrained(motion if origin else self.exchange.guess, motion)
+            solution = solve(problem, mesh=mesh, start=origin, label=label, **self.settings)
             self.record(mesh, solution)
             if solution.converged:
                 return solution
