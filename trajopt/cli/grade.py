@@ -23,7 +23,7 @@ grade_options = option_group(
 
 
 def wants_grade(arguments: dict[str, Any]) -> bool:
-    """Whether the motion is examined and solved again, on a mesh that is named or refined: not on a ladder."""
+    """Whether the motion is examined and solved again, on a named mesh or refined ones; not on a ladder."""
     other = arguments["ladder"] is not None or arguments["compare"]
     if (other or _names_mesh(arguments)) and arguments["draft"]:
         raise InputError("--draft and a mesh are both given", "allowed: one of them")
