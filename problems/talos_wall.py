@@ -80,7 +80,7 @@ def build(
         _guess(robot, end, reach),
         cones=(
             SoleCone(),
-            FrictionCone(contacts=("hand",)),
+            *([] if wall.bilateral else [FrictionCone(contacts=("hand",))]),
             NormalForce(contact="hand", phases=("push",), **bounds),
         ),
         terrain=FlatGround(friction=friction),

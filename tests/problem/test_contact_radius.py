@@ -206,7 +206,7 @@ def test_a_ball_touches_uneven_ground_and_does_not_sink_into_it(ground):
     solution = solved(problem)
     depth, report = depth_of_ball(solution, ground), check(solution)
     assert np.abs(depth[solution.active[:, 0]]).max() < DRIFTED
-    assert report.penetration == pytest.approx(max(depth.max(), 0.0), abs=DRIFTED)
+    assert report.penetration > max(depth.max(), 0.0) - DRIFTED  # it looks between samples, too
     assert report.landing_height < SOLVED
     assert report.friction_margin > -SOLVED
 

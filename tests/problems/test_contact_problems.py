@@ -107,10 +107,11 @@ def test_quadruped_hops_uphill_and_downhill():
         normal = np.array([-np.sin(slope), 0.0, np.cos(slope)])
         assert_allclose(solution.meta["terrain"]["normal"], normal)
         data, heights = solution.model.createData(), []
+        radius = solution.meta["contact_radius"][0]
         for q in solution.q:
             pin.framesForwardKinematics(solution.model, data, q)
             feet = [data.oMf[solution.model.getFrameId(name)].translation for name in solution.contact_frames]
-            heights.append([foot @ normal for foot in feet])
+            heights.append([foot @ normal - radius for foot in feet])
         assert np.min(heights) > -1e-3
         assert np.max(np.abs(np.array(heights)[solution.active])) < 1e-3
         force = solution.f[solution.active & solution.collocation[:, None], :3]

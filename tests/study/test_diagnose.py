@@ -11,10 +11,11 @@ from scipy.optimize import linprog
 
 import trajopt
 from tests.support.diagnosed import snapshot_of, solved
-from tests.support.problems import REACH, REACH_TIME, hop, lean, one_joint_arm, reach
+from tests.support.problems import FOOT, REACH, REACH_TIME, hop, lean, one_joint_arm, reach
 from tests.support.redundant_contacts import corners
 from trajopt import Problem, Robot
 from trajopt.errors import InputError
+from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.units import Units
 from trajopt.solving.solving import PreparedProblem, prepare
 from trajopt.study.diagnosis.conflict import BOX
@@ -263,6 +264,7 @@ def test_a_start_on_a_limit_is_told():
     robot = problem.robot
     q = robot.reference.copy()
     q[-1] = robot.position_upper[-1]
+    q[2] -= contact_positions(robot, q)[FOOT][2]
     start = diagnose(prepare(replace(problem, initial_q=q), compile="none")).start
     assert start == (f"the start has shank exactly on its upper limit {q[-1]:.4g}",)
     without = tuple(term for term in problem.terms if not isinstance(term, PositionLimits))

@@ -149,6 +149,7 @@ def test_arrows_are_drawn_from_feet_to_the_ends_of_their_forces_and_in_stance_on
             feet = np.array(
                 [data.oMf[jump.model.getFrameId(name)].translation for name in jump.contact_frames]
             )
+            feet[:, 2] -= jump.meta["contact_radius"]  # where they touch
             part = (t - jump.t[row]) / (jump.t[row + 1] - jump.t[row])
             force = (1 - part) * jump.f[row, :, :3] + part * jump.f[row + 1, :, :3]
             ends = pixels_of(view, np.vstack([feet, feet + force / weight * scale]), SIZE)

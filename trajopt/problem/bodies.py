@@ -18,7 +18,7 @@ from trajopt.robot.robot import Robot
 from trajopt.terms.clearance import Clearance
 from trajopt.terrain.flat import FlatGround
 
-# Points of a link this much farther from a contact's frame than its radius or sole, m, touch with it.
+# Shapes this near to the ball of a contact, or to a corner of its sole, m, touch with it.
 TOUCHING = 0.01
 # Links that touch the ground may be this deep in it, m, and deeper where the robot stands so at first, by
 # this much more: in stance other rows hold them on the ground.
@@ -118,16 +118,22 @@ def _margins(problem: Problem, scene: CollisionScene, margin: float) -> np.ndarr
 
 
 def _touches(robot: Robot, shape: LinkShape) -> bool:
-    """Whether a shape is around a contact: some of its points lie by the contact's ball or sole."""
-    own = robot.model.frames[robot.model.getFrameId(shape.frame)]
+    """Whether a shape is around a contact: it lies within `TOUCHING` of the contact's ball or sole."""
+    joints = {frame.name: frame.parentJoint for frame in robot.model.frames}
     for contact in robot.contacts:
-        frame = robot.model.frames[robot.model.getFrameId(contact.frame)]
-        if frame.parentJoint == own.parentJoint:
-            within = frame.placement.inverse() * own.placement
-            points = shape.points @ within.rotation.T + within.translation
-            beyond = np.abs(points) - [contact.half_length, contact.half_width, 0.0]
-            away = np.linalg.norm(np.maximum(beyond, 0.0), axis=1) - shape.radius
-            if away.min() <= contact.radius + TOUCHING:
+        if joints[contact.frame] == joints[shape.frame]:
+            reach = contact.radius + TOUCHING
+            corners = [[*corner, 0.0] for corner in contact.corners]
+            balls = [
+                LinkShape.sphere(f"{contact.name} corner {i}", contact.frame, corner, reach)
+                for i, corner in enumerate(corners)
+            ]
+            scene = CollisionScene(
+                model=robot.model,
+                shapes=(shape, *balls),
+                self_pairs=tuple((shape.name, ball.name) for ball in balls),
+            )
+            if scene.distances(robot.reference).min() <= 0:
                 return True
     return False
 
