@@ -126,13 +126,14 @@ def legged(
     *,
     extra: Sequence[Term] = (),
     intervals: int = 10,
+    ground: FlatGround | None = None,
 ) -> Problem:
     """A legged robot from rest to rest on flat ground, with least effort, within its limits."""
     return Problem(
         name="legged",
         robot=robot,
         schedule=schedule,
-        terrain=FlatGround(friction=0.7),
+        terrain=FlatGround(friction=0.7) if ground is None else ground,
         initial_q=start,
         initial_v=np.zeros(robot.nv),
         terms=(

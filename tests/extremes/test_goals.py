@@ -149,8 +149,8 @@ def hop(robot: Robot, *, away: tuple[float, float, float] = (0.0, 0.0, 0.0), ris
 
     high = FrameHeight(frame="base_link", height=start[2] + rise, phase="flight")
     over = SwingClearance(height=0.02, terrain=ground)
-    problem = legged(robot, schedule, start, goal, guess, extra=(over, *((high,) if rise else ())))
-    return replace(problem, terrain=ground)
+    extra = (over, *((high,) if rise else ()))
+    return legged(robot, schedule, start, goal, guess, extra=extra, ground=ground)
 
 
 # Far from the origin
