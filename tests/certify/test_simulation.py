@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from tests.support.rolling import ROLLING, ROLLS
 from tests.support.synthetic_motions import Motion, arm_motion, sampled, standing, tumbling_flight
 from trajopt import Contact, Robot, Solution, solve
 from trajopt.certify.closing import periodic_image
@@ -339,7 +340,9 @@ def test_half_a_cycle_is_followed_by_its_mirror_image():
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["solo12", "go2", "anymal_c"])
 @pytest.mark.parametrize("problem", ["quadruped-jump-forward", "quadruped-trot"])
-def test_jumps_and_trots_end_within_five_centimetres(problem, robot):
+def test_jumps_and_trots_end_within_five_centimetres(problem, robot, request):
+    if (problem, robot) == ROLLS:
+        request.applymarker(pytest.mark.xfail(reason=ROLLING, strict=True))
     report = simulate(solve(problems.load(problem, robot=robot), compile="none", fixed_mesh=True)).report
     assert not report.fell
     assert report.base_error_end < AT_THE_END
