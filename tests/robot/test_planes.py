@@ -273,9 +273,10 @@ def test_corners_that_join_stay_and_are_not_repeated():
     assert (more.offset, more.body) == (plane.offset, plane.body)
 
 
+@pytest.mark.parametrize("name", ["solo12", "ur5"])  # the second has a shape that is fixed to the world
 @pytest.mark.parametrize("terrain", [FlatGround(height=0.05), STAIRS, HILLS], ids=["flat", "stairs", "hills"])
-def test_planes_of_a_scene_are_its_distances(terrain):
-    robot = robots.load("solo12")
+def test_planes_of_a_scene_are_its_distances(terrain, name):
+    robot = robots.load(name)
     scene = robot_shapes(robot).scene(robot.model, terrain)
     q = sampled_postures(robot, 3)
     distances = scene.distances(q)

@@ -32,7 +32,7 @@ from trajopt.certify.report import (
     Tolerances,
 )
 from trajopt.certify.samples import largest, largest_known, sample_quantities
-from trajopt.certify.traces import Found, Place, Traces, phase_names, worst_of
+from trajopt.certify.traces import Found, Occurrence, Traces, phase_names, worst_of
 from trajopt.dynamics.virtual_base import gimbal_margin_along
 from trajopt.solution.input import SolutionOrFile, consistent_solution
 from trajopt.solution.interpolation import InterpolatedMotion
@@ -167,14 +167,14 @@ def _report(
     )
 
 
-def _places_of_phases(phases: tuple[PhaseReport, ...]) -> dict[str, Place]:
+def _places_of_phases(phases: tuple[PhaseReport, ...]) -> dict[str, Occurrence]:
     """The phase in which its figures are worst, and its start."""
     found = {}
     for name in PHASE_FIGURES:
         known = [phase for phase in phases if getattr(phase, name) is not None]
         if known:
             worst = max(known, key=lambda phase: getattr(phase, name))
-            found[name] = Place(time=worst.start, phase=worst.name)
+            found[name] = Occurrence(time=worst.start, phase=worst.name)
     return found
 
 

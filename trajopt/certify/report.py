@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
-from trajopt.certify.traces import Place
+from trajopt.certify.traces import Occurrence
 from trajopt.dynamics.virtual_base import LEAST_MARGIN
 from trajopt.solution.descriptions import jsonable
 
@@ -260,7 +260,7 @@ class CheckReport:
         "open loop, base orientation", "rad", "open_loop_orientation"
     )
     open_loop_joints: float | None = _figure("open loop, joints", "rad", "open_loop_joints")
-    places: dict[str, Place] = field(default_factory=dict)
+    places: dict[str, Occurrence] = field(default_factory=dict)
     phases: tuple[PhaseReport, ...]
     notes: tuple[str, ...] = ()
 

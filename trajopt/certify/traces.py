@@ -52,7 +52,7 @@ Traces = dict[str, Trace]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
+class Occurrence:
     """Where a figure is worst: time in s, phase, and joint, contact or frame (empty: the whole robot)."""
 
     time: float
@@ -72,7 +72,7 @@ class Found:
     """The worst value of a figure and its place."""
 
     value: float
-    place: Place
+    place: Occurrence
 
 
 def phase_names(plan: Solution) -> list[str]:
@@ -80,9 +80,9 @@ def phase_names(plan: Solution) -> list[str]:
     return plan.meta.get("phase_names") or [f"phase {number}" for number in range(len(plan.phases))]
 
 
-def place_of(plan: Solution, row: int, name: str = "") -> Place:
+def place_of(plan: Solution, row: int, name: str = "") -> Occurrence:
     """The place of a sample."""
-    return Place(time=float(plan.t[row]), phase=phase_names(plan)[int(plan.phase[row])], name=name)
+    return Occurrence(time=float(plan.t[row]), phase=phase_names(plan)[int(plan.phase[row])], name=name)
 
 
 def worst_of(*parts: tuple[Solution, Trace | None]) -> Found | None:

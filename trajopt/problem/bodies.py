@@ -86,8 +86,11 @@ def bodies_of(problem: Problem) -> ProblemBodies:
     """The bodies of a problem. Raises InputError where they are in each other at its start."""
     clearance = clearance_of(problem)
     scene = shapes_of(problem).scene(problem.robot.model, problem.terrain, clearance.obstacles)
-    found = ProblemBodies(scene=scene, margins=_margins(problem, scene, clearance.margin))
-    _require_clear_start(problem, found)
+    # A periodic motion's start is free.
+    start = scene.distances(problem.initial_q)[0] if problem.periodicity is None else None
+    found = ProblemBodies(scene=scene, margins=_margins(problem.robot, scene, clearance.margin, start))
+    if start is not None and found.pairs:
+        _require_clear_start(found, start)
     return found
 
 
@@ -101,15 +104,18 @@ def bodies_meta(problem: Problem) -> dict[str, Any]:
     return found
 
 
-def _margins(problem: Problem, scene: CollisionScene, margin: float) -> np.ndarray:
-    """Least distance (n_pairs,) m of each pair; two links keep no more than in the reference posture."""
-    robot, found = problem.robot, np.full(len(scene.pairs), margin)
-    flat = CollisionScene(model=robot.model, shapes=scene.shapes, terrain=FlatGround())
-    standing = flat.distances(robot.reference)[0] if scene.n_ground else np.zeros(0)
-    if scene.n_ground and problem.periodicity is None:
-        standing = np.minimum(standing, scene.distances(problem.initial_q)[0, : scene.n_ground])
+def _margins(robot: Robot, scene: CollisionScene, margin: float, start: np.ndarray | None) -> np.ndarray:
+    """Least distance (n_pairs,) m of each pair; two links keep no more than in the reference posture.
+
+    start: distances (n_pairs,) m at a fixed start.
+    """
+    found = np.full(len(scene.pairs), margin)
     if scene.n_ground:
-        touching = np.array([_touches(robot, shape) for shape in scene.moving], dtype=bool)
+        flat = CollisionScene(model=robot.model, shapes=scene.shapes, terrain=FlatGround())
+        standing = flat.distances(robot.reference)[0]
+        if start is not None:
+            standing = np.minimum(standing, start[: scene.n_ground])
+        touching = _touching(robot, scene.moving)
         found[: scene.n_ground] = np.where(touching, np.minimum(standing - DEEPER, -GIVE), 0.0)
     if margin > 0 and scene.self_pairs:
         apart = scene.distances(robot.reference)[0, scene.n_outer :]
@@ -117,36 +123,28 @@ def _margins(problem: Problem, scene: CollisionScene, margin: float) -> np.ndarr
     return found
 
 
-def _touches(robot: Robot, shape: LinkShape) -> bool:
-    """Whether a shape is around a contact: it lies within `TOUCHING` of the contact's ball or sole."""
+def _touching(robot: Robot, shapes: Sequence[LinkShape]) -> np.ndarray:
+    """Which shapes (n,) are around a contact: within `TOUCHING` of its ball or of a corner of its sole."""
     joints = {frame.name: frame.parentJoint for frame in robot.model.frames}
-    for contact in robot.contacts:
-        if joints[contact.frame] == joints[shape.frame]:
-            reach = contact.radius + TOUCHING
-            corners = [[*corner, 0.0] for corner in contact.corners]
-            balls = [
-                LinkShape.sphere(f"{contact.name} corner {i}", contact.frame, corner, reach)
-                for i, corner in enumerate(corners)
-            ]
-            scene = CollisionScene(
-                model=robot.model,
-                shapes=(shape, *balls),
-                self_pairs=tuple((shape.name, ball.name) for ball in balls),
-            )
-            if scene.distances(robot.reference).min() <= 0:
-                return True
-    return False
+    balls = [
+        LinkShape.sphere(f"{own.name} corner {i}", own.frame, [*corner, 0.0], own.radius + TOUCHING)
+        for own in robot.contacts
+        for i, corner in enumerate(own.corners)
+    ]
+    pairs = [(s.name, b.name) for s in shapes for b in balls if joints[s.frame] == joints[b.frame]]
+    scene = CollisionScene(model=robot.model, shapes=(*shapes, *balls), self_pairs=tuple(pairs))
+    distances = scene.distances(robot.reference)[0]
+    near = {shape for (shape, _), distance in zip(pairs, distances, strict=True) if distance <= 0}
+    return np.array([shape.name in near for shape in shapes], dtype=bool)
 
 
-def _require_clear_start(problem: Problem, bodies: ProblemBodies) -> None:
-    """Raise `InputError` where a fixed start has bodies nearer to each other than they may be."""
-    if problem.periodicity is not None or not bodies.pairs:
-        return
-    short = bodies.scene.distances(problem.initial_q)[0] - bodies.margins
+def _require_clear_start(bodies: ProblemBodies, start: np.ndarray) -> None:
+    """Raise `InputError` where bodies are nearer to each other at a fixed start than they may be."""
+    short = start - bodies.margins
     worst = int(np.argmin(short))
     if short[worst] < -TOO_NEAR:
         (first, second), margin = bodies.pairs[worst], float(bodies.margins[worst])
         raise InputError(
-            f"'{first}' starts {short[worst] + margin:.4f} m from '{second}' (negative: inside it)",
+            f"'{first}' starts {start[worst]:.4f} m from '{second}' (negative: inside it)",
             f"allowed: at least {margin:g} m",
         )

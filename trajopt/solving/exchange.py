@@ -132,6 +132,17 @@ class Exchange:
         ]
         return replace(self.problem, terms=(*self.problem.terms, *terms))
 
+    def starts(
+        self, solution: Solution, guess_first: bool = False
+    ) -> Iterator[tuple[Problem, Solution | None]]:
+        """Problems with rows, and from where to solve them: the last motion, then the guess, or in turn."""
+        last = along(solution)
+        for from_guess in (guess_first, not guess_first):
+            if from_guess:
+                yield self.constrained(self.guess, last), None
+            else:
+                yield self.constrained(last), solution
+
     def guess(self, phase: int, fraction: float) -> np.ndarray:
         """The problem's guess (nq,) at a fraction of a phase."""
         durations = [entry.duration for entry in self.problem.schedule.phases]

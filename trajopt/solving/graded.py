@@ -22,7 +22,7 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.units import Units
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
-from trajopt.solving.exchange import Exchange, PhaseMotion, along
+from trajopt.solving.exchange import Exchange
 from trajopt.solving.ladder import INTERRUPTED
 from trajopt.solving.refine import Round, unknowns_by_phase, unknowns_on_mesh
 from trajopt.solving.remeshing import PhaseErrors, remeshed_where_broken
@@ -238,15 +238,7 @@ class _Loop:
         """
         if not self.exchange.moments:
             return self._solved(mesh, solution)
-        last = along(solution)
-        starts: list[tuple[PhaseMotion, PhaseMotion | None, Solution | None]] = [
-            (last, None, solution),
-            (self.exchange.guess, last, None),
-        ]
-        if sideless and self.exchange.guess_is_clear():
-            starts.reverse()
-        for motion, other, start in starts:
-            problem = self.exchange.constrained(motion, other)
+        for problem, start in self.exchange.starts(solution, sideless and self.exchange.guess_is_clear()):
             found = self._solved(mesh, start, problem)
             if found is not None:
                 before, after = solution.meta["objective"], found.meta["objective"]

@@ -20,7 +20,7 @@ from trajopt.solution.descriptions import jsonable
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.input import solution_of
 from trajopt.solution.solution import Solution
-from trajopt.solving.exchange import Exchange, along
+from trajopt.solving.exchange import Exchange
 from trajopt.solving.ladder import INTERRUPTED
 from trajopt.solving.remeshing import PhaseErrors, remeshed
 from trajopt.solving.solving import solve
@@ -240,12 +240,9 @@ class _Loop:
 
     def _solve(self, mesh: Mesh, start: Solution | None) -> Solution | None:
         """The solution on a mesh; from the problem's guess where ``start`` does not lead to one."""
-        for origin in (start, None) if start is not None else (None,):
+        starts = iter([(self.problem, None)]) if start is None else self.exchange.starts(start)
+        for problem, origin in starts:
             label = f"mesh {len(self.rounds) + 1}"
-            problem = self.problem
-            if start is not None and self.exchange.moments:
-                motion = along(start)
-                problem = self.exchange.constrained(motion if origin else self.exchange.guess, motion)
             solution = solve(problem, mesh=mesh, start=origin, label=label, **self.settings)
             self.record(mesh, solution)
             if solution.converged:

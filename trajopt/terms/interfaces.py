@@ -16,6 +16,7 @@ from typing import ClassVar
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from trajopt.errors import InputError, require_not_negative
 from trajopt.robot.robot import Robot
@@ -69,6 +70,30 @@ class Term:
     def targets(self) -> tuple[Target, ...]:
         """Goals of the term at single moments, to be drawn; default: none."""
         return ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class InPhase(Term):
+    """A term of one phase.
+
+    Args:
+        phase: name of the phase.
+
+    Raises:
+        InputError: for ``phases``.
+    """
+
+    phase: str
+
+    def __post_init__(self) -> None:
+        if self.phases is not None:
+            raise InputError(
+                f"phases of {self.name}: {self.phases!r}, which this term does not use", "allowed: phase="
+            )
+
+    @override
+    def acts_in(self, phase: str) -> bool:
+        return phase == self.phase
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,11 +17,11 @@ from typing_extensions import override
 from trajopt.errors import InputError
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import Rows, Term
+from trajopt.terms.interfaces import InPhase, Rows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MomentConstraint(Term, ABC):
+class MomentConstraint(InPhase, ABC):
     """One row at each of n moments of a phase: a smooth function of the motion and of parameters there.
 
     Args:
@@ -30,10 +30,9 @@ class MomentConstraint(Term, ABC):
         parameters: of the row at each moment (n, n_p).
 
     Raises:
-        InputError: for fractions outside 0 to 1, and parameters of another length or not finite.
+        InputError: for fractions outside 0 to 1, parameters of another length or not finite, and ``phases``.
     """
 
-    phase: str
     fractions: np.ndarray
     parameters: np.ndarray
 
@@ -55,7 +54,7 @@ class MomentConstraint(Term, ABC):
         for label, array in (("fractions", fractions), ("parameters", parameters)):
             array.setflags(write=False)
             object.__setattr__(self, label, array)
-        object.__setattr__(self, "phases", (self.phase,))
+        super().__post_init__()
 
     @abstractmethod
     def row(self, context: Context, units: Units, parameters: ca.SX) -> Rows:

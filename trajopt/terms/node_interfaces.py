@@ -6,13 +6,12 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from typing_extensions import override
 
 from trajopt.errors import InputError
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Phase
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import Rows, Term
+from trajopt.terms.interfaces import InPhase, Rows, Term
 
 # Of two nodes equally far from a fraction, up to rounding, the earlier one is the nearest.
 SAME_FRACTION = 1e-9
@@ -73,7 +72,7 @@ class NodeConstraint(Term, ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AtMoment(Term):
+class AtMoment(InPhase):
     """A term at the node of a phase that is nearest to a fraction of its duration.
 
     The last node of a phase belongs to the next one, except at the end of the schedule.
@@ -86,20 +85,12 @@ class AtMoment(Term):
         InputError: for a fraction outside 0 to 1, and for ``phases``.
     """
 
-    phase: str
     fraction: float = 0.5
 
     def __post_init__(self) -> None:
         if not 0 <= self.fraction <= 1:
             raise InputError(f"fraction of {self.name} is {self.fraction:g}", "allowed: 0 to 1")
-        if self.phases is not None:
-            raise InputError(
-                f"phases of {self.name}: {self.phases!r}, which this term does not use", "allowed: phase="
-            )
-
-    @override
-    def acts_in(self, phase: str) -> bool:
-        return phase == self.phase
+        super().__post_init__()
 
     def acts_at(self, place: NodePlace) -> bool:
         """Whether this is that node."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal
@@ -14,7 +13,7 @@ import pinocchio as pin
 from trajopt.errors import InputError
 from trajopt.robot.collision.fitting import Segment, enclosing_capsule, round_corners
 from trajopt.robot.collision.reading import joint_frame
-from trajopt.robot.collision.shapes import LinkShape, require_different_names
+from trajopt.robot.collision.shapes import LinkShape, box_corners, require_different_names
 from trajopt.robot.robot import Robot
 
 Source = Literal["collision", "visual", "inertia"]
@@ -133,12 +132,7 @@ def spanning_points(geometry: Any) -> tuple[np.ndarray, float]:
     if isinstance(geometry, coal.Cylinder):
         return round_corners(float(geometry.radius), 2 * float(geometry.halfLength)), 0.0
     geometry.computeLocalAABB()
-    box = np.array([geometry.aabb_local.min_, geometry.aabb_local.max_])
-    return _box_corners(box), 0.0
-
-
-def _box_corners(bounds: np.ndarray) -> np.ndarray:
-    return np.array(list(itertools.product(*bounds.T)))
+    return box_corners(geometry.aabb_local.min_, geometry.aabb_local.max_), 0.0
 
 
 def _inertia_boxes(model: pin.Model) -> list[Piece]:
@@ -152,7 +146,7 @@ def _inertia_boxes(model: pin.Model) -> list[Piece]:
         sides = np.sqrt(np.maximum(6 * (moments.sum() - 2 * moments) / inertia.mass, 0.0))
         if not sides.max() > 0:
             continue
-        corners = _box_corners(np.array([-sides / 2, sides / 2])) @ axes.T + inertia.lever
+        corners = box_corners(-sides / 2, sides / 2) @ axes.T + inertia.lever
         pieces.append((str(model.names[joint]), joint, (corners, 0.0)))
     return pieces
 

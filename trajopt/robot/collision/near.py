@@ -85,8 +85,7 @@ class CollisionScene:
         q = np.atleast_2d(np.asarray(configurations, dtype=float))
         rotation, origin = self._placements(q)
         found = np.empty((len(q), len(self.pairs)))
-        for column, bodies in enumerate(self._grounds):
-            index = self.shapes.index(self.moving[column])
+        for column, (index, bodies) in enumerate(self._grounds):
             places = rotation[index], origin[index]
             found[:, column] = np.min([body.distances(places, within) for body in bodies], axis=0)
         if len(self.pairs) > self.n_ground:
@@ -109,8 +108,8 @@ class CollisionScene:
         index = self.pairs.index(pair)
         rotation, origin = self._placements(np.atleast_2d(q))
         if index < self.n_ground:
-            shape = self.shapes.index(self.moving[index])
-            found = [body.witness((rotation[shape], origin[shape])) for body in self._grounds[index]]
+            shape, bodies = self._grounds[index]
+            found = [body.witness((rotation[shape], origin[shape])) for body in bodies]
             return min(found, key=lambda witness: witness.distance)
         first, second = (int(part[index - self.n_ground]) for part in self._indices)
         places = ((rotation[i], origin[i]) for i in (first, second))
@@ -147,8 +146,9 @@ class CollisionScene:
             )
 
         if number < self.n_ground:
-            seen = [(ground, ground.witness(places[number])) for ground in self._grounds[number]]
-            pairs = [(placed(number), ground.solid(witness), witness) for ground, witness in seen]
+            shape, bodies = self._grounds[number]
+            seen = [(ground, ground.witness(places[shape])) for ground in bodies]
+            pairs = [(placed(shape), ground.solid(witness), witness) for ground, witness in seen]
         else:
             first, second = (int(part[number - self.n_ground]) for part in self._indices)
             witness = self._coal.witness((first, second), places[first], places[second])
@@ -219,14 +219,15 @@ class CollisionScene:
         )
 
     @cached_property
-    def _grounds(self) -> list[list[BodyDistance] | list[SmoothDistance]]:
-        """Of each shape, its distances from the bodies of the ground."""
+    def _grounds(self) -> list[tuple[int, list[BodyDistance] | list[SmoothDistance]]]:
+        """Of each pair with the ground, the shape's index and its distances from the bodies of the ground."""
         if self.terrain is None:
             return []
+        moving = [(self.shapes.index(shape), shape) for shape in self.moving]
         if isinstance(self.terrain, SmoothTerrain):
-            return [[SmoothDistance(shape, self.terrain)] for shape in self.moving]
+            return [(index, [SmoothDistance(shape, self.terrain)]) for index, shape in moving]
         bodies = ground_bodies(self.terrain)
-        return [[BodyDistance(shape, body) for body in bodies] for shape in self.moving]
+        return [(index, [BodyDistance(shape, body) for body in bodies]) for index, shape in moving]
 
 
 def separable_pairs(
