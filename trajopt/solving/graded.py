@@ -45,6 +45,8 @@ DEEP = 5e-3
 # then the best one near it.
 SETTLED = 5e-3
 MOST_VARIABLES = 100_000
+# Limit of the solver's time in all rounds, s; a round that begins after it ends at once.
+MAX_TIME, LEAST_TIME = 600.0, 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,7 +154,8 @@ def solve_graded(
         tolerances: The grade.
         max_rounds: Limit of solves; one is a draft.
         refine: False keeps the first mesh: only rows for bodies that come too near are added.
-        **settings: Those of `trajopt.solve`; limits of time and iterations are for each solve.
+        **settings: Those of `trajopt.solve`; the limit of time is for all solves, that of iterations for
+            each.
 
     Raises:
         InputError: As `trajopt.solve` does.
@@ -217,13 +220,14 @@ class _Loop:
         self, mesh: Mesh, start: Solution | str | Path | None, problem: Problem | None = None
     ) -> Solution | None:
         given, number = self.settings.get("label", ""), len(self.rounds) + 1
+        left = self.settings.get("max_time", MAX_TIME) - sum(own.wall_time for own in self.rounds)
         # A named mesh is usually solved once; a refinement has several meshes.
         label = ", ".join(filter(None, [given, f"mesh {number}" if self.refine or number > 1 else ""]))
         self.last = solve_on_mesh(
             problem or self.problem,
             mesh=mesh,
             start=start,
-            **{**self.settings, "label": label, "judge": False},
+            **{**self.settings, "label": label, "judge": False, "max_time": max(left, LEAST_TIME)},
         )
         self.settings.pop("perturb", None)  # noise is for the first start
         self.rounds.append(Round.of(mesh, self.last))
