@@ -40,7 +40,7 @@ OBJECTIVE_FLOOR = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class PairBands(Pair):
-    """One line: a pair, how it was solved, and its bands (both ends included); mesh: ``refined`` or ``fixed``."""
+    """One line: a pair, how it was solved (mesh: ``refined``, ``fixed``), and its bands (ends included)."""
 
     mesh: str
     solver: str
