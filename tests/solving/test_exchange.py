@@ -192,3 +192,17 @@ def test_bodies_of_a_hopper_have_rows_in_the_phases_where_they_are_near():
     terms = planes(exchange.constrained(along(solution)))
     assert "flight" in {term.phase for term in terms}
     assert {(term.frame, term.body) for term in terms} == {(FOOT, None)}
+
+
+def test_a_foot_that_its_contact_holds_on_the_ground_has_no_rows_there():
+    free, solution = hop(), solve(hop(), compile="none")
+    toe = LinkShape.sphere("toe", FOOT, np.zeros(3), 0.01)  # it stands 1 cm deep
+    problem = replace(free, terms=(*free.terms, Clearance(shapes=(toe,))))
+    exchange = Exchange(problem)
+    look = exchange.look(solution)
+    (column,) = (i for i, pair in enumerate(exchange.bodies.pairs) if pair[0] == "toe")
+    standing = np.array([bool(problem.schedule.phases[phase].contacts) for phase, _ in look.moments])
+    assert standing.any()
+    assert not standing.all()
+    assert np.isinf(look.distances[standing, column]).all()
+    assert np.isfinite(look.distances[~standing, column]).all()

@@ -77,16 +77,19 @@ class Exchange:
         return self.bodies.pairs[self.bodies.scene.n_ground :]
 
     def look(self, solution: Solution) -> Look:
-        """Distances of all pairs along a solution, exact where they are within the band."""
+        """Distances of all pairs along a solution, exact where they are within the band.
+
+        Those of a foot from the ground that its active contact touches count as infinite: the contact holds
+        it there, and rows beside the contact's own would depend on them.
+        """
         plan = solution.normalized()
         units = Units(self.problem.robot).position
         numbers, fractions, regular = _moments_to_look_at(plan, units)
         q = InterpolatedMotion.of(plan).at(numbers, fractions).q
-        return Look(
-            distances=self.bodies.scene.distances(q, self.band + self.bodies.widest),
-            moments=_in_phases(plan, numbers, fractions),
-            regular=regular,
-        )
+        distances = self.bodies.scene.distances(q, self.band + self.bodies.widest)
+        moments = _in_phases(plan, numbers, fractions)
+        standing = self._standing[[phase for phase, _ in moments]]
+        return Look(distances=np.where(standing, np.inf, distances), moments=moments, regular=regular)
 
     def missing(self, look: Look) -> tuple[ShapePair, ...]:
         """Pairs that are too near somewhere."""
@@ -188,6 +191,17 @@ class Exchange:
             shape.name: [c for c in self.problem.robot.contacts if joints[c.frame] == joints[shape.frame]]
             for shape in self.bodies.scene.shapes
         }
+
+    @cached_property
+    def _standing(self) -> np.ndarray:
+        """Which pairs (n_phases, n_pairs) are of a shape around an active contact with the ground."""
+        phases = self.problem.schedule.phases
+        found = np.zeros((len(phases), len(self.bodies.pairs)), dtype=bool)
+        for column, (first, _) in enumerate(self.bodies.pairs[: self.bodies.scene.n_ground]):
+            if self.bodies.margins[column] < 0:  # it touches the ground where it stands
+                names = {contact.name for contact in self._contacts[first]}
+                found[:, column] = [not names.isdisjoint(phase.contacts) for phase in phases]
+        return found
 
     def _held(self, pair: ShapePair, phase: int, poses: Mapping[str, pin.SE3]) -> PlacedBody | None:
         """What active contacts hold of the first link of a pair, as points in the world."""
