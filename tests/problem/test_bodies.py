@@ -68,7 +68,10 @@ def test_two_links_keep_no_more_than_in_the_reference_posture():
     scene, found = bodies_of(problem).scene, margins(problem)
     apart = scene.distances(problem.robot.reference)[0, scene.n_outer :]
     assert apart.min() < 0.1 < apart.max()
-    assert [found[pair] for pair in scene.self_pairs] == pytest.approx(np.minimum(apart, 0.1))
+    expected = np.minimum(apart, 0.1)
+    assert [found[pair] for pair in scene.self_pairs] == pytest.approx(expected)
+    described = {"obstacles": 0.1, "pairs": pytest.approx(expected)}
+    assert bodies_meta(problem)["bodies"]["margins"] == described
 
 
 def test_links_that_touch_are_those_around_contacts_whatever_else_is_fixed():

@@ -8,7 +8,7 @@ import numpy as np
 
 from trajopt.certify.traces import Trace, Traces
 from trajopt.robot.collision.near import CollisionScene
-from trajopt.solution.descriptions import bodies_of, body_scene_of, scene_of_meta
+from trajopt.solution.descriptions import bodies_of, body_margins_of, body_scene_of, scene_of_meta
 from trajopt.solution.solution import Solution
 
 # Links are looked for within these distances, m, one after the other: most motions come within the first.
@@ -20,21 +20,29 @@ class FileBodies:
     """Scenes of the bodies in a solution's meta.
 
     Of the shapes in ``meta["bodies"]``, and of the capsules in ``meta["collision"]``, which are wider, or are
-    all that an older file has. Beyond ``within`` m distances are lower bounds.
+    all that an older file has. Beyond ``within`` m distances are lower bounds. margins: (n,) m that the
+    pairs of all scenes shall keep.
     """
 
     scenes: tuple[CollisionScene, ...]
+    margins: np.ndarray
     within: float
 
     @classmethod
     def of(cls, plan: Solution) -> FileBodies:
         """The bodies of a plan, with distances that are exact for the nearest pair of each kind."""
-        own = (body_scene_of(plan.model, plan.meta), scene_of_meta(plan.model, plan.meta.get("collision")))
-        scenes = tuple(scene for scene in own if scene is not None and scene.pairs)
+        bodies = body_scene_of(plan.model, plan.meta)
+        scenes, margins = [], []
+        for scene in (bodies, scene_of_meta(plan.model, plan.meta.get("collision"))):
+            if scene is not None and scene.pairs:
+                scenes.append(scene)
+                known = scene is bodies
+                margins.append(body_margins_of(plan.meta, scene) if known else np.zeros(len(scene.pairs)))
+        asked = np.concatenate([np.zeros(0), *margins])
         for within in RANGES:
-            found = cls(scenes=scenes, within=within)
+            found = cls(scenes=tuple(scenes), margins=asked, within=within)
             worst = [trace.worst() for trace in found.traces(plan).values()]
-            if all(abs(value) <= within for value, _, _ in filter(None, worst)):
+            if all(abs(value) + asked.max(initial=0.0) <= within for value, _, _ in filter(None, worst)):
                 break
         return found
 
@@ -51,6 +59,9 @@ class FileBodies:
 
         depth, links = of("ground")
         parts = {"obstacle_distance": of("obstacle"), "self_distance": of("self")}
+        wanted = np.flatnonzero(self.margins)
+        names = [" and ".join(pairs[column]) for column in wanted]
+        parts["clearance_margin"] = distances[:, wanted] - self.margins[wanted], names
         return {
             "link_depth": Trace.of(-depth, True, links),
             **{name: Trace.of(apart, True, names, margin=True) for name, (apart, names) in parts.items()},

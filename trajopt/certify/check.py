@@ -57,7 +57,7 @@ BETWEEN = "_between"
 # Figures that grow along a phase: a finer mesh there mends them, wherever they are largest.
 DRIFTS = ("foot_drift", "stance_drift", "foot_turn")
 # Figures that a finer mesh does not mend.
-BODIES = ("link_depth", "obstacle_distance", "self_distance")
+BODIES = ("link_depth", "obstacle_distance", "self_distance", "clearance_margin")
 
 
 def check(solution: SolutionOrFile, *, integrate: bool = True) -> CheckReport:
