@@ -154,7 +154,8 @@ def test_pairs_other_than_with_the_ground_have_sides():
     raised = tuple(
         replace(shape, points=shape.points + 0.1 * np.eye(3)[2]) for shape in robot_capsules(robot)
     )
-    problem = past(swing(robot=robot), BALL, shapes=raised, self_collision=True)
+    ahead = np.array([0.6, 0.0, 0.0])
+    problem = past(swing(end=ahead, robot=robot), BALL, shapes=raised, self_collision=True)
     exchange = Exchange(problem)
     assert {pair[1] for pair in exchange.sided_pairs} == {"ball", "joint2"}
     assert len(exchange.sided_pairs) == len(exchange.bodies.pairs) - len(raised)

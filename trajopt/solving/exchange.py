@@ -13,7 +13,6 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -52,16 +51,17 @@ class Look:
 
 @dataclass
 class Exchange:
-    """Which pairs of bodies have rows, when, and for which corners: they grow from look to look."""
+    """Which pairs of bodies have rows, when, and for which corners: they grow from look to look.
+
+    Raises `InputError` for a problem whose bodies are in each other at its start or at a goal.
+    """
 
     problem: Problem
     moments: defaultdict[ShapePair, set[Moment]] = field(default_factory=lambda: defaultdict(set))
     corners: dict[tuple[ShapePair, Moment, str | None, str | None], np.ndarray] = field(default_factory=dict)
 
-    @cached_property
-    def bodies(self) -> ProblemBodies:
-        """Bodies of the problem. Raises `InputError` where its start has them in each other."""
-        return bodies_of(self.problem)
+    def __post_init__(self) -> None:
+        self.bodies: ProblemBodies = bodies_of(self.problem)
 
     @property
     def band(self) -> float:
