@@ -161,6 +161,20 @@ def test_pairs_other_than_with_the_ground_have_sides():
     assert len(exchange.sided_pairs) == len(exchange.bodies.pairs) - len(raised)
 
 
+def test_rows_move_to_a_problem_with_other_parameters():
+    exchange, _ = begun(past(swing(), BALL, FAR), straight())
+    exchange.constrained(along(straight()))
+    nearer = replace(BALL, radius=0.12)
+    moved = exchange.moved_to(past(swing(), nearer, FAR))
+    assert moved.moments == exchange.moments
+    assert moved.bodies.scene.obstacles[0].radius == 0.12
+    assert moved.corners
+    assert all(frame is not None for _, _, frame, _ in moved.corners)
+    moved.moments.clear()
+    assert exchange.moments
+    assert exchange.moved_to(past(swing(), FAR)).moments == {}  # its pairs are no pairs there
+
+
 def test_depth_is_how_much_too_near_the_worst_pair_is():
     exchange, look = begun(past(swing(), BALL, FAR), straight())
     short = (look.distances - exchange.bodies.margins).min()

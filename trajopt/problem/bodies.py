@@ -192,7 +192,7 @@ def _require_clear_goals(problem: Problem, bodies: ProblemBodies) -> None:
             if target.q is not None:
                 what = f"in q of {term.name} is"
                 _require_clear(bodies, what, bodies.pairs, scene.distances(target.q)[0], slack)
-            elif target.position is not None:
+            else:
                 known = "is" if target.rotation is not None else "is at most"
                 what = f"at the goal of {term.name} of '{target.frame}' {known}"
                 placed = placed_link(scene, target)

@@ -28,6 +28,8 @@ def placed_link(scene: CollisionScene, target: Target) -> dict[ShapePair, float]
         scene: of a problem.
         target: position of a frame, or its pose.
     """
+    if target.frame is None or target.position is None:
+        return {}
     frames = {frame.name: frame for frame in scene.model.frames}
     carrier = frames[target.frame]
     shapes = tuple(s for s in scene.moving if frames[s.frame].parentJoint == carrier.parentJoint)

@@ -73,6 +73,18 @@ class Exchange:
         """Pairs other than with the ground: their bodies may pass each other on several sides."""
         return self.bodies.pairs[self.bodies.scene.n_ground :]
 
+    def moved_to(self, problem: Problem) -> Exchange:
+        """The same pairs, moments and corners of links for a problem with other parameters."""
+        made = Exchange(problem)
+        known = set(made.bodies.pairs)
+        made.moments.update({pair: set(own) for pair, own in self.moments.items() if pair in known})
+        made.corners |= {
+            (pair, moment, frame, body): own
+            for (pair, moment, frame, body), own in self.corners.items()
+            if pair in known and frame is not None
+        }
+        return made
+
     def look(self, solution: Solution) -> Look:
         """Distances of all pairs along a solution, exact where they are within the band."""
         plan = solution.normalized()
