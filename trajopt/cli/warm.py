@@ -39,10 +39,8 @@ def solve_warm(
     **settings: Any,
 ) -> SolveReport:
     """Solve from a file, over a ladder, or neither (a ladder of one rung), with progress."""
-    from trajopt.certify.report import GRADE
     from trajopt.solution.input import solution_of
     from trajopt.solving.ladder import solve_ladder
-    from trajopt.solving.verdicts import judged
 
     grid = (settings.pop("transcription"), settings.pop("intervals"))
     if ladder is not None and grid != (None, None):
@@ -56,7 +54,7 @@ def solve_warm(
     most = settings["max_time"] * (len(rungs) + compare)
     with watched(title, most, log, viewer) as callbacks:
         found = solve_ladder(problem, rungs, start=known, compare=compare, **callbacks, **settings)
-    solution = judged(found.solution, GRADE)
+    solution = found.solution
     if len(found.rungs) == 1 and found.cold is None:
         return SolveReport(solution, solution.success)
     figures = found.to_dict()
