@@ -175,12 +175,12 @@ def test_problem_without_a_solution_is_told_as_such():
 
 def test_budget_ends_the_rounds_with_the_best_motion():
     found = solve_graded(
-        hop(), accuracy=1e-9, budget=1e-6, compile="none", mesh=Mesh.uniform("legendre:1", (3, 3, 3))
+        hop(), accuracy=1e-9, max_time=1e-6, compile="none", mesh=Mesh.uniform("legendre:1", (3, 3, 3))
     )
     assert len(found.rounds) <= 2
     assert {own.status for own in found.rounds} == {"time_limit"}
     first = solve(hop(), intervals=6, compile="none")
-    kept = solve_graded(hop(), first=first, accuracy=1e-9, budget=first.meta["wall_time_s"], compile="none")
+    kept = solve_graded(hop(), first=first, accuracy=1e-9, max_time=first.meta["wall_time_s"], compile="none")
     assert kept.why == "the time is used"
     assert len(kept.rounds) == 1
     assert kept.solution.converged

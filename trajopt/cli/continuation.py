@@ -77,6 +77,7 @@ def continue_command(
     from trajopt.problem.family import choose
     from trajopt.solution.input import solution_of
     from trajopt.solving.continuation import continuation
+    from trajopt.solving.interruption import BESIDE
 
     family, fixed = choose(families(), problem), parse_settings(settings, "--set")
     name, values = parse_vary(family, vary, fixed)
@@ -93,7 +94,7 @@ def continue_command(
     import_in_background("scipy.integrate")
     viewer = open_viewer(watch)
     each = 2 + 2 * arguments["max_halvings"] + arguments["compare"]
-    most = arguments["max_time"] * len(values) * each
+    most = (arguments["max_time"] + BESIDE) * len(values) * each
     with watched(problem, most, log, viewer) as callbacks:
         found = continuation(load, values, **callbacks, **arguments)
     files = {}

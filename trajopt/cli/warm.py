@@ -40,6 +40,7 @@ def solve_warm(
 ) -> SolveReport:
     """Solve from a file, over a ladder, or neither (a ladder of one rung), with progress."""
     from trajopt.solution.input import solution_of
+    from trajopt.solving.interruption import BESIDE
     from trajopt.solving.ladder import solve_ladder
 
     grid = (settings.pop("transcription"), settings.pop("intervals"))
@@ -51,7 +52,7 @@ def solve_warm(
         raise InputError("--compare has nothing to compare", "allowed: with --start or --ladder")
     rungs = [grid] if ladder is None else parse_ladder(ladder)
     known = None if start is None else solution_of(start)
-    most = settings["max_time"] * (len(rungs) + compare)
+    most = (settings["max_time"] + BESIDE) * (len(rungs) + compare)
     with watched(title, most, log, viewer) as callbacks:
         found = solve_ladder(problem, rungs, start=known, compare=compare, **callbacks, **settings)
     solution = found.solution

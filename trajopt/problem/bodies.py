@@ -14,7 +14,7 @@ from trajopt.problem.places import CONTACT_GAP, PLACE_SLACK
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.description import RobotShapes, above_ground, robot_shapes
 from trajopt.robot.collision.near import CollisionScene, ShapePair, separable_pairs
-from trajopt.robot.collision.planes import SeparatingPlane, separating_plane
+from trajopt.robot.collision.planes import PlacedBody, SeparatingPlane, beside_held, separating_plane
 from trajopt.robot.collision.shapes import LinkShape
 from trajopt.robot.robot import Robot
 from trajopt.terms.clearance import Clearance
@@ -48,7 +48,11 @@ class ProblemBodies:
         return float(self.margins.max(initial=0.0))
 
     def planes(
-        self, configurations: np.ndarray, wanted: Sequence[tuple[int, ShapePair]], within: float
+        self,
+        configurations: np.ndarray,
+        wanted: Sequence[tuple[int, ShapePair]],
+        within: float,
+        held: Sequence[PlacedBody | None],
     ) -> list[tuple[SeparatingPlane, ...]]:
         """Planes that keep pairs apart near configurations (K, nq): several where the ground has faces.
 
@@ -56,12 +60,18 @@ class ProblemBodies:
             configurations: where planes are laid.
             wanted: of each the configuration's number and the pair.
             within: faces of the ground farther away than this, m, get no plane, except for the nearest one.
+            held: of each what contacts hold of the pair's first link: its planes leave that beyond.
         """
         margins = dict(zip(self.pairs, self.margins.tolist(), strict=True))
         found = self.scene.approaches(configurations, wanted, within)
         return [
-            tuple(separating_plane(own, margins[pair]) for own in approaches)
-            for (_, pair), approaches in zip(wanted, found, strict=True)
+            tuple(
+                separating_plane(
+                    own if fixed is None else beside_held(own, fixed, margins[pair]), margins[pair]
+                )
+                for own in approaches
+            )
+            for (_, pair), approaches, fixed in zip(wanted, found, held, strict=True)
         ]
 
 

@@ -109,7 +109,7 @@ def continuation(
         on_step: Called after every value, and every step between.
         transcription: Scheme of a mesh that stays, as in `trajopt.solve`.
         intervals: Its number of intervals over the whole schedule.
-        **settings: Those of `trajopt.solve`; limits of time and iterations are for each solve.
+        **settings: Those of `trajopt.solve`; the limit of time is for each value.
 
     Raises:
         InputError: As ``load`` and `trajopt.solve` do.

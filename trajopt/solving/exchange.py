@@ -11,15 +11,19 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
+import pinocchio as pin
 
 from trajopt.problem.bodies import TOO_NEAR, ProblemBodies, bodies_of
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.near import ShapePair
-from trajopt.robot.collision.planes import SeparatingPlane
+from trajopt.robot.collision.planes import PlacedBody, SeparatingPlane
+from trajopt.robot.contact import Contact
+from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.units import Units
 from trajopt.solution.interpolation import InterpolatedMotion, collocation_fractions
 from trajopt.solution.motion import SolutionMotion
@@ -178,12 +182,34 @@ class Exchange:
         q = np.array([motion(*moment) for moment in every])
         pairs = [(pair, moment) for pair, moments in self.moments.items() for moment in sorted(moments)]
         wanted = [(numbers[moment], pair) for pair, moment in pairs]
-        for (pair, moment), planes in zip(pairs, self.bodies.planes(q, wanted, self.band), strict=True):
+        poses = [contact_poses(self.problem.robot, own) for own in q]
+        held = [self._held(pair, every[number][0], poses[number]) for number, pair in wanted]
+        found = self.bodies.planes(q, wanted, self.band, held)
+        for (pair, moment), planes in zip(pairs, found, strict=True):
             for plane in planes:
                 key = (pair, moment, plane.frame, plane.body)
                 kept = plane.with_corners(self.corners.get(key, plane.corners))
                 self.corners[key] = kept.corners
                 yield moment, kept
+
+    @cached_property
+    def _contacts(self) -> dict[str, list[Contact]]:
+        """Contacts of the link that carries each shape."""
+        model = self.problem.robot.model
+        joints = {frame.name: frame.parentJoint for frame in model.frames}
+        return {
+            shape.name: [c for c in self.problem.robot.contacts if joints[c.frame] == joints[shape.frame]]
+            for shape in self.bodies.scene.shapes
+        }
+
+    def _held(self, pair: ShapePair, phase: int, poses: Mapping[str, pin.SE3]) -> PlacedBody | None:
+        """What active contacts hold of the first link of a pair, as points in the world."""
+        active = self.problem.schedule.phases[phase].contacts
+        contacts = [contact for contact in self._contacts[pair[0]] if contact.name in active]
+        if not contacts:
+            return None
+        corners = [poses[c.name].act(np.array([*corner, 0.0])) for c in contacts for corner in c.corners]
+        return PlacedBody(points=np.array(corners), radius=min(contact.radius for contact in contacts))
 
 
 def along(solution: Solution) -> PhaseMotion:

@@ -100,7 +100,6 @@ def solve_graded(
     exchange: Exchange | None = None,
     tolerances: Tolerances = GRADE,
     accuracy: float | None = None,
-    budget: float = math.inf,
     max_rounds: int = MOST_ROUNDS,
     refine: bool = True,
     **settings: Any,
@@ -117,10 +116,10 @@ def solve_graded(
         exchange: Rows for bodies of another solve of such a problem, which the first solve has already.
         tolerances: The grade.
         accuracy: Largest error of a phase besides, m, and the solver's tolerance by it; see `phase_errors`.
-        budget: Time of the solver in all rounds, s.
         max_rounds: Limit of solves; one is a draft.
         refine: False keeps the first mesh: only rows for bodies that come too near are added.
-        **settings: Those of `trajopt.solve`; limits of time and iterations are for each solve.
+        **settings: Those of `trajopt.solve`; the limit of time is for all solves, that of iterations for
+            each.
 
     Raises:
         InputError: As `trajopt.solve` does.
@@ -135,5 +134,5 @@ def solve_graded(
         rounds = (Round.of(own, found),)
         return Graded(solution=found, report=None, rounds=rounds, why="it has no legs", examined=0.0)
     known = Exchange(problem) if exchange is None else exchange.moved_to(problem)
-    loop = Refinement(problem, tolerances, refine, settings, known, accuracy, budget)
+    loop = Refinement(problem, tolerances, refine, settings, known, accuracy)
     return loop.result(loop.run(mesh or first_mesh(problem), start, first, max_rounds))

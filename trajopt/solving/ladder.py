@@ -77,7 +77,7 @@ def solve_ladder(
         start: A solution, or its file, for the first grid.
         compare: Solve on the last grid from the default guess, too.
         perturb: Noise on the first start, as in `trajopt.solve`.
-        **settings: Those of `trajopt.solve`; limits of time and iterations are for each solve.
+        **settings: Those of `trajopt.solve`; the limit of time is for each rung.
 
     Raises:
         InputError: As `trajopt.solve` does, and for a ladder without grids.

@@ -46,8 +46,8 @@ DEEP = 5e-3
 # then the best one near it.
 SETTLED = 5e-3
 MOST_VARIABLES = 100_000
-# With less time than this, s, a solver makes no useful iteration.
-LEAST_TIME = 1e-3
+# Limit of the solver's time in all rounds, s; with less than the least no round begins.
+MAX_TIME, LEAST_TIME = 600.0, 1e-3
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,6 @@ class Refinement:
     settings: dict[str, Any]
     exchange: Exchange
     target: float | None
-    budget: float
     rounds: list[Round] = field(default_factory=list)
     last: Solution | None = None
     examined: float = 0.0
@@ -123,7 +122,7 @@ class Refinement:
 
     def _left(self) -> float:
         """Time of the solver that is left, s."""
-        return self.budget - sum(own.wall_time for own in self.rounds)
+        return self.settings.get("max_time", MAX_TIME) - sum(own.wall_time for own in self.rounds)
 
     def _solved(
         self, mesh: Mesh, start: Solution | str | Path | None, problem: Problem | None = None
@@ -131,12 +130,11 @@ class Refinement:
         given, number = self.settings.get("label", ""), len(self.rounds) + 1
         # A named mesh is usually solved once; a refinement has several meshes.
         label = ", ".join(filter(None, [given, f"mesh {number}" if self.refine or number > 1 else ""]))
-        limit = {} if math.isinf(self.budget) else {"max_time": max(self._left(), LEAST_TIME)}
         self.last = solve_on_mesh(
             problem or self.problem,
             mesh=mesh,
             start=start,
-            **{**self.settings, **limit, "label": label, "judge": False},
+            **{**self.settings, "label": label, "judge": False, "max_time": max(self._left(), LEAST_TIME)},
         )
         self.settings.pop("perturb", None)  # noise is for the first start
         self.rounds.append(Round.of(mesh, self.last))

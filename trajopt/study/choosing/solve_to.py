@@ -144,8 +144,9 @@ def solve_within(
     else:
         own = {**tried[-1].solver, **settings}
         own["tolerance"] = min(own["tolerance"], USUAL_TOLERANCE)
-        most, budgeted = 1 if why == INTERRUPTED else MOST_ROUNDS, left + best.meta["wall_time_s"]
-        graded = solve_graded(problem, first=best, budget=budgeted, max_rounds=most, **own)
+        own["max_time"] = left + best.meta["wall_time_s"]  # that of the first round counts, too
+        most = 1 if why == INTERRUPTED else MOST_ROUNDS
+        graded = solve_graded(problem, first=best, max_rounds=most, **own)
         rounds += graded.rounds[1:]
         made, why = graded.solution, why if len(graded.rounds) == 1 else f"{why}; {graded.why}"
     accuracy = None if best is None else measure(made)
