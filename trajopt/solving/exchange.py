@@ -55,16 +55,17 @@ class Look:
 
 @dataclass
 class Exchange:
-    """Which pairs of bodies have rows, when, and for which corners: they grow from look to look."""
+    """Which pairs of bodies have rows, when, and for which corners: they grow from look to look.
+
+    Raises `InputError` for a problem whose bodies are in each other at its start or at a goal.
+    """
 
     problem: Problem
     moments: defaultdict[ShapePair, set[Moment]] = field(default_factory=lambda: defaultdict(set))
     corners: dict[tuple[ShapePair, Moment, str | None, str | None], np.ndarray] = field(default_factory=dict)
 
-    @cached_property
-    def bodies(self) -> ProblemBodies:
-        """Bodies of the problem. Raises `InputError` where its start has them in each other."""
-        return bodies_of(self.problem)
+    def __post_init__(self) -> None:
+        self.bodies: ProblemBodies = bodies_of(self.problem)
 
     @property
     def band(self) -> float:
@@ -75,6 +76,18 @@ class Exchange:
     def sided_pairs(self) -> tuple[ShapePair, ...]:
         """Pairs other than with the ground: their bodies may pass each other on several sides."""
         return self.bodies.pairs[self.bodies.scene.n_ground :]
+
+    def moved_to(self, problem: Problem) -> Exchange:
+        """The same pairs, moments and corners of links for a problem with other parameters."""
+        made = Exchange(problem)
+        known = set(made.bodies.pairs)
+        made.moments.update({pair: set(own) for pair, own in self.moments.items() if pair in known})
+        made.corners |= {
+            (pair, moment, frame, body): own
+            for (pair, moment, frame, body), own in self.corners.items()
+            if pair in known and frame is not None
+        }
+        return made
 
     def look(self, solution: Solution) -> Look:
         """Distances of all pairs along a solution, exact where they are within the band.
