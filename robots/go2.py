@@ -7,14 +7,14 @@ from trajopt.robot import Robot
 from ._quadrupeds import unitree
 
 KIND = "quadruped"
-# The foot's collision mesh is no ball. This one, of centre in the foot frame and radius in m, lies between
-# 0.9 mm inside and 2 mm outside of it where the shank leans by up to 80 degrees forward or backward and 40
-# degrees sideways.
-CENTRE, RADIUS = (-0.0017, 0.0, 0.0004), 0.024
+# The foot's collision mesh is no ball. Of this one, by its centre in the foot frame and its radius in m, the
+# mesh stands out by at most 0.9 mm where the shank leans by up to 80 degrees forward or backward and 40 degrees
+# sideways, and it stands out of the mesh by at most 1.9 mm up to 50 and 30 degrees.
+CENTRE, RADIUS = (-0.0012, 0.0, 0.0012), 0.0246
 
 
 def build() -> Robot:
-    """Return Go2 standing as its SRDF says, on balls of 24 mm radius at frames ``FL_ball``, ...
+    """Return Go2 standing as its SRDF says, on balls of 25 mm radius at frames ``FL_ball``, ...
 
     Limits are those of the URDF, which carries the gears' and the knee linkage's published torques.
     """
