@@ -289,7 +289,7 @@ def test_planes_of_the_ground_are_those_of_its_near_faces():
     found = bodies_of(replace(problem, terrain=STAIRS, initial_q=high()))
     foot = next(pair for pair in found.pairs if pair[0] == "FL_FOOT")
     q = high()[None]
-    (every,), (one,) = (found.planes(q, [(0, foot)], within) for within in (np.inf, 0.0))
+    (every,), (one,) = (found.planes(q, [(0, foot)], within, [None]) for within in (np.inf, 0.0))
     assert len(every) == len(STAIRS.faces) > 1
     assert len(one) == 1  # the nearest, however far
     assert all(plane.body is None for plane in every)

@@ -130,11 +130,12 @@ class Refinement:
         given, number = self.settings.get("label", ""), len(self.rounds) + 1
         # A named mesh is usually solved once; a refinement has several meshes.
         label = ", ".join(filter(None, [given, f"mesh {number}" if self.refine or number > 1 else ""]))
+        limit = {"max_time": max(self._left(), LEAST_TIME)} if self.rounds else {}
         self.last = solve_on_mesh(
             problem or self.problem,
             mesh=mesh,
             start=start,
-            **{**self.settings, "label": label, "judge": False, "max_time": max(self._left(), LEAST_TIME)},
+            **{**self.settings, **limit, "label": label, "judge": False},
         )
         self.settings.pop("perturb", None)  # noise is for the first start
         self.rounds.append(Round.of(mesh, self.last))
