@@ -14,8 +14,9 @@ from trajopt.problem.places import CONTACT_GAP, PLACE_SLACK
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.description import RobotShapes, above_ground, robot_shapes
 from trajopt.robot.collision.near import CollisionScene, ShapePair, separable_pairs
-from trajopt.robot.collision.planes import PlacedBody, SeparatingPlane, beside_held, separating_plane
+from trajopt.robot.collision.planes import PlacedBody, SeparatingPlane, beyond_foot, separating_plane
 from trajopt.robot.collision.shapes import LinkShape
+from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
 from trajopt.terms.clearance import Clearance
 from trajopt.terms.terminal import TerminalPosture
@@ -47,12 +48,27 @@ class ProblemBodies:
         """The largest margin of a pair, m; zero if none is positive."""
         return float(self.margins.max(initial=0.0))
 
+    def is_foot(self, shape: LinkShape, contact: Contact) -> bool:
+        """Whether a shape on a contact's link cannot get deeper, however the link turns about the contact.
+
+        It is a ball around a point, or close to the contact's own; turns about a sole there are none.
+        """
+        if contact.kind == "surface":
+            return True
+        model = self.scene.model
+        own, carrier = (
+            model.frames[model.getFrameId(name)].placement for name in (contact.frame, shape.frame)
+        )
+        points = [(own.inverse() * carrier).act(point) for point in shape.points]
+        reach = float(np.linalg.norm(points, axis=1).max()) + shape.radius
+        return reach <= max(shape.radius, contact.radius) + TOUCHING
+
     def planes(
         self,
         configurations: np.ndarray,
         wanted: Sequence[tuple[int, ShapePair]],
         within: float,
-        held: Sequence[PlacedBody | None],
+        feet: Sequence[PlacedBody | None],
     ) -> list[tuple[SeparatingPlane, ...]]:
         """Planes that keep pairs apart near configurations (K, nq): several where the ground has faces.
 
@@ -60,18 +76,18 @@ class ProblemBodies:
             configurations: where planes are laid.
             wanted: of each the configuration's number and the pair.
             within: faces of the ground farther away than this, m, get no plane, except for the nearest one.
-            held: of each what contacts hold of the pair's first link: its planes leave that beyond.
+            feet: of each the contacts of the pair's first link: where these are clear, planes leave them so.
         """
         margins = dict(zip(self.pairs, self.margins.tolist(), strict=True))
         found = self.scene.approaches(configurations, wanted, within)
         return [
             tuple(
                 separating_plane(
-                    own if fixed is None else beside_held(own, fixed, margins[pair]), margins[pair]
+                    own if foot is None else beyond_foot(own, foot, margins[pair]), margins[pair]
                 )
                 for own in approaches
             )
-            for (_, pair), approaches, fixed in zip(wanted, found, held, strict=True)
+            for (_, pair), approaches, foot in zip(wanted, found, feet, strict=True)
         ]
 
 

@@ -186,8 +186,8 @@ class Exchange:
         pairs = [(pair, moment) for pair, moments in self.moments.items() for moment in sorted(moments)]
         wanted = [(numbers[moment], pair) for pair, moment in pairs]
         poses = [contact_poses(self.problem.robot, own) for own in q]
-        held = [self._held(pair, every[number][0], poses[number]) for number, pair in wanted]
-        found = self.bodies.planes(q, wanted, self.band, held)
+        feet = [self._feet(pair, poses[number]) for number, pair in wanted]
+        found = self.bodies.planes(q, wanted, self.band, feet)
         for (pair, moment), planes in zip(pairs, found, strict=True):
             for plane in planes:
                 key = (pair, moment, plane.frame, plane.body)
@@ -207,19 +207,18 @@ class Exchange:
 
     @cached_property
     def _standing(self) -> np.ndarray:
-        """Which pairs (n_phases, n_pairs) are of a shape around an active contact with the ground."""
-        phases = self.problem.schedule.phases
-        found = np.zeros((len(phases), len(self.bodies.pairs)), dtype=bool)
-        for column, (first, _) in enumerate(self.bodies.pairs[: self.bodies.scene.n_ground]):
-            if self.bodies.margins[column] < 0:  # it touches the ground where it stands
-                names = {contact.name for contact in self._contacts[first]}
-                found[:, column] = [not names.isdisjoint(phase.contacts) for phase in phases]
+        """Which pairs (n_phases, n_pairs) are of a foot with the ground on which its contact holds it."""
+        bodies, phases = self.bodies, self.problem.schedule.phases
+        found = np.zeros((len(phases), len(bodies.pairs)), dtype=bool)
+        shapes = {shape.name: shape for shape in bodies.scene.shapes}
+        for column, (first, _) in enumerate(bodies.pairs[: bodies.scene.n_ground]):
+            names = {c.name for c in self._contacts[first] if bodies.is_foot(shapes[first], c)}
+            found[:, column] = [not names.isdisjoint(phase.contacts) for phase in phases]
         return found
 
-    def _held(self, pair: ShapePair, phase: int, poses: Mapping[str, pin.SE3]) -> PlacedBody | None:
-        """What active contacts hold of the first link of a pair, as points in the world."""
-        active = self.problem.schedule.phases[phase].contacts
-        contacts = [contact for contact in self._contacts[pair[0]] if contact.name in active]
+    def _feet(self, pair: ShapePair, poses: Mapping[str, pin.SE3]) -> PlacedBody | None:
+        """The contacts of the first link of a pair, as points in the world."""
+        contacts = self._contacts[pair[0]]
         if not contacts:
             return None
         corners = [poses[c.name].act(np.array([*corner, 0.0])) for c in contacts for corner in c.corners]

@@ -31,8 +31,8 @@ MOST_CORNERS, APART = 3, 5e-3
 FACE = 1e-3
 # A direction's length differs from one by less than this: rounding of a search.
 UNIT = 1e-6
-# A point that is held may be this far on the wrong side of a plane, m: what solvers leave of its contact.
-HELD = 1e-5
+# A foot may be this far on the wrong side of a plane, m: what solvers leave of its contact.
+NEARER = 1e-5
 # Halvings in the search for a direction between two: to 1e-6 of their angle.
 HALVINGS = 20
 
@@ -118,19 +118,19 @@ def nearest(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> Approa
     return Approach(first=first, second=second, normal=directions[best], distance=distances[best])
 
 
-def beside_held(found: Approach, held: PlacedBody, margin: float) -> Approach:
-    """The approach along the direction nearest to its own with a body that cannot move beyond its plane.
+def beyond_foot(found: Approach, foot: PlacedBody, margin: float) -> Approach:
+    """The approach along the direction nearest to its own with a foot beyond its plane by ``margin`` m.
 
-    ``held`` is part of the first body, such as the foot of a shank: no motion would satisfy a plane that it
-    is not ``margin`` m beyond. Where the held body itself is nearer than that, the approach stays as it is.
+    A shank may be deep in an edge in front of which its foot stands, or will stand: no motion would satisfy a
+    plane that the foot is not beyond. Where the foot itself is nearer than that, the approach stays as it is.
     """
 
     def beyond(normal: np.ndarray) -> bool:
-        return _apart(held, found.second, normal) >= margin - HELD
+        return _apart(foot, found.second, normal) >= margin - NEARER
 
     if found.second.normal is not None or beyond(found.normal):
         return found
-    free = nearest(held, found.second, found.normal).normal
+    free = nearest(foot, found.second, found.normal).normal
     if not beyond(free):
         return found
     near, far = 0.0, 1.0
