@@ -212,12 +212,14 @@ def test_bodies_of_a_hopper_have_rows_in_the_phases_where_they_are_near():
 def test_a_foot_that_its_contact_holds_on_the_ground_has_no_rows_there():
     free, solution = hop(), solve(hop(), compile="none")
     toe = LinkShape.sphere("toe", FOOT, np.zeros(3), 0.01)  # it stands 1 cm deep
-    problem = replace(free, terms=(*free.terms, Clearance(shapes=(toe,))))
+    shank = LinkShape.capsule("shank", FOOT, np.zeros(3), 0.1 * np.eye(3)[2], 0.01)  # and may lie down
+    problem = replace(free, terms=(*free.terms, Clearance(shapes=(toe, shank))))
     exchange = Exchange(problem)
     look = exchange.look(solution)
-    (column,) = (i for i, pair in enumerate(exchange.bodies.pairs) if pair[0] == "toe")
+    columns = {pair[0]: column for column, pair in enumerate(exchange.bodies.pairs) if pair[1] == "ground"}
     standing = np.array([bool(problem.schedule.phases[phase].contacts) for phase, _ in look.moments])
     assert standing.any()
     assert not standing.all()
-    assert np.isinf(look.distances[standing, column]).all()
-    assert np.isfinite(look.distances[~standing, column]).all()
+    assert np.isinf(look.distances[standing, columns["toe"]]).all()
+    assert np.isfinite(look.distances[~standing, columns["toe"]]).all()
+    assert np.isfinite(look.distances[:, columns["shank"]]).all()
