@@ -190,7 +190,10 @@ class _Run:
         return np.asarray(whole[self.rows])
 
     def _contacts(self, force: np.ndarray, feet: np.ndarray) -> tuple[bool, bool]:
-        """Add this step's contacts to ``force`` (nc, 6); whether a link touches ground, or an obstacle."""
+        """Add this step's contacts to ``force`` (nc, 6); whether a link touches ground, or an obstacle.
+
+        A link that touches it beside a foot does not count.
+        """
         touching, world = self.data.contact, self.world
         loaded = touching.efc_address >= 0
         geoms = touching.geom[loaded]
@@ -202,7 +205,10 @@ class _Run:
             wrench = np.column_stack([push, _cross(arm, push)])[owner >= 0]
             np.add.at(force, owner[owner >= 0], wrench)
         self._grasped(force)
-        return bool(world.links[geoms].any()), bool(world.obstacles[geoms].any())
+        links = world.links[geoms].any(axis=1)
+        apart = np.linalg.norm(touching.pos[loaded][links][:, None] - feet, axis=2)
+        fallen = (apart > world.feet).all(axis=1)
+        return bool(fallen.any()), bool(world.obstacles[geoms].any())
 
     def _pushes(self, loaded: np.ndarray) -> np.ndarray:
         """Forces (n, 3) of contacts in world axes; one without friction has a normal force alone."""

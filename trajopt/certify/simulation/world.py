@@ -47,6 +47,8 @@ IMPEDANCE = (0.95, 0.99, 0.5, 2.0)
 FRICTION_STIFFNESS = 10.0
 # Links that a plan takes nearer to the ground than this, m, as its feet, touch nothing.
 CLEAR = 1e-3
+# A shank that touches the ground this near to its foot, m, does so with it: soft feet give way.
+AROUND_FOOT = 1e-2
 # Friction of links on the ground and on obstacles: matters only in a fall.
 LINK_FRICTION = 0.7
 # Of MuJoCo's solver of contact forces, relative: with its own 1e-8 forces of rolling balls miss the equations
@@ -71,10 +73,10 @@ class World:
     """A compiled model with the indices that the simulation needs.
 
     sites: id of each contact frame's site (nc,). contact_of: for each geom the contact it belongs to, or -1.
-    links: whether a geom is a link's. obstacles: whether it is an obstacle. models: the `pin.Model` of each
-    phase of the plan, with what is carried. buried: depth, m, of joints that the plan takes into the ground:
-    they touch nothing. pairs: (n,) ids of feet on grounds, and their friction (phases, n), see
-    `GroundGeometry`.
+    links: whether a geom is a link's. feet: (nc,) m from each contact frame within which what touches is the
+    foot. obstacles: whether it is an obstacle. models: the `pin.Model` of each phase of the plan, with what
+    is carried. buried: depth, m, of joints that the plan takes into the ground: they touch nothing. pairs:
+    (n,) ids of feet on grounds, and their friction (phases, n), see `GroundGeometry`.
     """
 
     compiled: Any
@@ -85,6 +87,7 @@ class World:
     sites: np.ndarray
     contact_of: np.ndarray
     links: np.ndarray
+    feet: np.ndarray
     obstacles: np.ndarray
     grasps: tuple[Grasp, ...]
     buried: dict[str, float]
@@ -122,6 +125,7 @@ def build_world(plan: Solution, settings: SimulationSettings) -> World:
         sites=np.array([compiled.site(f"contact{i}").id for i in range(len(feet))], dtype=int),
         contact_of=np.array([named.get(name, -1) for name in geoms], dtype=int),
         links=np.isin(geoms, links),
+        feet=np.array([_extent(plan, i) for i in range(len(feet))]) + place.radii + AROUND_FOOT,
         obstacles=np.isin(geoms, obstacles),
         grasps=grasps,
         buried=buried,
@@ -175,6 +179,10 @@ def touching_places(plan: Solution, contact: int) -> np.ndarray:
         return np.zeros((1, 3))
     x, y = sizes[contact]
     return np.array([[x, y, 0.0], [x, -y, 0.0], [-x, -y, 0.0], [-x, y, 0.0]])
+
+
+def _extent(plan: Solution, contact: int) -> float:
+    return float(np.linalg.norm(touching_places(plan, contact), axis=1).max())
 
 
 def _add_feet(bodies: Bodies, plan: Solution, place: Surroundings) -> list[list[str]]:
