@@ -1,0 +1,138 @@
+"""A solve that gets nowhere ends early: with a certificate that the problem is infeasible, or goes on feasible.
+
+While IPOPT runs, its figures are tested for progress. Where there is none, the elastic problem is solved from
+the iterate, within the same limits. A minimum of the violations that is clear ends the solve as infeasible; a
+point where the rows hold is where the solve starts anew; without either the solve just goes on, and is tested
+again after twice as many iterations. So no solve that would succeed is ended by the test of progress alone.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from trajopt.solvers.drivers import run_solver
+from trajopt.solvers.elastic import ElasticPoint, least_violation
+from trajopt.solvers.progress import is_stalled
+from trajopt.solvers.result import Callback, Option, Result, StoppingCriteria, WarmMultipliers
+from trajopt.solvers.status import Status
+from trajopt.transcription.compilation import DEFAULT_HESSIAN
+from trajopt.transcription.nlp import Nlp
+
+# The test is measured on IPOPT's figures, and the elastic problem needs the exact Hessian.
+TESTED = "ipopt", DEFAULT_HESSIAN
+CERTIFIED = "Certified_Infeasible"
+# Iterations of one elastic problem: those that end take 20 to 120.
+MOST_ELASTIC = 150
+
+
+class StallTest:
+    """A solver's callback that passes on to another, and looks for a verdict where there is no progress.
+
+    found: the elastic point that ended the solve. spent: iterations of elastic problems, which count against
+    the limit. limited: they have used up the limit.
+    """
+
+    def __init__(self, nlp: Nlp, callback: Callback, stop: StoppingCriteria) -> None:
+        self.nlp, self.callback, self.stop = nlp, callback, stop
+        self.deadline = time.perf_counter() + stop.max_time
+        self.primal: list[float] = []
+        self.dual: list[float] = []
+        self.next, self.spent, self.function_time = 0, 0, 0.0
+        self.limited = False
+        self.found: ElasticPoint | None = None
+
+    def __call__(self, figures: dict[str, float], unknowns: Callable[[], np.ndarray]) -> bool:
+        """One iteration of the solver; False where the callback stops it, or a verdict is found."""
+        told = {**figures, "iteration": figures["iteration"] + self.spent}
+        if not self.callback(told, unknowns):
+            return False
+        self.primal.append(figures["primal"])
+        self.dual.append(figures["dual"])
+        self.limited = self.spent > 0 and told["iteration"] >= self.stop.max_iterations
+        if self.limited:
+            return False
+        if len(self.primal) < self.next or not is_stalled(self.primal, self.dual):
+            return True
+        self.next = 2 * len(self.primal)
+        x = np.array(unknowns())
+        return len(x) == 0 or self._no_verdict(told, x)
+
+    def _no_verdict(self, figures: dict[str, float], x: np.ndarray) -> bool:
+        left = int(self.stop.max_iterations - figures["iteration"])
+        seconds = self.deadline - time.perf_counter()
+        if left <= 0 or seconds <= 0:  # the solver stops by itself
+            return True
+
+        def tell(own: dict[str, float], read: Callable[[], np.ndarray]) -> bool:
+            number = figures["iteration"] + own["iteration"]
+            return self.callback({**figures, "iteration": number, "restoration": True}, read)
+
+        found = least_violation(self.nlp, x, tell, max_iterations=min(left, MOST_ELASTIC), max_time=seconds)
+        self.spent += found.iterations
+        self.function_time += found.function_time
+        if found.feasible or found.infeasible:
+            self.found = found
+        return self.found is None and not found.stopped
+
+
+def solve_or_certify(
+    nlp: Nlp,
+    start: np.ndarray,
+    solver: str,
+    stop: StoppingCriteria,
+    options: Mapping[str, Option],
+    callback: Callback,
+    warm: WarmMultipliers | None = None,
+) -> tuple[Result, ElasticPoint | None]:
+    """As `run_solver`, with the test of progress where that is measured; the certificate if infeasible."""
+    if (solver, nlp.hessian) != TESTED:
+        return run_solver(nlp, start, solver, stop, options, callback, warm), None
+    begun = time.perf_counter()
+    test = StallTest(nlp, callback, stop)
+    result = run_solver(nlp, start, solver, stop, options, test, warm)
+    result = replace(
+        result,
+        iterations=result.iterations + test.spent,
+        function_time=result.function_time + test.function_time,
+        status=Status.ITERATION_LIMIT if test.limited else result.status,
+    )
+    if test.found is None:
+        return result, None
+    if test.found.infeasible:
+        return _certified(nlp, result, test.found), test.found
+    left = replace(
+        stop,
+        max_iterations=max(stop.max_iterations - result.iterations, 0),
+        max_time=max(stop.max_time - (time.perf_counter() - begun), 1e-3),
+    )
+
+    def go_on(figures: dict[str, float], unknowns: Callable[[], np.ndarray]) -> bool:
+        return callback({**figures, "iteration": figures["iteration"] + result.iterations}, unknowns)
+
+    again = run_solver(nlp, test.found.x, solver, left, options, go_on)
+    return replace(
+        again,
+        iterations=result.iterations + again.iterations,
+        wall_time=result.wall_time + again.wall_time,
+        function_time=result.function_time + again.function_time,
+    ), None
+
+
+def _certified(nlp: Nlp, result: Result, found: ElasticPoint) -> Result:
+    """The point of least violation; multipliers of the elastic problem are not those of the problem."""
+    return replace(
+        result,
+        x=found.x,
+        lam_g=np.zeros_like(result.lam_g),
+        lam_x=np.zeros_like(result.lam_x),
+        status=Status.INFEASIBLE,
+        solver_status=CERTIFIED,
+        objective=float(nlp.engine.f(found.x)),
+        primal=float(found.gives.max()),
+        dual=float("nan"),
+        complementarity=float("nan"),
+    )
