@@ -204,7 +204,7 @@ def _with_slacks(nlp: Nlp, slacks: sparse.csr_matrix, centre: np.ndarray, prox: 
 
 
 class _Merged:
-    """A pattern with further entries: its row and column, and where old (kept) and further (added) ones are."""
+    """A pattern with further entries: all rows and columns, and where kept and added entries are."""
 
     def __init__(
         self, width: int, row: np.ndarray, column: np.ndarray, new_row: np.ndarray, new_column: np.ndarray

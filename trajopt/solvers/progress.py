@@ -1,9 +1,9 @@
 """Whether a solve makes progress: a test of the figures of its iterations.
 
 Where rows contradict each other, an interior-point method creeps: its multipliers, and with them the dual
-infeasibility, grow without bound while the rows stay violated. Measured on IPOPT's first meshes of the suite
-and of infeasible settings (docs/failures.md): solves that succeed stay below 3e3 as long as rows are violated,
-with few exceptions below 1e5; those that cannot succeed pass 1e4 within 4 to 21 iterations.
+infeasibility, grow without bound while the rows stay violated. Measured with IPOPT on first meshes: 64 of 65
+solves that succeed stay below 3e3 as long as rows are violated, one below 1e5; ten that cannot succeed pass
+1e4 within 4 to 21 iterations, and 1e6 within 34.
 """
 
 from __future__ import annotations

@@ -65,8 +65,10 @@ def why_infeasible(nlp: Nlp, found: ElasticPoint) -> str:
     names = NlpNames(t, t.layout.times(found.x * t.scale), slopes)
     give = np.where(found.gives > min(CLEAR, found.gives.max()), found.gives, 0.0)
     giving = "; ".join(map(str, members_giving(names, give)[:IN_A_LINE]))
-    fixed = np.concatenate([np.zeros(t.n_rows, dtype=bool), t.lower_x == t.upper_x])
-    members = members_against(names, give, np.where(fixed, 0.0, found.weights))[:IN_A_LINE]
+    limits = np.concatenate(
+        [t.lower_g < t.upper_g, t.lower_x < t.upper_x]
+    )  # goals only pass on what they ask
+    members = members_against(names, give, np.where(limits, found.weights, 0.0))[:IN_A_LINE]
     against = " and ".join(f"{one.what} at {one.place}" for one in members)
     return f"{giving}; against it stand {against}" if against else giving
 

@@ -1,4 +1,4 @@
-"""A solve that gets nowhere ends early: with a certificate that the problem is infeasible, or goes on feasible.
+"""A solve that gets nowhere: certified as infeasible, or started anew from a feasible point.
 
 While IPOPT runs, its figures are tested for progress. Where there is none, the elastic problem is solved from
 the iterate, within the same limits. A minimum of the violations that is clear ends the solve as infeasible; a
