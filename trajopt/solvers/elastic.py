@@ -10,7 +10,8 @@ feasible. A minimum with a violation above zero is a certificate that the proble
 the multipliers, at most one in magnitude, say which rows and bounds stand against those that give way.
 Steps of the solver are regular wherever it starts, as slacks make up for what the rows lack: where a solver
 of the problem itself creeps, this takes 15 to 50 iterations. prox selects the nearest of equal minima; as it
-may also hold the variables back, what is found is solved again from there with a smaller one.
+may also hold the variables back, what is found is solved again from there with a smaller one, until the
+violation stays.
 """
 
 from __future__ import annotations
@@ -28,13 +29,14 @@ from trajopt.solvers.drivers import IPOPT_OPTIONS
 from trajopt.solvers.result import Callback, Option
 from trajopt.transcription.nlp import Nlp
 
-# Weights of the distance from the start, of the first minimum and of the one that is searched from there.
-FAR, NEAR = 1e-4, 1e-5
+# Weights of the distance from the start, of the first minimum and of those that are searched from there. With
+# ten times the second, tall hops that can be done end at a violation.
+FAR, NEAR = 1e-4, 1e-6
 # A violation of one row that is clear, and one that a solver can mend, in natural units. Measured: points of
-# feasible problems end below 4e-4, of infeasible ones above 2e-2.
-CLEAR, MENDED = 5e-3, 1e-3
-# A second minimum below this fraction of the first one says that prox had held it back: it may go on falling.
-HELD_BACK = 0.25
+# feasible problems end below 9e-4, of infeasible ones above 2e-2.
+CLEAR, MENDED = 1e-2, 1e-3
+# A minimum below this fraction of the last one says that prox had held that back: the violation may fall on.
+HELD_BACK = 0.5
 # Slacks start this far beyond the violations: well inside their bounds for the first barrier.
 FIRST_SLACK = 1e-3
 # A certificate needs few digits, the way to it fewer. Barriers are small, as both start near an iterate.
@@ -52,6 +54,8 @@ _SECOND: dict[str, Option] = {
     "dual_inf_tol": 1e-2,
     "compl_inf_tol": 1e-4,
 }
+# A solver's limit of time is positive, s.
+LEAST_TIME = 1e-3
 # Distance of the start from bounds, over the first barrier.
 PUSH = 0.1
 
@@ -74,6 +78,11 @@ class ElasticPoint:
     function_time: float
 
     @property
+    def missed(self) -> float:
+        """Sum of the violations that no solver would mend."""
+        return float(self.gives[self.gives > MENDED].sum())
+
+    @property
     def feasible(self) -> bool:
         """Whether hardly anything is violated."""
         return bool(self.gives.max(initial=0.0) <= MENDED) and not self.stopped
@@ -85,7 +94,7 @@ class ElasticPoint:
 
 
 def least_violation(
-    nlp: Nlp, start: np.ndarray, callback: Callback | None = None, *, max_iterations: int, max_time: float
+    nlp: Nlp, start: np.ndarray, callback: Callback, *, max_iterations: int, max_time: float
 ) -> ElasticPoint:
     """The least sum of violations near scaled variables ``start``, by IPOPT.
 
@@ -96,27 +105,29 @@ def least_violation(
         max_iterations: Limit of iterations in all.
         max_time: Limit of wall time, s.
     """
-    begun = time.perf_counter()
-    point = _solved(nlp, start, callback, FAR, _FIRST, max_iterations, max_time)
-    if not point.minimum or point.feasible:
-        return replace(point, minimum=False)
-    before = point
-    iterations, left = max_iterations - point.iterations, max_time - (time.perf_counter() - begun)
-    if iterations <= 0 or left <= 0:
-        return replace(point, minimum=False)
-    point = _solved(nlp, point.x, callback, NEAR, _SECOND, iterations, left)
-    return replace(
-        point,
-        minimum=point.minimum and bool(point.gives.sum() > HELD_BACK * before.gives.sum()),
-        iterations=before.iterations + point.iterations,
-        function_time=before.function_time + point.function_time,
-    )
+    deadline, missed = time.perf_counter() + max_time, np.inf
+    point, spent, seconds = None, 0, 0.0
+    while True:
+        prox, options, x = (FAR, _FIRST, start) if point is None else (NEAR, _SECOND, point.x)
+        left = max(deadline - time.perf_counter(), LEAST_TIME)
+        point = _solved(nlp, x, counted_from(spent, callback), prox, options, max_iterations - spent, left)
+        spent, seconds = spent + point.iterations, seconds + point.function_time
+        settled = prox == NEAR and point.missed > HELD_BACK * missed
+        if settled or point.feasible or not point.minimum or spent >= max_iterations:
+            break
+        missed = point.missed
+    return replace(point, minimum=point.minimum and settled, iterations=spent, function_time=seconds)
+
+
+def counted_from(number: int, callback: Callback) -> Callback:
+    """The callback of a solve that goes on after ``number`` iterations of another."""
+    return lambda figures, read: callback({**figures, "iteration": figures["iteration"] + number}, read)
 
 
 def _solved(
     nlp: Nlp,
     start: np.ndarray,
-    callback: Callback | None,
+    callback: Callback,
     prox: float,
     options: dict[str, Option],
     max_iterations: int,
@@ -146,7 +157,7 @@ def _solved(
             "max_iter": max_iterations,
             "max_wall_time": max_time,
         },
-        None if callback is None else lambda figures, read: callback(figures, lambda: read()[:n]),
+        lambda figures, read: callback(figures, lambda: read()[:n]),
     )
     return ElasticPoint(
         x=raw["x"][:n],

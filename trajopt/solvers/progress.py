@@ -21,7 +21,10 @@ FACTOR, WITHIN = 0.5, 20
 
 
 def is_stalled(primal: Sequence[float], dual: Sequence[float]) -> bool:
-    """Whether a solve seems to get nowhere, from its primal and dual infeasibility at every iteration."""
+    """Whether a solve seems to get nowhere, from its primal and dual infeasibility at every iteration.
+
+    Iterations of a restoration have none of the problem: they count as infinite.
+    """
     if len(primal) <= LEAST or min(primal) <= VIOLATED:
         return False
     creeps = min(dual[-LAST:]) > LARGE

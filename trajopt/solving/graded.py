@@ -206,11 +206,16 @@ class _Loop:
         return f"a mesh was not solved: {self.rounds[-1].status.replace('_', ' ')}"
 
     def _first(self, mesh: Mesh, start: Solution | str | Path | None) -> Solution | None:
-        """The solution on the first mesh, or on the problem's own mesh where that fails."""
+        """The solution on the first mesh, or on the problem's own mesh where that fails.
+
+        What is certified as infeasible on one is so on the other, too (docs/failures.md).
+        """
         for tried in dict.fromkeys((mesh, *([chosen_mesh(self.problem)] if self.refine else []))):
             solution = self._solved(tried, start)
             if solution is not None or self.rounds[-1].status == INTERRUPTED:
                 return solution
+            if self.last is not None and self.last.meta.get("certified_infeasible"):
+                break
         return None
 
     def _solved(

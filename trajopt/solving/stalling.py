@@ -15,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from trajopt.solvers.drivers import run_solver
-from trajopt.solvers.elastic import ElasticPoint, least_violation
-from trajopt.solvers.progress import is_stalled
+from trajopt.solvers.elastic import ElasticPoint, counted_from, least_violation
+from trajopt.solvers.progress import VIOLATED, is_stalled
 from trajopt.solvers.result import Callback, Option, Result, StoppingCriteria, WarmMultipliers
 from trajopt.solvers.status import Status
 from trajopt.transcription.compilation import DEFAULT_HESSIAN
@@ -25,8 +25,12 @@ from trajopt.transcription.nlp import Nlp
 # The test is measured on IPOPT's figures, and the elastic problem needs the exact Hessian.
 TESTED = "ipopt", DEFAULT_HESSIAN
 CERTIFIED = "Certified_Infeasible"
-# Iterations of one elastic problem: those that end take 20 to 120.
-MOST_ELASTIC = 150
+# Ends of IPOPT that are no verdict on the problem: its restoration fails, or no step makes progress.
+GIVEN_UP = Status.INFEASIBLE, Status.STEP_FAILED
+# Figures of iterations of the elastic problem after that.
+NO_FIGURES = {"barrier": 0.0, "step": 0.0, "regularization": 0.0, "line_search": 0}
+# Iterations of one search for the least violation: those that end take 20 to 200.
+MOST_ELASTIC = 250
 
 
 class StallTest:
@@ -51,7 +55,7 @@ class StallTest:
         if not self.callback(told, unknowns):
             return False
         self.primal.append(figures["primal"])
-        self.dual.append(figures["dual"])
+        self.dual.append(np.inf if figures["restoration"] else figures["dual"])
         self.limited = self.spent > 0 and told["iteration"] >= self.stop.max_iterations
         if self.limited:
             return False
@@ -59,19 +63,25 @@ class StallTest:
             return True
         self.next = 2 * len(self.primal)
         x = np.array(unknowns())
-        return len(x) == 0 or self._no_verdict(told, x)
+        return len(x) == 0 or self.look(told, x)
 
-    def _no_verdict(self, figures: dict[str, float], x: np.ndarray) -> bool:
+    def look(self, figures: dict[str, float], x: np.ndarray) -> bool:
+        """Look for a verdict from variables ``x``; False where there is one, or the callback stops it."""
         left = int(self.stop.max_iterations - figures["iteration"])
         seconds = self.deadline - time.perf_counter()
         if left <= 0 or seconds <= 0:  # the solver stops by itself
             return True
 
         def tell(own: dict[str, float], read: Callable[[], np.ndarray]) -> bool:
-            number = figures["iteration"] + own["iteration"]
-            return self.callback({**figures, "iteration": number, "restoration": True}, read)
+            return self.callback({**figures, "iteration": own["iteration"], "restoration": True}, read)
 
-        found = least_violation(self.nlp, x, tell, max_iterations=min(left, MOST_ELASTIC), max_time=seconds)
+        found = least_violation(
+            self.nlp,
+            x,
+            counted_from(int(figures["iteration"]), tell),
+            max_iterations=min(left, MOST_ELASTIC),
+            max_time=seconds,
+        )
         self.spent += found.iterations
         self.function_time += found.function_time
         if found.feasible or found.infeasible:
@@ -94,9 +104,12 @@ def solve_or_certify(
     begun = time.perf_counter()
     test = StallTest(nlp, callback, stop)
     result = run_solver(nlp, start, solver, stop, options, test, warm)
+    if result.status in GIVEN_UP and test.found is None and not result.primal <= VIOLATED:
+        known = {"iteration": result.iterations + test.spent, "objective": result.objective}
+        test.look({**NO_FIGURES, **known, "primal": result.primal, "dual": result.dual}, result.x)
     result = replace(
         result,
-        iterations=result.iterations + test.spent,
+        iterations=min(result.iterations + test.spent, stop.max_iterations),
         function_time=result.function_time + test.function_time,
         status=Status.ITERATION_LIMIT if test.limited else result.status,
     )
@@ -110,10 +123,8 @@ def solve_or_certify(
         max_time=max(stop.max_time - (time.perf_counter() - begun), 1e-3),
     )
 
-    def go_on(figures: dict[str, float], unknowns: Callable[[], np.ndarray]) -> bool:
-        return callback({**figures, "iteration": figures["iteration"] + result.iterations}, unknowns)
-
-    again = run_solver(nlp, test.found.x, solver, left, options, go_on)
+    onwards = counted_from(result.iterations, callback)
+    again = run_solver(nlp, test.found.x, solver, left, options, onwards)
     return replace(
         again,
         iterations=result.iterations + again.iterations,
