@@ -12,7 +12,7 @@ from trajopt_library import problems
 
 # Problem, its other parameters, the one that decides: its infeasible and its feasible value.
 SETTINGS: tuple[tuple[str, dict[str, Any], str, float, float], ...] = (
-    ("biped-jump-up", {"robot": "talos"}, "height", 0.2, 0.1),
+    ("biped-jump-up", {"robot": "talos"}, "height", 0.2, 0.04),
     ("solo12-jump", {}, "effort", 0.4, 0.9),
     ("quadruped-jump-forward", {"robot": "go2"}, "distance", 1.2, 0.8),
     ("hopper-hop", {"distance": 0.6}, "friction", 0.05, 0.5),
