@@ -11,8 +11,9 @@ from trajopt.errors import InputError
 from trajopt.problem import Problem
 from trajopt.problem.family import Family
 from trajopt.robot import Robot
+from trajopt.robot.collision.description import robot_shapes
 from trajopt.robot.kinematics import contact_positions
-from trajopt.terrain import PiecewiseTerrain
+from trajopt.terrain import FlatGround, PiecewiseTerrain
 
 from . import common, leaping, pushing
 
@@ -27,6 +28,9 @@ SHARE, HEIGHT = 0.75, 0.75
 OF_RISE, MOST_BOX, GAP = 0.5, 0.5, 0.3
 # Distance of feet from an edge at take-off and landing, over the robot's length.
 FROM_EDGE = 0.15
+# Distance of other links from a box at landing, at least; where the knees need it, the landing moves in
+# steps, up to so many, all over the robot's length. Distances agree to rounding, m.
+LEAST_GAP, STEP, MOST_STEPS, ROUNDING = 0.03, 0.05, 20, 1e-6
 
 Kind = Literal["box-up", "box-down", "gap"]
 
@@ -48,7 +52,25 @@ def _site(
         return terrain, start, np.array([length + size, 0.0, 0.0])
     middle = (front + hind) / 2 + (length if kind == "box-up" else 0.0)
     terrain = PiecewiseTerrain.box(size, length, width, at=(middle, 0.0), friction=friction)
-    return (terrain, start, end + up) if kind == "box-up" else (terrain, start + up, end)
+    if kind == "box-up":
+        return terrain, start, end + up
+    return terrain, start + up, _clear_of_box(robot, terrain, end)
+
+
+def _clear_of_box(robot: Robot, terrain: PiecewiseTerrain, end: np.ndarray) -> np.ndarray:
+    """The place (3,) m at ``end`` or beyond where a robot stands with its links clear of the box behind it.
+
+    Of the reference posture: the knees of some lean back farther than their feet are from the edge.
+    """
+    shapes = robot_shapes(robot)
+    level, box = (shapes.scene(robot.model, ground) for ground in (FlatGround(), terrain))
+    for steps in range(MOST_STEPS):
+        place = end + np.array([steps * STEP * robot.length, 0.0, 0.0])
+        apart = level.distances(common.displaced(robot, place))
+        least = np.minimum(apart, LEAST_GAP * robot.length) - ROUNDING
+        if (box.distances(common.displaced(robot, place)) >= least).all():
+            break
+    return place
 
 
 def build(

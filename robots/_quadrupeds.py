@@ -13,24 +13,29 @@ UNITREE_LEGS = ("FL", "FR", "RL", "RR")
 ANYMAL_LEGS = ("LF", "RF", "LH", "RH")
 
 
-def unitree(name: str, path: str, *, radius: float, thigh: float, calf: float, hip: float = 0.0) -> Robot:
+def unitree(
+    name: str,
+    path: str,
+    *,
+    radius: float,
+    centre: tuple[float, float, float] | None = None,
+    thigh: float,
+    calf: float,
+    hip: float = 0.0,
+) -> Robot:
     """Return a robot of Unitree on four point feet ``FL``, ``FR``, ``RL``, ``RR``, standing.
 
-    path: of the URDF within example-robot-data. radius: of the balls around the foot frames, m. hip, thigh,
-    calf: angles of every leg, rad; a positive hip spreads the legs, a calf is bent when negative.
+    path: of the URDF within example-robot-data. radius: of the feet's balls, m. centre: of each in its foot
+    frame, m, where this adds a frame ``FL_ball``, ...; None: the foot frame. hip, thigh, calf: angles of
+    every leg, rad; a positive hip spreads the legs, a calf is bent when negative.
     """
     reference = {}
     for leg in UNITREE_LEGS:
         outwards = hip if leg.endswith("L") else -hip
         for joint, angle in (("hip", outwards), ("thigh", thigh), ("calf", calf)):
             reference[f"{leg}_{joint}_joint"] = angle
-    return Robot.from_urdf(
-        robot_file(path),
-        name=name,
-        base="freeflyer",
-        contacts=[Contact(frame=f"{leg}_foot", name=leg, radius=radius) for leg in UNITREE_LEGS],
-        reference=reference,
-    )
+    feet = {leg: f"{leg}_foot" for leg in UNITREE_LEGS}
+    return _on_balls(name, path, feet, radius, centre, reference)
 
 
 def anymal(name: str, path: str, *, radius: float, rise: float) -> Robot:
@@ -45,9 +50,24 @@ def anymal(name: str, path: str, *, radius: float, rise: float) -> Robot:
         reference[f"{leg}_HAA"] = -0.1 if left else 0.1
         reference[f"{leg}_HFE"] = 0.7 if front else -0.7
         reference[f"{leg}_KFE"] = -1.0 if front else 1.0
+    feet = {leg: f"{leg}_FOOT" for leg in ANYMAL_LEGS}
+    return _on_balls(name, path, feet, radius, (0.0, 0.0, rise), reference)
+
+
+def _on_balls(
+    name: str,
+    path: str,
+    feet: dict[str, str],
+    radius: float,
+    centre: tuple[float, float, float] | None,
+    reference: dict[str, float],
+) -> Robot:
+    """The robot on point contacts at foot frames, by their names, or at centres (3,) m in them."""
     described = Robot.from_urdf(robot_file(path), name=name, base="freeflyer")
     model = pin.Model(described.model)
-    contacts = [Contact(frame=_add_ball(model, leg, rise), name=leg, radius=radius) for leg in ANYMAL_LEGS]
+    if centre is not None:
+        feet = {leg: _add_ball(model, foot, np.array(centre)) for leg, foot in feet.items()}
+    contacts = [Contact(frame=frame, name=leg, radius=radius) for leg, frame in feet.items()]
     return Robot.from_model(
         model,
         name=name,
@@ -58,10 +78,11 @@ def anymal(name: str, path: str, *, radius: float, rise: float) -> Robot:
     )
 
 
-def _add_ball(model: pin.Model, leg: str, rise: float) -> str:
-    """Add the frame at the centre of a foot's ball and return its name."""
-    foot = model.getFrameId(f"{leg}_FOOT")
-    placement = model.frames[foot].placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, rise]))
-    parent = model.frames[foot].parentJoint
-    model.addFrame(pin.Frame(f"{leg}_BALL", parent, foot, placement, pin.FrameType.OP_FRAME))
-    return f"{leg}_BALL"
+def _add_ball(model: pin.Model, foot: str, centre: np.ndarray) -> str:
+    """Add the frame at a point (3,) m of a foot frame and return its name."""
+    number = model.getFrameId(foot)
+    entry = model.frames[number]
+    name = foot.replace("FOOT", "BALL").replace("foot", "ball")
+    placement = entry.placement * pin.SE3(np.eye(3), centre)
+    model.addFrame(pin.Frame(name, entry.parentJoint, number, placement, pin.FrameType.OP_FRAME))
+    return name

@@ -7,14 +7,16 @@ from trajopt.robot import Robot
 from ._quadrupeds import unitree
 
 KIND = "quadruped"
-# The foot is no ball: its collision mesh reaches 22.1 to 23.9 mm below its frame while the shank leans by
-# up to 40 degrees, forward or backward, and 24.9 mm at 60 degrees, as on stairs: so it is at most 1 mm deep.
-RADIUS = 0.024
+# The foot's collision mesh is no ball. Of this one, by its centre in the foot frame and its radius in m, the
+# mesh stands out by at most 0.9 mm where the shank leans by up to 80 degrees forward or backward and 40
+# degrees sideways, and it stands out of the mesh by at most 1.9 mm up to 50 and 30 degrees.
+CENTRE, RADIUS = (-0.0012, 0.0, 0.0012), 0.0246
 
 
 def build() -> Robot:
-    """Return Go2 standing as its SRDF says; a foot frame is nearly the centre of a ball of 24 mm radius.
+    """Return Go2 standing as its SRDF says, on balls of 25 mm radius at frames ``FL_ball``, ...
 
     Limits are those of the URDF, which carries the gears' and the knee linkage's published torques.
     """
-    return unitree("go2", "go2_description/urdf/go2.urdf", radius=RADIUS, thigh=0.785, calf=-1.44, hip=0.068)
+    path = "go2_description/urdf/go2.urdf"
+    return unitree("go2", path, radius=RADIUS, centre=CENTRE, thigh=0.785, calf=-1.44, hip=0.068)

@@ -14,6 +14,7 @@ import click
 from scripts.measure.guesses import standing_still
 from scripts.measure.shared import Timed, head, median, row, solver_option, timed
 from trajopt import solve, solve_ladder
+from trajopt.solving.ladder import total_effort
 from trajopt.solving.solving import prepare
 from trajopt_library import problems
 
@@ -99,9 +100,9 @@ def warm_starts(repeat: int, only: str, solver: str) -> None:
         if only in name:
             found = solve_ladder(standing_still(problems.load(name)), rungs, compare=True, solver=solver)
             assert found.cold is not None
-            both = (found.cold.meta, found.to_dict()["total"])
+            both = (total_effort([found.cold]), found.to_dict()["total"])
             own = (f"{figures['iterations']}, {figures['wall_time_s']:.2f} s" for figures in both)
-            each = ", ".join(str(rung.meta["iterations"]) for rung in found.rungs)
+            each = ", ".join(str(total_effort([rung])["iterations"]) for rung in found.rungs)
             row(name, ", ".join(map(_grid, rungs)), *own, each)
 
 

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import trajopt
-from tests.support.ground import STAIRS
+from tests.support.ground import HILLS, STAIRS
 from tests.support.swings import BALL, FAR, MARGIN, past, rods, swing
 from trajopt.errors import InputError
 from trajopt.problem.bodies import DEEPER, GIVE, TOO_NEAR, ProblemBodies, bodies_meta, bodies_of, clearance_of
 from trajopt.problem.problem import Problem
-from trajopt.robot.collision.description import robot_shapes
+from trajopt.robot.collision.description import robot_shapes, sampled_postures
 from trajopt.robot.collision.link_capsules import robot_capsules
 from trajopt.robot.collision.near import GROUND
 from trajopt.robot.collision.shapes import LinkShape, SphereObstacle
 from trajopt.solving.rest import rest
-from trajopt.terms import Clearance
+from trajopt.terms import Clearance, FramePose, Term, TerminalPosture, TerminalState
 from trajopt.terrain.flat import FlatGround
 from trajopt_library import robots
 
@@ -68,7 +70,10 @@ def test_two_links_keep_no_more_than_in_the_reference_posture():
     scene, found = bodies_of(problem).scene, margins(problem)
     apart = scene.distances(problem.robot.reference)[0, scene.n_outer :]
     assert apart.min() < 0.1 < apart.max()
-    assert [found[pair] for pair in scene.self_pairs] == pytest.approx(np.minimum(apart, 0.1))
+    expected = np.minimum(apart, 0.1)
+    assert [found[pair] for pair in scene.self_pairs] == pytest.approx(expected)
+    described = {"obstacles": 0.1, "pairs": pytest.approx(expected)}
+    assert bodies_meta(problem)["bodies"]["margins"] == described
 
 
 def test_links_that_touch_are_those_around_contacts_whatever_else_is_fixed():
@@ -114,7 +119,8 @@ def test_robot_without_shapes_has_no_pairs():
 def test_ground_is_not_solid_to_a_pendulum():
     assert bodies_of(past(swing(), BALL)).scene.n_ground == 0
     raised = tuple(replace(s, points=s.points + 0.1 * np.eye(3)[2]) for s in robot_capsules(rods()))
-    assert bodies_of(past(swing(), BALL, shapes=raised)).scene.n_ground == len(raised)
+    higher = swing(end=np.array([0.6, 0.0, 0.0]))
+    assert bodies_of(past(higher, FAR, shapes=raised)).scene.n_ground == len(raised)
 
 
 def test_start_too_near_an_obstacle_is_refused_in_one_line():
@@ -139,6 +145,103 @@ def test_start_may_be_as_near_as_a_look_allows_and_no_nearer():
         bodies_of(beside_the_start(MARGIN - 1.1 * TOO_NEAR))
 
 
+def ending(*terms: Term, shapes: Sequence[LinkShape] | None = None, **changes: object) -> Problem:
+    """The swing past a ball that lies before it, which ends as the terms say."""
+    problem = past(swing(), LYING, **({} if shapes is None else {"shapes": shapes}))
+    kept = [term for term in problem.terms if not isinstance(term, TerminalState)]
+    return replace(problem, terms=(*kept, *terms), **changes)
+
+
+def test_final_configuration_in_an_obstacle_is_refused_in_one_line():
+    message = r"'joint1' in q of terminal_state is -0\..* m from 'lying' .*; allowed: at least 0.02 m"
+    with pytest.raises(InputError, match=message) as caught:
+        bodies_of(past(swing(), LYING))
+    assert "\n" not in str(caught.value)
+    assert bodies_of(past(swing(end=np.array([0.6, 0.0, 0.0])), LYING)).pairs
+
+
+def test_final_configuration_may_be_as_near_as_a_look_allows_and_no_nearer():
+    def above_the_ball(gap: float) -> Problem:
+        problem = swing(end=np.array([np.pi / 2, 0.0, 0.0]))
+        thickness = next(s.radius for s in robot_capsules(problem.robot) if s.name == "joint2")
+        centre = np.array([1.25, 0.0, -(thickness + 0.1 + gap)])
+        return past(problem, SphereObstacle(name="near", centre=centre, radius=0.1))
+
+    assert bodies_of(above_the_ball(MARGIN - 0.9 * TOO_NEAR)).pairs
+    with pytest.raises(InputError, match=r"in q of terminal_state is .* from 'near'"):
+        bodies_of(above_the_ball(MARGIN - 1.1 * TOO_NEAR))
+
+
+def test_final_configuration_with_links_in_each_other_is_refused():
+    robot = replace(rods(), reference=np.array([0.0, 1.0, 1.0]))
+    with pytest.raises(InputError, match=r"'joint0' in q of terminal_state is -.* m from 'joint2'"):
+        bodies_of(past(swing(end=np.array([0.0, 2.1, 2.1]), robot=robot), self_collision=True))
+
+
+def test_final_posture_below_the_ground_is_refused():
+    problem, sunk = standing(), high()
+    sunk[2] -= 1.25
+    final = TerminalState(q=sunk)
+    with pytest.raises(InputError, match=r"in q of terminal_state is .* from 'ground'"):
+        bodies_of(replace(in_the_air(problem), initial_q=high(), terms=(final,)))
+
+
+def test_posture_of_a_landing_is_judged_by_its_links_alone():
+    problem = standing()
+    scene, postures = bodies_of(problem).scene, sampled_postures(problem.robot, 100)
+    folded = postures[scene.distances(postures)[:, scene.n_outer :].min(axis=1).argmin()]
+    sunk = problem.initial_q - np.eye(len(folded))[2]
+    landed = TerminalPosture(q=sunk, over=problem.robot.contacts[0].name)
+    assert bodies_of(replace(problem, terms=(landed,))).pairs
+    with pytest.raises(InputError, match="in q of terminal_posture is -"):
+        bodies_of(replace(problem, terms=(replace(landed, q=folded),)))
+
+
+def test_position_of_a_link_in_an_obstacle_is_refused_however_it_turns():
+    """The last joint lies in its own link, a capsule: as deep as that is thick."""
+    (thickness,) = (s.radius for s in robot_capsules(rods()) if s.name == "joint2")
+
+    def at(gap: float) -> FramePose:
+        return FramePose(frame="joint2", position=LYING.centre + (LYING.radius + gap) * np.eye(3)[2])
+
+    least = MARGIN + thickness
+    assert bodies_of(ending(at(least))).pairs
+    with pytest.raises(InputError, match=r"at the goal of frame_pose of 'joint2' is at most .* from 'lying'"):
+        bodies_of(ending(at(least - 2 * TOO_NEAR)))
+
+
+def test_pose_of_a_link_in_an_obstacle_is_refused_by_its_whole_shape():
+    turn = pin.utils.rotate("y", np.pi / 2)
+    over = FramePose(frame="joint2", position=LYING.centre + np.array([-0.3, 0.0, 0.15]))
+    assert bodies_of(ending(over)).pairs
+    with pytest.raises(InputError, match=r"at the goal of frame_pose of 'joint2' is 0.00.* from 'lying'"):
+        bodies_of(ending(replace(over, rotation=turn)))
+    assert bodies_of(ending(replace(over, rotation=turn.T))).pairs
+
+
+def test_waypoint_in_an_obstacle_is_refused():
+    with pytest.raises(InputError, match="at the goal of frame_pose of 'joint2'"):
+        bodies_of(ending(FramePose(frame="joint2", position=LYING.centre, phase="swing")))
+
+
+def test_rotation_alone_and_frames_without_shapes_are_not_judged():
+    shapes = tuple(shape for shape in robot_capsules(rods()) if shape.name != "joint2")
+    inside = FramePose(frame="joint2", position=LYING.centre)
+    assert bodies_of(ending(inside, shapes=shapes)).pairs
+    assert bodies_of(ending(FramePose(frame="joint2", rotation=np.eye(3)))).pairs
+
+
+def test_position_in_smooth_ground_is_judged_with_its_rotation_only():
+    problem = replace(in_the_air(standing()), terrain=HILLS, initial_q=high())
+    foot = problem.robot.contacts[0].frame
+    below = FramePose(frame=foot, position=np.array([0.0, 0.0, -0.5]))
+    assert bodies_of(replace(problem, terms=(below,))).pairs
+    with pytest.raises(InputError, match="from 'ground'"):
+        bodies_of(replace(problem, terms=(replace(below, rotation=np.eye(3)),)))
+    with pytest.raises(InputError, match=r"is at most .* from 'ground'"):
+        bodies_of(replace(problem, terrain=FlatGround(), terms=(below,)))
+
+
 def test_link_in_the_ground_at_the_start_is_refused():
     problem = standing()
     sunk = problem.initial_q.copy()
@@ -160,6 +263,7 @@ def test_free_start_is_not_judged():
     assert bodies_of(sunk).pairs
 
 
+LYING = SphereObstacle(name="lying", centre=[0.8, 0.0, 0.2], radius=0.1)
 SAME = SphereObstacle(name="joint1", centre=[3.0, 0.0, 0.0], radius=0.1)
 NOWHERE = LinkShape.sphere("c", "nose", np.zeros(3), 0.1)
 BAD = {
@@ -185,7 +289,7 @@ def test_planes_of_the_ground_are_those_of_its_near_faces():
     found = bodies_of(replace(problem, terrain=STAIRS, initial_q=high()))
     foot = next(pair for pair in found.pairs if pair[0] == "FL_FOOT")
     q = high()[None]
-    (every,), (one,) = (found.planes(q, [(0, foot)], within) for within in (np.inf, 0.0))
+    (every,), (one,) = (found.planes(q, [(0, foot)], within, [None]) for within in (np.inf, 0.0))
     assert len(every) == len(STAIRS.faces) > 1
     assert len(one) == 1  # the nearest, however far
     assert all(plane.body is None for plane in every)

@@ -17,10 +17,12 @@ from trajopt.robot.collision.coal_shapes import coal_capsule, coal_hull
 from trajopt.robot.collision.description import robot_shapes, sampled_postures
 from trajopt.robot.collision.planes import (
     DEPTH,
+    HELD,
     MOST_CORNERS,
     Approach,
     PlacedBody,
     SeparatingPlane,
+    beside_held,
     nearest,
     separating_plane,
 )
@@ -300,6 +302,39 @@ def on_frames(own: Approach) -> Approach:
     return replace(
         own, first=replace(first, frame="first"), second=second if world else replace(second, frame="second")
     )
+
+
+EDGE = block((0.5, 0.4, 0.3), at=(-0.25, 0.0, -0.15))  # below z = 0 and behind x = 0
+SHANK = body([[0.06, 0.0, -0.1], [-0.16, 0.0, 0.04]], 0.01)  # from a foot in front of it to a knee over it
+
+
+def leaning() -> tuple[Approach, PlacedBody]:
+    found = nearest(SHANK, replace(EDGE, sides=np.array([Z, [1.0, 0.0, 0.0]])), Z)
+    return found, PlacedBody(points=SHANK.points[:1], radius=0.02)
+
+
+def test_a_plane_leaves_a_foot_that_is_held_beyond_it():
+    found, foot = leaning()
+    assert found.distance < 0
+    turned = beside_held(found, foot, 0.0)
+    assert beyond_edge(turned.normal, foot) >= -HELD
+    assert turned.distance <= found.distance  # of all directions the first has the shortest way out
+    assert np.linalg.norm(turned.normal) == pytest.approx(1.0)
+    nearer = turned.normal + 1e-2 * (found.normal - turned.normal)
+    assert beyond_edge(nearer / np.linalg.norm(nearer), foot) < -HELD
+
+
+def beyond_edge(normal: np.ndarray, foot: PlacedBody) -> float:
+    return float((foot.placed @ normal).min() - foot.radius - (EDGE.placed @ normal).max())
+
+
+def test_a_plane_stays_where_the_held_foot_is_beyond_it_or_too_near_in_any_direction():
+    found, foot = leaning()
+    above = replace(foot, points=np.array([[0.0, 0.0, 0.5]]))
+    assert beside_held(found, above, 0.0) is found
+    assert beside_held(found, foot, 0.1) is found
+    ground = nearest(SHANK, GROUND, GROUND.normal)
+    assert beside_held(ground, foot, 0.0) is ground
 
 
 def test_signed_distance_is_continuous_through_touching():

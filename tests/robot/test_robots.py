@@ -18,7 +18,7 @@ ROUNDING = 1e-12  # metres, after a few multiplications of numbers near one
 # A robot may push off from where it stands only if its legs can lengthen by this part of their length.
 LEAST_EXTENSION = 0.1
 # A foot is at most this deep in the ground over all leans of the shank, and at most so high over it, m. Go2's
-# is no ball, and deepest at leans beyond these.
+# is no ball.
 DEEPEST, HIGHEST = 1e-3, {"go2": 2e-3}
 # Postures are written to four digits; a robot on two points or soles stands over their middle to this, m.
 MIDDLE = 1e-3

@@ -113,3 +113,27 @@ def test_replay_has_a_layer_of_shapes_that_is_hidden_at_first(tmp_path):
     assert len(drawn) == len(robot_shapes(ROBOT).shapes)
     (foot,) = (matrix for name, matrix in placements_of(page).items() if name.endswith("/FL_FOOT"))
     assert foot == pytest.approx(np.eye(4))
+
+
+def test_nearest_pair_of_each_kind_is_exact_however_far():
+    plan = still(terrain=FlatGround(height=-0.5).describe())
+    ball = SphereObstacle(name="ball", centre=[4.0, 0.0, 0.3], radius=0.1)
+    scene = {"capsules": [], "obstacles": [ball.describe()], "self_pairs": []}
+    plan = with_meta(plan, collision=scene)
+    full = body_scene_of(plan.model, plan.meta)
+    distances = full.distances(ROBOT.reference)[0]
+    report = check(plan)
+    assert report.link_depth == pytest.approx(-distances[: full.n_ground].min(), abs=EXACT)
+    outer, own = distances[full.n_ground : full.n_outer], distances[full.n_outer :]
+    assert report.obstacle_distance == pytest.approx(outer.min(), abs=EXACT)
+    assert report.self_distance == pytest.approx(own.min(), abs=EXACT)
+
+
+def test_distances_are_exact_within_the_limit_of_each_pair():
+    scene = robot_shapes(ROBOT).scene(ROBOT.model, FlatGround())
+    exact = scene.distances(ROBOT.reference)[0]
+    limits = np.where(np.arange(len(exact)) % 2, np.inf, 0.0)
+    found = scene.distances(ROBOT.reference, limits)[0]
+    assert found[1::2] == pytest.approx(exact[1::2], abs=EXACT)
+    assert (found <= exact + EXACT).all()
+    assert (found[exact > 0] > 0).all()

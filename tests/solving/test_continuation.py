@@ -13,10 +13,14 @@ from numpy.testing import assert_allclose
 import trajopt
 from tests.support.command_lines import assert_refused, invoke
 from tests.support.problems import REACH_TIME, inertia, limited_reach, reach
+from tests.support.swings import BALL, FAR, POLE, past
+from tests.support.swings import swing as rods_swing
 from trajopt import Solution, continuation, solve_ladder
+from trajopt.certify.check import check
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solving.continuation import NEAREST_SOLVES, Continuation, nearest
+from trajopt.solving.solving import solve
 from trajopt.terms import EffortLimits, TerminalRest, TerminalState, TorqueCost, VelocityCost
 from trajopt_library import problems
 
@@ -157,6 +161,40 @@ def test_a_sequence_of_reaches_compiles_once_and_takes_fewer_iterations(tmp_path
         assert step.solution.meta["iterations"] < step.cold.meta["iterations"]
 
 
+def turning(goal: float) -> Problem:
+    """The rods past the ball to rest at ``goal`` rad, the links in line."""
+    return past(rods_swing(end=np.array([goal, 0.0, 0.0])), BALL, FAR)
+
+
+@pytest.mark.long
+def test_motions_of_a_sequence_pass_obstacles_and_hold_at_any_time():
+    found = continuation(turning, (1.0, 1.1, 1.2), compile="none")
+    assert found.success
+    assert found.solved == (1.0, 1.1, 1.2)
+    for solution in found.solutions.values():
+        assert check(solution).ok
+        assert solution.meta["graded"]["reached"] is True
+    first, *others = (step.solution.meta["graded"]["rounds"] for step in found.steps)
+    assert all(len(rounds) <= len(first) for rounds in others)
+    assert found.to_dict()["total"]["iterations"] == sum(
+        own["iterations"] for rounds in (first, *others) for own in rounds
+    )
+
+
+@pytest.mark.long
+def test_motion_that_holds_only_at_its_points_is_no_success_of_a_sequence():
+    found = continuation(swing, (0.2, 0.5), transcription="legendre:1", intervals=2, compile="none")
+    assert [step.solution.meta["status"] for step in found.steps] == ["coarse_grid", "coarse_grid"]
+    assert found.solutions.keys() == {0.2, 0.5}
+    assert found.solved == ()
+    assert not found.success
+
+
+def test_goal_in_an_obstacle_on_the_way_of_a_sequence_is_refused():
+    with pytest.raises(InputError, match="in q of terminal_state is"):
+        continuation(lambda goal: past(rods_swing(end=np.array([goal, 0.0, 0.0])), POLE), (0.45,))
+
+
 @pytest.mark.parametrize("values", [(), (np.nan,), (np.inf, 1.0), ("a",), None])
 def test_values_that_are_no_numbers_are_refused(values):
     with pytest.raises(InputError, match="values of a continuation"):
@@ -186,6 +224,16 @@ def test_a_ladder_ends_at_the_optimum_of_its_finest_grid():
     figures = ladder.to_dict()
     assert figures["total"]["iterations"] == sum(one.meta["iterations"] for one in ladder.rungs)
     assert figures["cold"]["iterations"] == ladder.cold.meta["iterations"]
+
+
+@pytest.mark.long
+def test_a_ladder_passes_obstacles_on_its_finest_grid():
+    ladder = solve_ladder(turning(1.2), [("legendre:2", 10), ("legendre:2", 30)], compile="none")
+    report = check(ladder.solution)
+    assert report.ok, report.failures()
+    assert ladder.solution.success
+    rows = ladder.solution.meta["constraints"]
+    assert rows > solve(rods_swing(), compile="none").meta["constraints"]
 
 
 def test_a_rung_that_fails_starts_nothing():
@@ -242,7 +290,8 @@ def test_solve_climbs_a_ladder(tmp_path):
     result = invoke("solve", "ur5-reach", "--set", "y=0.4", "--ladder", "legendre:1@6,legendre:2@12",
                      "--output", tmp_path / "arm.npz")  # fmt: skip
     assert result.exit_code == 0
-    assert "legendre:1, 6 intervals: solved" in result.stdout
+    assert "legendre:1, 6 intervals: coarse grid" in result.stdout
+    assert "legendre:2, 12 intervals: solved" in result.stdout
     assert "all rungs" in result.stdout
 
 

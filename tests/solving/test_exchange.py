@@ -154,10 +154,25 @@ def test_pairs_other_than_with_the_ground_have_sides():
     raised = tuple(
         replace(shape, points=shape.points + 0.1 * np.eye(3)[2]) for shape in robot_capsules(robot)
     )
-    problem = past(swing(robot=robot), BALL, shapes=raised, self_collision=True)
+    ahead = np.array([0.6, 0.0, 0.0])
+    problem = past(swing(end=ahead, robot=robot), BALL, shapes=raised, self_collision=True)
     exchange = Exchange(problem)
     assert {pair[1] for pair in exchange.sided_pairs} == {"ball", "joint2"}
     assert len(exchange.sided_pairs) == len(exchange.bodies.pairs) - len(raised)
+
+
+def test_rows_move_to_a_problem_with_other_parameters():
+    exchange, _ = begun(past(swing(), BALL, FAR), straight())
+    exchange.constrained(along(straight()))
+    nearer = replace(BALL, radius=0.12)
+    moved = exchange.moved_to(past(swing(), nearer, FAR))
+    assert moved.moments == exchange.moments
+    assert moved.bodies.scene.obstacles[0].radius == 0.12
+    assert moved.corners
+    assert all(frame is not None for _, _, frame, _ in moved.corners)
+    moved.moments.clear()
+    assert exchange.moments
+    assert exchange.moved_to(past(swing(), FAR)).moments == {}  # its pairs are no pairs there
 
 
 def test_depth_is_how_much_too_near_the_worst_pair_is():
@@ -192,3 +207,17 @@ def test_bodies_of_a_hopper_have_rows_in_the_phases_where_they_are_near():
     terms = planes(exchange.constrained(along(solution)))
     assert "flight" in {term.phase for term in terms}
     assert {(term.frame, term.body) for term in terms} == {(FOOT, None)}
+
+
+def test_a_foot_that_its_contact_holds_on_the_ground_has_no_rows_there():
+    free, solution = hop(), solve(hop(), compile="none")
+    toe = LinkShape.sphere("toe", FOOT, np.zeros(3), 0.01)  # it stands 1 cm deep
+    problem = replace(free, terms=(*free.terms, Clearance(shapes=(toe,))))
+    exchange = Exchange(problem)
+    look = exchange.look(solution)
+    (column,) = (i for i, pair in enumerate(exchange.bodies.pairs) if pair[0] == "toe")
+    standing = np.array([bool(problem.schedule.phases[phase].contacts) for phase, _ in look.moments])
+    assert standing.any()
+    assert not standing.all()
+    assert np.isinf(look.distances[standing, column]).all()
+    assert np.isfinite(look.distances[~standing, column]).all()

@@ -12,7 +12,7 @@ from trajopt.certify.report import GRADE
 from trajopt.errors import InputError
 from trajopt.solution.grid import mesh_of
 from trajopt.solving.graded import first_mesh, solve_graded
-from trajopt.solving.remeshing import PhaseErrors, remeshed_where_broken
+from trajopt.solving.remeshing import PhaseErrors, remeshed
 from trajopt.transcription.mesh import Mesh
 
 pytestmark = pytest.mark.long
@@ -75,5 +75,5 @@ def test_only_broken_intervals_are_split_where_phases_are_accurate():
     mesh = Mesh.uniform("legendre:4", (2, 3))
     accurate = [PhaseErrors(local=np.full(n, 1e-9), phase=0.1, unknowns=(10, 20)) for n in (2, 3)]
     broken = np.array([0.5, 0.9, 0.0, 3.0, 100.0])
-    assert remeshed_where_broken(mesh, accurate, broken, 1.0).counts == (2, 1 + 2 + 4)
-    assert remeshed_where_broken(mesh, accurate, 0 * broken, 1.0) == mesh
+    assert remeshed(mesh, accurate, broken, 1.0).counts == (2, 1 + 2 + 4)
+    assert remeshed(mesh, accurate, 0 * broken, 1.0) == mesh

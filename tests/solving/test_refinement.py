@@ -8,8 +8,10 @@ from tests.support.problems import hop, reach
 from trajopt.certify.accuracy.measures import measure
 from trajopt.errors import InputError
 from trajopt.solution.grid import mesh_of
-from trajopt.solving.refine import phase_errors, refine, tolerance_for
+from trajopt.solving import refinement
+from trajopt.solving.graded import solve_graded, tolerance_for
 from trajopt.solving.remeshing import MOST_PARTS, PhaseErrors, error_constant, remeshed
+from trajopt.solving.rounds import phase_errors
 from trajopt.solving.solving import solve
 from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt.transcription.schemes import scheme
@@ -48,25 +50,25 @@ def test_mesh_that_is_asked_for_meets_the_target_where_the_model_holds(name):
     mesh, rate, length = PhaseMesh.uniform(name, 3), 6.0, 1.0
     local = modelled(name, mesh.widths, rate)
     target = local.sum() / 6
-    errors = PhaseErrors(local=local, phase=float(local.sum()), unknowns=SIZES)
-    (made,) = remeshed(Mesh(phases=(mesh,)), [errors], target, length, raise_degree=False).phases
+    errors = PhaseErrors(local=local, phase=float(local.sum()) / target, unknowns=SIZES)
+    (made,) = remeshed(Mesh(phases=(mesh,)), [errors], np.zeros(3), length, raise_degree=False).phases
     assert made.scheme == name
     assert modelled(name, made.widths, rate).sum() <= target
 
 
 def test_phases_within_the_target_stay_as_they_are():
     mesh = Mesh.uniform("legendre:2", [4, 4])
-    good = PhaseErrors(local=np.full(4, 1e-9), phase=1e-7, unknowns=SIZES)
-    bad = PhaseErrors(local=np.full(4, 1e-4), phase=1e-2, unknowns=SIZES)
-    made = remeshed(mesh, [good, bad], 1e-5, 1.0)
+    good = PhaseErrors(local=np.full(4, 1e-9), phase=1e-2, unknowns=SIZES)
+    bad = PhaseErrors(local=np.full(4, 1e-4), phase=1e3, unknowns=SIZES)
+    made = remeshed(mesh, [good, bad], np.zeros(8), 1.0)
     assert made.phases[0] == mesh.phases[0]
     assert made.phases[1] != mesh.phases[1]
 
 
 def test_intervals_with_more_error_are_cut_into_more_parts():
     mesh, local = Mesh.uniform("legendre:2", [4]), np.array([1e-4, 1e-9, 1e-9, 1e-6])
-    errors = PhaseErrors(local=local, phase=1e-4, unknowns=SIZES)
-    (made,) = remeshed(mesh, [errors], 2e-6, 1.0, raise_degree=False).phases
+    errors = PhaseErrors(local=local, phase=50.0, unknowns=SIZES)
+    (made,) = remeshed(mesh, [errors], np.zeros(4), 1.0, raise_degree=False).phases
     edges = np.array(made.fractions)
     inside = [
         int(np.sum((edges > low + 1e-12) & (edges <= low + 0.25 + 1e-12))) for low in (0, 0.25, 0.5, 0.75)
@@ -76,58 +78,59 @@ def test_intervals_with_more_error_are_cut_into_more_parts():
 
 def test_error_all_over_a_phase_raises_its_degree():
     mesh = Mesh.uniform("legendre:2", [6])
-    errors = PhaseErrors(local=np.full(6, 1e-4), phase=1e-3, unknowns=SIZES)
-    (made,) = remeshed(mesh, [errors], 1e-6, 1.0).phases
+    errors = PhaseErrors(local=np.full(6, 1e-4), phase=1e3, unknowns=SIZES)
+    (made,) = remeshed(mesh, [errors], np.zeros(6), 1.0).phases
     assert made.scheme == "legendre:3"
 
 
 @pytest.mark.parametrize("name", ["trapezoidal", "hermite-simpson", "semi-implicit-euler", "legendre:4"])
 def test_schemes_without_a_next_degree_are_split(name):
-    errors = PhaseErrors(local=np.full(5, 1e-3), phase=5e-3, unknowns=SIZES)
-    (made,) = remeshed(Mesh.uniform(name, [5]), [errors], 1e-4, 1.0).phases
+    errors = PhaseErrors(local=np.full(5, 1e-3), phase=50.0, unknowns=SIZES)
+    (made,) = remeshed(Mesh.uniform(name, [5]), [errors], np.zeros(5), 1.0).phases
     assert made.scheme == name
     assert made.count > 5
 
 
 @pytest.mark.parametrize(
     ("local", "phase", "least"),
-    [([np.inf, 1e-3], np.inf, 3), ([0.0, 0.0, 0.0], 1e-3, 0)],
+    [([np.inf, 1e-3], np.inf, 3), ([0.0, 0.0, 0.0], 1e3, 0)],
     ids=["a phase that ran away", "errors of rounding"],
 )
 def test_no_mesh_is_without_end(local, phase, least):
     count = len(local)
     errors = PhaseErrors(local=np.array(local), phase=phase, unknowns=SIZES)
-    (made,) = remeshed(Mesh.uniform("legendre:4", [count]), [errors], 1e-6, 1.0).phases
+    (made,) = remeshed(Mesh.uniform("legendre:4", [count]), [errors], np.zeros(count), 1.0).phases
     assert least <= made.count <= count * MOST_PARTS
 
 
 @pytest.mark.long
 def test_refined_motion_is_as_accurate_as_measured_anew_from_its_file(tmp_path):
     target = 1e-4
-    found = refine(hop(), target, compile="none")
+    found = solve_graded(hop(), accuracy=target, mesh=Mesh.uniform("legendre:2", (3, 3, 3)), compile="none")
     assert found.reached
+    assert found.solution.success
     again = measure(found.solution.save(tmp_path / "hop.npz"))
     assert max(phase_errors(again)) <= target
     assert again.open_loop <= target
-    assert found.solution.meta["refinement"]["reached"] is True
-    assert found.solution.meta["refinement"]["error_m"] == pytest.approx(found.error)
+    assert found.solution.meta["graded"]["reached"] is True
+    assert found.solution.meta["graded"]["target_m"] == target
+    assert found.solution.meta["graded"]["error_m"] == pytest.approx(found.error)
     assert len(found.rounds) > 1
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("raise_degree", [False, True])
-def test_refinement_needs_fewer_variables_than_a_uniform_mesh_for_the_same_error(raise_degree):
+def test_refinement_needs_fewer_variables_than_a_uniform_mesh_for_the_same_error():
     problem = problems.load("hopper-hop")
     uniform = solve(problem, compile="none")
     error = max(phase_errors(measure(uniform)))
-    found = refine(problem, error, raise_degree=raise_degree, compile="none")
+    found = solve_graded(problem, accuracy=error, compile="none")
     assert found.reached
     assert found.solution.meta["variables"] <= FEWER * uniform.meta["variables"]
 
 
 def test_mesh_that_meets_the_target_is_left_alone():
     mesh = Mesh.uniform("legendre:4", [10])
-    found = refine(reach(), 1e-3, mesh=mesh, compile="none")
+    found = solve_graded(reach(), accuracy=1e-3, mesh=mesh, compile="none")
     assert found.reached
     assert len(found.rounds) == 1
     assert found.rounds[0].mesh == mesh
@@ -136,41 +139,57 @@ def test_mesh_that_meets_the_target_is_left_alone():
 @pytest.mark.long
 def test_solution_at_hand_is_measured_and_its_own_mesh_refined():
     coarse = solve(hop(), intervals=6, compile="none")
-    found = refine(hop(), 1e-4, start=coarse, compile="none")
+    found = solve_graded(hop(), accuracy=1e-4, first=coarse, compile="none")
     assert found.reached
     assert found.rounds[0].mesh == mesh_of(coarse)
     assert found.rounds[0].errors == phase_errors(measure(coarse))
-    enough = refine(hop(), 10 * found.error, start=found.solution, compile="none")
+    enough = solve_graded(hop(), accuracy=10 * found.error, first=found.solution, compile="none")
     assert len(enough.rounds) == 1
+    failed = solve(hop(), intervals=6, compile="none", max_iterations=1)
+    assert not solve_graded(hop(), first=failed, compile="none").reached
 
 
 def test_target_below_rounding_is_not_reached_and_says_why():
-    found = refine(reach(), 1e-300, compile="none", max_rounds=2)
+    found = solve_graded(reach(), accuracy=1e-300, compile="none", max_rounds=2)
     assert not found.reached
     assert found.why == "2 rounds were not enough"
-    assert found.solution.converged
+    assert found.solution.success  # the grade is: only the accuracy is not
     assert found.to_dict()["reached"] is False
 
 
-def test_limit_of_unknowns_stops_with_the_best_solution():
-    found = refine(hop(), 1e-8, compile="none", max_variables=300)
+def test_limit_of_unknowns_stops_with_the_best_solution(monkeypatch):
+    monkeypatch.setattr(refinement, "MOST_VARIABLES", 300)
+    found = solve_graded(hop(), accuracy=1e-8, compile="none")
     assert not found.reached
     assert "more than 300 variables" in found.why
     assert found.solution.converged
 
 
 def test_problem_without_a_solution_is_told_as_such():
-    found = refine(hop(), 1e-3, compile="none", max_iterations=1)
+    found = solve_graded(hop(), accuracy=1e-3, compile="none", max_iterations=1)
     assert not found.reached
     assert not found.solution.success
     assert found.why == "a mesh was not solved: iteration limit"
     assert found.to_dict()["error_m"] is None
 
 
+def test_budget_ends_the_rounds_with_the_best_motion():
+    found = solve_graded(
+        hop(), accuracy=1e-9, max_time=1e-6, compile="none", mesh=Mesh.uniform("legendre:1", (3, 3, 3))
+    )
+    assert len(found.rounds) <= 2
+    assert {own.status for own in found.rounds} == {"time_limit"}
+    first = solve(hop(), intervals=6, compile="none")
+    kept = solve_graded(hop(), first=first, accuracy=1e-9, max_time=first.meta["wall_time_s"], compile="none")
+    assert kept.why == "the time is used"
+    assert len(kept.rounds) == 1
+    assert kept.solution.converged
+
+
 @pytest.mark.parametrize("target", [0.0, -1e-3, float("nan"), float("inf"), "1e-3"])
 def test_targets_that_are_no_length_are_refused(target):
     with pytest.raises(InputError, match=r"accuracy is .* m; allowed: finite and > 0"):
-        refine(reach(), target, compile="none")
+        solve_graded(reach(), accuracy=target, compile="none")
 
 
 def test_tolerance_follows_the_target_within_what_solvers_reach():

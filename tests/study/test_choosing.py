@@ -15,7 +15,7 @@ from trajopt.certify.accuracy.measures import measure
 from trajopt.cli.aim import Seconds
 from trajopt.errors import InputError
 from trajopt.robot.units import Units
-from trajopt.solving.refine import phase_errors, unknowns_on_mesh
+from trajopt.solving.rounds import phase_errors, unknowns_on_mesh
 from trajopt.study.choosing.choice import choices_by_time, choose_for_accuracy, front_for
 from trajopt.study.choosing.solve_to import solve_to_accuracy, solve_within
 from trajopt.study.sweep.calibration import Load

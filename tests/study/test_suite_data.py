@@ -14,12 +14,13 @@ import pytest
 from tests.support import suite_problems
 from tests.support.problems import reach
 from tests.support.suite_outcomes import outcome_of
-from trajopt import check, solve
-from trajopt.certify.report import AT_POINTS
+from trajopt import solve
 from trajopt.errors import InputError
 from trajopt.study.suite import data
+from trajopt.study.suite.failure import CHECK
 from trajopt.study.suite.outcome import Outcome, quantile
 from trajopt.study.suite.records import SuiteRecords
+from trajopt.study.suite.run import attempt
 from trajopt.study.suite.settings import SuiteSettings
 from trajopt.study.suite.versions import versions
 
@@ -32,10 +33,10 @@ STARTS = replace(VIRTUAL_MACHINE, perturbed=3)
 
 def test_the_worst_figure_is_beyond_where_the_check_fails():
     for problem in (reach(), suite_problems.coarse()):
-        report = check(solve(problem, compile="none", fixed_mesh=True))
-        name, used = report.worst(AT_POINTS)
-        assert (used > 1) == (not report.within(AT_POINTS))
-        assert report.within(AT_POINTS) or name in report.failures(AT_POINTS)
+        own = attempt(solve(problem, compile="none", fixed_mesh=True), None, legged=False)
+        assert own.figure
+        assert (own.used > 1) == (own.mode == CHECK)
+        assert own.solved == (own.mode == "")
 
 
 @pytest.mark.parametrize("part", [0.1, 0.5, 0.9, 1.0])
@@ -45,9 +46,7 @@ def test_quantiles_are_numpys(part: float):
     assert quantile(values[:1], part) == values[0]
 
 
-@pytest.mark.parametrize(
-    "changes", [{}, {"starts": ()}, {"own": None, "check": None, "grid": None, "error": "crash: SIGSEGV"}]
-)
+@pytest.mark.parametrize("changes", [{}, {"starts": ()}, {"own": None, "error": "crash: SIGSEGV"}])
 def test_an_outcome_survives_json(changes: dict[str, Any]):
     outcome = outcome_of(**changes)
     assert Outcome.from_dict(json.loads(json.dumps(outcome.to_dict()))) == outcome
@@ -59,7 +58,7 @@ def test_an_outcome_survives_json(changes: dict[str, Any]):
 def test_a_resumed_suite_takes_over_what_is_done(tmp_path: Path):
     records = SuiteRecords(tmp_path / "new", VIRTUAL_MACHINE, {"casadi": "3"})
     assert records.open(resume=True) == {}
-    done, lost = outcome_of(), outcome_of(robot="cat", own=None, check=None, error="crash: SIGKILL")
+    done, lost = outcome_of(), outcome_of(robot="cat", own=None, error="crash: SIGKILL")
     records.add(done)
     records.add(lost)
     with (tmp_path / "new" / "results.jsonl").open("a") as stream:
@@ -125,7 +124,9 @@ def test_what_is_outside_its_band_is_named():
     assert said(objective=2.01) == "objective 2.01, band 1.998 to 2.002"
     assert said(iterations=121) == "121 iterations, band 20 to 120"
     assert said(mode="dual", detail="step_failed: x") == "dual: step_failed: x"
-    assert "solved with legendre:2, 30 intervals, fatrop" in said(replace(VIRTUAL_MACHINE, solver="fatrop"))
+    words = "solved on a {} mesh with {}, the data on a refined mesh with ipopt"
+    assert said(replace(VIRTUAL_MACHINE, solver="fatrop")) == words.format("refined", "fatrop")
+    assert said(replace(VIRTUAL_MACHINE, fixed_mesh=True)) == words.format("fixed", "ipopt")
     assert data.deviations([inside], VIRTUAL_MACHINE, {}) == {"jump@dog": "no line of data"}
 
 

@@ -7,6 +7,7 @@ import signal
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from tests.support.problems import hop, reach
 from trajopt.errors import InputError
 from trajopt.problem.family import Family
 from trajopt.problem.problem import Problem
+from trajopt.solution.solution import Solution
 from trajopt.study.suite import run
 from trajopt.terms import AccelerationCost, EffortLimits, TerminalState
 
@@ -74,15 +76,15 @@ def hanging() -> Problem:
 
 
 def losing_a_start() -> Problem:
-    """The process aborts when it makes one of its perturbed starts."""
-    original = run.perturbed
+    """The process aborts when it comes to one of its perturbed starts."""
+    original = run.solve
 
-    def perturbed(transcription: object, x: np.ndarray, seed: int, sigma: float) -> np.ndarray:
-        if seed == LOST_SEED:
+    def solve(*given: Any, **settings: Any) -> Solution:
+        if settings.get("seed") == LOST_SEED:
             os.abort()
-        return original(transcription, x, seed, sigma)
+        return original(*given, **settings)
 
-    run.perturbed = perturbed
+    run.solve = solve
     return reach()
 
 

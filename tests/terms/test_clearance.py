@@ -8,14 +8,17 @@ import numpy as np
 import pytest
 
 from tests.support.replay_pages import objects_of, placements_of, shown
-from tests.support.swings import BALL, FAR, avoided
+from tests.support.swings import BALL, FAR, MARGIN, POLE, avoided, past, rods, swing
 from tests.support.synthetic_motions import with_meta
 from trajopt.certify.check import check
 from trajopt.errors import InputError
+from trajopt.problem.bodies import bodies_meta
+from trajopt.robot.collision.link_capsules import robot_capsules
 from trajopt.robot.collision.near import CollisionScene
 from trajopt.robot.collision.shapes import LinkShape
 from trajopt.solution.descriptions import scene_of_meta
 from trajopt.solution.solution import Solution
+from trajopt.solving.graded import solve as solve_graded
 from trajopt.terms import Clearance
 from trajopt.view.plotting.motion import MotionQuantities
 
@@ -37,8 +40,41 @@ def test_check_finds_a_motion_that_collides():
     _, solution = avoided()
     moved = {**solution.meta["collision"], "obstacles": [replace(BALL, radius=0.2).describe()]}
     report = check(with_meta(solution, collision=moved))
-    assert report.failures() == ("obstacle_distance",)
+    assert report.failures() == ("obstacle_distance", "clearance_margin")
     assert report.obstacle_distance < -0.03
+
+
+def test_check_finds_a_motion_that_keeps_less_than_the_margin_and_touches_nothing():
+    _, solution = avoided()
+    wider = {"obstacles": MARGIN + 0.01, "pairs": []}
+    report = check(with_meta(solution, bodies={**solution.meta["bodies"], "margins": wider}))
+    assert report.failures() == ("clearance_margin",)
+    assert report.clearance_margin == pytest.approx(report.obstacle_distance - MARGIN - 0.01)
+    assert report.places["clearance_margin"] == report.places["obstacle_distance"]
+    assert 0 < report.obstacle_distance < MARGIN + 0.01
+
+
+def test_file_without_margins_is_judged_by_contact_alone():
+    _, solution = avoided()
+    bodies = {key: value for key, value in solution.meta["bodies"].items() if key != "margins"}
+    report = check(with_meta(solution, bodies=bodies))
+    assert report.clearance_margin is None
+    assert report.obstacle_distance == check(solution).obstacle_distance
+    problem = past(swing(), BALL, margin=0.0)
+    assert "margins" not in bodies_meta(problem)["bodies"]
+
+
+def test_motion_at_less_than_the_margin_is_no_success():
+    """The links pass beside a ball at half the margin, and can do nothing about it in their plane."""
+    thickness = max(shape.radius for shape in robot_capsules(rods()))
+    beside = replace(POLE, centre=POLE.centre + np.array([0.0, thickness + POLE.radius + MARGIN / 2, 0.0]))
+    draft = solve_graded(past(swing(), beside), draft=True, compile="none")
+    assert draft.converged
+    assert not draft.success
+    assert draft.meta["status"] == "coarse_grid"
+    assert "clearance_margin" in draft.meta["failures"]
+    assert "obstacle_distance" not in draft.meta["failures"]
+    assert "distance beyond the margin asked for" in draft.meta["advice"]
 
 
 def test_older_file_with_capsules_alone_is_measured_by_them():
@@ -66,6 +102,23 @@ def test_wrong_description_in_a_file_is_refused_in_one_line(case):
     _, solution = avoided()
     with pytest.raises(InputError, match="collision of meta: ") as caught:
         check(with_meta(solution, collision=WRONG[case]))
+    assert "\n" not in str(caught.value)
+
+
+MARGINS = {
+    "list": [],
+    "none of obstacles": {"pairs": []},
+    "pairs": {"obstacles": 0.0, "pairs": [0.1]},
+    "negative": {"obstacles": -0.1, "pairs": []},
+    "word": {"obstacles": "wide", "pairs": []},
+}
+
+
+@pytest.mark.parametrize("case", MARGINS)
+def test_wrong_margins_in_a_file_are_refused_in_one_line(case):
+    _, solution = avoided()
+    with pytest.raises(InputError, match="margins of bodies of meta") as caught:
+        check(with_meta(solution, bodies={**solution.meta["bodies"], "margins": MARGINS[case]}))
     assert "\n" not in str(caught.value)
 
 

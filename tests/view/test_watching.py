@@ -359,7 +359,7 @@ SMALL = ("hopper-hop", "--compile", "none", "--intervals", "12")
 )
 def test_a_script_that_watches_ends(arguments: tuple[str, ...], tmp_path: Path):
     done = run(*TRAJOPT, *arguments, "--watch", cwd=tmp_path)
-    assert done.returncode == (arguments[0] == "solve"), done.stderr  # a ladder to a coarse mesh
+    assert done.returncode == 1, done.stderr  # the mesh is coarse
     assert "http://" in done.stderr
     assert "warning" not in done.stderr
 

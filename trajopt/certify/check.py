@@ -18,7 +18,7 @@ from trajopt.certify.dynamics_figures import dynamics_traces
 from trajopt.certify.flight import FIGURES as FLIGHT
 from trajopt.certify.flight import flight_errors
 from trajopt.certify.impact_figures import impact_figures
-from trajopt.certify.reintegration import OpenLoopError, open_loop
+from trajopt.certify.reintegration import RELATIVE_ERROR, ROUGH_ERROR, OpenLoopError, open_loop
 from trajopt.certify.report import (
     FIGURES,
     GRADE,
@@ -57,7 +57,7 @@ BETWEEN = "_between"
 # Figures that grow along a phase: a finer mesh there mends them, wherever they are largest.
 DRIFTS = ("foot_drift", "stance_drift", "foot_turn")
 # Figures that a finer mesh does not mend.
-BODIES = ("link_depth", "obstacle_distance", "self_distance")
+BODIES = ("link_depth", "obstacle_distance", "self_distance", "clearance_margin")
 
 
 def check(solution: SolutionOrFile, *, integrate: bool = True) -> CheckReport:
@@ -67,14 +67,14 @@ def check(solution: SolutionOrFile, *, integrate: bool = True) -> CheckReport:
 
     Args:
         solution: the solution, or the path of its file.
-        integrate: the open loop of every phase; False leaves out phases that are within its tolerances or
-            unstable by their local errors, and saves most of the time.
+        integrate: the open loop of every phase; False leaves out phases that are within its tolerances by
+            their local errors, integrates others as a verdict needs it, and saves most of the time.
 
     Raises:
         SolutionFileError: for a file that is inconsistent or not finite.
         InputError: for such a solution.
     """
-    return examine(solution, integrate=integrate).report
+    return examine(consistent_solution(solution), integrate=integrate).report
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,17 +91,14 @@ class Examination:
     drift: np.ndarray
 
 
-def examine(
-    solution: SolutionOrFile, tolerances: Tolerances = GRADE, *, integrate: bool = False
-) -> Examination:
-    """Check a solution, and compare intervals and phases with ``tolerances``; see `check`."""
-    given = consistent_solution(solution)
+def examine(given: Solution, tolerances: Tolerances = GRADE, *, integrate: bool = False) -> Examination:
+    """Check a consistent solution, and compare intervals and phases with ``tolerances``; see `check`."""
     plan = given.normalized()  # the norm error of rotations has its own figure and must not affect others
     motion, samples = InterpolatedMotion.of(plan), sample_quantities(plan)
     surfaces, local = touched_surfaces(plan, samples.position), local_errors(plan, motion)
     starts = ContactStarts.of(plan, samples, surfaces)
-    bodies = FileBodies.of(plan)
-    here = figures_at(plan, samples, surfaces, starts, bodies)
+    bodies, apart = FileBodies.of(plan)
+    here = figures_at(plan, samples, surfaces, starts, apart)
     dense = dense_motion(plan, motion, here, starts, bodies)
     phases = tuple(_phases(plan, local, integrate))
     own: Traces = {
@@ -195,7 +192,9 @@ def _phases(plan: Solution, local: LocalErrors, integrate: bool) -> Iterator[Pha
     for index, phase in enumerate(plan.phases):
         inside = slice(plan.intervals_of(index).start, plan.intervals_of(index).stop)
         sums = float(local.position[inside].sum()), float(local.joints[inside].sum())
-        error = open_loop(plan, index) if integrate or _may_miss(sums) else None
+        error = None
+        if integrate or _may_miss(sums):
+            error = open_loop(plan, index, RELATIVE_ERROR if integrate else ROUGH_ERROR)
         yield PhaseReport(
             index=int(plan.phase[phase.start]),
             name=names[index],

@@ -45,15 +45,15 @@ def figures_at(
     places: ContactPlaces,
     surfaces: TouchedSurfaces,
     starts: ContactStarts,
-    bodies: FileBodies,
+    apart: Traces,
 ) -> Traces:
-    """All figures that are judged at any time, at the samples of ``plan``."""
+    """All figures that are judged at any time, at the samples of ``plan``, with those of its bodies."""
     return {
         **force_traces(plan, places, surfaces),
         **limit_traces(plan),
         **drive_traces(plan),
         **place_traces(plan, places, surfaces, starts),
-        **bodies.traces(plan),
+        **apart,
     }
 
 
@@ -65,7 +65,7 @@ def dense_motion(
     def look(numbers: np.ndarray, fractions: np.ndarray) -> DenseMotion:
         own = samples_at(plan, numbers, fractions, motion.at(numbers, fractions))
         places = contact_places(own)
-        found = figures_at(own, places, touched_surfaces(own, places.position), starts, bodies)
+        found = figures_at(own, places, touched_surfaces(own, places.position), starts, bodies.traces(own))
         return DenseMotion(plan=own, fractions=fractions, traces=found)
 
     begin, end = plan.interval_t[plan.interval].T

@@ -36,7 +36,10 @@ RobotState = tuple[np.ndarray, np.ndarray]
 
 # Far below what is measured (1e-6 at best), far above rounding.
 RELATIVE_ERROR = 1e-10
-ABSOLUTE_ERROR = 1e-12
+# Far below what a verdict allows (1e-3) of a phase that amplifies errors as much as a stable one may.
+ROUGH_ERROR = 1e-7
+# Absolute errors over relative ones.
+ABSOLUTE_SHARE = 1e-2
 # An interval of a sane plan takes about five steps of a dozen evaluations. One that needs this many has
 # diverged, or its accelerations are rounding noise: those of joints that move no mass.
 MAX_EVALUATIONS = 3600
@@ -55,18 +58,14 @@ class OpenLoopError:
     joints: float
 
 
-def open_loop(plan: Solution, phase: int) -> OpenLoopError:
+def open_loop(plan: Solution, phase: int, relative_error: float = RELATIVE_ERROR) -> OpenLoopError:
     """Integrate a phase from its first sample with the planned torques; errors at its nodes.
 
     With velocity sources the planned rates are integrated instead. An error is inf where the integration
-    diverged before the phase's end.
+    diverged before the phase's end. relative_error: of each step of the integration.
     """
-    return _phase_error(plan, plan.intervals_of(phase))
-
-
-def _phase_error(plan: Solution, numbers: range) -> OpenLoopError:
-    worst: np.ndarray = np.zeros(3)
-    for number, state in zip(numbers, integrated_states(plan, numbers), strict=False):
+    numbers, worst = plan.intervals_of(phase), np.zeros(3)
+    for number, state in zip(numbers, integrated_states(plan, numbers, relative_error), strict=False):
         if state is None:
             worst[:] = np.inf
             break
@@ -77,7 +76,9 @@ def _phase_error(plan: Solution, numbers: range) -> OpenLoopError:
     return OpenLoopError(position=float(worst[0]), orientation=float(worst[1]), joints=float(worst[2]))
 
 
-def integrated_states(plan: Solution, numbers: range) -> Iterator[RobotState | None]:
+def integrated_states(
+    plan: Solution, numbers: range, relative_error: float = RELATIVE_ERROR
+) -> Iterator[RobotState | None]:
     """Yield the states (q, v) at the ends of intervals, integrated from the planned start of the first.
 
     Impacts follow their law at the state that is reached. The last state is None where the integration
@@ -97,7 +98,7 @@ def integrated_states(plan: Solution, numbers: range) -> Iterator[RobotState | N
                 yield None
                 return
             v = after
-        end = integrate_interval(plan, dynamics, number, q, v)
+        end = integrate_interval(plan, dynamics, number, q, v, relative_error)
         yield end
         if end is None:
             return
@@ -137,7 +138,12 @@ def _base_rotation(model: pin.Model, q: np.ndarray) -> np.ndarray:
 
 
 def integrate_interval(
-    plan: Solution, dynamics: PhaseDynamics, number: int, q: np.ndarray, v: np.ndarray
+    plan: Solution,
+    dynamics: PhaseDynamics,
+    number: int,
+    q: np.ndarray,
+    v: np.ndarray,
+    relative_error: float = RELATIVE_ERROR,
 ) -> RobotState | None:
     """Integrate one interval from ``q``, ``v`` with its torques and contacts; None where it diverges.
 
@@ -164,9 +170,9 @@ def integrate_interval(
         return (end - start) * np.concatenate([coordinate_rate(delta, velocity), acceleration])
 
     if moved_by_rates:
-        final = _run(kinematics, np.zeros(nv))
+        final = _run(kinematics, np.zeros(nv), relative_error)
         return None if final is None else (pin.integrate(model, q, final), coefficients.sum(axis=0))
-    final = _run(motion, np.concatenate([np.zeros(nv), v]))
+    final = _run(motion, np.concatenate([np.zeros(nv), v]), relative_error)
     return None if final is None else (pin.integrate(model, q, final[:nv]), final[nv:])
 
 
@@ -186,7 +192,9 @@ def integrated_interval_error(
     return apart, np.zeros(plan.model.nv) if moved_by_rates else end[1] - plan.v[rows.stop - 1]
 
 
-def _run(rate: Callable[[float, np.ndarray], np.ndarray], state: np.ndarray) -> np.ndarray | None:
+def _run(
+    rate: Callable[[float, np.ndarray], np.ndarray], state: np.ndarray, relative_error: float
+) -> np.ndarray | None:
     """Integrate from 0 to 1, or return None if that takes too many evaluations or is not finite."""
     from scipy.integrate import DOP853  # takes longer to load than all the rest
 
@@ -199,7 +207,8 @@ def _run(rate: Callable[[float, np.ndarray], np.ndarray], state: np.ndarray) -> 
 
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            method = DOP853(counted, 0.0, state, 1.0, rtol=RELATIVE_ERROR, atol=ABSOLUTE_ERROR)
+            absolute = ABSOLUTE_SHARE * relative_error
+            method = DOP853(counted, 0.0, state, 1.0, rtol=relative_error, atol=absolute)
             while method.status == "running":
                 method.step()
     except (ValueError, np.linalg.LinAlgError, _RunAwayError):

@@ -169,7 +169,9 @@ class CheckReport:
         On ground that is no plane it is below the tangent plane of the highest ground under the contact.
     link_depth, obstacle_distance, self_distance: of the file's shapes of links (and of capsules of a problem
         with obstacles), by Coal, at samples and between; a negative depth is a distance. Files without shapes
-        have only what their capsules show, and ``notes`` say so.
+        have only what their capsules show, and ``notes`` say so. clearance_margin: least distance of links
+        from obstacles and each other minus what the problem's `Clearance` asks of the pair; None without a
+        margin.
     landing_height: distance of active contacts from their surface at their phase's start, unsigned.
     patch_margin: least distance of active contacts (of soles: their corners) inside their patches' edges.
     position_gap, velocity_gap: see `consistency.interval_gaps`. ballistic_error, momentum_error: at
@@ -222,6 +224,9 @@ class CheckReport:
     link_depth: float | None = _figure("depth of links in the ground", "m", "bodies")
     obstacle_distance: float | None = _figure("least distance from obstacles", "m", "bodies", margin=True)
     self_distance: float | None = _figure("least distance between links", "m", "bodies", margin=True)
+    clearance_margin: float | None = _figure(
+        "distance beyond the margin asked for", "m", "bodies", margin=True
+    )
     landing_height: float | None = _figure("height of contacts where they begin", "m", "foot_drift")
     patch_margin: float | None = _figure("distance inside the patch", "m", "foot_drift", margin=True)
     foot_drift: float | None = _figure("drift of active contacts", "m", "foot_drift")

@@ -72,14 +72,14 @@ def solve_aimed(
     problem: Problem, *, title: str, log: str | None = None, viewer: Watch | None = None, **arguments: Any
 ) -> SolveReport:
     """Choose, solve, measure and refine, with progress."""
-    from trajopt.solving.refine import MAX_ROUNDS
+    from trajopt.solving.interruption import BESIDE
     from trajopt.study.choosing.solve_to import solve_to_accuracy, solve_within
 
     accuracy, budget, front = (arguments.pop(name) for name in ("accuracy", "budget", "front"))
     if accuracy is not None and budget is not None:
         raise InputError("--accuracy and --budget are both given", "allowed: one of them")
     where = _allowed_settings(arguments)
-    most = arguments["max_time"] * (1 + MAX_ROUNDS)
+    most = arguments["max_time"] + BESIDE
     with watched(title, most, log, viewer) as callbacks:
         settings = {**arguments, "front": front, "where": where, **callbacks}
         if accuracy is not None:

@@ -68,13 +68,16 @@ def continue_command(
 ) -> int:
     """Solve PROBLEM for a sequence of values of a parameter, each from the last solution.
 
-    A step that fails is halved. With --compare every value is also solved from its default guess, and the
-    time saved is printed. Exit status 0 when every value is solved, 1 when not.
+    Every value is solved until its motion holds at any time, on the mesh of the last one, refined where it
+    misses; --transcription or --intervals name a mesh that stays. A step that fails is halved. With --compare
+    every value is also solved from its default guess, and the time saved is printed. Exit status 0 when every
+    value has a motion that holds, 1 when not.
     """
     from trajopt.problem.catalogue import families
     from trajopt.problem.family import choose
     from trajopt.solution.input import solution_of
     from trajopt.solving.continuation import continuation
+    from trajopt.solving.interruption import BESIDE
 
     family, fixed = choose(families(), problem), parse_settings(settings, "--set")
     name, values = parse_vary(family, vary, fixed)
@@ -91,7 +94,7 @@ def continue_command(
     import_in_background("scipy.integrate")
     viewer = open_viewer(watch)
     each = 2 + 2 * arguments["max_halvings"] + arguments["compare"]
-    most = arguments["max_time"] * len(values) * each
+    most = (arguments["max_time"] + BESIDE) * len(values) * each
     with watched(problem, most, log, viewer) as callbacks:
         found = continuation(load, values, **callbacks, **arguments)
     files = {}
@@ -144,7 +147,7 @@ def _print(found: Continuation, problem: str, name: str, files: dict[str, str]) 
     titles: tuple[str, ...] = (name, "from", "status", "iterations", "time s", "objective")
     titles += ("cold iterations", "cold time s") if compared else ()
     rows = [_row(step, compared) for step in found.steps]
-    shown.print(f"{problem}: {len(found.solutions)} of {len(set(found.values))} values solved")
+    shown.print(f"{problem}: {len(found.solved)} of {len(set(found.values))} values solved")
     shown.print(plain_table(titles, rows, justify="right", no_wrap=True))
     totals = found.to_dict()
     shown.print(f"in all {cost(totals['total'])}")
@@ -159,14 +162,14 @@ def _print(found: Continuation, problem: str, name: str, files: dict[str, str]) 
 
 
 def _row(step: ContinuationStep, compared: bool) -> list[str]:
-    meta = step.solution.meta
-    origin = (
-        "default guess" if not meta["warm_start"] else "file" if step.origin is None else f"{step.origin:g}"
-    )
+    from trajopt.solving.ladder import total_effort
+
+    meta, spent = step.solution.meta, total_effort([step.solution])
+    origin = "default guess" if not step.warm else "file" if step.origin is None else f"{step.origin:g}"
     objective = "" if meta["objective"] is None else f"{meta['objective']:.5g}"
-    row = [f"{step.value:g}", origin, meta["status"].replace("_", " "), str(meta["iterations"])]
-    row += [f"{meta['wall_time_s']:.2f}", objective]
+    row = [f"{step.value:g}", origin, meta["status"].replace("_", " "), str(spent["iterations"])]
+    row += [f"{spent['wall_time_s']:.2f}", objective]
     if compared:
-        cold = None if step.cold is None else step.cold.meta
+        cold = None if step.cold is None else total_effort([step.cold])
         row += ["", ""] if cold is None else [str(cold["iterations"]), f"{cold['wall_time_s']:.2f}"]
     return row

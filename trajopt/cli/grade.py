@@ -42,6 +42,7 @@ def solve_to_grade(
 ) -> SolveReport:
     """Solve, examine and refine, with progress; a mesh that is named stays."""
     from trajopt.solving.graded import MOST_ROUNDS, solve_graded
+    from trajopt.solving.interruption import BESIDE
     from trajopt.transcription.transcription import chosen_mesh
 
     named = _names_mesh(arguments)
@@ -50,7 +51,7 @@ def solve_to_grade(
     grid = arguments.pop("transcription"), arguments.pop("intervals")
     mesh = chosen_mesh(problem, *grid) if named else None
     rounds = 1 if arguments.pop("draft") else MOST_ROUNDS
-    with watched(title, arguments["max_time"] * (1 + rounds), log, viewer) as callbacks:
+    with watched(title, arguments["max_time"] + BESIDE, log, viewer) as callbacks:
         found = solve_graded(
             problem, mesh=mesh, refine=not named, max_rounds=rounds, **callbacks, **arguments
         )

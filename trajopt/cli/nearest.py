@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ from trajopt.cli.input import parse_settings
 from trajopt.cli.progress import watched
 from trajopt.cli.report import SolveReport
 from trajopt.errors import InputError
+from trajopt.solvers.status import Status
 
 if TYPE_CHECKING:
     from trajopt.problem.family import Family
@@ -22,7 +23,18 @@ nearest_option = click.option(
     "--nearest", metavar="PARAMETER", help="Search the nearest value that is solved, where --set's is not."
 )
 # Settings of a solve that a search takes over.
-TAKEN = ("solver", "hessian", "tolerance", "max_iterations", "max_time", "compile", "threads", "options")
+TAKEN = (
+    "solver",
+    "hessian",
+    "tolerance",
+    "max_iterations",
+    "max_time",
+    "compile",
+    "threads",
+    "options",
+    "transcription",
+    "intervals",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,17 +79,14 @@ class Search:
         """The problem at a value of the parameter."""
         return self.family.load({**self.fixed, self.name: value})
 
-    def run(
-        self, solve: Callable[..., SolveReport], failed: SolveReport, arguments: dict[str, Any]
-    ) -> SolveReport:
-        """Search, solve as asked from what is found, save that, and add it to the report that failed.
+    def run(self, failed: SolveReport, arguments: dict[str, Any]) -> SolveReport:
+        """Search, save what is found, and add it to the report of the value asked for, which failed.
 
-        The search may reach the value asked for: then the report is of that.
+        The search may reach that value: then the report is of its motion.
         """
         from trajopt.solving.continuation import NEAREST_SOLVES, nearest
-        from trajopt.solving.ladder import INTERRUPTED
 
-        if failed.solution.meta["status"] == INTERRUPTED:
+        if failed.solution.meta["status"] == Status.INTERRUPTED.word:
             return failed
         settings = {key: arguments[key] for key in TAKEN}
         most = arguments["max_time"] * NEAREST_SOLVES
@@ -87,16 +96,13 @@ class Search:
         if step is None:
             line = f"no value of {self.name} was solved, not even {self.first:g}, the default"
             return _with(failed, line, {"parameter": self.name, "value": None, "file": None})
-        again = {**arguments, "start": step.solution, "perturb": 0.0, "log": None}
-        found = solve(self.load(step.value), **again)
-        if step.value == self.asked and found.reached:
-            return found
-        file = self.target.with_name(f"{self._stem(step.value)}.npz")
-        found.solution.save(file)
-        holds = "" if found.reached else " at its points"
+        if step.value == self.asked and step.solution.success:
+            return SolveReport(step.solution, True)
+        file = step.solution.save(self.target.with_name(f"{self._stem(step.value)}.npz"))
+        holds = "" if step.solution.success else " at its points"
         line = f"nearest value of {self.name} that was solved{holds}: {step.value:.4g}, in {file}"
-        entry = {"parameter": self.name, "value": step.value, "holds": found.reached, "file": str(file)}
-        return _with(failed, line, entry)
+        entry = {"parameter": self.name, "value": step.value, "holds": step.solution.success}
+        return _with(failed, line, {**entry, "file": str(file)})
 
     def _stem(self, value: float) -> str:
         """The target's, with the value in place of the one asked for, or behind."""

@@ -91,8 +91,8 @@ def solve_command(
     error is measured, and the mesh refined until it is small enough.
 
     Where a value of --set is not solved, --nearest PARAMETER searches the nearest one that is, from the
-    default by bisection, in at most 8 solves on the problem's own mesh. Then its motion is solved as the
-    options ask, and written to a file of its own, named for its value.
+    default by bisection, in at most 8 solves to the grade. Its motion is written to a file of its own, named
+    for its value.
 
     Without --output the file is named for PROBLEM and the settings given, such as
     solo12-jump-distance=0.8.npz: other settings do not overwrite it.
@@ -132,7 +132,7 @@ def solve_command(
     arguments |= {"title": problem, "options": options, "viewer": viewer}
     solved = solve_chosen(asked, **arguments)
     if search and not solved.reached:
-        solved = search.run(solve_chosen, solved, arguments)
+        solved = search.run(solved, arguments)
     solution = scene.lift(solved.solution) if scene else solved.solution
     file, notes = _saved(solution, target)
     report = _checked(solution, notes, "" if scene is None or scene.report.is_exact else " or no --smallest")

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from trajopt.study.suite.settings import SuiteSettings
 
 # Width in columns of a table that is written to a file or a pipe: no column is folded.
-PIPE_WIDTH = 170
+PIPE_WIDTH = 180
 # Options that take every word up to the next option, as in ``--robots solo12 go2``.
 LISTS = ("--problems", "--robots")
 
@@ -74,6 +74,7 @@ def _each(option: str, words: str) -> list[str]:
 @default_option("--max-iterations", 500, "N", "Iteration limit.", kind=COUNT)
 @default_option("--max-time", 300.0, "S", "Time limit of a solve, s.")
 @compile_option
+@click.option("--fixed-mesh", is_flag=True, help="Solve once, on each problem's own mesh.")
 @click.option("--simulate", is_flag=True, help="Also run solved plans of legged robots in MuJoCo.")
 @click.option("--output-dir", type=Path, metavar="DIR", help="Write results and solution files there.")
 @click.option("--resume", is_flag=True, help="Continue from the results in --output-dir.")
@@ -95,10 +96,10 @@ def suite(
 ) -> int:
     """Solve every problem on every robot it is made for, and print the results.
 
-    Each pair is solved from its default guess at default settings, checked, and solved from --perturbed
-    starts. With --simulate the plans of legged robots are also run in MuJoCo. Exit status 0 when all pairs
-    are solved and pass the check (with --compare also within their bands, with --simulate alone without a
-    fall), 1 when not, 130 after Ctrl-C, which prints the results so far.
+    Each pair is solved as by trajopt solve, from its default guess and from --perturbed starts. With
+    --simulate the plans of legged robots are also run in MuJoCo. Exit status 0 when all pairs are solved
+    (with --compare also within their bands, with --simulate alone without a fall), 1 when not, 130 after
+    Ctrl-C, which prints the results so far.
     """
     from trajopt.problem.catalogue import families
     from trajopt.study.suite import data

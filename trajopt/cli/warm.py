@@ -39,10 +39,9 @@ def solve_warm(
     **settings: Any,
 ) -> SolveReport:
     """Solve from a file, over a ladder, or neither (a ladder of one rung), with progress."""
-    from trajopt.certify.report import GRADE
     from trajopt.solution.input import solution_of
+    from trajopt.solving.interruption import BESIDE
     from trajopt.solving.ladder import solve_ladder
-    from trajopt.solving.verdicts import judged
 
     grid = (settings.pop("transcription"), settings.pop("intervals"))
     if ladder is not None and grid != (None, None):
@@ -53,10 +52,10 @@ def solve_warm(
         raise InputError("--compare has nothing to compare", "allowed: with --start or --ladder")
     rungs = [grid] if ladder is None else parse_ladder(ladder)
     known = None if start is None else solution_of(start)
-    most = settings["max_time"] * (len(rungs) + compare)
+    most = (settings["max_time"] + BESIDE) * (len(rungs) + compare)
     with watched(title, most, log, viewer) as callbacks:
         found = solve_ladder(problem, rungs, start=known, compare=compare, **callbacks, **settings)
-    solution = judged(found.solution, GRADE)
+    solution = found.solution
     if len(found.rungs) == 1 and found.cold is None:
         return SolveReport(solution, solution.success)
     figures = found.to_dict()

@@ -48,7 +48,7 @@ def show_until_interrupted(viewer: Viewer | None, solution: Solution) -> None:
     """
     if viewer is None:
         return
-    from trajopt.solving.ladder import INTERRUPTED
+    from trajopt.solving.rounds import INTERRUPTED
 
     with interruptible() as interruption, interruption.recording():
         late = interruption.stops and solution.meta["status"] != INTERRUPTED

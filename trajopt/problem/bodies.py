@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 
 from trajopt.errors import InputError
+from trajopt.problem.placed_link import placed_link
+from trajopt.problem.places import CONTACT_GAP, PLACE_SLACK
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.description import RobotShapes, above_ground, robot_shapes
 from trajopt.robot.collision.near import CollisionScene, ShapePair, separable_pairs
-from trajopt.robot.collision.planes import SeparatingPlane, separating_plane
+from trajopt.robot.collision.planes import PlacedBody, SeparatingPlane, beside_held, separating_plane
 from trajopt.robot.collision.shapes import LinkShape
 from trajopt.robot.robot import Robot
 from trajopt.terms.clearance import Clearance
+from trajopt.terms.terminal import TerminalPosture
 from trajopt.terrain.flat import FlatGround
 
 # Shapes this near to the ball of a contact, or to a corner of its sole, m, touch with it.
@@ -45,7 +48,11 @@ class ProblemBodies:
         return float(self.margins.max(initial=0.0))
 
     def planes(
-        self, configurations: np.ndarray, wanted: Sequence[tuple[int, ShapePair]], within: float
+        self,
+        configurations: np.ndarray,
+        wanted: Sequence[tuple[int, ShapePair]],
+        within: float,
+        held: Sequence[PlacedBody | None],
     ) -> list[tuple[SeparatingPlane, ...]]:
         """Planes that keep pairs apart near configurations (K, nq): several where the ground has faces.
 
@@ -53,12 +60,18 @@ class ProblemBodies:
             configurations: where planes are laid.
             wanted: of each the configuration's number and the pair.
             within: faces of the ground farther away than this, m, get no plane, except for the nearest one.
+            held: of each what contacts hold of the pair's first link: its planes leave that beyond.
         """
         margins = dict(zip(self.pairs, self.margins.tolist(), strict=True))
         found = self.scene.approaches(configurations, wanted, within)
         return [
-            tuple(separating_plane(own, margins[pair]) for own in approaches)
-            for (_, pair), approaches in zip(wanted, found, strict=True)
+            tuple(
+                separating_plane(
+                    own if fixed is None else beside_held(own, fixed, margins[pair]), margins[pair]
+                )
+                for own in approaches
+            )
+            for (_, pair), approaches, fixed in zip(wanted, found, held, strict=True)
         ]
 
 
@@ -83,23 +96,28 @@ def shapes_of(problem: Problem) -> RobotShapes:
 
 
 def bodies_of(problem: Problem) -> ProblemBodies:
-    """The bodies of a problem. Raises InputError where they are in each other at its start."""
+    """The bodies of a problem. Raises InputError where they are in each other at its start or at a goal."""
     clearance = clearance_of(problem)
     scene = shapes_of(problem).scene(problem.robot.model, problem.terrain, clearance.obstacles)
     # A periodic motion's start is free.
     start = scene.distances(problem.initial_q)[0] if problem.periodicity is None else None
     found = ProblemBodies(scene=scene, margins=_margins(problem.robot, scene, clearance.margin, start))
-    if start is not None and found.pairs:
-        _require_clear_start(found, start)
+    if start is not None:
+        _require_clear(found, "starts", found.pairs, start)
+    _require_clear_goals(problem, found)
     return found
 
 
 def bodies_meta(problem: Problem) -> dict[str, Any]:
     """Description of the bodies for a solution's meta; empty where there are none."""
-    shapes, obstacles = shapes_of(problem), clearance_of(problem).obstacles
+    shapes, clearance = shapes_of(problem), clearance_of(problem)
     found: dict[str, Any] = {"bodies": shapes.describe()} if shapes.shapes or shapes.missing else {}
-    if obstacles:
-        own = [obstacle.describe() for obstacle in obstacles]
+    if found and clearance.margin > 0:
+        scene = CollisionScene(model=problem.robot.model, shapes=shapes.shapes, self_pairs=shapes.pairs)
+        apart = _self_margins(problem.robot, scene, clearance.margin)
+        found["bodies"]["margins"] = {"obstacles": float(clearance.margin), "pairs": apart.tolist()}
+    if clearance.obstacles:
+        own = [obstacle.describe() for obstacle in clearance.obstacles]
         found["collision"] = {"capsules": [], "obstacles": own, "self_pairs": []}
     return found
 
@@ -118,9 +136,14 @@ def _margins(robot: Robot, scene: CollisionScene, margin: float, start: np.ndarr
         touching = _touching(robot, scene.moving)
         found[: scene.n_ground] = np.where(touching, np.minimum(standing - DEEPER, -GIVE), 0.0)
     if margin > 0 and scene.self_pairs:
-        apart = scene.distances(robot.reference)[0, scene.n_outer :]
-        found[scene.n_outer :] = np.minimum(margin, np.maximum(apart, 0.0))
+        found[scene.n_outer :] = _self_margins(robot, scene, margin)
     return found
+
+
+def _self_margins(robot: Robot, scene: CollisionScene, margin: float) -> np.ndarray:
+    """Least distance (n,) m of each pair of two links: ``margin``, or theirs in the reference posture."""
+    apart = scene.distances(robot.reference)[0, scene.n_outer :]
+    return np.asarray(np.minimum(margin, np.maximum(apart, 0.0)))
 
 
 def _touching(robot: Robot, shapes: Sequence[LinkShape]) -> np.ndarray:
@@ -138,13 +161,49 @@ def _touching(robot: Robot, shapes: Sequence[LinkShape]) -> np.ndarray:
     return np.array([shape.name in near for shape in shapes], dtype=bool)
 
 
-def _require_clear_start(bodies: ProblemBodies, start: np.ndarray) -> None:
-    """Raise `InputError` where bodies are nearer to each other at a fixed start than they may be."""
-    short = start - bodies.margins
-    worst = int(np.argmin(short))
-    if short[worst] < -TOO_NEAR:
-        (first, second), margin = bodies.pairs[worst], float(bodies.margins[worst])
+def _require_clear(
+    bodies: ProblemBodies, what: str, pairs: Sequence[ShapePair], distances: np.ndarray, slack: float = 0.0
+) -> None:
+    """Raise `InputError` where bodies are nearer to each other, by more than ``slack`` m, than they may be.
+
+    Args:
+        bodies: of the problem.
+        what: where the first of a pair is this near.
+        pairs: some of those of ``bodies``.
+        distances: of the pairs (n,), m.
+        slack: m.
+    """
+    margins = dict(zip(bodies.pairs, bodies.margins.tolist(), strict=True))
+    short = [float(own) - margins[pair] for pair, own in zip(pairs, distances, strict=True)]
+    worst = min(range(len(short)), key=short.__getitem__, default=None)
+    if worst is not None and short[worst] < -TOO_NEAR - slack:
+        (first, second), margin = pairs[worst], margins[pairs[worst]]
         raise InputError(
-            f"'{first}' starts {start[worst]:.4f} m from '{second}' (negative: inside it)",
+            f"'{first}' {what} {distances[worst]:.4f} m from '{second}' (negative: inside it)",
             f"allowed: at least {margin:g} m",
         )
+
+
+def _require_clear_goals(problem: Problem, bodies: ProblemBodies) -> None:
+    """Raise `InputError` where bodies are in each other at a goal, as far as it is known before solving.
+
+    Of a configuration all pairs are; of one that is placed where a contact lands, those of two links; of a
+    frame's pose, its link with ground and obstacles. Of a position the link may turn about it.
+    """
+    # Contacts may be this far from where they are in a goal, and its other links with them.
+    stands = any(phase.contacts for phase in problem.schedule.phases)
+    slack = max(CONTACT_GAP, PLACE_SLACK * problem.robot.length) if stands else 0.0
+    scene = bodies.scene
+    for term in problem.terms if bodies.pairs else ():
+        if isinstance(term, TerminalPosture):
+            own = scene.distances(term.q)[0, scene.n_outer :]
+            _require_clear(bodies, f"in q of {term.name} is", scene.self_pairs, own, slack)
+        for target in term.targets():
+            if target.q is not None:
+                what = f"in q of {term.name} is"
+                _require_clear(bodies, what, bodies.pairs, scene.distances(target.q)[0], slack)
+            else:
+                known = "is" if target.rotation is not None else "is at most"
+                what = f"at the goal of {term.name} of '{target.frame}' {known}"
+                placed = placed_link(scene, target)
+                _require_clear(bodies, what, list(placed), np.array(list(placed.values())), slack)

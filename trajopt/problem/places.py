@@ -64,7 +64,7 @@ def require_places(
 ) -> None:
     """Raise `InputError` for a start, a foothold or a goal at which no motion can be.
 
-    Whether bodies are clear at the start and at goals belongs here, too.
+    Whether bodies are clear there, `trajopt.problem.bodies` judges.
 
     Args:
         stances: where contacts stand.

@@ -118,6 +118,28 @@ def body_scene_of(model: pin.Model, meta: Mapping[str, Any]) -> CollisionScene |
         raise SolutionFileError(f"bodies of meta: {error.what}", error.allowed) from None
 
 
+def body_margins_of(meta: Mapping[str, Any], scene: CollisionScene) -> np.ndarray:
+    """Least distance (n_pairs,) m that a problem asked of each pair of `body_scene_of`; zero: no contact.
+
+    Raises `SolutionFileError`.
+    """
+    found = np.zeros(len(scene.pairs))
+    given = meta["bodies"].get("margins")
+    if given is None:
+        return found
+    try:
+        found[scene.n_ground : scene.n_outer] = float(given["obstacles"])
+        found[scene.n_outer :] = np.array(given["pairs"], dtype=float).reshape(len(scene.self_pairs))
+    except (KeyError, TypeError, ValueError):
+        found[:] = np.nan
+    if not (found >= 0).all() or not np.isfinite(found).all():
+        raise SolutionFileError(
+            "margins of bodies of meta are not those of its pairs",
+            "allowed: {obstacles: m, pairs: [m, ...]}, not negative, one for each of pairs",
+        )
+    return found
+
+
 def _scene(model: pin.Model, described: Any) -> CollisionScene:
     keys = ("capsules", "obstacles", "self_pairs")
     if not isinstance(described, dict) or not all(isinstance(described.get(key), list) for key in keys):

@@ -10,9 +10,12 @@ from typing import Any
 
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
+from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
-from trajopt.solving.ladder import FROM_DEFAULT_GUESS, INTERRUPTED, solve_figures, total_effort
-from trajopt.solving.solving import solve
+from trajopt.solving.graded import solve_graded
+from trajopt.solving.ladder import FROM_DEFAULT_GUESS, GridLevel, solve_figures, total_effort
+from trajopt.solving.rounds import Graded
+from trajopt.transcription.transcription import chosen_mesh
 
 MAX_HALVINGS = 4
 # Solves of a search for the nearest value, the first and the one asked for among them.
@@ -21,23 +24,25 @@ NEAREST_SOLVES = 8
 
 @dataclass(frozen=True, kw_only=True)
 class ContinuationStep:
-    """One solve: at ``value``, started from the solution at ``origin`` (None: from the default guess).
+    """One solve to the grade: at ``value``, started from the solution at ``origin``.
 
-    ``asked``: the value is one of the sequence, not an intermediate one. ``cold``: the same problem from its
-    default guess, for comparison.
+    ``warm``: whether it was started from a solution, without an origin from that of a file. ``asked``: the
+    value is one of the sequence, not an intermediate one. ``cold``: the same problem from its default guess,
+    for comparison.
     """
 
     value: float
     solution: Solution
     origin: float | None
     asked: bool
+    warm: bool
     cold: Solution | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The step's figures."""
         cold = None if self.cold is None else solve_figures(self.cold)
         own = {"value": self.value, "origin": self.origin, "asked": self.asked}
-        return {**own, **solve_figures(self.solution), "cold": cold}
+        return {**own, **solve_figures(self.solution), "warm_start": self.warm, "cold": cold}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,13 +54,18 @@ class Continuation:
 
     @property
     def solutions(self) -> dict[float, Solution]:
-        """Solution of every value of the sequence that was solved."""
+        """Last solution of every value of the sequence that converged, whatever its verdict."""
         return {step.value: step.solution for step in self.steps if step.asked and step.solution.converged}
 
     @property
+    def solved(self) -> tuple[float, ...]:
+        """Values of the sequence whose motion holds at any time."""
+        return tuple(value for value, solution in self.solutions.items() if solution.success)
+
+    @property
     def success(self) -> bool:
-        """Every value of the sequence was solved."""
-        return len(self.solutions) == len(set(self.values))
+        """Every value of the sequence has a motion that holds at any time."""
+        return len(self.solved) == len(set(self.values))
 
     def to_dict(self) -> dict[str, Any]:
         """Steps, their totals (all solves), and the totals from default guesses where compared."""
@@ -81,11 +91,15 @@ def continuation(
     compare: bool = False,
     max_halvings: int = MAX_HALVINGS,
     on_step: Callable[[ContinuationStep], None] | None = None,
+    transcription: str | None = None,
+    intervals: int | None = None,
     **settings: Any,
 ) -> Continuation:
     """Solve ``load(value)`` for every value in turn, each from the last solution.
 
-    Functions are compiled once where a parameter changes numbers alone.
+    Every value is solved to the grade, as by `trajopt.solve`: on the mesh of the last solution, refined where
+    it misses, and with its rows for bodies. Functions are compiled once where a parameter changes numbers
+    alone.
 
     Args:
         load: Makes the problem at a value of the parameter.
@@ -94,8 +108,10 @@ def continuation(
         compare: Solve every value from its default guess, too, for the time saved.
         max_halvings: Where a value is not solved, the step from the last solved one is halved up to so many
             times; then the value's default guess is tried.
-        on_step: Called after every solve.
-        **settings: Those of `trajopt.solve`; limits of time and iterations are for each solve.
+        on_step: Called after every value, and every step between.
+        transcription: Scheme of a mesh that stays, as in `trajopt.solve`.
+        intervals: Its number of intervals over the whole schedule.
+        **settings: Those of `trajopt.solve`; the limit of time is for each value.
 
     Raises:
         InputError: As ``load`` and `trajopt.solve` do.
@@ -103,7 +119,7 @@ def continuation(
     asked = _numbers(values)
     if not isinstance(max_halvings, int) or isinstance(max_halvings, bool) or max_halvings < 0:
         raise InputError(f"max_halvings is {max_halvings!r}", "allowed: a whole number of at least 0")
-    walk = _Walk(load, settings, on_step, start)
+    walk = _Walk(load, (transcription, intervals), settings, on_step, start)
     for value in asked:
         if not walk.to(value, max_halvings, compare):
             break
@@ -116,6 +132,8 @@ def nearest(
     asked: float,
     *,
     most: int = NEAREST_SOLVES,
+    transcription: str | None = None,
+    intervals: int | None = None,
     on_step: Callable[[ContinuationStep], None] | None = None,
     **settings: Any,
 ) -> ContinuationStep | None:
@@ -128,6 +146,8 @@ def nearest(
         first: A value that can be solved.
         asked: The value that is wanted, tried second.
         most: Limit of solves.
+        transcription: Scheme of a mesh to stay on, as in `trajopt.solve`.
+        intervals: Its number of intervals.
         on_step: Called after every solve.
         **settings: Those of `trajopt.solve`; limits of time and iterations are for each solve.
 
@@ -135,13 +155,13 @@ def nearest(
         InputError: As ``load`` and `trajopt.solve` do.
     """
     _numbers((first, asked))
-    walk = _Walk(load, settings, on_step, None)
+    walk = _Walk(load, (transcription, intervals), settings, on_step, None)
     value, beyond = first, asked
     for _ in range(most):
-        step = walk.solve(value)
-        if _stopped(step.solution) or walk.origin in (None, asked):
+        made = walk.solve(value)
+        if made.interrupted or walk.origin in (None, asked):
             break
-        if not step.solution.converged:
+        if not _usable(made):
             beyond = value
         value = asked if value == first else (walk.origin + beyond) / 2
     return max(
@@ -163,56 +183,77 @@ def _numbers(values: Sequence[float]) -> tuple[float, ...]:
 
 @dataclass
 class _Walk:
-    """The steps made so far, and the last solution with its value (None: of no value in the sequence)."""
+    """The steps made so far, and the last solve with its value (None: of no value in the sequence)."""
 
     load: Callable[[float], Problem]
+    grid: GridLevel
     settings: dict[str, Any]
     on_step: Callable[[ContinuationStep], None] | None
     start: Solution | str | Path | None
     origin: float | None = None
+    last: Graded | None = None
     steps: list[ContinuationStep] = field(default_factory=list)
 
     def to(self, value: float, halvings: int, compare: bool) -> bool:
         """Go on to ``value``, with steps between where needed; False when the user stops it."""
         targets = [value]
         while targets:
-            step = self.solve(targets[-1], asked=len(targets) == 1)
-            if step.solution.converged:
+            made = self.solve(targets[-1], asked=len(targets) == 1)
+            if _usable(made):
                 targets.pop()
-            elif _stopped(step.solution):
+            elif made.interrupted:
                 return False
             elif self.origin is None or not halvings:
                 break
             else:
                 halvings -= 1
                 targets.append((self.origin + targets[-1]) / 2)
-        if targets and self.start is not None and _stopped(self.solve(value, default_guess=True).solution):
+        if targets and self.start is not None and self.solve(value, default_guess=True).interrupted:
             return False
-        return not (compare and _stopped(self.compare(value)))
+        return not (compare and self.compare(value))
 
-    def solve(self, value: float, *, asked: bool = True, default_guess: bool = False) -> ContinuationStep:
-        """One solve, from the last solution or from the problem's default guess."""
+    def solve(self, value: float, *, asked: bool = True, default_guess: bool = False) -> Graded:
+        """One solve to the grade, from the last solution or from the problem's default guess."""
         start = None if default_guess else self.start
-        solution = solve(self.load(value), start=start, label=f"value {value:g}", **self.settings)
+        made = self._graded(value, f"value {value:g}", start)
         origin = None if start is None else self.origin
-        step = ContinuationStep(value=value, solution=solution, origin=origin, asked=asked)
+        step = ContinuationStep(
+            value=value, solution=made.solution, origin=origin, asked=asked, warm=start is not None
+        )
         self.steps.append(step)
-        if solution.converged:
-            self.start, self.origin = solution, value
+        if _usable(made):
+            self.start, self.origin, self.last = made.solution, value, made
         if self.on_step is not None:
             self.on_step(step)
-        return step
+        return made
 
-    def compare(self, value: float) -> Solution:
-        """Solve from the default guess, unless the last step at ``value`` did, and record it there."""
+    def _graded(self, value: float, label: str, start: Solution | str | Path | None) -> Graded:
+        problem, named = self.load(value), self.grid != (None, None)
+        mesh = chosen_mesh(problem, *self.grid) if named else None
+        exchange = None
+        if start is not None and self.last is not None:
+            exchange = self.last.exchange
+            mesh = mesh or mesh_of(self.last.solution)
+        return solve_graded(
+            problem,
+            mesh=mesh,
+            start=start,
+            exchange=exchange,
+            refine=not named,
+            **{**self.settings, "label": label},
+        )
+
+    def compare(self, value: float) -> bool:
+        """Solve from the default guess, unless the last step at ``value`` did; whether the user stops it."""
         index = max(i for i, step in enumerate(self.steps) if step.asked and step.value == value)
-        last = self.steps[index]
-        cold = last.solution
-        if cold.meta["warm_start"]:
-            cold = solve(self.load(value), label=f"value {value:g} {FROM_DEFAULT_GUESS}", **self.settings)
-        self.steps[index] = replace(last, cold=cold)
-        return cold
+        cold, stopped = self.steps[index].solution, False
+        if self.steps[index].warm:
+            made = self._graded(value, f"value {value:g} {FROM_DEFAULT_GUESS}", None)
+            cold, stopped = made.solution, made.interrupted
+        self.steps[index] = replace(self.steps[index], cold=cold)
+        return stopped
 
 
-def _stopped(solution: Solution) -> bool:
-    return bool(solution.meta["status"] == INTERRUPTED)
+def _usable(made: Graded) -> bool:
+    """Whether the next solve can start there: it converged, with the rows for bodies that it needs."""
+    return made.solution.converged and made.rounds[-1].solved

@@ -11,16 +11,19 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+import pinocchio as pin
 
 from trajopt.problem.bodies import TOO_NEAR, ProblemBodies, bodies_of
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.near import ShapePair
-from trajopt.robot.collision.planes import SeparatingPlane
+from trajopt.robot.collision.planes import PlacedBody, SeparatingPlane
+from trajopt.robot.contact import Contact
+from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.units import Units
 from trajopt.solution.interpolation import InterpolatedMotion, collocation_fractions
 from trajopt.solution.motion import SolutionMotion
@@ -52,16 +55,17 @@ class Look:
 
 @dataclass
 class Exchange:
-    """Which pairs of bodies have rows, when, and for which corners: they grow from look to look."""
+    """Which pairs of bodies have rows, when, and for which corners: they grow from look to look.
+
+    Raises `InputError` for a problem whose bodies are in each other at its start or at a goal.
+    """
 
     problem: Problem
     moments: defaultdict[ShapePair, set[Moment]] = field(default_factory=lambda: defaultdict(set))
     corners: dict[tuple[ShapePair, Moment, str | None, str | None], np.ndarray] = field(default_factory=dict)
 
-    @cached_property
-    def bodies(self) -> ProblemBodies:
-        """Bodies of the problem. Raises `InputError` where its start has them in each other."""
-        return bodies_of(self.problem)
+    def __post_init__(self) -> None:
+        self.bodies: ProblemBodies = bodies_of(self.problem)
 
     @property
     def band(self) -> float:
@@ -73,17 +77,32 @@ class Exchange:
         """Pairs other than with the ground: their bodies may pass each other on several sides."""
         return self.bodies.pairs[self.bodies.scene.n_ground :]
 
+    def moved_to(self, problem: Problem) -> Exchange:
+        """The same pairs, moments and corners of links for a problem with other parameters."""
+        made = Exchange(problem)
+        known = set(made.bodies.pairs)
+        made.moments.update({pair: set(own) for pair, own in self.moments.items() if pair in known})
+        made.corners |= {
+            (pair, moment, frame, body): own
+            for (pair, moment, frame, body), own in self.corners.items()
+            if pair in known and frame is not None
+        }
+        return made
+
     def look(self, solution: Solution) -> Look:
-        """Distances of all pairs along a solution, exact where they are within the band."""
+        """Distances of all pairs along a solution, exact where they are within the band.
+
+        Those of a foot from the ground that its active contact touches count as infinite: the contact holds
+        it there, and rows beside the contact's own would depend on them.
+        """
         plan = solution.normalized()
         units = Units(self.problem.robot).position
         numbers, fractions, regular = _moments_to_look_at(plan, units)
         q = InterpolatedMotion.of(plan).at(numbers, fractions).q
-        return Look(
-            distances=self.bodies.scene.distances(q, self.band + self.bodies.widest),
-            moments=_in_phases(plan, numbers, fractions),
-            regular=regular,
-        )
+        distances = self.bodies.scene.distances(q, self.band + self.bodies.widest)
+        moments = _in_phases(plan, numbers, fractions)
+        standing = self._standing[[phase for phase, _ in moments]]
+        return Look(distances=np.where(standing, np.inf, distances), moments=moments, regular=regular)
 
     def missing(self, look: Look) -> tuple[ShapePair, ...]:
         """Pairs that are too near somewhere."""
@@ -166,12 +185,45 @@ class Exchange:
         q = np.array([motion(*moment) for moment in every])
         pairs = [(pair, moment) for pair, moments in self.moments.items() for moment in sorted(moments)]
         wanted = [(numbers[moment], pair) for pair, moment in pairs]
-        for (pair, moment), planes in zip(pairs, self.bodies.planes(q, wanted, self.band), strict=True):
+        poses = [contact_poses(self.problem.robot, own) for own in q]
+        held = [self._held(pair, every[number][0], poses[number]) for number, pair in wanted]
+        found = self.bodies.planes(q, wanted, self.band, held)
+        for (pair, moment), planes in zip(pairs, found, strict=True):
             for plane in planes:
                 key = (pair, moment, plane.frame, plane.body)
                 kept = plane.with_corners(self.corners.get(key, plane.corners))
                 self.corners[key] = kept.corners
                 yield moment, kept
+
+    @cached_property
+    def _contacts(self) -> dict[str, list[Contact]]:
+        """Contacts of the link that carries each shape."""
+        model = self.problem.robot.model
+        joints = {frame.name: frame.parentJoint for frame in model.frames}
+        return {
+            shape.name: [c for c in self.problem.robot.contacts if joints[c.frame] == joints[shape.frame]]
+            for shape in self.bodies.scene.shapes
+        }
+
+    @cached_property
+    def _standing(self) -> np.ndarray:
+        """Which pairs (n_phases, n_pairs) are of a shape around an active contact with the ground."""
+        phases = self.problem.schedule.phases
+        found = np.zeros((len(phases), len(self.bodies.pairs)), dtype=bool)
+        for column, (first, _) in enumerate(self.bodies.pairs[: self.bodies.scene.n_ground]):
+            if self.bodies.margins[column] < 0:  # it touches the ground where it stands
+                names = {contact.name for contact in self._contacts[first]}
+                found[:, column] = [not names.isdisjoint(phase.contacts) for phase in phases]
+        return found
+
+    def _held(self, pair: ShapePair, phase: int, poses: Mapping[str, pin.SE3]) -> PlacedBody | None:
+        """What active contacts hold of the first link of a pair, as points in the world."""
+        active = self.problem.schedule.phases[phase].contacts
+        contacts = [contact for contact in self._contacts[pair[0]] if contact.name in active]
+        if not contacts:
+            return None
+        corners = [poses[c.name].act(np.array([*corner, 0.0])) for c in contacts for corner in c.corners]
+        return PlacedBody(points=np.array(corners), radius=min(contact.radius for contact in contacts))
 
 
 def along(solution: Solution) -> PhaseMotion:

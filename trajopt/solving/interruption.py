@@ -189,3 +189,6 @@ def end_at_once(text: str, status: int) -> None:
 
 # Seconds after its time limit that a solver may take to finish a step.
 GRACE = 30.0
+# Seconds for what is not the solver's in a solve to a grade: building, compiling and checking its meshes, an
+# order of magnitude above what the largest robots take on a busy machine.
+BESIDE = 600.0

@@ -10,13 +10,12 @@ from typing import Any
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
-from trajopt.solving.solving import solve
-from trajopt.transcription.schemes import scheme
+from trajopt.solving.graded import solve_graded
+from trajopt.transcription.mesh import Mesh
+from trajopt.transcription.transcription import chosen_mesh
 
 # A scheme and a number of intervals over the whole schedule; None is the problem's.
 GridLevel = tuple[str | None, int | None]
-# The status of a solve that the user interrupted: nothing starts from it.
-INTERRUPTED = "interrupted"
 # The label of a solve that others are compared with.
 FROM_DEFAULT_GUESS = "from the default guess"
 
@@ -44,19 +43,18 @@ class Ladder:
 
 
 def solve_figures(solution: Solution) -> dict[str, Any]:
-    """How a solution was found: grid, start, status, iterations, times in s, objective."""
-    meta = solution.meta
-    keys = ("transcription", "warm_start", "status", "success", "iterations", "objective")
-    times = ("wall_time_s", "build_time_s", "compile_time_s", "functions_compiled")
-    return {"intervals": solution.n_intervals, **{key: meta[key] for key in (*keys, *times)}}
+    """How a solution was found: grid, start, status, objective; iterations and time of all its rounds."""
+    keys = ("transcription", "warm_start", "status", "success", "objective")
+    last = ("build_time_s", "compile_time_s", "functions_compiled")
+    own = {key: solution.meta[key] for key in (*keys, *last)}
+    return {"intervals": solution.n_intervals, **own, **total_effort([solution])}
 
 
 def total_effort(solutions: Sequence[Solution]) -> dict[str, Any]:
-    """Iterations and the solver's time in s of several solves together."""
-    return {
-        "iterations": sum(solution.meta["iterations"] for solution in solutions),
-        "wall_time_s": sum(solution.meta["wall_time_s"] for solution in solutions),
-    }
+    """Iterations and the solver's time in s of several solves together, each with all its rounds."""
+    metas = (solution.meta for solution in solutions)
+    rounds = [own for meta in metas for own in meta.get("graded", {}).get("rounds", [meta])]
+    return {key: sum(own[key] for own in rounds) for key in ("iterations", "wall_time_s")}
 
 
 def solve_ladder(
@@ -70,7 +68,8 @@ def solve_ladder(
 ) -> Ladder:
     """Solve on every grid of ``ladder`` in turn, each from the last one solved.
 
-    A solution that is not feasible does not start the next solve.
+    On every grid bodies are kept apart and the motion is judged as by `trajopt.solve` on a named mesh; rows
+    for bodies go on to the next one. A solution that is not feasible does not start the next solve.
 
     Args:
         problem: What to solve.
@@ -78,34 +77,34 @@ def solve_ladder(
         start: A solution, or its file, for the first grid.
         compare: Solve on the last grid from the default guess, too.
         perturb: Noise on the first start, as in `trajopt.solve`.
-        **settings: Those of `trajopt.solve`; limits of time and iterations are for each solve.
+        **settings: Those of `trajopt.solve`; the limit of time is for each rung.
 
     Raises:
         InputError: As `trajopt.solve` does, and for a ladder without grids.
     """
-    rungs = [_rung(problem, entry) for entry in ladder]
+    rungs = [_mesh(problem, entry) for entry in ladder]
     if not rungs:
         raise InputError("the ladder has no rung", "allowed: pairs of scheme and number of intervals")
     found: list[Solution] = []
-    for index, grid in enumerate(rungs):
+    exchange = None
+    for index, mesh in enumerate(rungs):
         noise = perturb if index == 0 else 0.0
         label = f"rung {index + 1} of {len(rungs)}" if len(rungs) > 1 else ""
-        found.append(solve(problem, **grid, start=start, perturb=noise, label=label, **settings))
-        if found[-1].meta["status"] == INTERRUPTED:
+        own = {**settings, "start": start, "perturb": noise, "label": label}
+        made = solve_graded(problem, mesh=mesh, exchange=exchange, refine=False, **own)
+        found.append(made.solution)
+        if made.interrupted:
             break
-        start = found[-1] if found[-1].converged else start
-    compared = compare and found[-1].meta["status"] != INTERRUPTED
-    cold = solve(problem, **rungs[-1], label=FROM_DEFAULT_GUESS, **settings) if compared else None
+        start, exchange = made.solution if made.solution.converged else start, made.exchange
+    cold = None
+    if compare and not made.interrupted:
+        own = {**settings, "label": FROM_DEFAULT_GUESS}
+        cold = solve_graded(problem, mesh=rungs[-1], refine=False, **own).solution
     return Ladder(rungs=tuple(found), cold=cold)
 
 
-def _rung(problem: Problem, entry: GridLevel) -> dict[str, Any]:
-    """Arguments of a solve; wrong ones are refused before anything is solved."""
+def _mesh(problem: Problem, entry: GridLevel) -> Mesh:
+    """The mesh of a rung; wrong ones are refused before anything is solved."""
     if not isinstance(entry, tuple | list) or len(entry) != 2:
         raise InputError(f"rung {entry!r}", "allowed: (scheme, intervals), such as ('legendre:1', 15)")
-    name, intervals = entry
-    if name is not None:
-        scheme(name)
-    if intervals is not None:
-        problem.schedule.intervals(intervals)
-    return {"transcription": name, "intervals": intervals}
+    return chosen_mesh(problem, *entry)

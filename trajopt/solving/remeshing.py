@@ -36,7 +36,7 @@ ROUNDING = 1e-15
 
 @dataclass(frozen=True, kw_only=True)
 class PhaseErrors:
-    """Local errors (n,) of a phase's intervals and the error of the whole phase, m.
+    """Local errors (n,) m of a phase's intervals, and the error of the whole phase over what is allowed.
 
     ``unknowns``: (per node, per collocation point) of the phase.
     """
@@ -58,20 +58,6 @@ def error_constant(scheme: str) -> float | None:
 
 
 def remeshed(
-    mesh: Mesh, errors: Sequence[PhaseErrors], target: float, length: float, raise_degree: bool = True
-) -> Mesh:
-    """The mesh for the next round: phases whose error is within ``target`` m stay as they are.
-
-    length: the robot's, m. raise_degree: False only splits intervals.
-    """
-    phases = [
-        phase if own.phase <= target else _remeshed_phase(phase, own, target, length, raise_degree)
-        for phase, own in zip(mesh.phases, errors, strict=True)
-    ]
-    return Mesh(phases=tuple(phases))
-
-
-def remeshed_where_broken(
     mesh: Mesh,
     errors: Sequence[PhaseErrors],
     broken: np.ndarray,
@@ -89,15 +75,13 @@ def remeshed_where_broken(
         if own.phase <= 1:
             phases.append(phase.split(split.tolist()) if split.max() > 1 else phase)
         else:
-            phases.append(_remeshed_phase(phase, own, 1.0, length, raise_degree))
+            phases.append(_remeshed_phase(phase, own, length, raise_degree))
     return Mesh(phases=tuple(phases))
 
 
-def _remeshed_phase(
-    mesh: PhaseMesh, errors: PhaseErrors, target: float, length: float, raise_degree: bool
-) -> PhaseMesh:
+def _remeshed_phase(mesh: PhaseMesh, errors: PhaseErrors, length: float, raise_degree: bool) -> PhaseMesh:
     local = np.clip(errors.local, ROUNDING * length, length)
-    wanted = AIM * target / errors.phase if math.isfinite(errors.phase) else RUN_AWAY
+    wanted = AIM / errors.phase if math.isfinite(errors.phase) else RUN_AWAY
     allowed = wanted * float(local.sum())
     node, point = errors.unknowns
     candidates = []

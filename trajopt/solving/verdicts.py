@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.certify.check import check
-from trajopt.certify.report import AT_POINTS, CheckReport, Tolerances
+from trajopt.certify.report import AT_POINTS, FIGURES, CheckReport, Tolerances
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin_along
 from trajopt.errors import TrajoptError
 from trajopt.solution.solution import Solution
@@ -86,13 +86,23 @@ def judged(solution: Solution, tolerances: Tolerances = AT_POINTS) -> Solution:
 
 
 def judged_by(solution: Solution, report: CheckReport, tolerances: Tolerances) -> Solution:
-    """Judge a solution that converged by a check of it; the advice names the worst figure and its place."""
+    """Judge a solution that converged by a check of it; the advice names the worst figure and its place.
+
+    Its meta has that figure, and its value over what is allowed, as ``worst_figure`` and ``tolerance_used``.
+    """
     failures = report.failures(tolerances)
-    solved = {"status": Status.SOLVED.word, "success": True, "advice": Status.SOLVED.advice}
-    solution = replace(solution, meta={**solution.meta, **solved, "failures": list(failures)})
+    name, used = report.worst(tolerances)
+    found = {
+        "status": Status.SOLVED.word,
+        "success": True,
+        "advice": Status.SOLVED.advice,
+        "failures": list(failures),
+        "worst_figure": FIGURES[name].text,
+        "tolerance_used": finite_or_none(used),
+    }
+    solution = replace(solution, meta={**solution.meta, **found})
     if not failures:
         return solution
-    name, used = report.worst(tolerances)
     beyond = f"{report.said(name)}, {used:.2g} times what is allowed"
     return _failed(solution, f"{Status.COARSE_GRID.advice}: {beyond}")
 

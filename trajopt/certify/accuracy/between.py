@@ -95,8 +95,8 @@ def figures_between_points(plan: Solution) -> BetweenPoints:
     samples = sample_quantities(plan)
     surfaces = touched_surfaces(plan, samples.position)
     starts = ContactStarts.of(plan, samples, surfaces)
-    bodies = FileBodies.of(plan)
-    here = figures_at(plan, samples, surfaces, starts, bodies)
+    bodies, apart = FileBodies.of(plan)
+    here = figures_at(plan, samples, surfaces, starts, apart)
     dense = dense_motion(plan, InterpolatedMotion.of(plan), here, starts, bodies)
     units, phases = NaturalUnits.of(plan.model), range(len(plan.phases))
     return BetweenPoints(

@@ -231,7 +231,7 @@ def _add_balls(bodies: Bodies, plan: Solution, place: Surroundings, buried: Mapp
 
 def _sunk(plan: Solution) -> set[str]:
     """Names of shapes that a plan takes into the ground, as those around its feet: they touch nothing."""
-    trace = FileBodies.of(plan).traces(plan)["link_depth"]
+    trace = FileBodies.of(plan)[1]["link_depth"]
     deep = (
         trace.values.max(axis=0, initial=-np.inf) > -CLEAR if trace.values.size else np.zeros(0, dtype=bool)
     )

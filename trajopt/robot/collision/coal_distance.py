@@ -59,7 +59,7 @@ class CoalPairs:
         count = len(first[0])
         found, leaders = np.empty(count), np.arange(0, count, STRIDE)
         found[leaders], normals = self._measured(pair, first, second, leaders)
-        rest = np.setdiff1d(np.arange(count), leaders)
+        rest = np.flatnonzero(np.arange(count) % STRIDE)
         hint = np.minimum((rest + STRIDE // 2) // STRIDE, len(leaders) - 1)
         held = np.einsum("kji,kj->ki", first[0][leaders], normals)[hint]
         found[rest] = self._apart(

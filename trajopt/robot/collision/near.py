@@ -77,24 +77,28 @@ class CollisionScene:
         """Number of leading pairs that are of a shape with the ground or an obstacle."""
         return self.n_ground + len(self.moving) * len(self.obstacles)
 
-    def distances(self, configurations: np.ndarray, within: float = np.inf) -> np.ndarray:
+    def distances(self, configurations: np.ndarray, within: float | np.ndarray = np.inf) -> np.ndarray:
         """Signed distances (K, n_pairs) in m at configurations (K, nq); negative: how deep they penetrate.
 
-        Of a pair farther apart than ``within`` m it may be a lower bound instead, which is > ``within``.
+        Of a pair farther apart than ``within`` m, of all pairs or of each (n_pairs,), it may be a lower bound
+        instead, which is > ``within``.
         """
         q = np.atleast_2d(np.asarray(configurations, dtype=float))
+        limits = np.broadcast_to(np.asarray(within, dtype=float), len(self.pairs))
         rotation, origin = self._placements(q)
         found = np.empty((len(q), len(self.pairs)))
         for column, (index, bodies) in enumerate(self._grounds):
             places = rotation[index], origin[index]
-            found[:, column] = np.min([body.distances(places, within) for body in bodies], axis=0)
+            limit = float(limits[column])
+            found[:, column] = np.min([body.distances(places, limit) for body in bodies], axis=0)
         if len(self.pairs) > self.n_ground:
-            apart = self._apart(rotation, origin)
-            for pair in np.flatnonzero((apart <= within).any(axis=0)):
-                rows = np.flatnonzero(apart[:, pair] <= within)
+            apart, limits = self._apart(rotation, origin), limits[self.n_ground :]
+            near = apart <= limits
+            for pair in np.flatnonzero(near.any(axis=0)):
+                rows = np.flatnonzero(near[:, pair])
                 first, second = (int(part[pair]) for part in self._indices)
                 one, other = ((rotation[i][rows], origin[i][rows]) for i in (first, second))
-                apart[rows, pair] = self._coal.distances((first, second), one, other, within)
+                apart[rows, pair] = self._coal.distances((first, second), one, other, float(limits[pair]))
             found[:, self.n_ground :] = apart
         return found
 

@@ -31,6 +31,10 @@ MOST_CORNERS, APART = 3, 5e-3
 FACE = 1e-3
 # A direction's length differs from one by less than this: rounding of a search.
 UNIT = 1e-6
+# A point that is held may be this far on the wrong side of a plane, m: what solvers leave of its contact.
+HELD = 1e-5
+# Halvings in the search for a direction between two: to 1e-6 of their angle.
+HALVINGS = 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,6 +116,36 @@ def nearest(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> Approa
     distances = [_apart(first, second, direction) for direction in directions]
     best = int(np.argmax(distances))
     return Approach(first=first, second=second, normal=directions[best], distance=distances[best])
+
+
+def beside_held(found: Approach, held: PlacedBody, margin: float) -> Approach:
+    """The approach along the direction nearest to its own with a body that cannot move beyond its plane.
+
+    ``held`` is part of the first body, such as the foot of a shank: no motion would satisfy a plane that it
+    is not ``margin`` m beyond. Where the held body itself is nearer than that, the approach stays as it is.
+    """
+
+    def beyond(normal: np.ndarray) -> bool:
+        return _apart(held, found.second, normal) >= margin - HELD
+
+    if found.second.normal is not None or beyond(found.normal):
+        return found
+    free = nearest(held, found.second, found.normal).normal
+    if not beyond(free):
+        return found
+    near, far = 0.0, 1.0
+    for _ in range(HALVINGS):
+        middle = (near + far) / 2
+        near, far = (near, middle) if beyond(_between(found.normal, free, middle)) else (middle, far)
+    normal = _between(found.normal, free, far)
+    return replace(found, normal=normal, distance=_apart(found.first, found.second, normal))
+
+
+def _between(one: np.ndarray, other: np.ndarray, part: float) -> np.ndarray:
+    """The direction (3,) at a part of the way from one to another; the other where they cancel."""
+    sum_ = (1 - part) * one + part * other
+    length = float(np.linalg.norm(sum_))
+    return sum_ / length if length > UNIT else other
 
 
 def _apart(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> float:

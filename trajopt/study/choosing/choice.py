@@ -15,7 +15,7 @@ from typing import Any
 
 from trajopt.problem.problem import Problem
 from trajopt.robot.units import Units
-from trajopt.solving.refine import unknowns_on_mesh
+from trajopt.solving.rounds import unknowns_on_mesh
 from trajopt.study.sweep.calibration import Load
 from trajopt.study.sweep.front import Front, Measured, SettingFilter, load_front, packaged_fronts
 from trajopt.study.sweep.likeness import motion_kind

@@ -11,8 +11,9 @@ from trajopt.errors import require_positive
 from trajopt.problem import Problem
 from trajopt.solution.descriptions import jsonable
 from trajopt.solution.solution import Solution
-from trajopt.solving.ladder import INTERRUPTED
-from trajopt.solving.refine import Round, largest_error, refine
+from trajopt.solving.graded import MOST_ROUNDS, USUAL_TOLERANCE, solve_graded
+from trajopt.solving.refinement import LEAST_TIME
+from trajopt.solving.rounds import INTERRUPTED, Round, largest_error
 from trajopt.solving.solving import solve
 from trajopt.study.choosing.choice import ChosenSetting, choices_by_time, choose_for_accuracy
 from trajopt.study.sweep.front import SettingFilter
@@ -22,8 +23,6 @@ MOST_SHARE = 0.8
 # Most settings tried: another, more accurate one if its time, corrected by those measured, fits into the time
 # left.
 MOST_SETTINGS = 4
-# With less than this, s, a solver makes no useful iteration.
-LEAST_TIME = 1e-3
 
 
 @dataclass(frozen=True)
@@ -54,9 +53,9 @@ class TargetSolve:
 
     @property
     def reached(self) -> bool:
-        """Whether the goal is met, by measurement."""
+        """Whether the goal is met, by measurement, with a motion that holds at any time."""
         found = self.error if self.goal == "accuracy" else self.spent
-        return self.solution.converged and found <= self.wanted
+        return self.solution.success and found <= self.wanted
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able."""
@@ -81,9 +80,9 @@ def solve_to_accuracy(
     start: Solution | str | Path | None = None,
     **settings: Any,
 ) -> TargetSolve:
-    """Solve to an error of ``accuracy`` m in every phase: the fastest measured setting, then refinement.
+    """Solve to an error of ``accuracy`` m in every phase and to the grade: measured setting, then refinement.
 
-    The error is `refinement.phase_errors`: open loop by numeric Pinocchio, or drift of contacts. front: a
+    The error is `rounds.phase_errors`: open loop by numeric Pinocchio, or drift of contacts. front: a
     measured front to choose from; default: the packaged one that is most like the problem. where: settings
     that may be chosen. ``settings`` are those of `trajopt.solve` but its grid, solver and tolerance.
     Raises InputError for an invalid accuracy, and as `trajopt.solve` does.
@@ -91,19 +90,10 @@ def solve_to_accuracy(
     require_positive("accuracy", accuracy, "m")
     wanted = float(accuracy)
     choice = choose_for_accuracy(problem, accuracy, front=front, where=where)
-    first = solve(problem, mesh=choice.mesh, start=start, label="chosen mesh", **choice.solver, **settings)
-    begun: tuple[Round, ...] = (Round.of(choice.mesh, first),)
-    if first.meta["status"] == INTERRUPTED:
-        return _recorded(TargetSolve("accuracy", wanted, (choice,), begun, first, None, "interrupted"))
-    own = {name: value for name, value in choice.solver.items() if name != "tolerance"}
-    if first.converged:
-        made = refine(problem, accuracy, start=first, **own, **settings)
-        begun = ()  # it is the first round of the refinement
-    else:
-        made = refine(problem, accuracy, mesh=choice.mesh, start=start, **own, **settings)
-    rounds = (*begun, *made.rounds)
+    own = {**choice.solver, **settings}
+    made = solve_graded(problem, mesh=choice.mesh, start=start, accuracy=wanted, **own)
     return _recorded(
-        TargetSolve("accuracy", wanted, (choice,), rounds, made.solution, made.accuracy, made.why)
+        TargetSolve("accuracy", wanted, (choice,), made.rounds, made.solution, made.accuracy, made.why)
     )
 
 
@@ -118,7 +108,8 @@ def solve_within(
 ) -> TargetSolve:
     """The most accurate solution that ``budget`` s of the solver give: a fast one first, then better ones.
 
-    Building and compiling, which happen once, do not count; `Solution.meta` has their times. Arguments as in
+    What is left is spent on rows for bodies and finer meshes, until the motion has the grade. Building and
+    compiling, which happen once, do not count; `Solution.meta` has their times. Arguments as in
     `solve_to_accuracy`. Raises InputError for an invalid budget, and as `trajopt.solve` does.
     """
     require_positive("budget", budget, "s")
@@ -131,12 +122,12 @@ def solve_within(
     pick: ChosenSetting | None = remaining[0]
     while pick is not None and len(tried) < MOST_SETTINGS:
         tried.append(pick)
-        own = {"label": f"setting {len(tried)}", "max_time": max(left, LEAST_TIME), **pick.solver}
-        found = solve(problem, mesh=pick.mesh, start=best or start, **own, **settings)
+        own = {**pick.solver, **settings, "label": f"setting {len(tried)}", "max_time": max(left, LEAST_TIME)}
+        found = solve(problem, mesh=pick.mesh, start=best or start, judge=False, **own)
         rounds.append(Round.of(pick.mesh, found))
         best = found if found.converged else best
         if found.meta["status"] == INTERRUPTED:
-            why = "interrupted"
+            why = INTERRUPTED
             break
         # The measured time corrects the predictions for the others.
         ratio = max(rounds[-1].wall_time / pick.predicted_time, ratio if best is None else 0.0)
@@ -149,14 +140,20 @@ def solve_within(
         elif not fitting:
             why = "no better setting is predicted to fit into the time left"
     if best is None:
-        why = "nothing was solved in that time"
-    accuracy = None if best is None else measure(best)
-    return _recorded(
-        TargetSolve("budget", float(budget), tuple(tried), tuple(rounds), best or found, accuracy, why)
-    )
+        made, why = found, "nothing was solved in that time"
+    else:
+        own = {**tried[-1].solver, **settings}
+        own["tolerance"] = min(own["tolerance"], USUAL_TOLERANCE)
+        own["max_time"] = left + best.meta["wall_time_s"]  # that of the first round counts, too
+        most = 1 if why == INTERRUPTED else MOST_ROUNDS
+        graded = solve_graded(problem, first=best, max_rounds=most, **own)
+        rounds += graded.rounds[1:]
+        made, why = graded.solution, why if len(graded.rounds) == 1 else f"{why}; {graded.why}"
+    accuracy = None if best is None else measure(made)
+    return _recorded(TargetSolve("budget", float(budget), tuple(tried), tuple(rounds), made, accuracy, why))
 
 
 def _recorded(found: TargetSolve) -> TargetSolve:
     """The goal and what was reached, also in the solution's meta."""
-    meta = {name: value for name, value in found.solution.meta.items() if name != "refinement"}
+    meta = {name: value for name, value in found.solution.meta.items() if name != "graded"}
     return replace(found, solution=replace(found.solution, meta={**meta, "aimed": found.to_dict()}))

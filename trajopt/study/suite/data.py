@@ -3,9 +3,9 @@
 A comma-separated table, one line a pair, sorted, columns padded; above it, after ``#``, the versions of the
 software. Bands:
 
-- objective: that of the solution from the default guess, plus or minus `OBJECTIVE_BAND` of it. Differences
-within the solver's tolerance of 1e-6 are far smaller, another optimum is further away.
-- iterations: from half to twice those of that solve (at least `LEAST_MARGIN` apart from it):
+- objective: that of the solution from the default guess, plus or minus `OBJECTIVE_BAND` of it: motions on
+different meshes within the grade differ by less, another optimum is further away.
+- iterations: from half to twice those of that solve on all its meshes, at least `LEAST_MARGIN` apart from it:
   rounding, which differs between processors and compilers, changes them that much. Where perturbed starts
   were run the band also holds the middle 80 % of theirs.
 - physics: the result of the plan in MuJoCo (``tracked``, ``off``, ``fell``; empty if not simulated, or not a
@@ -40,10 +40,9 @@ OBJECTIVE_FLOOR = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class PairBands(Pair):
-    """One line: a pair, how it was solved, and its bands (both ends included)."""
+    """One line: a pair, how it was solved (mesh: ``refined``, ``fixed``), and its bands (ends included)."""
 
-    scheme: str
-    intervals: int
+    mesh: str
     solver: str
     objective_low: float
     objective_high: float
@@ -53,10 +52,9 @@ class PairBands(Pair):
 
 
 def entry_of(outcome: Outcome, settings: SuiteSettings) -> PairBands:
-    """The line of a pair that was solved and is within the check."""
+    """The line of a pair that was solved."""
     assert outcome.own is not None
     assert outcome.own.objective is not None
-    assert outcome.grid is not None
     own, objective = outcome.own.iterations, outcome.own.objective
     fewest = min(own - LEAST_MARGIN, math.floor(FEWEST * own))
     most = max(own + LEAST_MARGIN, math.ceil(MOST * own))
@@ -65,8 +63,7 @@ def entry_of(outcome: Outcome, settings: SuiteSettings) -> PairBands:
     return PairBands(
         problem=outcome.problem,
         robot=outcome.robot,
-        scheme=outcome.grid.scheme,
-        intervals=outcome.grid.intervals,
+        mesh=_mesh(settings),
         solver=settings.solver,
         objective_low=_rounded(objective - width),
         objective_high=_rounded(objective + width),
@@ -83,8 +80,8 @@ def _rounded(value: float) -> float:
 def deviation(outcome: Outcome, settings: SuiteSettings, entry: PairBands | None) -> str:
     """How a pair differs from its line, in words; empty if it does not.
 
-    A pair that is not solved or fails the check is always outside. Intervals, scheme and
-    solver must be those of the line: bands of another grid do not apply.
+    A pair that is not solved is always outside. Kind of mesh and solver must be those of the line: bands of
+    others do not apply.
     """
     if not outcome.ok:
         return f"{outcome.mode}: {outcome.detail}"
@@ -92,11 +89,9 @@ def deviation(outcome: Outcome, settings: SuiteSettings, entry: PairBands | None
         return "no line of data"
     assert outcome.own is not None
     assert outcome.own.objective is not None
-    assert outcome.grid is not None
-    found = (outcome.grid.scheme, outcome.grid.intervals, settings.solver)
-    wanted = (entry.scheme, entry.intervals, entry.solver)
+    found, wanted = (_mesh(settings), settings.solver), (entry.mesh, entry.solver)
     if found != wanted:
-        return f"solved with {_grid(found)}, the data with {_grid(wanted)}"
+        return "solved on a {} mesh with {}, the data on a {} mesh with {}".format(*found, *wanted)
     parts = []
     if not entry.objective_low <= outcome.own.objective <= entry.objective_high:
         parts.append(
@@ -119,8 +114,8 @@ def _worse(physics: Physics | None, word: str) -> TypeGuard[Physics]:
     return not physics.word or WORDS.index(physics.word) < WORDS.index(word)
 
 
-def _grid(grid: tuple[str, int, str]) -> str:
-    return f"{grid[0]}, {grid[1]} intervals, {grid[2]}"
+def _mesh(settings: SuiteSettings) -> str:
+    return "fixed" if settings.fixed_mesh else "refined"
 
 
 def deviations(

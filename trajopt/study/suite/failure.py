@@ -56,8 +56,11 @@ def mode_of(meta: Mapping[str, Any]) -> str:
 
 
 def failure_text(meta: Mapping[str, Any]) -> str:
-    """Status and worst block of a failed solve, in words; empty for one that succeeded."""
-    return "" if meta["success"] else f"{meta['status']}: {describe_block(meta['worst_blocks'][0])}"
+    """Status, and what is missed, of a failed solve, in words; empty for one that succeeded."""
+    if meta["success"]:
+        return ""
+    missed = meta["advice"] if meta["converged"] else describe_block(meta["worst_blocks"][0])
+    return f"{meta['status']}: {missed}"
 
 
 def worst_condition(

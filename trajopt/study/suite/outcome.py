@@ -1,4 +1,4 @@
-"""Results of one pair: solves, check, statistics of the perturbed starts; to JSON and back."""
+"""Results of one pair: solves, statistics of the perturbed starts; to JSON and back."""
 
 from __future__ import annotations
 
@@ -9,22 +9,29 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from trajopt.study.suite.cases import Case, Pair
-from trajopt.study.suite.failure import CHECK, ERROR, SOLVED
+from trajopt.study.suite.failure import ERROR, SOLVED
 from trajopt.study.suite.optima import counted
 from trajopt.study.suite.physics import Physics
 
 
 @dataclass(frozen=True, kw_only=True)
 class Attempt:
-    """One solve from one start; ``seed`` is None for the default guess, ``mode`` empty when solved.
+    """One solve to the grade from a start; ``seed`` is None for the default guess, ``mode`` empty if solved.
 
-    wall_time: the solver's, s. detail: status, and the worst block of rows when not solved. motion: of a
-    solved run, see `trajopt.study.suite.optima`.
+    iterations, wall_time: the solver's on all ``meshes``, s; scheme, intervals, variables and constraints: of
+    the best motion's mesh. detail: status and what is missed, if not solved. figure, used: the check's worst
+    figure, and its value over what is allowed. motion: of a solved run, see `trajopt.study.suite.optima`.
     """
 
     seed: int | None
     mode: str
     status: str = ""
+    legged: bool = False
+    scheme: str = ""
+    intervals: int = 0
+    meshes: int = 1
+    variables: int = 0
+    constraints: int = 0
     iterations: int = 0
     wall_time: float = 0.0
     objective: float | None = None
@@ -32,43 +39,18 @@ class Attempt:
     dual: float | None = None
     complementarity: float | None = None
     detail: str = ""
+    figure: str = ""
+    used: float | None = None
     motion: str = ""
 
     @property
     def solved(self) -> bool:
-        """The solver's verdict."""
+        """Whether the motion has the grade."""
         return self.mode == SOLVED
 
 
-@dataclass(frozen=True, kw_only=True)
-class Checked:
-    """The check of the unperturbed solution: the worst judged figure, over its tolerance."""
-
-    ok: bool
-    figure: str
-    used: float | None
-    failures: tuple[str, ...] = ()
-    error: str = ""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "failures", tuple(self.failures))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Grid:
-    """The transcription: scheme, size, kind of robot, and the times of building and compiling, s."""
-
-    scheme: str
-    intervals: int
-    variables: int
-    constraints: int
-    legged: bool
-    build_time: float
-    compile_time: float
-
-
 # Parts of a pair's result besides its perturbed starts, by the event that reports them.
-PARTS: dict[str, Callable[..., Any]] = {"grid": Grid, "own": Attempt, "check": Checked, "physics": Physics}
+PARTS: dict[str, Callable[..., Any]] = {"own": Attempt, "physics": Physics}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,9 +77,7 @@ class Outcome(Pair):
     physics: the result of the unperturbed solution in MuJoCo, if requested.
     """
 
-    grid: Grid | None = None
     own: Attempt | None = None
-    check: Checked | None = None
     physics: Physics | None = None
     starts: tuple[Attempt, ...] = ()
     error: str = ""
@@ -105,34 +85,19 @@ class Outcome(Pair):
     total_time: float = 0.0
 
     @property
-    def solved(self) -> bool:
-        """Solved from the default guess, by the solver's verdict."""
-        return self.own is not None and self.own.solved
-
-    @property
     def mode(self) -> str:
         """What failed, or empty."""
-        if self.own is None:
-            return self.error_mode
-        if not self.own.solved:
-            return self.own.mode
-        if self.check is None:
-            return self.error_mode
-        return SOLVED if self.check.ok else CHECK
+        return self.error_mode if self.own is None else self.own.mode
 
     @property
     def ok(self) -> bool:
-        """Solved from the default guess and within every tolerance of a check."""
+        """Solved from the default guess, by the verdict of the check."""
         return self.mode == SOLVED
 
     @property
     def detail(self) -> str:
         """What failed, in words."""
-        if self.own is not None and not self.own.solved:
-            return self.own.detail
-        if self.check is not None and not self.check.ok:
-            return self.check.error or f"beyond tolerance: {', '.join(self.check.failures)}"
-        return self.error
+        return self.error if self.own is None else self.own.detail
 
     def perturbed(self) -> Starts:
         """Figures over the perturbed starts."""
@@ -154,7 +119,7 @@ class Outcome(Pair):
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able: the fields and derived verdicts."""
-        verdict = {"solved": self.solved, "ok": self.ok, "mode": self.mode, "detail": self.detail}
+        verdict = {"ok": self.ok, "mode": self.mode, "detail": self.detail}
         found = asdict(self) | verdict
         found["perturbed"] = asdict(self.perturbed()) if self.starts else None
         return found
@@ -187,7 +152,7 @@ class Ledger:
         if kind == "start":
             start = Attempt(**event["values"])
             self.starts[start.seed] = start
-        elif kind in PARTS and (kind != "grid" or kind not in self.found):  # a second build finds it compiled
+        elif kind in PARTS:
             self.found[kind] = PARTS[kind](**event["values"])
 
     def outcome(self, total_time: float) -> Outcome:

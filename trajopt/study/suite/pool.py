@@ -25,15 +25,13 @@ from trajopt.study.workers.display import TaskDisplay
 from trajopt.study.workers.executor import ProcessPerTaskExecutor, first_ended
 from trajopt.study.workers.task import RefusedTaskError, TaskError, TaskTimeoutError
 
-# Seconds that a stage may take before its process is ended. Building: transcription and the C compiler on a
-# busy machine, an order of magnitude above what the largest robots take. A solve: see `run_case`.
-LIMITS = {"build": 600.0, "check": 300.0, "physics": 300.0}
+# Seconds that a stage may take before its process is ended. A solve: see `run_case`.
+LIMITS = {"build": 300.0, "physics": 300.0}
 # After this many lost processes, the rest of a pair's starts count as failed without being run.
 MOST_LOST = 3
 STAGES = {
-    "build": "building and compiling",
+    "build": "building",
     "own": "default guess",
-    "check": "checking",
     "physics": "simulating",
     "start": "start",
 }
@@ -111,7 +109,7 @@ class _CaseRun:
         self._settings, self._ledger = settings, Ledger(case)
         for event in known:
             self._ledger.add(event)
-        needed = {"own", "check", "physics"} if settings.simulate else {"own", "check"}
+        needed = {"own", "physics"} if settings.simulate else {"own"}
         self._own = not needed <= self._ledger.found.keys()
         self._stage: str = "build"
         self._seed: int | None = None

@@ -16,7 +16,7 @@ from trajopt.study.workers.records import JsonLines
 FILE = "results.jsonl"
 # Events of pairs that have not ended.
 EVENTS = "events.jsonl"
-LASTING = ("grid", "own", "check", "physics", "start")
+LASTING = ("own", "physics", "start")
 
 
 class SuiteRecords:

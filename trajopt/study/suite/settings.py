@@ -22,8 +22,8 @@ class SuiteSettings:
     """One choice for all pairs.
 
     perturbed: number of perturbed starts besides the default guess, seeds 0 to perturbed - 1.
-    sigma: standard deviation of their noise in scaled units. max_time: s for one solve. simulate: also run
-    solved plans of legged robots in MuJoCo.
+    sigma: standard deviation of their noise in scaled units. max_time: s for a solve with all its meshes.
+    simulate: also run solved plans of legged robots in MuJoCo. fixed_mesh: solve once, on the problem's mesh.
     """
 
     perturbed: int = 0
@@ -34,6 +34,7 @@ class SuiteSettings:
     max_time: float = DEFAULT_MAX_TIME
     compile: str = "quick"
     simulate: bool = False
+    fixed_mesh: bool = False
 
     def __post_init__(self) -> None:
         if not 0 <= self.perturbed <= MOST_STARTS:

@@ -20,8 +20,8 @@ NAMED_WIDTH = 140
 PHYSICS = ("physics", "base end", "most", "slips")
 STARTS = ("starts", "50 %", "90 %", "worst", "optima", "motions")
 COLUMNS = (
-    *("problem", "robot", "solved", "iter", "time", "objective", "check", "by its figure", "failure"),
-    *(*PHYSICS, *STARTS),
+    *("problem", "robot", "solved", "meshes", "iter", "time", "objective"),
+    *("check", "by its figure", "failure", *PHYSICS, *STARTS),
 )
 
 
@@ -29,7 +29,7 @@ def outcome_line(outcome: Outcome) -> str:
     """One pair in a line."""
     parts = []
     if outcome.own is not None:
-        verdict = "solved" if outcome.own.solved else "NOT solved"
+        verdict = "solved" if outcome.ok else "NOT solved"
         parts.append(f"{verdict}, {outcome.own.iterations} iterations, {outcome.own.wall_time:.2f} s")
     if outcome.mode:
         parts.append(f"{outcome.mode} ({outcome.detail})")
@@ -60,18 +60,18 @@ def outcome_table(outcomes: Sequence[Outcome], width: int) -> Table:
 
 
 def _cells(outcome: Outcome) -> dict[str, str]:
-    own, check = outcome.own, outcome.check if outcome.solved else None
+    own = outcome.own
     cells = dict.fromkeys(COLUMNS, "") | {
         "problem": outcome.problem,
         "robot": outcome.robot,
-        "solved": "yes" if outcome.solved else "NO",
+        "solved": "yes" if outcome.ok else "NO",
         "failure": outcome.mode,
     }
     if own is not None:
         objective = "not finite" if own.objective is None else f"{own.objective:.5g}"
-        cells |= {"iter": str(own.iterations), "time": f"{own.wall_time:.2f} s", "objective": objective}
-    if check is not None:
-        cells |= {"check": "" if check.used is None else f"{check.used:.2g}", "by its figure": check.figure}
+        cells |= {"meshes": str(own.meshes), "iter": str(own.iterations), "time": f"{own.wall_time:.2f} s"}
+        cells |= {"objective": objective, "by its figure": own.figure}
+        cells["check"] = "" if own.used is None else f"{own.used:.2g}"
     physics, starts = outcome.physics, outcome.perturbed()
     if physics is not None and physics.word:
         lengths = [
@@ -92,16 +92,17 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """Figures over all pairs; iterations of legged robots and of others, from the default guess."""
     starts = [attempt for outcome in outcomes for attempt in outcome.starts]
     per_pair = [outcome.perturbed() for outcome in outcomes if outcome.starts]
+    solved = [outcome.own for outcome in outcomes if outcome.own is not None and outcome.ok]
     words = [outcome.physics.word for outcome in outcomes if outcome.physics is not None]
     return {
         "pairs": len(outcomes),
         "problems": len({outcome.problem for outcome in outcomes}),
         "robots": len({outcome.robot for outcome in outcomes}),
-        "solved": sum(outcome.solved for outcome in outcomes),
-        "within_check": sum(outcome.ok for outcome in outcomes),
+        "solved": sum(outcome.ok for outcome in outcomes),
         "failures": dict(Counter(outcome.mode for outcome in outcomes if outcome.mode)),
-        "median_iterations_legged": _median(outcomes, legged=True),
-        "median_iterations_fixed_base": _median(outcomes, legged=False),
+        "median_iterations_legged": _median([one.iterations for one in solved if one.legged]),
+        "median_iterations_fixed_base": _median([one.iterations for one in solved if not one.legged]),
+        "median_time_s": _median([one.wall_time for one in solved]),
         "physics": {word: words.count(word) for word in reversed(WORDS)} if words else None,
         "perturbed": len(starts),
         "perturbed_solved": sum(attempt.solved for attempt in starts),
@@ -110,13 +111,8 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     }
 
 
-def _median(outcomes: Sequence[Outcome], *, legged: bool) -> float | None:
-    found = [
-        outcome.own.iterations
-        for outcome in outcomes
-        if outcome.own is not None and outcome.own.solved and outcome.grid and outcome.grid.legged == legged
-    ]
-    return statistics.median(found) if found else None
+def _median(values: Sequence[float]) -> float | None:
+    return statistics.median(values) if values else None
 
 
 def summary_lines(outcomes: Sequence[Outcome]) -> list[str]:
@@ -124,12 +120,12 @@ def summary_lines(outcomes: Sequence[Outcome]) -> list[str]:
     found = summary(outcomes)
     lines = [
         f"{found['pairs']} pairs ({found['problems']} problems, {found['robots']} robots): "
-        f"{found['solved']} solved from their default guess, {found['within_check']} within the check"
+        f"{found['solved']} solved from their default guess"
     ]
     kinds = {"legged": found["median_iterations_legged"], "fixed base": found["median_iterations_fixed_base"]}
     medians = [f"{kind} {median:g}" for kind, median in kinds.items() if median is not None]
     if medians:
-        lines.append(f"median iterations: {', '.join(medians)}")
+        lines.append(f"median iterations: {', '.join(medians)}; median time {found['median_time_s']:.2f} s")
     if found["physics"] is not None:
         counted = ", ".join(f"{count} {word}" for word, count in found["physics"].items())
         lines.append(f"physics: {counted}")

@@ -61,7 +61,7 @@ def solution_line(solution: Solution) -> str:
         said.append(f"{meta['transcription']}, {solution.n_intervals} intervals")
     if _is_finite(meta.get("objective")):
         said.append(f"objective {meta['objective']:.4g}")
-    measured = meta.get("aimed") or meta.get("refinement") or {}
+    measured = meta.get("aimed") or meta.get("refinement") or meta.get("graded") or {}
     if _is_finite(measured.get("error_m")):
         said.append(f"open-loop error {1e3 * measured['error_m']:.2g} mm")
     return "; ".join(said)

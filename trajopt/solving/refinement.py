@@ -1,0 +1,235 @@
+"""Rounds of solve, examination and remeshing, until a motion holds at any time.
+
+A mesh is refined by the figures of the check: local errors and drift by phase, figures that are broken
+between points by interval. Where an accuracy is asked for, too, the error of a phase is what the planned
+torques do in it (`accuracy.measure`: open loop by numeric Pinocchio, from the phase's planned start), or the
+drift of its contacts where that is larger.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajopt.certify.accuracy.measures import Accuracy, measure
+from trajopt.certify.accuracy.natural_units import NaturalUnits
+from trajopt.certify.check import Examination, examine
+from trajopt.certify.report import OPEN_LOOP, CheckReport, Tolerances
+from trajopt.problem.problem import Problem
+from trajopt.solution.grid import mesh_of
+from trajopt.solution.solution import Solution
+from trajopt.solving.exchange import Exchange
+from trajopt.solving.remeshing import PhaseErrors, remeshed
+from trajopt.solving.rounds import (
+    INTERRUPTED,
+    Graded,
+    Round,
+    phase_errors,
+    unknowns_by_phase,
+    unknowns_on_mesh,
+)
+from trajopt.solving.solving import solve as solve_on_mesh
+from trajopt.solving.verdicts import judged_by
+from trajopt.transcription.mesh import Mesh
+from trajopt.transcription.transcription import chosen_mesh
+
+# The scheme for which a problem's own number of intervals is meant, unless it names another.
+USUAL_SCHEME = "legendre:2"
+# Bodies this deep in each other, m, are moved apart before the mesh is refined.
+DEEP = 5e-3
+# Planes are laid anew until the objective changes by less than this part of it: the motion that they allow is
+# then the best one near it.
+SETTLED = 5e-3
+MOST_VARIABLES = 100_000
+# Limit of the solver's time in all rounds, s; with less than the least no round begins.
+MAX_TIME, LEAST_TIME = 600.0, 1e-3
+
+
+@dataclass(frozen=True)
+class _Examined:
+    """A solution with its examination, and where an accuracy is asked for its own."""
+
+    solution: Solution
+    found: Examination
+    accuracy: Accuracy | None
+
+
+@dataclass
+class Refinement:
+    """The rounds so far, the last solution, and the best one with its examination."""
+
+    problem: Problem
+    tolerances: Tolerances
+    refine: bool
+    settings: dict[str, Any]
+    exchange: Exchange
+    target: float | None
+    rounds: list[Round] = field(default_factory=list)
+    last: Solution | None = None
+    examined: float = 0.0
+    best: tuple[float, _Examined] | None = None
+    settled: bool = True
+
+    def run(
+        self, mesh: Mesh, start: Solution | str | Path | None, first: Solution | None, rounds: int
+    ) -> str:
+        """Solve, examine, refine; return why it ends."""
+        solution = self._first(mesh, start) if first is None else self._given(first)
+        while solution is not None:
+            own = self._examine(solution)
+            look = self.exchange.look(solution)
+            near = self.exchange.depth(look)
+            if self._used(own) <= 1 and near <= 0 and self.settled:
+                return "the grade is reached"
+            if len(self.rounds) >= rounds:
+                return "it is a draft" if rounds == 1 else f"{rounds} rounds were not enough"
+            new = {pair for pair in self.exchange.missing(look) if pair not in self.exchange.moments}
+            self.exchange.add(look)
+            mesh = mesh_of(solution)
+            if self.refine and near < DEEP:  # else the motion will be another one: its mesh is judged then
+                mesh = self._refined(mesh, own)
+            if mesh == mesh_of(solution) and near <= 0 and self.settled:
+                return "a finer mesh does not mend what is missed" if self.refine else "the mesh is fixed"
+            if unknowns_on_mesh(self.problem, mesh) > MOST_VARIABLES:
+                return f"the next mesh would have more than {MOST_VARIABLES} variables"
+            if self._left() <= LEAST_TIME:
+                return "the time is used"
+            sideless = near >= DEEP and not new.isdisjoint(self.exchange.sided_pairs)
+            solution = self._solved_from(mesh, solution, sideless)
+        return f"a mesh was not solved: {self.rounds[-1].status.replace('_', ' ')}"
+
+    def _first(self, mesh: Mesh, start: Solution | str | Path | None) -> Solution | None:
+        """The solution on the first mesh, or on the problem's own mesh where that fails.
+
+        Not where it is certified as infeasible without rows for bodies: of 13 such settings none was solved
+        on the own mesh.
+        """
+        for tried in dict.fromkeys((mesh, *([chosen_mesh(self.problem)] if self.refine else []))):
+            if isinstance(start, Solution) and self.exchange.moments:
+                solution = self._solved_from(tried, start, sideless=False)
+                self.settled = False  # planes were laid along another problem's motion
+            else:
+                solution = self._solved(tried, start)
+            if solution is not None or self.rounds[-1].status == INTERRUPTED:
+                return solution
+            if not self.exchange.moments and self.last and self.last.meta.get("certified_infeasible"):
+                break
+        return None
+
+    def _given(self, first: Solution) -> Solution | None:
+        self.last = first
+        self.rounds.append(Round.of(mesh_of(first), first))
+        return first if first.converged else None
+
+    def _left(self) -> float:
+        """Time of the solver that is left, s."""
+        return self.settings.get("max_time", MAX_TIME) - sum(own.wall_time for own in self.rounds)
+
+    def _solved(
+        self, mesh: Mesh, start: Solution | str | Path | None, problem: Problem | None = None
+    ) -> Solution | None:
+        given, number = self.settings.get("label", ""), len(self.rounds) + 1
+        # A named mesh is usually solved once; a refinement has several meshes.
+        label = ", ".join(filter(None, [given, f"mesh {number}" if self.refine or number > 1 else ""]))
+        limit = {"max_time": max(self._left(), LEAST_TIME)} if self.rounds else {}
+        self.last = solve_on_mesh(
+            problem or self.problem,
+            mesh=mesh,
+            start=start,
+            **{**self.settings, **limit, "label": label, "judge": False},
+        )
+        self.settings.pop("perturb", None)  # noise is for the first start
+        self.rounds.append(Round.of(mesh, self.last))
+        return self.last if self.last.converged else None
+
+    def _solved_from(self, mesh: Mesh, solution: Solution, sideless: bool) -> Solution | None:
+        """From the last motion or from the guess, whichever is on the right side of bodies to pass.
+
+        A motion that goes deep through a body that had no rows may be on no side of it (``sideless``); a
+        guess that is clear passes it where its author wants it to. From then on motions are on that side, and
+        planes along them hold them back less than those along the guess.
+        """
+        if not self.exchange.moments:
+            return self._solved(mesh, solution)
+        for problem, start in self.exchange.starts(solution, sideless and self.exchange.guess_is_clear()):
+            found = self._solved(mesh, start, problem)
+            if found is not None:
+                before, after = solution.meta["objective"], found.meta["objective"]
+                self.settled = abs(after - before) <= SETTLED * max(abs(before), abs(after))
+                return found
+            if self.rounds[-1].status == INTERRUPTED:
+                break
+        return None
+
+    def _examine(self, solution: Solution) -> _Examined:
+        """Check and measure the solution of the last round; keep it if it is the best."""
+        begun = time.perf_counter()
+        accuracy = None if self.target is None else measure(solution)
+        own = _Examined(solution, examine(solution, self.tolerances), accuracy)
+        self.examined += time.perf_counter() - begun
+        if accuracy is not None:
+            self.rounds[-1] = replace(self.rounds[-1], errors=phase_errors(accuracy))
+        used = self._used(own)
+        if self.best is None or used < self.best[0] or used <= 1:
+            self.best = used, own
+        return own
+
+    def _used(self, own: _Examined) -> float:
+        """The figure or the error that is farthest beyond what is allowed, over that; inf where unknown."""
+        used = own.found.report.worst(self.tolerances)[1]
+        if own.accuracy is not None and self.target is not None:
+            used = max(used, max(phase_errors(own.accuracy)) / self.target)
+        return math.inf if math.isnan(used) else used
+
+    def _refined(self, mesh: Mesh, own: _Examined) -> Mesh:
+        found, report = own.found, own.found.report
+        length = NaturalUnits.of(own.solution.model).length
+        aimed = np.zeros(len(mesh.phases))
+        if own.accuracy is not None and self.target is not None:
+            aimed = np.array(phase_errors(own.accuracy)) / self.target
+        used = [self._error(report, index) for index in range(len(aimed))]
+        parts = zip(
+            np.split(found.local.position, np.cumsum(mesh.counts)[:-1]),
+            np.maximum(np.maximum(used, found.drift), aimed).tolist(),
+            unknowns_by_phase(self.problem),
+            strict=True,
+        )
+        errors = [PhaseErrors(local=local, phase=worst, unknowns=sizes) for local, worst, sizes in parts]
+        # A scheme that a problem names suits its kinks: torques of least time ring at a higher degree.
+        usual = self.problem.default_transcription == USUAL_SCHEME
+        return remeshed(mesh, errors, found.broken, length, raise_degree=usual)
+
+    def _error(self, report: CheckReport, index: int) -> float:
+        """Error of a phase in what it does, over what is allowed."""
+        phase = report.phases[index]
+        names = ("local_position", "local_joints", *(OPEN_LOOP if phase.stable else ()))
+        ratios = [
+            getattr(phase, name) / limit
+            for name in names
+            if getattr(phase, name) is not None and (limit := getattr(self.tolerances, name)) is not None
+        ]
+        return max(ratios, default=0.0)
+
+    def result(self, why: str) -> Graded:
+        """The best motion with its verdict, recorded in its meta."""
+        best = None if self.best is None else self.best[1]
+        solution, report = (self.last, None) if best is None else (best.solution, best.found.report)
+        assert solution is not None
+        if report is not None:
+            solution = judged_by(solution, report, self.tolerances)
+        made = Graded(
+            solution=solution,
+            report=report,
+            rounds=tuple(self.rounds),
+            why=why,
+            examined=self.examined,
+            exchange=self.exchange,
+            target=self.target,
+            accuracy=None if best is None else best.accuracy,
+        )
+        return replace(made, solution=replace(solution, meta={**solution.meta, "graded": made.to_dict()}))
