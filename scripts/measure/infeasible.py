@@ -14,8 +14,8 @@ from trajopt_library import problems
 SETTINGS: tuple[tuple[str, dict[str, Any], str, float, float], ...] = (
     ("biped-jump-up", {"robot": "talos"}, "height", 0.2, 0.04),
     ("solo12-jump", {}, "effort", 0.4, 0.9),
-    ("quadruped-jump-forward", {"robot": "go2"}, "distance", 1.2, 0.8),
-    ("hopper-hop", {"distance": 0.6}, "friction", 0.05, 0.5),
+    ("quadruped-jump-forward", {"robot": "go2"}, "distance", 2.5, 0.8),
+    ("hopper-hop", {"distance": 0.6}, "friction", 0.05, 0.7),
     ("hopper-hop", {}, "stance", 0.02, 0.1),
     ("quadruped-trot", {"robot": "go2"}, "speed", 5.0, 2.0),
     ("ur5-reach", {}, "duration", 0.1, 0.27),
