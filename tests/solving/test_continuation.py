@@ -12,16 +12,16 @@ from numpy.testing import assert_allclose
 
 import trajopt
 from tests.support.command_lines import assert_refused, invoke
-from tests.support.problems import REACH_TIME, reach
+from tests.support.problems import REACH_TIME, inertia, limited_reach, reach
 from tests.support.swings import BALL, FAR, POLE, past
 from tests.support.swings import swing as rods_swing
 from trajopt import Solution, continuation, solve_ladder
 from trajopt.certify.check import check
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.solving.continuation import Continuation
+from trajopt.solving.continuation import NEAREST_SOLVES, Continuation, nearest
 from trajopt.solving.solving import solve
-from trajopt.terms import TerminalRest, TerminalState, TorqueCost, VelocityCost
+from trajopt.terms import EffortLimits, TerminalRest, TerminalState, TorqueCost, VelocityCost
 from trajopt_library import problems
 
 VALUES = (0.2, 0.5, 0.8)
@@ -357,3 +357,89 @@ def test_bad_starts_of_solve_are_refused(arguments, words, tmp_path):
 def test_a_solution_of_another_robot_is_refused(arm, tmp_path):
     result = invoke("solve", "hopper-hop", "--start", arm, "--output", tmp_path / "hop.npz")
     assert_refused(result, "'ur5' has other joints")
+
+
+# The nearest value
+
+
+def test_nearest_value_is_just_below_the_largest_that_the_torque_allows():
+    """At full torque one way, then the other, the arm turns by torque T^2 / (4 inertia)."""
+    torque = 2.0
+
+    def turn(goal: float) -> Problem:
+        end = np.array([goal])
+        limits = EffortLimits(limit=np.array([torque]))
+        return replace(
+            limited_reach(torque),
+            terms=(TorqueCost(weight=1.0), limits, TerminalState(q=end), TerminalRest(q=end)),
+            guess=lambda t: end * np.clip(t / REACH_TIME, 0, 1),
+        )
+
+    largest = torque * REACH_TIME**2 / (4 * inertia())
+    seen: list[float] = []
+    step = nearest(
+        turn, 0.1 * largest, 2 * largest, compile="none", on_step=lambda one: seen.append(one.value)
+    )
+    assert step is not None
+    assert step.solution.converged
+    assert len(seen) == NEAREST_SOLVES
+    assert seen[:2] == [0.1 * largest, 2 * largest]
+    # The last bisection leaves this; a torque that switches within an interval loses a little more.
+    left = 1.9 * largest / 2 ** (NEAREST_SOLVES - 2)
+    assert largest - 2 * left < step.value <= largest * (1 + SAME_OPTIMUM)
+
+
+def test_nearest_is_the_value_asked_for_where_that_is_solved_from_the_first():
+    step = nearest(swing, 0.2, 0.5, compile="none")
+    assert step is not None
+    assert step.value == 0.5
+    assert step.solution.meta["warm_start"] is True
+
+
+def test_nearest_is_nothing_where_the_first_value_is_not_solved():
+    assert nearest(swing, 2.0, 3.0, compile="none", max_iterations=1) is None
+
+
+def test_a_user_who_stops_a_solve_stops_the_search():
+    seen: list[float] = []
+    found = nearest(
+        swing, 0.2, 0.5, compile="none", progress=lambda _: False, on_step=lambda one: seen.append(one.value)
+    )
+    assert found is None
+    assert seen == [0.2]
+
+
+@pytest.mark.long
+def test_command_line_says_and_writes_the_nearest_value(tmp_path):
+    target = tmp_path / "short-duration=0.1.npz"
+    short = ("--set", "duration=0.1", "--intervals", "8", "--compile", "none")
+    result = invoke("solve", "ur5-reach", *short, "--nearest", "duration", "--output", target, "--json")
+    assert result.exit_code == 1, result.output
+    found = json.loads(result.stdout)
+    entry = found["nearest"]
+    assert entry["parameter"] == "duration"
+    assert 0.1 < entry["value"] < 0.5
+    assert found["file"] == str(target)
+    near = Solution.load(entry["file"])
+    assert near.meta["parameters"]["duration"] == entry["value"]
+    assert near.converged
+    assert entry["file"] == str(tmp_path / f"short-duration={entry['value']:.4g}.npz")
+
+
+@pytest.mark.parametrize(
+    ("problem", "words", "expected"),
+    [
+        ("ur5-reach", ("--set", "duration=0.1", "--nearest", "heigt"), "has no number 'heigt'"),
+        ("arm-reach", ("--set", "robot=panda", "--nearest", "robot"), "has no number 'robot'"),
+        ("ur5-reach", ("--nearest", "duration"), "has no value to come near"),
+        ("ur5-reach", ("--set", "duration=1.5", "--nearest", "duration"), "is the default"),
+        ("ur5-reach", ("--set", "duration=0.1", "--nearest", "duration", "--smallest"), "another way"),
+        (
+            "ur5-reach",
+            ("--set", "duration=0.1", "--nearest", "duration", "--ladder", "legendre:1@5"),
+            "another",
+        ),
+    ],
+)
+def test_nearest_of_what_cannot_be_searched_is_refused(problem, words, expected):
+    assert_refused(invoke("solve", problem, *words), expected)

@@ -11,7 +11,16 @@ from scipy.optimize import linprog
 
 import trajopt
 from tests.support.diagnosed import snapshot_of, solved
-from tests.support.problems import FOOT, REACH, REACH_TIME, hop, lean, one_joint_arm, reach
+from tests.support.problems import (
+    FOOT,
+    REACH,
+    REACH_TIME,
+    hop,
+    inertia,
+    lean,
+    limited_reach,
+    reach,
+)
 from tests.support.redundant_contacts import corners
 from trajopt import Problem, Robot
 from trajopt.errors import InputError
@@ -26,7 +35,6 @@ from trajopt.study.diagnosis.snapshot import Snapshot
 from trajopt.terms import (
     AccelerationCost,
     Context,
-    EffortLimits,
     PointConstraint,
     PositionLimits,
     Rows,
@@ -53,15 +61,6 @@ def keep_all_rows(monkeypatch: pytest.MonkeyPatch) -> None:
         return {contact.name: contact.rows for contact in (*before, *after)}
 
     monkeypatch.setattr(term_functions, "independent_rows", every)
-
-
-def inertia() -> float:
-    model = one_joint_arm().model
-    return float(model.inertias[1].matrix()[4, 4] + model.armature[0])
-
-
-def limited_reach(torque: float) -> Problem:
-    return reach(terms=(AccelerationCost(weight=1.0), EffortLimits(limit=np.array([torque]))))
 
 
 # Clean problems

@@ -231,3 +231,14 @@ def random_point(robot: Robot, point: PointFunction, generator: np.random.Genera
     for i in range(coordinates.n_rotations):
         z[4 * i : 4 * i + 4] /= np.linalg.norm(z[4 * i : 4 * i + 4])
     return z
+
+
+def inertia() -> float:
+    """Of the arm about its joint, kg m^2."""
+    model = one_joint_arm().model
+    return float(model.inertias[1].matrix()[4, 4] + model.armature[0])
+
+
+def limited_reach(torque: float) -> Problem:
+    """The arm's reach with a torque limit, N m; 4 inertia REACH / REACH_TIME^2 is the least that suffices."""
+    return reach(terms=(AccelerationCost(weight=1.0), EffortLimits(limit=np.array([torque]))))

@@ -13,7 +13,7 @@ from trajopt.errors import InputError
 # Arguments of commands that do not change the motion.
 SAME_MOTION = {
     "problem", "output", "output_dir", "vary", "as_json", "watch", "log", "diagnosed", "explain", "compile",
-    "threads", "compare",
+    "threads", "compare", "nearest",
 }  # fmt: skip
 # Arguments whose values are NAME=VALUE already.
 NAMED = {"settings", "solver_options"}

@@ -23,6 +23,7 @@ from trajopt.cli.input import (
     solver_options,
     tolerance_option,
 )
+from trajopt.cli.nearest import Search, nearest_option, wants_other_way
 from trajopt.cli.report import failed_figures, solve_dict, solve_summary, to_json
 from trajopt.cli.warm import solve_warm, warm_options
 from trajopt.cli.watch import open_viewer, show_until_interrupted, watch_options
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
 @warm_options
 @aim_options
 @grade_options
+@nearest_option
 @diagnose_option
 @watch_options
 @click.option(
@@ -70,6 +72,7 @@ def solve_command(
     smallest: bool,
     explain: bool,
     keep: tuple[str, ...],
+    nearest: str | None,
     diagnosed: bool,
     watch: bool,
     output: Path | None,
@@ -87,6 +90,10 @@ def solve_command(
     With --accuracy or --budget, scheme, mesh and solver are chosen from measured fronts; with --accuracy the
     error is measured, and the mesh refined until it is small enough.
 
+    Where a value of --set is not solved, --nearest PARAMETER searches the nearest one that is, from the
+    default by bisection, in at most 8 solves to the grade. Its motion is written to a file of its own, named
+    for its value.
+
     Without --output the file is named for PROBLEM and the settings given, such as
     solo12-jump-distance=0.8.npz: other settings do not overwrite it.
 
@@ -101,6 +108,12 @@ def solve_command(
         start, log = arguments.get("start"), Path(arguments["log"])
         check_apart([target, log], [])
         check_apart([log], [Path(start)] if start else [])
+    search = None if nearest is None else Search.of(problem, settings, nearest, target)
+    if search and (smallest or keep or wants_other_way(arguments)):
+        raise InputError(
+            "--nearest is given with another way of solving",
+            "allowed: without --smallest, --keep, --ladder, --compare, --accuracy and --budget",
+        )
     scene: Scene | None = None
     if smallest or explain or keep:
         from trajopt.reduced.scenes.smallest import smallest as smallest_scene
@@ -118,6 +131,8 @@ def solve_command(
     viewer = open_viewer(watch)
     arguments |= {"title": problem, "options": options, "viewer": viewer}
     solved = solve_chosen(asked, **arguments)
+    if search and not solved.reached:
+        solved = search.run(solved, arguments)
     solution = scene.lift(solved.solution) if scene else solved.solution
     file, notes = _saved(solution, target)
     report = _checked(solution, notes, "" if scene is None or scene.report.is_exact else " or no --smallest")

@@ -18,6 +18,8 @@ from trajopt.solving.rounds import Graded
 from trajopt.transcription.transcription import chosen_mesh
 
 MAX_HALVINGS = 4
+# Solves of a search for the nearest value, the first and the one asked for among them.
+NEAREST_SOLVES = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,6 +124,51 @@ def continuation(
         if not walk.to(value, max_halvings, compare):
             break
     return Continuation(values=asked, steps=tuple(walk.steps))
+
+
+def nearest(
+    load: Callable[[float], Problem],
+    first: float,
+    asked: float,
+    *,
+    most: int = NEAREST_SOLVES,
+    transcription: str | None = None,
+    intervals: int | None = None,
+    on_step: Callable[[ContinuationStep], None] | None = None,
+    **settings: Any,
+) -> ContinuationStep | None:
+    """The step at the value nearest to ``asked`` that was solved, by bisection from the side of ``first``.
+
+    Every solve starts from the solution nearest to it. None where ``first`` is not solved.
+
+    Args:
+        load: Makes the problem at a value of the parameter.
+        first: A value that can be solved.
+        asked: The value that is wanted, tried second.
+        most: Limit of solves.
+        transcription: Scheme of a mesh to stay on, as in `trajopt.solve`.
+        intervals: Its number of intervals.
+        on_step: Called after every solve.
+        **settings: Those of `trajopt.solve`; limits of time and iterations are for each solve.
+
+    Raises:
+        InputError: As ``load`` and `trajopt.solve` do.
+    """
+    _numbers((first, asked))
+    walk = _Walk(load, (transcription, intervals), settings, on_step, None)
+    value, beyond = first, asked
+    for _ in range(most):
+        made = walk.solve(value)
+        if made.interrupted or walk.origin in (None, asked):
+            break
+        if not _usable(made):
+            beyond = value
+        value = asked if value == first else (walk.origin + beyond) / 2
+    return max(
+        (step for step in walk.steps if step.solution.converged),
+        key=lambda step: -abs(step.value - asked),
+        default=None,
+    )
 
 
 def _numbers(values: Sequence[float]) -> tuple[float, ...]:

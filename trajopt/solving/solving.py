@@ -15,15 +15,18 @@ from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solution.input import solution_of
 from trajopt.solution.solution import Solution
-from trajopt.solvers.drivers import SOLVERS, check_hessian, run_solver
+from trajopt.solvers.drivers import SOLVERS, check_hessian
 from trajopt.solvers.result import Option, Result, StoppingCriteria, WarmMultipliers
 from trajopt.solvers.status import Status
+from trajopt.solving.conflict import why_infeasible
 from trajopt.solving.extraction import extract
 from trajopt.solving.monitoring import ProgressCallback, ProgressReporter, Watch
 from trajopt.solving.multipliers import with_multipliers
+from trajopt.solving.stalling import solve_or_certify
 from trajopt.solving.verdicts import (
     TRUSTED_VIOLATION,
     advice_for,
+    certified_infeasible,
     fail_on_gimbal_lock,
     finite_or_none,
     judged,
@@ -211,10 +214,15 @@ def solve_prepared(
     told = ProgressReporter(prepared.transcription, progress, watch, solver, label)
     told.see("guess", lambda: start)
     if place is None:
-        result = run_solver(prepared.nlp, start, solver, stop, options or {}, told, prepared.warm)
+        result, certificate = solve_or_certify(
+            prepared.nlp, start, solver, stop, options or {}, told, prepared.warm
+        )
     else:
-        result = _not_finite(prepared, start)
-    found = fail_on_gimbal_lock(_solution(prepared, result, solver, stop.tolerance, place, origin))
+        result, certificate = _not_finite(prepared, start), None
+    found = _solution(prepared, result, solver, stop.tolerance, place, origin)
+    if certificate is not None:
+        found = certified_infeasible(found, why_infeasible(prepared.nlp, certificate))
+    found = fail_on_gimbal_lock(found)
     if judge and prepared.transcription.problem.holds_contacts:
         found = judged(found)
     told.end(result, found.meta["status"])

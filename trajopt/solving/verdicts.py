@@ -25,6 +25,11 @@ DEPENDENT = (
     "; all rows hold at this iterate, so they may depend on each other there, as of a goal at a singular"
     " posture or the same goal stated twice: trajopt diagnose names them"
 )
+# What a certificate of infeasibility says.
+LEAST_VIOLATION = (
+    "no motion near this one does what is asked, which has the least violations: relax the goal, lengthen a "
+    "phase or raise a limit"
+)
 
 
 def status_by_violation(status: Status, worst: float, tolerance: float) -> Status:
@@ -42,6 +47,12 @@ def advice_for(status: Status, place: str | None, feasible: bool) -> str:
         return f"{status.advice}: {place}"
     stuck = feasible and status in (Status.STEP_FAILED, Status.ITERATION_LIMIT)
     return f"{status.advice}{DEPENDENT}" if stuck else status.advice
+
+
+def certified_infeasible(solution: Solution, why: str) -> Solution:
+    """Mark a solution as a point of least violation, see `trajopt.solvers.elastic`; ``why``: in one line."""
+    advice = f"{LEAST_VIOLATION}: {why}"
+    return replace(solution, meta={**solution.meta, "advice": advice, "certified_infeasible": True})
 
 
 def fail_on_gimbal_lock(solution: Solution) -> Solution:

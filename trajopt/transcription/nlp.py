@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ class Nlp:
 
     ``engine`` evaluates it; ``row``, ``column`` name the Jacobian's nonzeros, ``hessian_row``,
     ``hessian_column`` those of the lower triangle of the Lagrangian's Hessian, or of its replacement:
-    ``hessian`` is one of ``compilation.HESSIANS``.
+    ``hessian`` is one of ``compilation.HESSIANS``. ``parts``: what ``engine`` was built from.
     """
 
     transcription: Transcription
@@ -29,6 +30,7 @@ class Nlp:
     column: np.ndarray
     hessian_row: np.ndarray
     hessian_column: np.ndarray
+    parts: Mapping[str, Any] = field(repr=False)
     hessian: str = DEFAULT_HESSIAN
 
 
@@ -87,23 +89,24 @@ def assemble(
         for group, point, offset, first, k1, second, k2 in prepared
     ]
     csr = transcription.linear
-    engine = _engine.Nlp(
-        n_x=n,
-        n_g=transcription.n_rows,
-        a_indptr=csr.indptr.astype(np.int32),
-        a_indices=csr.indices.astype(np.int32),
-        a_data=csr.data,
-        jac_row=row,
-        jac_col=column,
-        jac_const=constant,
-        hess_row=hessian_row,
-        hess_col=hessian_column,
-        groups=groups,
-        threads=threads,
-    )
+    parts: dict[str, Any] = {
+        "n_x": n,
+        "n_g": transcription.n_rows,
+        "a_indptr": csr.indptr.astype(np.int32),
+        "a_indices": csr.indices.astype(np.int32),
+        "a_data": csr.data,
+        "jac_row": row,
+        "jac_col": column,
+        "jac_const": constant,
+        "hess_row": hessian_row,
+        "hess_col": hessian_column,
+        "groups": groups,
+        "threads": threads,
+    }
     return Nlp(
         transcription=transcription,
-        engine=engine,
+        engine=_engine.Nlp(**parts),
+        parts=parts,
         row=row,
         column=column,
         hessian_row=hessian_row,
@@ -120,7 +123,7 @@ def _engine_group(
     jac_target: np.ndarray,
     second: DerivativeMap,
     hess_target: np.ndarray,
-) -> dict[str, object]:
+) -> dict[str, Any]:
     gather = group.gather
     return {
         "value": point.sources["value"],

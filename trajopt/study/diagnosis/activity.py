@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajopt.study.diagnosis.names import NlpNames, Site
 from trajopt.study.diagnosis.snapshot import Snapshot
+from trajopt.transcription.names import NlpNames, Site
 
 SIDES = {-1: "lower", 1: "upper"}
 

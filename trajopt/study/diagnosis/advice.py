@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from trajopt.study.diagnosis.diagnosis import Advice
-from trajopt.study.diagnosis.names import BOUNDS
+from trajopt.transcription.names import BOUNDS
 
 if TYPE_CHECKING:
     from trajopt.study.diagnosis.conflict import Conflict

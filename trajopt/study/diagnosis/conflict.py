@@ -18,47 +18,19 @@ import numpy as np
 import piqp  # type: ignore[import-untyped]
 from scipy import sparse
 
-from trajopt.study.diagnosis.names import Site
+from trajopt.solving.conflict import ConflictMember, members_against, members_giving, rows_of_motion
 from trajopt.study.diagnosis.snapshot import Snapshot
 
 # How far variables may move, scaled units: the range in which the linearisation is trusted.
 BOX = 1.0
 # Weight of the step: selects the nearest of equal minima, and makes the program well-posed.
 NEAREST = 1e-6
-# Multipliers below the first are noise of the interior-point method; sums of multipliers, and violations,
-# below these fractions of the largest are ignored.
-NOISE, PART, GIVES = 1e-4, 0.1, 1e-3
-# Rows of the dynamics: they pass a conflict on from place to place, and give way last.
-TRANSMITTING = ("defect", "base_dynamics", "contact_acceleration", "contact_velocity", "impact_dynamics")
+# Violations below this fraction of the largest are ignored.
+GIVES = 1e-3
+# Price of rows of the dynamics: they give way last.
 LAST = 1e3
 # Fractions of the violation left after the best small step: in a conflict, and at an early iterate.
 STUCK, MENDED = 0.5, 0.01
-NAMED = 6
-
-
-@dataclass(frozen=True, kw_only=True)
-class ConflictMember:
-    """Rows or bounds of one block and subject in one phase.
-
-    amount: the unavoidable violation, natural units; 0 for rows in conflict with it.
-    weight: multipliers, added up over the phase. place: of the largest.
-    """
-
-    what: str
-    phase: str
-    amount: float
-    weight: float
-    place: str
-
-    @property
-    def block(self) -> str:
-        """Their block."""
-        return self.what.split(" [", 1)[0]
-
-    def __str__(self) -> str:
-        if self.amount > 0:
-            return f"{self.what} lacks {self.amount:.2e} at {self.place}"
-        return f"{self.what} in phase '{self.phase}' (weight {self.weight:.2f}, most at {self.place})"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,8 +74,8 @@ def conflict(snapshot: Snapshot) -> Conflict | None:
     return Conflict(
         before=before,
         after=float(give.sum()),
-        giving=_giving(snapshot, give),
-        against=_against(snapshot, give, weights),
+        giving=members_giving(snapshot.names, give),
+        against=members_against(snapshot.names, give, weights),
         edge=float(np.mean(np.abs(step) > 0.99 * BOX)),
     )
 
@@ -121,8 +93,7 @@ def _elastic(
     low = np.concatenate([np.clip(lower_room, -BOX, 0.0), np.zeros(2 * m)])
     high = np.concatenate([np.clip(upper_room, 0.0, BOX), np.full(2 * m, np.inf)])
     price = np.full(n + 2 * m, NEAREST)
-    motion = np.isin(t.rows.block, [i for i, name in enumerate(t.rows.names) if name in TRANSMITTING])
-    elastic = np.where(motion, LAST, 1.0)
+    elastic = np.where(rows_of_motion(t), LAST, 1.0)
     solver = piqp.SparseSolver()
     solver.settings.verbose = False
     solver.settings.eps_abs, solver.settings.eps_rel, solver.settings.max_iter = 1e-7, 1e-8, 100
@@ -146,38 +117,3 @@ def _elastic(
     weights[np.flatnonzero(~equal)] = found.z_u - found.z_l
     weights[m + free] = found.z_bu[:n] * (upper_room < BOX) - found.z_bl[:n] * (lower_room > -BOX)
     return np.array(found.x), weights
-
-
-def _giving(snapshot: Snapshot, give: np.ndarray) -> tuple[ConflictMember, ...]:
-    names = snapshot.names
-    parties: dict[tuple[str, str], ConflictMember] = {}
-    for row in np.argsort(-give)[: np.count_nonzero(give)].tolist():
-        name, amount = names.row(row), float(give[row])
-        what, phase, place = name.what, names.phase(name.site.stage), names.place(name.site)
-        member = ConflictMember(what=what, phase=phase, amount=amount, weight=1.0, place=place)
-        parties.setdefault((what, phase), member)
-    return tuple(parties.values())[:NAMED]
-
-
-def _against(snapshot: Snapshot, give: np.ndarray, weights: np.ndarray) -> tuple[ConflictMember, ...]:
-    """Limits, bounds and goals with the largest multipliers (of rows, then of bounds), added up over time."""
-    names, giving = snapshot.names, {snapshot.names.block(row) for row in np.flatnonzero(give).tolist()}
-    found: dict[tuple[str, str], list[tuple[float, Site]]] = {}
-    for index in np.flatnonzero(np.abs(weights) > NOISE).tolist():
-        if names.block(index) not in (*TRANSMITTING, *giving):
-            name = names.row(index)
-            key = (name.what, names.phase(name.site.stage))
-            found.setdefault(key, []).append((abs(float(weights[index])), name.site))
-    sums = {key: sum(weight for weight, _ in entries) for key, entries in found.items()}
-    largest = max(sums.values(), default=0.0)
-    order = sorted((key for key in sums if sums[key] > PART * largest), key=lambda key: -sums[key])
-    return tuple(
-        ConflictMember(
-            what=what,
-            phase=phase,
-            amount=0.0,
-            weight=sums[what, phase],
-            place=names.place(max(found[what, phase], key=lambda entry: entry[0])[1]),
-        )
-        for what, phase in order[:NAMED]
-    )

@@ -11,9 +11,9 @@ from trajopt.study.diagnosis.activity import ActiveLimit
 from trajopt.study.diagnosis.conflict import Conflict
 from trajopt.study.diagnosis.contacts import PhaseContacts
 from trajopt.study.diagnosis.findings import CurvatureReport, DependentRows, RankReport
-from trajopt.study.diagnosis.names import BOUNDS
 from trajopt.study.diagnosis.nonfinite import NonFinite
 from trajopt.study.diagnosis.scaling import Scaling
+from trajopt.transcription.names import BOUNDS
 
 # Entries of long lists that are shown, the JSON has all; columns of titles.
 SHOWN, LABEL = 8, 10

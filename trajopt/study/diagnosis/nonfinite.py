@@ -8,14 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.study.diagnosis.names import NlpNames, Site
-from trajopt.study.diagnosis.symbols import (
-    Label,
-    coordinate_labels,
-    input_labels,
-    node_labels,
-    rotation_labels,
-)
 from trajopt.study.diagnosis.term_values import (
     Evaluation,
     derivative_function,
@@ -23,7 +15,15 @@ from trajopt.study.diagnosis.term_values import (
     value_function,
 )
 from trajopt.terms.context_symbols import Place
+from trajopt.transcription.names import NlpNames, Site
 from trajopt.transcription.nlp import Nlp
+from trajopt.transcription.symbols import (
+    Label,
+    coordinate_labels,
+    input_labels,
+    node_labels,
+    rotation_labels,
+)
 from trajopt.transcription.timeline import NodeLayout, StageKind
 from trajopt.transcription.transcription import FunctionGroup, Transcription
 

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from trajopt.study.diagnosis.names import NlpNames
+from trajopt.transcription.names import NlpNames
 from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.transcription import Transcription
 from trajopt.transcription.violations import row_violations

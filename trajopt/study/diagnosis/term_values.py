@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 import casadi as ca
 import numpy as np
 
-from trajopt.study.diagnosis.names import NlpNames, Site
 from trajopt.terms.context_symbols import Place
+from trajopt.transcription.names import NlpNames, Site
 from trajopt.transcription.stage_functions import PointFunction, derivatives, point_function
 from trajopt.transcription.timeline import NodeLayout
 

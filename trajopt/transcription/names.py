@@ -14,10 +14,10 @@ import numpy as np
 
 from trajopt.robot.contact import Contact
 from trajopt.robot.units import Units
-from trajopt.study.diagnosis.symbols import Label, SymbolNames, coordinate_labels, node_labels, wrench_labels
 from trajopt.terms.context_symbols import Place
 from trajopt.terms.dynamics import ImpactDynamics
 from trajopt.transcription.layout import Layout
+from trajopt.transcription.symbols import Label, SymbolNames, coordinate_labels, node_labels, wrench_labels
 from trajopt.transcription.term_functions import TermFunctions
 from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription

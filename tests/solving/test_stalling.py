@@ -1,0 +1,102 @@
+"""Solves that get nowhere: certified with the rows in conflict, or started anew; limits and Ctrl-C hold."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.support.problems import REACH, REACH_TIME, inertia, limited_reach
+from trajopt.problem.problem import Problem
+from trajopt.solving.solving import solve
+from trajopt.solving.stalling import CERTIFIED
+from trajopt_library import problems
+
+# With half of the least torque, see `limited_reach`.
+TOO_WEAK = 0.5 * 4 * inertia() * REACH / REACH_TIME**2
+# Iterations of a certificate of such small problems; IPOPT alone takes hundreds or ends without one.
+FEW = 80
+# Flight in s near the longest that any start solves on the hopper's mesh: IPOPT alone takes 50 to 210
+# iterations, with violations that stay for long.
+SLOW = 1.3
+
+
+def weak() -> Problem:
+    return limited_reach(TOO_WEAK)
+
+
+def hopping(**values: object) -> Problem:
+    return problems.load("hopper-hop", **values)
+
+
+def test_goal_that_torques_do_not_reach_is_certified_with_both_by_name_and_place():
+    meta = solve(weak(), compile="none").meta
+    assert meta["status"] == "infeasible"
+    assert meta["solver_status"] == CERTIFIED
+    assert meta["certified_infeasible"] is True
+    assert not meta["success"]
+    assert meta["iterations"] <= FEW
+    assert meta["max_violation"] > 0
+    for words in ("terminal_", "effort_limits [joint torque]", "t = ", "phase 'reach'", "against it stand"):
+        assert words in meta["advice"]
+    assert "\n" not in meta["advice"]
+
+
+@pytest.mark.long
+def test_hop_without_the_friction_for_it_is_certified():
+    meta = solve(hopping(distance=0.6, friction=0.05), compile="none").meta
+    assert meta["solver_status"] == CERTIFIED
+    assert meta["iterations"] <= FEW
+    assert "friction_pyramid [foot force" in meta["advice"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_slow_but_feasible_solves_are_not_given_up(seed):
+    found = solve(hopping(flight=SLOW), compile="none", seed=seed, perturb=0.1)
+    assert found.converged, found.meta["advice"]
+
+
+@pytest.mark.long
+def test_limit_of_iterations_counts_those_of_the_elastic_problem():
+    full = solve(weak(), compile="none").meta["iterations"]
+    for limit in range(8, full, 6):
+        meta = solve(weak(), compile="none", max_iterations=limit).meta
+        assert meta["iterations"] <= limit
+        assert meta["status"] == "iteration_limit"
+
+
+def test_time_limit_holds():
+    meta = solve(weak(), compile="none", max_time=1e-3).meta
+    assert meta["status"] == "time_limit"
+
+
+@pytest.mark.long
+def test_stop_during_the_elastic_problem_is_an_interrupt():
+    seen: list[float] = []
+    full = solve(weak(), compile="none", progress=lambda figures: seen.append(figures["restoration"]) or True)
+    assert full.meta["solver_status"] == CERTIFIED
+    inside = len(seen) - 3  # of the elastic problem, which comes last
+    calls = iter(range(len(seen)))
+    stopped = solve(weak(), compile="none", progress=lambda _: next(calls) < inside)
+    assert stopped.meta["status"] == "interrupted"
+    assert "certified_infeasible" not in stopped.meta
+
+
+def test_iterations_are_told_in_order_with_the_iterates_of_the_problem():
+    numbers: list[float] = []
+    sizes: set[int] = set()
+
+    def look(iterate):
+        if iterate.stage == "iteration":
+            numbers.append(iterate.figures["iteration"])
+            sizes.add(iterate.unknowns.size)
+
+    found = solve(weak(), compile="none", watch=look)
+    assert numbers == sorted(numbers)
+    assert sizes == {found.meta["variables"]}
+
+
+@pytest.mark.parametrize("solver", ["fatrop", "sqp"])
+def test_other_solvers_end_by_their_own_tests(solver):
+    meta = solve(weak(), compile="none", solver=solver, max_iterations=60).meta
+    assert not meta["success"]
+    assert meta["solver_status"] != CERTIFIED

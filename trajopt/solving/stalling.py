@@ -1,0 +1,149 @@
+"""A solve that gets nowhere: certified as infeasible, or started anew from a feasible point.
+
+While IPOPT runs, its figures are tested for progress. Where there is none, the elastic problem is solved from
+the iterate, within the same limits. A minimum of the violations that is clear ends the solve as infeasible; a
+point where the rows hold is where the solve starts anew; without either the solve just goes on, and is tested
+again after twice as many iterations. So no solve that would succeed is ended by the test of progress alone.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from trajopt.solvers.drivers import run_solver
+from trajopt.solvers.elastic import ElasticPoint, counted_from, least_violation
+from trajopt.solvers.progress import VIOLATED, is_stalled
+from trajopt.solvers.result import Callback, Option, Result, StoppingCriteria, WarmMultipliers
+from trajopt.solvers.status import Status
+from trajopt.transcription.compilation import DEFAULT_HESSIAN
+from trajopt.transcription.nlp import Nlp
+
+# The test is measured on IPOPT's figures, and the elastic problem needs the exact Hessian.
+TESTED = "ipopt", DEFAULT_HESSIAN
+CERTIFIED = "Certified_Infeasible"
+# Ends of IPOPT that are no verdict on the problem: its restoration fails, or no step makes progress.
+GIVEN_UP = Status.INFEASIBLE, Status.STEP_FAILED
+# Figures of iterations of the elastic problem after that.
+NO_FIGURES = {"barrier": 0.0, "step": 0.0, "regularization": 0.0, "line_search": 0}
+# Iterations of one search for the least violation: those that end take 20 to 200.
+MOST_ELASTIC = 250
+
+
+class StallTest:
+    """A solver's callback that passes on to another, and looks for a verdict where there is no progress.
+
+    found: the elastic point that ended the solve. spent: iterations of elastic problems, which count against
+    the limit. limited: they have used up the limit.
+    """
+
+    def __init__(self, nlp: Nlp, callback: Callback, stop: StoppingCriteria) -> None:
+        self.nlp, self.callback, self.stop = nlp, callback, stop
+        self.deadline = time.perf_counter() + stop.max_time
+        self.primal: list[float] = []
+        self.dual: list[float] = []
+        self.next, self.spent, self.function_time = 0, 0, 0.0
+        self.limited = False
+        self.found: ElasticPoint | None = None
+
+    def __call__(self, figures: dict[str, float], unknowns: Callable[[], np.ndarray]) -> bool:
+        """One iteration of the solver; False where the callback stops it, or a verdict is found."""
+        told = {**figures, "iteration": figures["iteration"] + self.spent}
+        if not self.callback(told, unknowns):
+            return False
+        self.primal.append(figures["primal"])
+        self.dual.append(np.inf if figures["restoration"] else figures["dual"])
+        self.limited = self.spent > 0 and told["iteration"] >= self.stop.max_iterations
+        if self.limited:
+            return False
+        if len(self.primal) < self.next or not is_stalled(self.primal, self.dual):
+            return True
+        self.next = 2 * len(self.primal)
+        x = np.array(unknowns())
+        return len(x) == 0 or self.look(told, x)
+
+    def look(self, figures: dict[str, float], x: np.ndarray) -> bool:
+        """Look for a verdict from variables ``x``; False where there is one, or the callback stops it."""
+        left = int(self.stop.max_iterations - figures["iteration"])
+        seconds = self.deadline - time.perf_counter()
+        if left <= 0 or seconds <= 0:  # the solver stops by itself
+            return True
+
+        def tell(own: dict[str, float], read: Callable[[], np.ndarray]) -> bool:
+            return self.callback({**figures, "iteration": own["iteration"], "restoration": True}, read)
+
+        found = least_violation(
+            self.nlp,
+            x,
+            counted_from(int(figures["iteration"]), tell),
+            max_iterations=min(left, MOST_ELASTIC),
+            max_time=seconds,
+        )
+        self.spent += found.iterations
+        self.function_time += found.function_time
+        if found.feasible or found.infeasible:
+            self.found = found
+        return self.found is None and not found.stopped
+
+
+def solve_or_certify(
+    nlp: Nlp,
+    start: np.ndarray,
+    solver: str,
+    stop: StoppingCriteria,
+    options: Mapping[str, Option],
+    callback: Callback,
+    warm: WarmMultipliers | None = None,
+) -> tuple[Result, ElasticPoint | None]:
+    """As `run_solver`, with the test of progress where that is measured; the certificate if infeasible."""
+    if (solver, nlp.hessian) != TESTED:
+        return run_solver(nlp, start, solver, stop, options, callback, warm), None
+    begun = time.perf_counter()
+    test = StallTest(nlp, callback, stop)
+    result = run_solver(nlp, start, solver, stop, options, test, warm)
+    if result.status in GIVEN_UP and test.found is None and not result.primal <= VIOLATED:
+        known = {"iteration": result.iterations + test.spent, "objective": result.objective}
+        test.look({**NO_FIGURES, **known, "primal": result.primal, "dual": result.dual}, result.x)
+    result = replace(
+        result,
+        iterations=min(result.iterations + test.spent, stop.max_iterations),
+        function_time=result.function_time + test.function_time,
+        status=Status.ITERATION_LIMIT if test.limited else result.status,
+    )
+    if test.found is None:
+        return result, None
+    if test.found.infeasible:
+        return _certified(nlp, result, test.found), test.found
+    left = replace(
+        stop,
+        max_iterations=max(stop.max_iterations - result.iterations, 0),
+        max_time=max(stop.max_time - (time.perf_counter() - begun), 1e-3),
+    )
+
+    onwards = counted_from(result.iterations, callback)
+    again = run_solver(nlp, test.found.x, solver, left, options, onwards)
+    return replace(
+        again,
+        iterations=result.iterations + again.iterations,
+        wall_time=result.wall_time + again.wall_time,
+        function_time=result.function_time + again.function_time,
+    ), None
+
+
+def _certified(nlp: Nlp, result: Result, found: ElasticPoint) -> Result:
+    """The point of least violation; multipliers of the elastic problem are not those of the problem."""
+    return replace(
+        result,
+        x=found.x,
+        lam_g=np.zeros_like(result.lam_g),
+        lam_x=np.zeros_like(result.lam_x),
+        status=Status.INFEASIBLE,
+        solver_status=CERTIFIED,
+        objective=float(nlp.engine.f(found.x)),
+        primal=float(found.gives.max()),
+        dual=float("nan"),
+        complementarity=float("nan"),
+    )
