@@ -14,7 +14,7 @@ from trajopt import Solution
 from trajopt.certify.samples import sample_quantities
 from trajopt.certify.simulation.settings import SimulationSettings
 from trajopt.certify.simulation.simulate import simulate
-from trajopt.certify.simulation.world import build_world
+from trajopt.certify.simulation.world import AROUND_FOOT, build_world
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.collision.description import robot_shapes
 from trajopt.robot.collision.shapes import LinkShape, SphereObstacle
@@ -114,6 +114,15 @@ def test_links_that_the_plan_has_on_the_ground_do_not_touch_it(stand):
     geoms = [world.compiled.geom(i).name for i in np.flatnonzero(world.links)]
     assert len(geoms) == len(shapes.shapes) - len(stand.contact_frames)
     assert simulate(plan).report.base_error_max < STANDS
+
+
+def test_what_touches_within_its_ball_or_sole_is_a_foot(stand):
+    solo12 = build_world(stand, SimulationSettings())
+    assert solo12.feet == pytest.approx(np.full(4, robots.load("solo12").contacts[0].radius + AROUND_FOOT))
+    talos = robots.load("talos")
+    sole = talos.contacts[0]
+    world = build_world(sampled(talos, [standing(talos, 0.1)], 4), SimulationSettings())
+    assert world.feet == pytest.approx(np.full(2, np.hypot(sole.half_length, sole.half_width) + AROUND_FOOT))
 
 
 def test_friction_of_drives_is_overcome_by_the_planned_torques():
