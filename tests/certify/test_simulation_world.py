@@ -120,9 +120,10 @@ def test_what_touches_within_its_ball_or_sole_is_a_foot(stand):
     solo12 = build_world(stand, SimulationSettings())
     assert solo12.feet == pytest.approx(np.full(4, robots.load("solo12").contacts[0].radius + AROUND_FOOT))
     talos = robots.load("talos")
-    sole = talos.contacts[0]
-    world = build_world(sampled(talos, [standing(talos, 0.1)], 4), SimulationSettings())
-    assert world.feet == pytest.approx(np.full(2, np.hypot(sole.half_length, sole.half_width) + AROUND_FOOT))
+    sizes = [[own.half_length, own.half_width] if own.kind == "surface" else None for own in talos.contacts]
+    plan = with_meta(sampled(talos, [standing(talos, 0.1)], 4), contact_sizes=sizes)
+    extents = [np.hypot(*(size or (0.0, 0.0))) for size in sizes]
+    assert build_world(plan, SimulationSettings()).feet == pytest.approx(np.array(extents) + AROUND_FOOT)
 
 
 def test_friction_of_drives_is_overcome_by_the_planned_torques():
