@@ -20,7 +20,7 @@ GRID = {"transcription": "legendre:3", "intervals": 20, "compile": "none", "judg
 
 @dataclass
 class AllPairs(Exchange):
-    """Rows for every pair at every node and point."""
+    """Rows for every pair at every node and point, but for feet on the ground."""
 
     @property
     @override
@@ -30,9 +30,9 @@ class AllPairs(Exchange):
     @override
     def add(self, look: Look) -> bool:
         before = sum(map(len, self.moments.values()))
-        regular = {moment for moment, own in zip(look.moments, look.regular, strict=True) if own}
-        for pair in self.bodies.pairs:
-            self.moments[pair] |= regular
+        for column, pair in enumerate(self.bodies.pairs):
+            rows = np.flatnonzero(look.regular & np.isfinite(look.distances[:, column]))
+            self.moments[pair] |= {look.moments[row] for row in rows}
         return super().add(look) or sum(map(len, self.moments.values())) > before
 
 

@@ -95,7 +95,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path):
 
 def test_bands_hold_the_solve_and_the_middle_of_its_starts():
     entry = data.entry_of(outcome_of(), VIRTUAL_MACHINE)
-    assert (entry.objective_low, entry.objective_high) == pytest.approx((1.998, 2.002))
+    assert (entry.objective_low, entry.objective_high) == pytest.approx((1.99, 2.01))
     assert (entry.iterations_low, entry.iterations_high) == (20, 120)  # starts: 40, 50 ... 130
     alone = data.entry_of(outcome_of(starts=()), VIRTUAL_MACHINE)
     assert (alone.iterations_low, alone.iterations_high) == (20, 80)
@@ -121,7 +121,7 @@ def test_what_is_outside_its_band_is_named():
         return data.deviation(changed, settings, entries[inside.name])
 
     assert said() == ""
-    assert said(objective=2.01) == "objective 2.01, band 1.998 to 2.002"
+    assert said(objective=2.02) == "objective 2.02, band 1.99 to 2.01"
     assert said(iterations=121) == "121 iterations, band 20 to 120"
     assert said(mode="dual", detail="step_failed: x") == "dual: step_failed: x"
     words = "solved on a {} mesh with {}, the data on a refined mesh with ipopt"
