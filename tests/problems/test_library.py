@@ -22,25 +22,33 @@ from trajopt.study.suite.settings import SuiteSettings
 DATA = ROOT / "tests" / "data" / "suite.csv"
 SETTINGS = SuiteSettings(compile="none")
 CASES = all_cases(families())
-UPDATE = f"trajopt suite --perturbed 20 --update {DATA.relative_to(ROOT)}"
+# Iterations on all meshes that a pair may take at most to be run here.
+MOST_ITERATIONS = 300
+UPDATE = f"trajopt suite --update {DATA.relative_to(ROOT)}"
 
 
 def representatives(cases: Sequence[Case]) -> tuple[Case, ...]:
     """A subset with every problem once and every robot at least once, the same on every machine.
 
     Problems in order of their number of robots, then by name: each takes the robot that has been taken
-    least often, of equals the first by name. Robots that are left then take their first problem.
+    least often, of equals the first by name. Robots that are left then take their first problem. Pairs that
+    may take very many iterations are left to the whole suite, where their problem has another robot.
     """
+    bands = data.read(DATA)[0]
     by_problem: dict[str, list[Case]] = {}
     for case in sorted(cases):
         by_problem.setdefault(case.problem, []).append(case)
+    for problem, group in by_problem.items():
+        known = [case for case in group if case.name in bands]
+        quick = [case for case in known if bands[case.name].iterations_high <= MOST_ITERATIONS]
+        by_problem[problem] = quick or group
     taken: Counter[str] = Counter()
     chosen = []
     for group in sorted(by_problem.values(), key=len):
         case = min(group, key=lambda one: taken[one.robot])
         taken[case.robot] += 1
         chosen.append(case)
-    for case in sorted(cases):
+    for case in sorted(case for group in by_problem.values() for case in group):
         if not taken[case.robot]:
             taken[case.robot] += 1
             chosen.append(case)
