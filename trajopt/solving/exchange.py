@@ -63,6 +63,7 @@ class Exchange:
     problem: Problem
     moments: defaultdict[ShapePair, set[Moment]] = field(default_factory=lambda: defaultdict(set))
     corners: dict[tuple[ShapePair, Moment, str | None, str | None], np.ndarray] = field(default_factory=dict)
+    beyond_feet: bool = False
 
     def __post_init__(self) -> None:
         self.bodies: ProblemBodies = bodies_of(self.problem)
@@ -79,7 +80,7 @@ class Exchange:
 
     def moved_to(self, problem: Problem) -> Exchange:
         """The same pairs, moments and corners of links for a problem with other parameters."""
-        made = Exchange(problem)
+        made = Exchange(problem, beyond_feet=self.beyond_feet)
         known = set(made.bodies.pairs)
         made.moments.update({pair: set(own) for pair, own in self.moments.items() if pair in known})
         made.corners |= {
@@ -154,13 +155,18 @@ class Exchange:
     def starts(
         self, solution: Solution, guess_first: bool = False
     ) -> Iterator[tuple[Problem, Solution | None]]:
-        """Problems with rows, and from where to solve them: the last motion, then the guess, or in turn."""
+        """Problems with rows, and from where to solve them: the last motion, then the guess, or in turn.
+
+        Then the same with planes beyond feet, and from then on only those: see `planes.beyond_foot`.
+        """
         last = along(solution)
-        for from_guess in (guess_first, not guess_first):
-            if from_guess:
-                yield self.constrained(self.guess, last), None
-            else:
-                yield self.constrained(last), solution
+        for beyond_feet in (True,) if self.beyond_feet else (False, True):
+            self.beyond_feet = beyond_feet
+            for from_guess in (guess_first, not guess_first):
+                if from_guess:
+                    yield self.constrained(self.guess, last), None
+                else:
+                    yield self.constrained(last), solution
 
     def guess(self, phase: int, fraction: float) -> np.ndarray:
         """The problem's guess (nq,) at a fraction of a phase."""
@@ -186,7 +192,7 @@ class Exchange:
         pairs = [(pair, moment) for pair, moments in self.moments.items() for moment in sorted(moments)]
         wanted = [(numbers[moment], pair) for pair, moment in pairs]
         poses = [contact_poses(self.problem.robot, own) for own in q]
-        feet = [self._feet(pair, poses[number]) for number, pair in wanted]
+        feet = [self._feet(pair, poses[number]) if self.beyond_feet else None for number, pair in wanted]
         found = self.bodies.planes(q, wanted, self.band, feet)
         for (pair, moment), planes in zip(pairs, found, strict=True):
             for plane in planes:
