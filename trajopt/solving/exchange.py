@@ -32,7 +32,7 @@ from trajopt.terms.moments import PlaneSide
 
 # Pairs that are too near somewhere get rows wherever they are nearer than their margin plus this part of the
 # robot's length: a motion that gives way there may come near here.
-BAND = 0.025
+BAND = 0.04
 # Between its nodes an interval is looked at this many times, evenly, and at its points; more often where a
 # coordinate changes by more than this from look to look, in natural units (rad, lengths of the robot).
 LOOKS, LOOK_STEP = 5, 0.03
