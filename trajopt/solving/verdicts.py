@@ -27,8 +27,8 @@ DEPENDENT = (
 )
 # What a certificate of infeasibility says.
 LEAST_VIOLATION = (
-    "no feasible point was found near the last iterate, and this is the least violation there: relax the goal,"
-    " lengthen a phase or raise a limit"
+    "no feasible point was found near the last iterate, and this is the least violation there: "
+    "relax the goal, lengthen a phase or raise a limit"
 )
 
 
