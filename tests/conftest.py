@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+
+# Before OpenMP is loaded: rounding depends on the number of threads, `trajopt suite` measures with one.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 import pytest
 
 pytest.register_assert_rewrite("tests.support", "tests.extremes")

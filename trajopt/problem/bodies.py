@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -162,16 +163,30 @@ def _self_margins(robot: Robot, scene: CollisionScene, margin: float) -> np.ndar
     return np.asarray(np.minimum(margin, np.maximum(apart, 0.0)))
 
 
+def contacts_by_shape(robot: Robot, shapes: Sequence[LinkShape]) -> dict[str, list[Contact]]:
+    """Contacts of the link that carries each shape, by the shape's name."""
+    joints = {frame.name: frame.parentJoint for frame in robot.model.frames}
+    return {
+        shape.name: [own for own in robot.contacts if joints[own.frame] == joints[shape.frame]]
+        for shape in shapes
+    }
+
+
 def _touching(robot: Robot, shapes: Sequence[LinkShape]) -> np.ndarray:
     """Which shapes (n,) are around a contact: within `TOUCHING` of its ball or of a corner of its sole."""
-    joints = {frame.name: frame.parentJoint for frame in robot.model.frames}
-    balls = [
-        LinkShape.sphere(f"{own.name} corner {i}", own.frame, [*corner, 0.0], own.radius + TOUCHING)
-        for own in robot.contacts
-        for i, corner in enumerate(own.corners)
-    ]
-    pairs = [(s.name, b.name) for s in shapes for b in balls if joints[s.frame] == joints[b.frame]]
-    scene = CollisionScene(model=robot.model, shapes=(*shapes, *balls), self_pairs=tuple(pairs))
+    balls = {
+        contact.name: [
+            LinkShape.sphere(
+                f"{contact.name} corner {i}", contact.frame, [*corner, 0.0], contact.radius + TOUCHING
+            )
+            for i, corner in enumerate(contact.corners)
+        ]
+        for contact in robot.contacts
+    }
+    own = contacts_by_shape(robot, shapes)
+    pairs = [(s.name, ball.name) for s in shapes for contact in own[s.name] for ball in balls[contact.name]]
+    every = (*shapes, *itertools.chain.from_iterable(balls.values()))
+    scene = CollisionScene(model=robot.model, shapes=every, self_pairs=tuple(pairs))
     distances = scene.distances(robot.reference)[0]
     near = {shape for (shape, _), distance in zip(pairs, distances, strict=True) if distance <= 0}
     return np.array([shape.name in near for shape in shapes], dtype=bool)

@@ -26,7 +26,7 @@ from scipy import sparse
 
 from trajopt import _engine
 from trajopt.solvers.drivers import IPOPT_OPTIONS
-from trajopt.solvers.result import Callback, Option
+from trajopt.solvers.result import LEAST_TIME, Callback, Option
 from trajopt.transcription.nlp import Nlp
 
 # Weights of the distance from the start, of the first minimum and of those that are searched from there. With
@@ -55,8 +55,6 @@ _SECOND: dict[str, Option] = {
     "dual_inf_tol": 1e-2,
     "compl_inf_tol": 1e-4,
 }
-# A solver's limit of time is positive, s.
-LEAST_TIME = 1e-3
 # Distance of the start from bounds, over the first barrier.
 PUSH = 0.1
 

@@ -16,7 +16,7 @@ VIOLATED = 1e-3
 LEAST, LAST = 8, 3
 # Dual infeasibility of multipliers that grow without bound.
 LARGE = 1e4
-# The violation must fall by this factor within so many iterations.
+# The violation, or the dual infeasibility, must fall by this factor within so many iterations.
 FACTOR, WITHIN = 0.5, 20
 
 
@@ -28,5 +28,9 @@ def is_stalled(primal: Sequence[float], dual: Sequence[float]) -> bool:
     if len(primal) <= LEAST or min(primal) <= VIOLATED:
         return False
     creeps = min(dual[-LAST:]) > LARGE
-    stays = len(primal) > WITHIN and min(primal) > FACTOR * min(primal[:-WITHIN])
-    return creeps or stays
+    return creeps or (_stays(primal) and _stays(dual))
+
+
+def _stays(figures: Sequence[float]) -> bool:
+    """Whether the last figures fall little below the best before them."""
+    return len(figures) > WITHIN and min(figures[-WITHIN:]) > FACTOR * min(figures[:-WITHIN])

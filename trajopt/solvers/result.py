@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from trajopt.solvers.status import Status
 
+# A solver's limit of time is positive, s; with less than this it makes no useful iteration.
+LEAST_TIME = 1e-3
 Option = str | int | float
 # Called at every iteration with its figures and a function that returns the variables there (empty where the
 # solver does not give them), to be called before the callback returns. False stops at the iterate.
@@ -59,3 +61,11 @@ class StoppingCriteria:
     tolerance: float = 1e-6
     max_iterations: int = 500
     max_time: float = 600.0
+
+    def left(self, iterations: int, seconds: float) -> StoppingCriteria:
+        """What is left of the limits after so much; never no time at all, which solvers refuse."""
+        return replace(
+            self,
+            max_iterations=max(self.max_iterations - iterations, 0),
+            max_time=max(self.max_time - seconds, LEAST_TIME),
+        )

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from trajopt.problem.bodies import TOO_NEAR, ProblemBodies, bodies_of
+from trajopt.problem.bodies import TOO_NEAR, ProblemBodies, bodies_of, contacts_by_shape
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.near import ShapePair
 from trajopt.robot.collision.planes import PlacedBody, SeparatingPlane
@@ -191,8 +191,10 @@ class Exchange:
         q = np.array([motion(*moment) for moment in every])
         pairs = [(pair, moment) for pair, moments in self.moments.items() for moment in sorted(moments)]
         wanted = [(numbers[moment], pair) for pair, moment in pairs]
-        poses = [contact_poses(self.problem.robot, own) for own in q]
-        feet = [self._feet(pair, poses[number]) if self.beyond_feet else None for number, pair in wanted]
+        feet: list[PlacedBody | None] = [None] * len(wanted)
+        if self.beyond_feet:
+            poses = [contact_poses(self.problem.robot, own) for own in q]
+            feet = [self._feet(pair, poses[number]) for number, pair in wanted]
         found = self.bodies.planes(q, wanted, self.band, feet)
         for (pair, moment), planes in zip(pairs, found, strict=True):
             for plane in planes:
@@ -203,13 +205,7 @@ class Exchange:
 
     @cached_property
     def _contacts(self) -> dict[str, list[Contact]]:
-        """Contacts of the link that carries each shape."""
-        model = self.problem.robot.model
-        joints = {frame.name: frame.parentJoint for frame in model.frames}
-        return {
-            shape.name: [c for c in self.problem.robot.contacts if joints[c.frame] == joints[shape.frame]]
-            for shape in self.bodies.scene.shapes
-        }
+        return contacts_by_shape(self.problem.robot, self.bodies.scene.shapes)
 
     @cached_property
     def _standing(self) -> np.ndarray:

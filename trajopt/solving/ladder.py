@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,10 +50,14 @@ def solve_figures(solution: Solution) -> dict[str, Any]:
     return {"intervals": solution.n_intervals, **own, **total_effort([solution])}
 
 
+def rounds_of(meta: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
+    """Figures of the solves of a solution's rounds, as in `Round.to_dict`; its own where it has none."""
+    return meta.get("graded", {}).get("rounds") or [meta]
+
+
 def total_effort(solutions: Sequence[Solution]) -> dict[str, Any]:
     """Iterations and the solver's time in s of several solves together, each with all its rounds."""
-    metas = (solution.meta for solution in solutions)
-    rounds = [own for meta in metas for own in meta.get("graded", {}).get("rounds", [meta])]
+    rounds = [own for solution in solutions for own in rounds_of(solution.meta)]
     return {key: sum(own[key] for own in rounds) for key in ("iterations", "wall_time_s")}
 
 

@@ -23,6 +23,7 @@ from trajopt.certify.report import OPEN_LOOP, CheckReport, Tolerances
 from trajopt.problem.problem import Problem
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
+from trajopt.solvers.result import LEAST_TIME
 from trajopt.solving.exchange import Exchange
 from trajopt.solving.remeshing import PhaseErrors, remeshed
 from trajopt.solving.rounds import (
@@ -46,8 +47,8 @@ DEEP = 5e-3
 # then the best one near it.
 SETTLED = 5e-3
 MOST_VARIABLES = 100_000
-# Limit of the solver's time in all rounds, s; with less than the least no round begins.
-MAX_TIME, LEAST_TIME = 600.0, 1e-3
+# Limit of the solver's time in all rounds, s.
+MAX_TIME = 600.0
 
 
 @dataclass(frozen=True)

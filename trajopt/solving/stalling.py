@@ -117,12 +117,7 @@ def solve_or_certify(
         return result, None
     if test.found.infeasible:
         return _certified(nlp, result, test.found), test.found
-    left = replace(
-        stop,
-        max_iterations=max(stop.max_iterations - result.iterations, 0),
-        max_time=max(stop.max_time - (time.perf_counter() - begun), 1e-3),
-    )
-
+    left = stop.left(result.iterations, time.perf_counter() - begun)
     onwards = counted_from(result.iterations, callback)
     again = run_solver(nlp, test.found.x, solver, left, options, onwards)
     return replace(

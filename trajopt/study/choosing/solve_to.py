@@ -11,8 +11,8 @@ from trajopt.errors import require_positive
 from trajopt.problem import Problem
 from trajopt.solution.descriptions import jsonable
 from trajopt.solution.solution import Solution
+from trajopt.solvers.result import LEAST_TIME
 from trajopt.solving.graded import MOST_ROUNDS, USUAL_TOLERANCE, solve_graded
-from trajopt.solving.refinement import LEAST_TIME
 from trajopt.solving.rounds import INTERRUPTED, Round, largest_error
 from trajopt.solving.solving import solve
 from trajopt.study.choosing.choice import ChosenSetting, choices_by_time, choose_for_accuracy

@@ -20,6 +20,7 @@ from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.graded import solve
 from trajopt.solving.interruption import BESIDE, GRACE
+from trajopt.solving.ladder import rounds_of, total_effort
 from trajopt.solving.monitoring import ProgressCallback
 from trajopt.study.suite.cases import Case
 from trajopt.study.suite.failure import failure_text, mode_of
@@ -120,8 +121,7 @@ def measure_case(case: Case, settings: SuiteSettings) -> Outcome:
 def attempt(solution: Solution, seed: int | None, legged: bool) -> Attempt:
     """The figures of one solve to the grade, iterations and time of all its meshes."""
     meta = solution.meta
-    mode, mesh = mode_of(meta), mesh_of(solution)
-    rounds = meta.get("graded", {}).get("rounds") or [meta]
+    mode, mesh, spent = mode_of(meta), mesh_of(solution), total_effort([solution])
     return Attempt(
         seed=seed,
         mode=mode,
@@ -129,11 +129,11 @@ def attempt(solution: Solution, seed: int | None, legged: bool) -> Attempt:
         legged=legged,
         scheme=mesh.transcription,
         intervals=sum(mesh.counts),
-        meshes=len(rounds),
+        meshes=len(rounds_of(meta)),
         variables=meta["variables"],
         constraints=meta["constraints"],
-        iterations=sum(one["iterations"] for one in rounds),
-        wall_time=sum(one["wall_time_s"] for one in rounds),
+        iterations=spent["iterations"],
+        wall_time=spent["wall_time_s"],
         objective=meta["objective"],
         primal=meta["primal_infeasibility"],
         dual=meta["dual_infeasibility"],
