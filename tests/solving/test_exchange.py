@@ -11,6 +11,7 @@ import pytest
 
 from tests.support.problems import FOOT, hop, landing
 from tests.support.swings import BALL, DURATION, END, FAR, MARGIN, POLE, START, avoided, past, rods, swing
+from trajopt.certify.report import PENETRATION
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.link_capsules import robot_capsules
 from trajopt.robot.collision.shapes import LinkShape, SphereObstacle
@@ -20,6 +21,7 @@ from trajopt.solving.exchange import LOOK_STEP, LOOKS, TOO_NEAR, Exchange, Look,
 from trajopt.solving.solving import solve
 from trajopt.terms import Clearance
 from trajopt.terms.moments import PlaneSide
+from trajopt_library import problems
 from trajopt_library.problems.common import PosturePath
 
 ROUNDING = 1e-9  # of interpolants, in natural units
@@ -118,6 +120,22 @@ def test_rows_stay_when_the_motion_has_left():
     assert {(0, float(f)) for f in term.fractions} == moments
     exchange.add(exchange.look(avoided()[1]))
     assert exchange.moments[PAIR] >= moments
+
+
+def test_a_foot_that_stands_in_the_ground_may_get_no_deeper_than_the_check_allows():
+    exchange = Exchange(problems.load("biped-run", robot="talos"))
+    column = exchange.bodies.pairs.index(("leg_left_6_link", "ground"))
+    margin = exchange.bodies.margins[column]
+    assert -PENETRATION < margin < -PENETRATION + TOO_NEAR
+    found = [exchange.depth(touching(exchange, column, depth)) for depth in (-margin, 1.1 * PENETRATION)]
+    assert found == pytest.approx([0.0, 0.1 * PENETRATION])
+
+
+def touching(exchange: Exchange, column: int, depth: float) -> Look:
+    """A look at one moment with one pair so deep, m, and all others apart."""
+    distances = np.full((1, len(exchange.bodies.pairs)), np.inf)
+    distances[0, column] = -depth
+    return Look(distances=distances, moments=((0, 0.0),), regular=np.array([True]))
 
 
 def test_corners_stay_once_they_have_a_row():

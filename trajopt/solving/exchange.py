@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
+from trajopt.certify.report import PENETRATION
 from trajopt.problem.bodies import TOO_NEAR, ProblemBodies, bodies_of, contacts_by_shape
 from trajopt.problem.problem import Problem
 from trajopt.robot.collision.near import ShapePair
@@ -33,6 +34,8 @@ from trajopt.terms.moments import PlaneSide
 # Pairs that are too near somewhere get rows wherever they are nearer than their margin plus this part of the
 # robot's length: a motion that gives way there may come near here.
 BAND = 0.04
+# Rows are met to this, m.
+LEAST_SLACK = 2e-5
 # Between its nodes an interval is looked at this many times, evenly, and at its points; more often where a
 # coordinate changes by more than this from look to look, in natural units (rad, lengths of the robot).
 LOOKS, LOOK_STEP = 5, 0.03
@@ -73,6 +76,15 @@ class Exchange:
         """Distance beyond its margin within which a pair has rows, m."""
         return BAND * self.problem.robot.length
 
+    @cached_property
+    def _least(self) -> np.ndarray:
+        """Least distance (n_pairs,) m at which a pair is not too near: rows keep margins to `TOO_NEAR`.
+
+        Feet that stand in the ground may not get deeper than the check allows.
+        """
+        margins = self.bodies.margins
+        return np.minimum(np.maximum(margins - TOO_NEAR, -PENETRATION), margins - LEAST_SLACK)
+
     @property
     def sided_pairs(self) -> tuple[ShapePair, ...]:
         """Pairs other than with the ground: their bodies may pass each other on several sides."""
@@ -107,12 +119,12 @@ class Exchange:
 
     def missing(self, look: Look) -> tuple[ShapePair, ...]:
         """Pairs that are too near somewhere."""
-        short = (look.distances - self.bodies.margins).min(axis=0, initial=np.inf)
-        return tuple(pair for pair, own in zip(self.bodies.pairs, short, strict=True) if own < -TOO_NEAR)
+        short = (look.distances - self._least).min(axis=0, initial=np.inf)
+        return tuple(pair for pair, own in zip(self.bodies.pairs, short, strict=True) if own < 0)
 
     def depth(self, look: Look) -> float:
         """By how much the worst pair is too near, m; zero if none is."""
-        return max(-TOO_NEAR - float((look.distances - self.bodies.margins).min(initial=np.inf)), 0.0)
+        return max(-float((look.distances - self._least).min(initial=np.inf)), 0.0)
 
     def add(self, look: Look) -> bool:
         """Add the moments where pairs that are, or were, too near are near; whether there are new ones."""
@@ -122,7 +134,8 @@ class Exchange:
         for column, pair in enumerate(self.bodies.pairs):
             if pair in wanted:
                 own = short[:, column]
-                near = (own < self.band) & look.regular | (own < -TOO_NEAR) & _least_around(own)
+                missed = look.distances[:, column] < self._least[column]
+                near = (own < self.band) & look.regular | missed & _least_around(own)
                 self.moments[pair] |= {look.moments[row] for row in np.flatnonzero(near)}
         return sum(map(len, self.moments.values())) > before
 
@@ -179,9 +192,9 @@ class Exchange:
         if not every:
             return True
         q = np.array([self.guess(*moment) for moment in every])
-        short = self.bodies.scene.distances(q, self.band + self.bodies.widest) - self.bodies.margins
+        short = self.bodies.scene.distances(q, self.band + self.bodies.widest) - self._least
         columns = [column for column, pair in enumerate(self.bodies.pairs) if pair in self.moments]
-        return bool((short[:, columns] >= -TOO_NEAR).all())
+        return bool((short[:, columns] >= 0).all())
 
     def _laid(self, motion: PhaseMotion) -> Iterator[tuple[Moment, SeparatingPlane]]:
         every = sorted({moment for moments in self.moments.values() for moment in moments})

@@ -116,7 +116,7 @@ class Refinement:
                 self.settled = False  # planes were laid along another problem's motion
             else:
                 solution = self._solved(tried, start)
-            if solution is not None or self.rounds[-1].status == INTERRUPTED:
+            if solution is not None or self._is_over():
                 return solution
             if not self.exchange.moments and self.last and self.last.meta.get("certified_infeasible"):
                 break
@@ -130,6 +130,10 @@ class Refinement:
     def _left(self) -> float:
         """Time of the solver that is left, s."""
         return self.settings.get("max_time", MAX_TIME) - sum(own.wall_time for own in self.rounds)
+
+    def _is_over(self) -> bool:
+        """Whether the user has stopped the last round, or no time is left for another."""
+        return self.rounds[-1].status == INTERRUPTED or self._left() <= LEAST_TIME
 
     def _solved(
         self, mesh: Mesh, start: Solution | str | Path | None, problem: Problem | None = None
@@ -163,7 +167,7 @@ class Refinement:
                 before, after = solution.meta["objective"], found.meta["objective"]
                 self.settled = abs(after - before) <= SETTLED * max(abs(before), abs(after))
                 return found
-            if self.rounds[-1].status == INTERRUPTED:
+            if self._is_over():
                 break
         return None
 
