@@ -64,6 +64,15 @@ def test_smallest_solves_the_same_silently_and_json_has_the_scene(tmp_path: Path
     assert kinds <= {"exact", "choice", "kept", "offer"}
 
 
+@pytest.mark.slow
+def test_a_lifted_motion_that_misses_the_check_is_solved_for_the_whole_robot(tmp_path: Path) -> None:
+    file = tmp_path / "jump.npz"
+    result = invoke("solve", "solo12-jump", "--smallest", "--compile", "none", "--output", file)
+    assert result.exit_code == 0, result.output
+    assert "whole robot: solved from the reduced motion" in result.stdout
+    assert invoke("check", file).exit_code == 0
+
+
 @pytest.mark.long
 def test_without_these_options_the_problem_is_solved_as_it_is_built(tmp_path: Path) -> None:
     found = json.loads(invoke(*JUMP, "--json", "--output", tmp_path / "jump.npz").stdout)

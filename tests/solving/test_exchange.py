@@ -91,6 +91,21 @@ def test_distances_of_a_look_are_those_along_the_motion():
     assert look.regular.sum() == 3 * straight().n_intervals + 1  # a node, two points, and the end
 
 
+def test_a_look_is_also_at_times_that_are_asked_for():
+    exchange = Exchange(past(swing(), BALL, FAR))
+    end = float(straight().t[-1])
+    plain, more = exchange.look(straight()), exchange.look(straight(), [0.123 * end, 0.0, end])
+    (added,) = set(more.moments) - set(plain.moments)
+    assert set(plain.moments) <= set(more.moments)
+    assert added == (0, pytest.approx(0.123))
+    assert not more.regular[more.moments.index(added)]
+
+
+def test_without_rows_the_last_motion_starts_and_then_the_guess():
+    problem = past(swing(), FAR)
+    assert list(Exchange(problem).starts(straight())) == [(problem, straight()), (problem, None)]
+
+
 def test_every_node_is_looked_at_once():
     problem = landing(free=True)
     solution = solve(problem, transcription="radau:2", intervals=9, compile="none")
@@ -140,11 +155,12 @@ def touching(exchange: Exchange, column: int, depth: float) -> Look:
 
 def test_corners_stay_once_they_have_a_row():
     exchange, _ = begun(past(swing(), BALL, FAR), straight())
-    before = planes(exchange.constrained(exchange.guess))[0]
-    again = planes(exchange.constrained(along(avoided()[1])))[0]
-    assert len(again.fractions) >= len(before.fractions)
-    once = planes(exchange.constrained(along(avoided()[1])))[0]
-    assert once.parameters == pytest.approx(again.parameters)
+    before, again, once = (
+        np.concatenate([term.parameters for term in planes(exchange.constrained(motion))])
+        for motion in (exchange.guess, along(avoided()[1]), along(avoided()[1]))
+    )
+    assert len(again) >= len(before)
+    assert once == pytest.approx(again)
 
 
 def test_guess_is_clear_where_it_is_apart_at_the_rows():

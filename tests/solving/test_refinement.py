@@ -1,15 +1,20 @@
 """Refinement: the model of the error, the mesh it asks for, and what is reached, measured independently."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from tests.support.problems import hop, reach
 from trajopt.certify.accuracy.measures import measure
+from trajopt.certify.report import GRADE
 from trajopt.errors import InputError
 from trajopt.solution.grid import mesh_of
 from trajopt.solving import refinement
+from trajopt.solving.exchange import Exchange
 from trajopt.solving.graded import solve_graded, tolerance_for
+from trajopt.solving.refinement import PATIENCE, Refinement
 from trajopt.solving.remeshing import MOST_PARTS, PhaseErrors, error_constant, remeshed
 from trajopt.solving.rounds import phase_errors
 from trajopt.solving.solving import solve
@@ -74,6 +79,31 @@ def test_intervals_with_more_error_are_cut_into_more_parts():
         int(np.sum((edges > low + 1e-12) & (edges <= low + 0.25 + 1e-12))) for low in (0, 0.25, 0.5, 0.75)
     ]
     assert inside[0] > inside[3] >= inside[1] == inside[2] == 1
+
+
+def test_broken_intervals_are_split_also_in_phases_that_are_remeshed():
+    mesh, broken = Mesh.uniform("legendre:4", [3]), np.array([0.0, 0.0, 2.0])
+    errors = PhaseErrors(local=np.array([1e-4, 1e-12, 1e-12]), phase=2.0, unknowns=SIZES)
+    (alone,) = remeshed(mesh, [errors], np.zeros(3), 1.0, raise_degree=False).phases
+    (made,) = remeshed(mesh, [errors], broken, 1.0, raise_degree=False).phases
+    assert made.count == alone.count + 1
+    assert np.sum(np.array(made.fractions) > 2 / 3 + ROUNDING) == 2
+
+
+def test_a_phase_that_misses_round_after_round_is_split_everywhere():
+    loop = Refinement(hop(), GRADE, True, {}, Exchange(hop()), None)
+    mesh, good = (
+        Mesh.uniform("legendre:4", [2, 3, 2]),
+        PhaseErrors(local=np.zeros(2), phase=0.5, unknowns=SIZES),
+    )
+    errors, broken = [good, replace(good, phase=3.0), good], np.zeros(7)
+    broken[0] = 2.0
+    for number in range(PATIENCE + 1):
+        found = loop._pressed(mesh, errors, broken)
+        assert (found[1:5] > 1).all() == (number == PATIENCE)
+    assert found[0] == 2.0
+    assert not found[5:].any()
+    assert not loop._pressed(mesh, [good] * 3, np.zeros(7)).any()
 
 
 def test_error_all_over_a_phase_raises_its_degree():

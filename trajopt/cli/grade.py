@@ -13,12 +13,25 @@ from trajopt.errors import InputError
 
 if TYPE_CHECKING:
     from trajopt.problem.problem import Problem
+    from trajopt.solution.solution import Solution
     from trajopt.solving.graded import Graded
     from trajopt.solving.monitoring import Watch
 
 grade_options = option_group(
     click.option("--draft", is_flag=True, help="Solve on the first, coarse mesh only."),
     click.option("--fixed-mesh", is_flag=True, help="Solve on the problem's own mesh."),
+)
+
+# Settings that every solve for the same command shares.
+SOLVER_SETTINGS = (
+    "solver",
+    "hessian",
+    "tolerance",
+    "max_iterations",
+    "max_time",
+    "compile",
+    "threads",
+    "options",
 )
 
 
@@ -55,8 +68,23 @@ def solve_to_grade(
         found = solve_graded(
             problem, mesh=mesh, refine=not named, max_rounds=rounds, **callbacks, **arguments
         )
-    reached = found.reached or (rounds == 1 and found.solution.converged)
-    return SolveReport(found.solution, reached, _lines(found), {"graded": found.to_dict()})
+    return SolveReport(found.solution, found.reached, _lines(found), {"graded": found.to_dict()})
+
+
+def solve_whole(problem: Problem, lifted: Solution, **settings: Any) -> tuple[Solution, list[str]]:
+    """The motion of a reduced model, solved once more from there for the whole robot if it misses the check.
+
+    settings: those of `solve_graded`. Also returns lines of the summary.
+    """
+    from trajopt.certify.check import check
+    from trajopt.solution.grid import mesh_of
+    from trajopt.solving.graded import solve_graded
+
+    if not lifted.success or check(lifted, integrate=False).ok:
+        return lifted, []
+    found = solve_graded(problem, mesh=mesh_of(lifted), start=lifted, **settings)
+    iterations = sum(one.iterations for one in found.rounds)
+    return found.solution, [f"whole robot: solved from the reduced motion, {iterations} iterations"]
 
 
 def _lines(found: Graded) -> list[str]:

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from trajopt.cli.grade import SOLVER_SETTINGS
 from trajopt.cli.input import parse_settings
 from trajopt.cli.progress import watched
 from trajopt.cli.report import SolveReport
-from trajopt.errors import InputError
+from trajopt.errors import InputError, not_among
 from trajopt.solvers.status import Status
 
 if TYPE_CHECKING:
@@ -21,19 +22,6 @@ if TYPE_CHECKING:
 
 nearest_option = click.option(
     "--nearest", metavar="PARAMETER", help="Search the nearest value that is solved, where --set's is not."
-)
-# Settings of a solve that a search takes over.
-TAKEN = (
-    "solver",
-    "hessian",
-    "tolerance",
-    "max_iterations",
-    "max_time",
-    "compile",
-    "threads",
-    "options",
-    "transcription",
-    "intervals",
 )
 
 
@@ -58,7 +46,7 @@ class Search:
         family, fixed = choose(families(), problem), parse_settings(settings, "--set")
         numbers = {own.name: own for own in family.parameters if isinstance(own, Parameter)}
         if name not in numbers:
-            raise InputError(f"{family.name} has no number '{name}'", f"allowed: {', '.join(numbers)}")
+            raise not_among(numbers, name, f"{family.name} has no number '{name}'")
         if name not in fixed:
             raise InputError(
                 f"--nearest {name} has no value to come near", f"allowed: with --set {name}=VALUE"
@@ -88,7 +76,7 @@ class Search:
 
         if failed.solution.meta["status"] == Status.INTERRUPTED.word:
             return failed
-        settings = {key: arguments[key] for key in TAKEN}
+        settings = {key: arguments[key] for key in (*SOLVER_SETTINGS, "transcription", "intervals")}
         most = arguments["max_time"] * NEAREST_SOLVES
         title = f"{arguments['title']}, nearest {self.name}"
         with watched(title, most, None, arguments["viewer"]) as callbacks:

@@ -10,7 +10,7 @@ import click
 from trajopt.cli.aim import aim_options, solve_aimed, wants_aim
 from trajopt.cli.diagnose import diagnose_option, diagnosis_of
 from trajopt.cli.file_names import file_of_settings
-from trajopt.cli.grade import grade_options, solve_to_grade, wants_grade
+from trajopt.cli.grade import SOLVER_SETTINGS, grade_options, solve_to_grade, solve_whole, wants_grade
 from trajopt.cli.input import (
     COUNT,
     NOT_REACHED,
@@ -133,19 +133,23 @@ def solve_command(
     solved = solve_chosen(asked, **arguments)
     if search and not solved.reached:
         solved = search.run(solved, arguments)
-    solution = scene.lift(solved.solution) if scene else solved.solution
+    solution = solved.solution
+    whole: list[str] = []
+    if scene:
+        own = {key: arguments[key] for key in SOLVER_SETTINGS}
+        solution, whole = solve_whole(loaded, scene.lift(solution), **own)
     file, notes = _saved(solution, target)
-    report = _checked(solution, notes, "" if scene is None or scene.report.is_exact else " or no --smallest")
+    report = _checked(solution, notes)
     diagnosis = diagnosis_of(solved.solution, asked) if diagnosed else None
     if as_json:
         extra |= {"diagnosis": diagnosis[0]} if diagnosis else {}
         click.echo(to_json(solve_dict(solution, report, file) | extra | solved.extra))
     else:
-        click.echo(solve_summary(solution, report, file, solved.notes + notes))
+        click.echo(solve_summary(solution, report, file, solved.notes + whole + notes))
         if diagnosis:
             click.echo(diagnosis[1])
     show_until_interrupted(viewer, solution)
-    return 0 if solved.reached else NOT_REACHED
+    return 0 if solved.reached and (solution.success or not scene) else NOT_REACHED
 
 
 def _way_of_solving(arguments: dict[str, Any]) -> Callable[..., SolveReport]:
@@ -171,7 +175,7 @@ def _saved(solution: Solution, target: Path) -> tuple[Path | None, list[str]]:
     return solution.save(target), []
 
 
-def _checked(solution: Solution, notes: list[str], advice: str) -> CheckReport | None:
+def _checked(solution: Solution, notes: list[str]) -> CheckReport | None:
     """The check of a solve, or None and a note if it cannot be checked."""
     import numpy as np
 
@@ -185,5 +189,5 @@ def _checked(solution: Solution, notes: list[str], advice: str) -> CheckReport |
         return None
     beyond = failed_figures(report)
     if beyond and solution.success:
-        notes.append(f"beyond the tolerances of a check: {beyond}; try more intervals{advice}")
+        notes.append(f"beyond the tolerances of a check: {beyond}; try more intervals")
     return report

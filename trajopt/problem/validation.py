@@ -65,7 +65,7 @@ def require_phases(problem: str, robot: Robot, schedule: Schedule) -> None:
 def require_actuation(robot: Robot, schedule: Schedule, actuation: str, initial_v: np.ndarray) -> None:
     """Raise `InputError` for an unknown actuation, or a phase that a velocity source cannot model."""
     if actuation not in ACTUATIONS:
-        raise InputError(f"actuation {actuation!r} is unknown", f"allowed: {', '.join(ACTUATIONS)}")
+        raise not_among(ACTUATIONS, actuation, f"actuation {actuation!r} is unknown")
     if actuation != "velocity":
         return
     if initial_v.any():

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, not_among
 from trajopt.robot.legs import biped_legs, feet_in_base, quadruped_legs
 from trajopt.robot.robot import Robot
 from trajopt.schedule.gaits import Gait
@@ -75,5 +75,5 @@ def gait_of(robot: Robot, name: str) -> Gait:
 
 def _choose(gaits: Mapping[str, Gait], name: str) -> Gait:
     if name not in gaits:
-        raise InputError(f"gait '{name}' is unknown", f"allowed: {', '.join(gaits)}")
+        raise not_among(gaits, name, f"gait '{name}' is unknown")
     return gaits[name]

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -31,9 +31,10 @@ from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
 from trajopt.terms.moments import PlaneSide
 
-# Pairs that are too near somewhere get rows wherever they are nearer than their margin plus this part of the
-# robot's length: a motion that gives way there may come near here.
-BAND = 0.04
+# Pairs that are too near somewhere get rows wherever they are nearer than their margin plus a multiple of
+# what they lacked at most, within these parts of the length: a motion that gives way there may come near
+# here.
+REACH, LEAST_BAND, BAND = 4.0, 0.005, 0.04
 # Rows are met to this, m.
 LEAST_SLACK = 2e-5
 # Between its nodes an interval is looked at this many times, evenly, and at its points; more often where a
@@ -60,12 +61,15 @@ class Look:
 class Exchange:
     """Which pairs of bodies have rows, when, and for which corners: they grow from look to look.
 
+    lacking: by how much each of them came nearer than its margin at most, m.
+
     Raises `InputError` for a problem whose bodies are in each other at its start or at a goal.
     """
 
     problem: Problem
     moments: defaultdict[ShapePair, set[Moment]] = field(default_factory=lambda: defaultdict(set))
     corners: dict[tuple[ShapePair, Moment, str | None, str | None], np.ndarray] = field(default_factory=dict)
+    lacking: defaultdict[ShapePair, float] = field(default_factory=lambda: defaultdict(float))
     beyond_feet: bool = False
 
     def __post_init__(self) -> None:
@@ -73,7 +77,7 @@ class Exchange:
 
     @property
     def band(self) -> float:
-        """Distance beyond its margin within which a pair has rows, m."""
+        """Largest distance beyond its margin within which a pair has rows, m."""
         return BAND * self.problem.robot.length
 
     @cached_property
@@ -102,15 +106,15 @@ class Exchange:
         }
         return made
 
-    def look(self, solution: Solution) -> Look:
-        """Distances of all pairs along a solution, exact where they are within the band.
+    def look(self, solution: Solution, times: Sequence[float] = ()) -> Look:
+        """Distances of all pairs along a solution, and at ``times`` s, exact where they are within the band.
 
         Those of a foot from the ground that its active contact touches count as infinite: the contact holds
         it there, and rows beside the contact's own would depend on them.
         """
         plan = solution.normalized()
         units = Units(self.problem.robot).position
-        numbers, fractions, regular = _moments_to_look_at(plan, units)
+        numbers, fractions, regular = _moments_to_look_at(plan, units, times)
         q = InterpolatedMotion.of(plan).at(numbers, fractions).q
         distances = self.bodies.scene.distances(q, self.band + self.bodies.widest)
         moments = _in_phases(plan, numbers, fractions)
@@ -128,14 +132,16 @@ class Exchange:
 
     def add(self, look: Look) -> bool:
         """Add the moments where pairs that are, or were, too near are near; whether there are new ones."""
-        before = sum(map(len, self.moments.values()))
+        before, length = sum(map(len, self.moments.values())), self.problem.robot.length
         wanted = {*self.missing(look), *self.moments}
         short = look.distances - self.bodies.margins
         for column, pair in enumerate(self.bodies.pairs):
             if pair in wanted:
                 own = short[:, column]
                 missed = look.distances[:, column] < self._least[column]
-                near = (own < self.band) & look.regular | missed & _least_around(own)
+                self.lacking[pair] = max(self.lacking[pair], -float(own.min()))
+                band = np.clip(REACH * self.lacking[pair], LEAST_BAND * length, self.band)
+                near = (own < band) & look.regular | missed & _least_around(own)
                 self.moments[pair] |= {look.moments[row] for row in np.flatnonzero(near)}
         return sum(map(len, self.moments.values())) > before
 
@@ -172,6 +178,9 @@ class Exchange:
 
         Then the same with planes beyond feet, and from then on only those: see `planes.beyond_foot`.
         """
+        if not self.moments:
+            yield from ((self.problem, solution), (self.problem, None))
+            return
         last = along(solution)
         for beyond_feet in (True,) if self.beyond_feet else (False, True):
             self.beyond_feet = beyond_feet
@@ -246,7 +255,9 @@ def along(solution: Solution) -> PhaseMotion:
     return lambda phase, fraction: motion.in_phase(phase, fraction, 0.5).q
 
 
-def _moments_to_look_at(plan: Solution, units: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _moments_to_look_at(
+    plan: Solution, units: np.ndarray, times: Sequence[float]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Numbers and fractions (K,) of intervals, and which of them are nodes and points.
 
     The end of an interval is the start of the next one, where that is looked at; only the last has its own.
@@ -257,7 +268,9 @@ def _moments_to_look_at(plan: Solution, units: np.ndarray) -> tuple[np.ndarray, 
         start, end = plan.interval_t[number]
         travel = (end - start) * float((np.abs(plan.v[plan.intervals[number]]) / units).max())
         looks = max(LOOKS, math.ceil(travel / LOOK_STEP))
-        every = np.unique(np.concatenate([own, np.round(np.linspace(0.0, 1.0, looks + 2), DIGITS)]))
+        further = [(time - start) / (end - start) for time in times if start < time < end]
+        evenly = np.linspace(0.0, 1.0, looks + 2)
+        every = np.unique(np.round(np.concatenate([own, evenly, further]), DIGITS))
         if number < plan.n_intervals - 1:
             every = every[every < 1.0]
         numbers.append(np.full(len(every), number))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ import numpy as np
 
 from trajopt.certify.accuracy.measures import Accuracy, measure
 from trajopt.certify.accuracy.natural_units import NaturalUnits
-from trajopt.certify.check import Examination, examine
+from trajopt.certify.check import BODIES, Examination, examine
 from trajopt.certify.report import OPEN_LOOP, CheckReport, Tolerances
 from trajopt.problem.problem import Problem
 from trajopt.solution.grid import mesh_of
@@ -47,6 +48,8 @@ DEEP = 5e-3
 # then the best one near it.
 SETTLED = 5e-3
 MOST_VARIABLES = 100_000
+# A phase that misses in more rounds than this, one after the other, is split everywhere.
+PATIENCE = 3
 # Limit of the solver's time in all rounds, s.
 MAX_TIME = 600.0
 
@@ -62,7 +65,10 @@ class _Examined:
 
 @dataclass
 class Refinement:
-    """The rounds so far, the last solution, and the best one with its examination."""
+    """The rounds so far, the last solution, and the best one with its examination.
+
+    missed: (n_phases,) in how many of the last rounds, one after the other, a phase missed.
+    """
 
     problem: Problem
     tolerances: Tolerances
@@ -75,6 +81,7 @@ class Refinement:
     examined: float = 0.0
     best: tuple[float, _Examined] | None = None
     settled: bool = True
+    missed: np.ndarray | int = 0
 
     def run(
         self, mesh: Mesh, start: Solution | str | Path | None, first: Solution | None, rounds: int
@@ -83,7 +90,7 @@ class Refinement:
         solution = self._first(mesh, start) if first is None else self._given(first)
         while solution is not None:
             own = self._examine(solution)
-            look = self.exchange.look(solution)
+            look = self.exchange.look(solution, self._times_in_bodies(own.found.report))
             near = self.exchange.depth(look)
             if self._used(own) <= 1 and near <= 0 and self.settled:
                 return "the grade is reached"
@@ -159,13 +166,12 @@ class Refinement:
         guess that is clear passes it where its author wants it to. From then on motions are on that side, and
         planes along them hold them back less than those along the guess.
         """
-        if not self.exchange.moments:
-            return self._solved(mesh, solution)
         for problem, start in self.exchange.starts(solution, sideless and self.exchange.guess_is_clear()):
             found = self._solved(mesh, start, problem)
             if found is not None:
                 before, after = solution.meta["objective"], found.meta["objective"]
-                self.settled = abs(after - before) <= SETTLED * max(abs(before), abs(after))
+                near = abs(after - before) <= SETTLED * max(abs(before), abs(after))
+                self.settled = near or not self.exchange.moments
                 return found
             if self._is_over():
                 break
@@ -191,6 +197,10 @@ class Refinement:
             used = max(used, max(phase_errors(own.accuracy)) / self.target)
         return math.inf if math.isnan(used) else used
 
+    def _times_in_bodies(self, report: CheckReport) -> list[float]:
+        """When bodies are deepest in each other, s, where that is beyond a tolerance."""
+        return [report.places[name].time for name in report.failures(self.tolerances) if name in BODIES]
+
     def _refined(self, mesh: Mesh, own: _Examined) -> Mesh:
         found, report = own.found, own.found.report
         length = NaturalUnits.of(own.solution.model).length
@@ -205,9 +215,21 @@ class Refinement:
             strict=True,
         )
         errors = [PhaseErrors(local=local, phase=worst, unknowns=sizes) for local, worst, sizes in parts]
+        broken = self._pressed(mesh, errors, found.broken)
         # A scheme that a problem names suits its kinks: torques of least time ring at a higher degree.
         usual = self.problem.default_transcription == USUAL_SCHEME
-        return remeshed(mesh, errors, found.broken, length, raise_degree=usual)
+        return remeshed(mesh, errors, broken, length, raise_degree=usual)
+
+    def _pressed(self, mesh: Mesh, errors: Sequence[PhaseErrors], broken: np.ndarray) -> np.ndarray:
+        """What is ``broken`` (I,), and something everywhere in phases that miss round after round.
+
+        There an optimum moves to intervals that are still wide.
+        """
+        parts = np.split(broken, np.cumsum(mesh.counts)[:-1])
+        missed = [own.phase > 1 or part.max() > 1 for own, part in zip(errors, parts, strict=True)]
+        self.missed = np.where(missed, self.missed + 1, 0)
+        least = np.where(self.missed > PATIENCE, np.nextafter(1.0, 2.0), 0.0)
+        return np.maximum(broken, np.repeat(least, mesh.counts))
 
     def _error(self, report: CheckReport, index: int) -> float:
         """Error of a phase in what it does, over what is allowed."""
@@ -227,6 +249,9 @@ class Refinement:
         assert solution is not None
         if report is not None:
             solution = judged_by(solution, report, self.tolerances)
+            if not (solution.success or self.last is None or self.last.converged):
+                more = f"{solution.meta['advice']}; a finer mesh was not solved: {self.last.meta['advice']}"
+                solution = replace(solution, meta={**solution.meta, "advice": more})
         made = Graded(
             solution=solution,
             report=report,

@@ -66,8 +66,8 @@ def remeshed(
 ) -> Mesh:
     """The mesh for the next round of a motion that misses tolerances.
 
-    Phases whose error, in units of what is allowed, is above one are remeshed by their local errors. In the
-    others, intervals in which a figure is ``broken`` (I,) times its tolerance are split.
+    Phases whose error, in units of what is allowed, is above one are remeshed by their local errors.
+    Intervals in which a figure is ``broken`` (I,) times its tolerance are split at least.
     """
     phases, ends = [], np.cumsum(mesh.counts)
     parts = np.where(broken > 1, np.clip(np.ceil(np.sqrt(broken)), 2, MOST_PARTS), 1).astype(int)
@@ -75,11 +75,13 @@ def remeshed(
         if own.phase <= 1:
             phases.append(phase.split(split.tolist()) if split.max() > 1 else phase)
         else:
-            phases.append(_remeshed_phase(phase, own, length, raise_degree))
+            phases.append(_remeshed_phase(phase, own, split, length, raise_degree))
     return Mesh(phases=tuple(phases))
 
 
-def _remeshed_phase(mesh: PhaseMesh, errors: PhaseErrors, length: float, raise_degree: bool) -> PhaseMesh:
+def _remeshed_phase(
+    mesh: PhaseMesh, errors: PhaseErrors, least: np.ndarray, length: float, raise_degree: bool
+) -> PhaseMesh:
     local = np.clip(errors.local, ROUNDING * length, length)
     wanted = AIM / errors.phase if math.isfinite(errors.phase) else RUN_AWAY
     allowed = wanted * float(local.sum())
@@ -88,7 +90,7 @@ def _remeshed_phase(mesh: PhaseMesh, errors: PhaseErrors, length: float, raise_d
     for name in _schemes(mesh.scheme)[: 1 + raise_degree]:
         method = mesh.with_scheme(name)
         single = _raised(local, mesh.scheme, name, length)
-        parts = _parts(single, method.method.order, allowed)
+        parts = np.maximum(_parts(single, method.method.order, allowed), least)
         met = float((single * parts ** -float(method.method.order)).sum()) <= allowed
         size = int(parts.sum()) * (node + method.method.s * point)
         candidates.append((not met, size, name, parts))

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, get_args
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, not_among
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Motion, Schedule
@@ -127,7 +127,7 @@ def _main_term(
         if reference is None:
             raise _missing(goal, "a reference motion")
         return TrackingCost(weight=1.0, reference=reference)
-    raise InputError(f"goal '{goal}' is unknown", f"allowed: {', '.join(GOALS)}")
+    raise not_among(GOALS, goal, f"goal '{goal}' is unknown")
 
 
 def _missing(goal: str, what: str) -> InputError:

@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from trajopt.errors import InputError
+from trajopt.errors import not_among
 
 MAX_DEGREE = 4
 SCHEME_NAMES = ("legendre:1..4", "radau:1..4", "trapezoidal", "hermite-simpson", "semi-implicit-euler")
@@ -123,4 +123,4 @@ def scheme(name: str) -> Scheme:
         return _lobatto(name, 4, np.array([0.0, 0.5, 1.0]))
     if name == "semi-implicit-euler":
         return _semi_implicit_euler()
-    raise InputError(f"unknown transcription '{name}'", f"allowed: {', '.join(SCHEME_NAMES)}")
+    raise not_among(SCHEME_NAMES, name, f"unknown transcription '{name}'")

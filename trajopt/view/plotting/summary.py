@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, not_among
 from trajopt.view.plotting import topics_accuracy as accuracy
 from trajopt.view.plotting import topics_base as base
 from trajopt.view.plotting import topics_contacts as contacts
@@ -74,7 +74,7 @@ def pages_of(tracks: Tracks, names: Sequence[str]) -> list[PlotPage]:
     """
     for name in names:
         if name not in PAGES:
-            raise InputError(f"page '{name}' is unknown", f"allowed: {', '.join(PAGES)}")
+            raise not_among(PAGES, name, f"page '{name}' is unknown")
     found = [page for name in names for page in PAGES[name](tracks)]
     if not found:
         have = [name for name, pages in PAGES.items() if pages(tracks)]

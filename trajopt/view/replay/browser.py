@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from trajopt.errors import InputError, TrajoptError
+from trajopt.errors import InputError, TrajoptError, not_among
 
 if TYPE_CHECKING:
     from playwright.async_api import Browser as AsyncBrowser
@@ -134,7 +134,7 @@ class OpenedPage:
 
 def _require_known(kind: str, name: str, known: Sequence[str]) -> None:
     if name not in known:
-        raise InputError(f"{kind} '{name}' is unknown", f"allowed: {', '.join(known)}")
+        raise not_among(known, name, f"{kind} '{name}' is unknown")
 
 
 class _Heard:
