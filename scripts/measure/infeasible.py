@@ -13,11 +13,11 @@ from trajopt_library import problems
 # Problem, its other parameters, the one that decides: its infeasible and its feasible value.
 SETTINGS: tuple[tuple[str, dict[str, Any], str, float, float], ...] = (
     ("biped-jump-up", {"robot": "talos"}, "height", 0.2, 0.04),
-    ("solo12-jump", {}, "effort", 0.4, 0.9),
-    ("quadruped-jump-forward", {"robot": "go2"}, "distance", 2.5, 0.8),
-    ("hopper-hop", {"distance": 0.6}, "friction", 0.05, 0.7),
-    ("hopper-hop", {}, "stance", 0.02, 0.1),
-    ("quadruped-trot", {"robot": "go2"}, "speed", 5.0, 2.0),
+    ("solo12-jump", {}, "effort", 0.4, 1.0),
+    ("quadruped-jump-forward", {"robot": "go2"}, "distance", 2.5, 0.6),
+    ("hopper-hop", {}, "friction", 0.05, 0.7),
+    ("hopper-hop", {}, "stance", 0.02, 0.4),
+    ("quadruped-trot", {"robot": "go2"}, "speed", 5.0, 1.2),
     ("ur5-reach", {}, "duration", 0.1, 0.27),
     ("arm-reach", {"robot": "panda"}, "duration", 0.2, 0.28),
     ("arm-pick-place", {"robot": "panda"}, "payload", 60.0, 20.0),

@@ -8,7 +8,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tests.support.rolling import ROLLING, ROLLS
 from tests.support.synthetic_motions import Motion, arm_motion, sampled, standing, tumbling_flight
 from trajopt import Contact, Robot, Solution, solve
 from trajopt.certify.closing import periodic_image
@@ -340,9 +339,7 @@ def test_half_a_cycle_is_followed_by_its_mirror_image():
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["solo12", "go2", "anymal_c"])
 @pytest.mark.parametrize("problem", ["quadruped-jump-forward", "quadruped-trot"])
-def test_jumps_and_trots_end_within_five_centimetres(problem, robot, request):
-    if (problem, robot) == ROLLS:
-        request.applymarker(pytest.mark.xfail(reason=ROLLING, strict=True))
+def test_jumps_and_trots_end_within_five_centimetres(problem, robot):
     report = simulate(solve(problems.load(problem, robot=robot), compile="none", fixed_mesh=True)).report
     assert not report.fell
     assert report.base_error_end < AT_THE_END
@@ -361,8 +358,9 @@ def test_jumps_and_trots_end_within_five_centimetres(problem, robot, request):
         (
             {"gain": 2.0},
             "a simulation has no setting gain; allowed: timestep, control_rate, kp, kd, friction_scale, "
-            "mass_scale, noise, seed, cycles, push",
+            "mass_scale, noise, seed, cycles, push, rolling",
         ),
+        ({"rolling": 1}, "rolling of a simulation is 1; allowed: True or False"),
         ({"noise": "much"}, "noise of a simulation is 'much'; allowed: a finite number"),
     ],
 )

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.rolling import ROLLING, ROLLS
 from tests.support.suite_outcomes import outcome_of
 from trajopt import Solution
 from trajopt.cli.commands import main
@@ -44,11 +43,7 @@ def gated(problem: str, robot: str, folder: Path) -> Outcome:
 @pytest.mark.slow
 @pytest.mark.parametrize("problem", ["quadruped-jump-forward", "quadruped-trot"])
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_physics_tracks_jumps_and_trots_without_a_fall(
-    problem: str, robot: str, tmp_path: Path, request: pytest.FixtureRequest
-):
-    if (problem, robot) == ROLLS:
-        request.applymarker(pytest.mark.xfail(reason=ROLLING, strict=True))
+def test_physics_tracks_jumps_and_trots_without_a_fall(problem: str, robot: str, tmp_path: Path):
     outcome = gated(problem, robot, tmp_path)
     assert outcome.ok
     assert outcome.physics is not None

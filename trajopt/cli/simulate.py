@@ -26,6 +26,7 @@ from trajopt.solution.output import check_apart, check_output
 @default_option("--noise", 0.0, "SIGMA", "Noise on the initial state, natural units.")
 @default_option("--seed", 0, "K", "Seed of --noise.", kind=COUNT)
 @default_option("--push", 0.0, "N", "Force on the base to its left, halfway, N.")
+@click.option("--rolling", is_flag=True, help="Feet with a radius roll, which plans neglect.")
 @json_option
 def simulate_command(
     file: Path, output: Path | None, html: Path | None, as_json: bool, **settings: Any

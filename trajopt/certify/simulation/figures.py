@@ -16,7 +16,7 @@ from trajopt.certify.simulation.world import World, touching_places
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.solution.arrays import rows_of
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import TouchedSurfaces, contact_radii, touched_surfaces
+from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
 
 # A contact is loaded above this fraction of the weight: far above rounding, far below a leg's share.
 LOADED = 0.02
@@ -99,7 +99,7 @@ def simulated_stances(
             window = (before + first) // 2 if first else 0
             # Up to mid-stance: a later load is not a touchdown.
             touch = np.flatnonzero(loaded[window : (first + end) // 2 + 1, contact])
-            phase = reference.source[first]
+            normal = surfaces.normal[reference.source[first], contact]
             own = np.unique(reference.source[first:end])
             free = bool((surfaces.bilateral | surfaces.slides)[own, contact].any())
             late = (window + int(touch[0]) - first) * reference.period if len(touch) else None
@@ -112,9 +112,9 @@ def simulated_stances(
                     travel=None
                     if free
                     else farthest_travel(
-                        _slipped(plan, contact, record, slice(first, end), surfaces.normal[phase, contact]),
+                        _slipped(plan, world, contact, record, slice(first, end), normal),
                         _without_gaps(loaded[first:end, contact], gap),
-                        surfaces.normal[phase, contact],
+                        normal,
                     ),
                 )
             )
@@ -137,13 +137,13 @@ def _without_gaps(loaded: np.ndarray, gap: int) -> np.ndarray:
 
 
 def _slipped(
-    plan: Solution, contact: int, record: SimulationRecord, rows: slice, normal: np.ndarray
+    plan: Solution, world: World, contact: int, record: SimulationRecord, rows: slice, normal: np.ndarray
 ) -> np.ndarray:
-    """Places (n, c, 3) m of a contact's points; of a ball its centre, without what it rolls."""
+    """Places (n, c, 3) m of a contact's points; of a ball that rolls its centre, without what it rolls."""
     feet, turns = record.feet[rows, contact, None], record.turns[rows, contact]
     places = feet + touching_places(plan, contact) @ turns.mT
-    radius = float(contact_radii(plan.meta)[contact])
-    if not radius or len(turns) < 2:
+    radius = float(world.place.radii[contact])
+    if not (world.place.rolling and radius) or len(turns) < 2:
         return np.asarray(places)
     steps = np.array([pin.log3(after @ before.T) for before, after in pairwise(turns)])
     rolled = np.cumsum(np.vstack([np.zeros(3), np.cross(steps, radius * normal)]), axis=0)

@@ -1,13 +1,14 @@
 """What a robot may touch in a simulation, as MuJoCo geometry: terrain, boards of single phases, obstacles.
 
-A contact with a radius is a ball around its frame. A point is one so small (`BALL` of the reach) that its
-rolling is negligible, and a sole has one at each corner. Where a robot has such contacts all ground is
-lowered by their radius, and balls of contacts with a radius are larger by as much.
+A point contact is a ball so small (`BALL` of the reach) that its rolling is negligible, and a sole has one at
+each corner. The ground that they touch is shifted along its normal, so that a contact of the plan with a
+radius turns about its centre, as it does in the plan; or it is a ball of that radius, which rolls. Links
+touch the ground where it is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,33 +54,42 @@ class GroundGeometry:
 class Surroundings:
     """Where a plan happens: contact frames (K, nc, 3) at its samples, a box around it, the reach; m.
 
-    radii: (nc,) of the plan's contacts.
+    radii: (nc,) of the plan's contacts. rolling: whether those with a radius roll.
     """
 
     feet: np.ndarray
     radii: np.ndarray
+    rolling: bool
     low: np.ndarray
     high: np.ndarray
     reach: float
 
     @property
     def ball(self) -> float:
-        """Radius of the balls of contacts without a radius, and of links, m."""
+        """Radius of the balls of contacts that do not roll, and of links, m."""
         return BALL * self.reach
 
     @property
-    def lowered(self) -> float:
-        """How far the ground is lowered, m: the frames of contacts without a radius lie on the plan's."""
-        return 0.0 if self.radii.all() else self.ball
+    def sizes(self) -> np.ndarray:
+        """Radii (nc,) of the balls of contacts, m."""
+        return np.where(self.rolling & (self.radii > 0), self.radii, self.ball)
+
+    @property
+    def lifts(self) -> np.ndarray:
+        """How far above the plan's ground (nc,) m the balls of contacts touch theirs; negative: below."""
+        return self.radii - self.sizes
 
 
-def surroundings_of(plan: Solution, feet: np.ndarray, bodies: np.ndarray, reach: float) -> Surroundings:
+def surroundings_of(
+    plan: Solution, feet: np.ndarray, bodies: np.ndarray, reach: float, rolling: bool
+) -> Surroundings:
     """The place of a plan with contacts at ``feet`` (K, nc, 3) and joints at ``bodies`` (K, n, 3) m."""
     points = np.concatenate([feet.reshape(-1, 3), bodies.reshape(-1, 3)])
     around = AROUND * reach
     return Surroundings(
         feet=feet,
         radii=contact_radii(plan.meta),
+        rolling=rolling,
         low=points.min(axis=0) - around,
         high=points.max(axis=0) + around,
         reach=reach,
@@ -87,29 +97,51 @@ def surroundings_of(plan: Solution, feet: np.ndarray, bodies: np.ndarray, reach:
 
 
 def add_ground(spec: Any, plan: Solution, place: Surroundings) -> GroundGeometry:
-    """Add terrain and boards to a specification."""
+    """Add terrain and boards to a specification: terrain for links, and for contacts of each height."""
     found: list[tuple[str, Surface | None, tuple[float, ...], tuple[int, ...], bool]] = []
-    frames = list(plan.contact_frames)
     terrain = terrain_of(plan.meta["terrain"])
-    own = _own_surfaces(plan, terrain)
-    standing = _standing(plan, own)
-    own_friction = tuple(float(mu) for mu in plan.meta["friction"])
+    own, count = _own_surfaces(plan, terrain), len(plan.contact_frames)
+    usual = tuple(float(mu) for mu in plan.meta["friction"])
+    layers: list[tuple[str, float, tuple[int, ...], bool]] = [("", 0.0, (), True)]
+    for lift, contacts in _by_lift(_standing(plan, own), place):
+        layers.append((f".{len(layers)}", lift, contacts, False))
+    for suffix, lift, contacts, links in layers:
+        for name, plane, mu in _terrain(spec, terrain, suffix, lift, place):
+            found.append((name, plane, usual if mu is None else (mu,) * count, contacts, links))
+    for surface, touching, points in _boards(plan, own, place):
+        for lift, contacts in _by_lift(touching, place):
+            name = _board(spec, f"board{len(found)}", surface, points, lift, place)
+            found.append((name, surface, (surface.friction,) * count, contacts, False))
+    names, planes, own_friction, touched_by, is_terrain = zip(*found, strict=True) if found else ((),) * 5
+    by_phase = _by_phase(plan, planes, np.array(own_friction, dtype=float).reshape(len(names), count))
+    return GroundGeometry(names=names, friction=by_phase, touched_by=touched_by, is_terrain=is_terrain)
+
+
+def _by_lift(contacts: Sequence[int], place: Surroundings) -> list[tuple[float, tuple[int, ...]]]:
+    """Contacts by how far above the plan's ground they touch theirs."""
+    return [
+        (float(lift), tuple(own for own in contacts if place.lifts[own] == lift))
+        for lift in np.unique(place.lifts[list(contacts)])
+    ]
+
+
+def _terrain(
+    spec: Any,
+    terrain: Surface | PiecewiseTerrain | SmoothTerrain | None,
+    suffix: str,
+    lift: float,
+    place: Surroundings,
+) -> Iterator[tuple[str, Surface | None, float | None]]:
+    """Add terrain, lifted along its normal by m; names, planes, and friction unless it is each contact's."""
     if isinstance(terrain, Surface):
-        found.append((_plane(spec, terrain, place), terrain, own_friction, standing, True))
+        yield _plane(spec, f"terrain{suffix}", terrain, lift), terrain, None
     elif isinstance(terrain, PiecewiseTerrain):
         for number, face in enumerate(terrain.faces):
-            name = _prism(spec, f"face{number}", face, place)
+            name = _prism(spec, f"face{number}{suffix}", face, lift, place)
             if name:
-                found.append((name, face.surface, (face.surface.friction,) * len(frames), standing, True))
+                yield name, face.surface, face.surface.friction
     elif isinstance(terrain, SmoothTerrain):
-        field = _field(spec, terrain, place)
-        found.append((field, None, (terrain.friction,) * len(frames), standing, True))
-    for number, (surface, contacts, points) in enumerate(_boards(plan, own, place)):
-        name = _board(spec, f"board{number}", surface, points, place)
-        found.append((name, surface, (surface.friction,) * len(frames), contacts, False))
-    names, planes, usual, touched_by, is_terrain = zip(*found, strict=True) if found else ((),) * 5
-    friction = _by_phase(plan, planes, np.array(usual, dtype=float).reshape(len(names), len(frames)))
-    return GroundGeometry(names=names, friction=friction, touched_by=touched_by, is_terrain=is_terrain)
+        yield _field(spec, f"terrain{suffix}", terrain, lift, place), None, terrain.friction
 
 
 def _by_phase(plan: Solution, planes: Sequence[Surface | None], usual: np.ndarray) -> np.ndarray:
@@ -192,18 +224,18 @@ def _under(plan: Solution, surface: Surface, place: Surroundings, phase: int, co
     return np.concatenate([places + turn[:, :2] @ corner for corner in around])
 
 
-def _plane(spec: Any, surface: Surface, place: Surroundings) -> str:
+def _plane(spec: Any, name: str, surface: Surface, lift: float) -> str:
     return add_geom(
         spec.worldbody,
-        "terrain",
+        name,
         "plane",
-        pos=surface.point - place.lowered * surface.normal,
+        pos=surface.point + lift * surface.normal,
         quat=mujoco_quaternion(surface.frame),
         size=[0.0, 0.0, 1.0],
     )
 
 
-def _prism(spec: Any, name: str, face: Patch, place: Surroundings) -> str:
+def _prism(spec: Any, name: str, face: Patch, lift: float, place: Surroundings) -> str:
     """A solid under the part of a face around the motion; no name where there is none."""
     corners = face.vertices
     for axis in (0, 1):
@@ -212,7 +244,7 @@ def _prism(spec: Any, name: str, face: Patch, place: Surroundings) -> str:
         corners = cut_polygon(corners, -inward, -float(place.high[axis]))
     if len(corners) < 3:
         return ""
-    top = corners - place.lowered * face.surface.normal
+    top = corners + lift * face.surface.normal
     under = top.copy()
     under[:, 2] = min(float(top[:, 2].min()), float(place.low[2])) - DEPTH * place.reach
     middle = np.concatenate([top, under]).mean(axis=0)
@@ -221,33 +253,35 @@ def _prism(spec: Any, name: str, face: Patch, place: Surroundings) -> str:
     return add_geom(spec.worldbody, name, "mesh", meshname=name, pos=middle)
 
 
-def _field(spec: Any, terrain: SmoothTerrain, place: Surroundings) -> str:
+def _field(spec: Any, name: str, terrain: SmoothTerrain, lift: float, place: Surroundings) -> str:
     """Smooth ground as a field of heights around the motion."""
     span = (place.high - place.low)[:2]
     cells = np.minimum(np.ceil(span / (CELL * place.reach)).astype(int), MOST_CELLS)
     x, y = (np.linspace(place.low[i], place.high[i], cells[i] + 1) for i in (0, 1))
     across, along = np.meshgrid(x, y)  # rows go along y, as MuJoCo has it
     normal = terrain.normal(across, along)
-    height = terrain.height(across, along) - place.lowered / normal[..., 2]
+    height = terrain.height(across, along) + lift / normal[..., 2]
     low, tall = float(height.min()), max(float(np.ptp(height)), 1e-6)
     spec.add_hfield(
-        name="terrain",
+        name=name,
         nrow=len(y),
         ncol=len(x),
         size=[span[0] / 2, span[1] / 2, tall, DEPTH * place.reach],
         userdata=((height - low) / tall).ravel(),
     )
     middle = [*(place.low[:2] + span / 2), low]
-    return add_geom(spec.worldbody, "terrain", "hfield", hfieldname="terrain", pos=middle)
+    return add_geom(spec.worldbody, name, "hfield", hfieldname=name, pos=middle)
 
 
-def _board(spec: Any, name: str, surface: Surface, points: np.ndarray, place: Surroundings) -> str:
+def _board(
+    spec: Any, name: str, surface: Surface, points: np.ndarray, lift: float, place: Surroundings
+) -> str:
     """A box whose front is the plane, around the points (n, 3) where it is touched."""
     turn = frame_of_normal(surface.normal)
     local = (points - surface.point) @ turn[:, :2]
     low, high = local.min(axis=0) - BOARD * place.reach, local.max(axis=0) + BOARD * place.reach
     deep = BOARD * place.reach
-    centre = surface.point + turn @ np.array([*(low + high) / 2, -deep - place.lowered])
+    centre = surface.point + turn @ np.array([*(low + high) / 2, -deep + lift])
     size = [*(high - low) / 2, deep]
     return add_geom(spec.worldbody, name, "box", pos=centre, quat=mujoco_quaternion(turn), size=size)
 

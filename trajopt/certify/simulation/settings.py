@@ -35,6 +35,8 @@ class SimulationSettings:
     inertias, of which the plan knows nothing. noise: standard deviation of the start's error, in reaches
     (m), rad, and their rates over the natural time. seed: of the noise. cycles: of a periodic plan. push: N,
     level on the base for a tenth of the motion, in its middle, to its left; in a plane to its front.
+    rolling: contacts with a radius are balls fixed to their links, which roll; otherwise they turn about
+    their centres, as in the plan.
     Raises `InputError`.
     """
 
@@ -48,11 +50,14 @@ class SimulationSettings:
     seed: int = 0
     cycles: int = 1
     push: float = 0.0
+    rolling: bool = False
 
     def __post_init__(self) -> None:
+        if not isinstance(self.rolling, bool):
+            raise InputError(f"rolling of a simulation is {self.rolling!r}", "allowed: True or False")
         for field in fields(self):
             value = getattr(self, field.name)
-            if value is None and field.name == "timestep":
+            if field.name == "rolling" or (value is None and field.name == "timestep"):
                 continue
             require_finite(f"{field.name} of a simulation", value)
             least, most = ALLOWED.get(field.name, (-math.inf, math.inf))

@@ -101,7 +101,7 @@ def build_world(plan: Solution, settings: SimulationSettings) -> World:
     units, samples = NaturalUnits.of(plan.model), sample_quantities(plan)
     bodies = build_bodies(plan.model)
     joints = joint_places(plan)
-    place = surroundings_of(plan, samples.position, joints, units.length)
+    place = surroundings_of(plan, samples.position, joints, units.length, settings.rolling)
     buried = _buried(plan, joints, place)
     ground = add_ground(bodies.spec, plan, place)
     feet = _add_feet(bodies, plan, place)
@@ -199,7 +199,7 @@ def _add_feet(bodies: Bodies, plan: Solution, place: Surroundings) -> list[list[
         corners = touching_places(plan, number)
         names.append([f"ball{number}.{i}" for i in range(len(corners))])
         for name, corner in zip(names[-1], corners, strict=True):
-            size = [place.radii[number] + place.lowered, 0, 0]
+            size = [place.sizes[number], 0, 0]
             add_geom(body, name, "sphere", pos=own.placement.act(corner), size=size)
     return names
 
