@@ -60,6 +60,17 @@ def test_robot_stands_on_every_kind_of_ground(terrain, stand):
     assert found.record.force[-1, :, 2].sum() == pytest.approx(found.world.units.weight, rel=1e-3)
 
 
+@pytest.mark.parametrize("rolling", [False, True])
+def test_feet_touch_at_their_radius_whether_they_roll_or_not(rolling, stand):
+    found = simulate(stand, rolling=rolling)
+    assert found.report.base_error_max < STANDS
+    place, radius = found.world.place, stand.meta["contact_radius"][0]
+    assert place.sizes == pytest.approx(np.full(4, radius if rolling else place.ball))
+    assert place.sizes + place.lifts == pytest.approx(np.full(4, radius))
+    height = found.record.feet[-1, :, 2]
+    assert height == pytest.approx(np.full(4, radius), abs=STANDS)
+
+
 def test_robot_falls_into_a_hole(stand):
     stones = PiecewiseTerrain.stepping_stones([(5.0, 5.0)], 0.2)
     report = simulate(with_meta(stand, terrain=stones.describe())).report
