@@ -1,6 +1,7 @@
 """Solve to a grade: solve on a coarse mesh, examine the motion, refine where it misses, solve again from it.
 
-The first mesh has two fifths of the problem's intervals, a quarter on a fixed base, of degree four; see `refinement`.
+The first mesh has two fifths of the problem's intervals, a quarter on a fixed base, of degree four; see
+`refinement`.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from trajopt.solving.solving import solve as solve_on_mesh
 from trajopt.transcription.mesh import Mesh
 from trajopt.transcription.transcription import chosen_mesh
 
-# Scheme of the first mesh, and its part of the problem's own intervals: on gaits and small jumps more accurate
-# than two points on all of them, in half the time. On a fixed base fewer do: errors of a stance on two feet
-# grow, and with a quarter of the intervals a dozen gaits are not tracked in MuJoCo.
+# Scheme of the first mesh, and its part of the problem's own intervals: on gaits and small jumps more
+# accurate than two points on all of them, in half the time. On a fixed base fewer do: errors of a stance on
+# two feet grow, and with a quarter of the intervals a dozen gaits are not tracked in MuJoCo.
 FIRST_SCHEME, FIRST_PART, FIXED_BASE_PART = "legendre:4", 0.4, 0.25
 # Widest interval of the first mesh, in natural times sqrt(l / g).
 WIDEST = 1.0
