@@ -8,9 +8,9 @@ from ._quadrupeds import unitree
 
 KIND = "quadruped"
 # The foot's collision mesh is no ball. Of this one, by its centre in the foot frame and its radius in m, the
-# mesh stands out by at most 0.6 mm where the shank leans by up to 80 degrees forward or backward and 40
-# degrees sideways, and it stands out of the mesh by at most 2.2 mm up to 50 and 30 degrees.
-CENTRE, RADIUS = (-0.0012, 0.0, 0.0012), 0.0249
+# mesh stands out by at most 0.7 mm where the shank leans by up to 80 degrees forward or backward and 40
+# degrees sideways, and it stands out of the mesh by at most 2.0 mm up to 50 and 30 degrees.
+CENTRE, RADIUS = (-0.0012, 0.0, 0.0012), 0.0248
 
 
 def build() -> Robot:

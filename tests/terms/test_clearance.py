@@ -59,7 +59,8 @@ def test_file_without_margins_is_judged_by_contact_alone():
     bodies = {key: value for key, value in solution.meta["bodies"].items() if key != "margins"}
     report = check(with_meta(solution, bodies=bodies))
     assert report.clearance_margin is None
-    assert report.obstacle_distance == check(solution).obstacle_distance
+    # The margin is one more figure whose worst is looked at: samples in between differ.
+    assert report.obstacle_distance == pytest.approx(check(solution).obstacle_distance, abs=1e-6)
     problem = past(swing(), BALL, margin=0.0)
     assert "margins" not in bodies_meta(problem)["bodies"]
 

@@ -284,7 +284,7 @@ class Schedule:
         """
         if total < len(self.phases):
             raise InputError(
-                f"{total} intervals over {len(self.phases)} phase(s)", f"allowed: at least {len(self.phases)}"
+                f"{total} intervals for {len(self.phases)} phases", f"allowed: at least {len(self.phases)}"
             )
         ideal = np.array([phase.duration for phase in self.phases]) / self.duration * total
         counts = np.maximum(1, np.floor(ideal).astype(int))

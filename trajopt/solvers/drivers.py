@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from trajopt import _engine
-from trajopt.errors import InputError, not_among
+from trajopt.errors import InputError
 from trajopt.robot.units import Units
 from trajopt.solvers.result import (
     FEASIBILITY_SHARE,
@@ -203,7 +203,7 @@ def run_solver(
     Raises InputError for an unknown solver or option, and for a Hessian that the solver does not support.
     """
     if solver not in SOLVERS:
-        raise not_among(SOLVERS, solver, f"unknown solver '{solver}'")
+        raise InputError(f"unknown solver '{solver}'", f"allowed: {', '.join(SOLVERS)}")
     check_hessian(solver, nlp.hessian)
     try:
         return SOLVERS[solver](nlp, x0, stop, options, callback, warm)
@@ -214,7 +214,7 @@ def run_solver(
 def check_hessian(solver: str, hessian: str) -> None:
     """Raise InputError for an unknown Hessian, or one that the solver does not support."""
     if hessian not in HESSIANS:
-        raise not_among(HESSIANS, hessian, f"unknown Hessian '{hessian}'")
+        raise InputError(f"unknown Hessian '{hessian}'", f"allowed: {', '.join(HESSIANS)}")
     if hessian == LIMITED_MEMORY and solver != MAKES_HESSIANS:
         allowed = ", ".join(name for name in HESSIANS if name != LIMITED_MEMORY)
         raise InputError(f"{solver} cannot approximate the Hessian from gradients", f"allowed: {allowed}")

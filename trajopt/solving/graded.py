@@ -36,12 +36,15 @@ MOST_ROUNDS = 10
 TOLERANCE_SHARE, LEAST_TOLERANCE, USUAL_TOLERANCE = 1e-3, 1e-10, 1e-6
 
 
-def first_mesh(problem: Problem) -> Mesh:
-    """The mesh on which a solve to a grade begins; that of the problem where it names a scheme of its own."""
+def first_mesh(problem: Problem, least: bool = False) -> Mesh:
+    """The mesh on which a solve to a grade begins; that of the problem where it names a scheme of its own.
+
+    least: as coarse as on a fixed base, for what is refined by measurement.
+    """
     counts = problem.schedule.intervals(problem.default_intervals)
     if problem.default_transcription != USUAL_SCHEME:
         return Mesh.uniform(problem.default_transcription, counts)
-    part = FIXED_BASE_PART if problem.robot.base == "fixed" else FIRST_PART
+    part = FIXED_BASE_PART if least or problem.robot.base == "fixed" else FIRST_PART
     widest = WIDEST * Units(problem.robot).time
     wanted = [
         max(round(part * count), math.ceil(phase.duration / widest), 1)
@@ -138,4 +141,4 @@ def solve_graded(
         return Graded(solution=found, report=None, rounds=rounds, why="it has no legs", examined=0.0)
     known = Exchange(problem) if exchange is None else exchange.moved_to(problem)
     loop = Refinement(problem, tolerances, refine, settings, known, accuracy)
-    return loop.result(loop.run(mesh or first_mesh(problem), start, first, max_rounds))
+    return loop.result(loop.run(mesh or first_mesh(problem, accuracy is not None), start, first, max_rounds))

@@ -90,7 +90,9 @@ class Refinement:
         solution = self._first(mesh, start) if first is None else self._given(first)
         while solution is not None:
             own = self._examine(solution)
-            look = self.exchange.look(solution, self._times_in_bodies(own.found.report))
+            look = self.exchange.look(solution)
+            if self.exchange.depth(look) <= 0:
+                look = self.exchange.look(solution, self._times_in_bodies(own.found.report))
             near = self.exchange.depth(look)
             if self._used(own) <= 1 and near <= 0 and self.settled:
                 return "the grade is reached"

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.errors import InputError, not_among
+from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solution.input import solution_of
 from trajopt.solution.solution import Solution
@@ -240,7 +240,7 @@ def check_settings(
 ) -> None:
     """Raise `InputError` for arguments of `solve` that are not allowed."""
     if solver not in SOLVERS:
-        raise not_among(SOLVERS, solver, f"unknown solver '{solver}'")
+        raise InputError(f"unknown solver '{solver}'", f"allowed: {', '.join(SOLVERS)}")
     check_hessian(solver, hessian)
     if not (math.isfinite(tolerance) and 0 < tolerance < 1):
         raise InputError(f"tolerance is {tolerance:g}", "allowed: between 0 and 1")
