@@ -25,6 +25,8 @@ from trajopt.transcription.nlp import Nlp
 # The test is measured on IPOPT's figures, and the elastic problem needs the exact Hessian.
 TESTED = "ipopt", DEFAULT_HESSIAN
 CERTIFIED = "Certified_Infeasible"
+# IPOPT's name for the limit that iterations of elastic problems have used up.
+LIMITED = "Maximum_Iterations_Exceeded"
 # Ends of IPOPT that are no verdict on the problem: its restoration fails, or no step makes progress.
 GIVEN_UP = Status.INFEASIBLE, Status.STEP_FAILED
 # Figures of iterations of the elastic problem after that.
@@ -112,6 +114,7 @@ def solve_or_certify(
         iterations=min(result.iterations + test.spent, stop.max_iterations),
         function_time=result.function_time + test.function_time,
         status=Status.ITERATION_LIMIT if test.limited else result.status,
+        solver_status=LIMITED if test.limited else result.solver_status,
     )
     if test.found is None:
         return result, None
