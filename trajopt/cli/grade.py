@@ -47,7 +47,7 @@ def wants_grade(arguments: dict[str, Any]) -> bool:
 
 def _names_mesh(arguments: dict[str, Any]) -> bool:
     grid = arguments["transcription"], arguments["intervals"]
-    return arguments["fixed_mesh"] or grid != (None, None)
+    return bool(arguments.get("fixed_mesh")) or grid != (None, None)
 
 
 def solve_to_grade(
@@ -71,18 +71,25 @@ def solve_to_grade(
     return SolveReport(found.solution, found.reached, _lines(found), {"graded": found.to_dict()})
 
 
-def solve_whole(problem: Problem, lifted: Solution, **settings: Any) -> tuple[Solution, list[str]]:
+def solve_whole(problem: Problem, lifted: Solution, arguments: dict[str, Any]) -> tuple[Solution, list[str]]:
     """The motion of a reduced model, solved once more from there for the whole robot if it misses the check.
 
-    settings: those of `solve_graded`. Also returns lines of the summary.
+    arguments: those of the command; a mesh that is named stays. Also returns lines of the summary.
     """
     from trajopt.certify.check import check
     from trajopt.solution.grid import mesh_of
     from trajopt.solving.graded import solve_graded
+    from trajopt.solving.interruption import BESIDE
 
     if not lifted.success or check(lifted, integrate=False).ok:
         return lifted, []
-    found = solve_graded(problem, mesh=mesh_of(lifted), start=lifted, **settings)
+    settings = {key: arguments[key] for key in SOLVER_SETTINGS}
+    refine = not _names_mesh(arguments)
+    title = f"{arguments['title']}, whole robot"
+    with watched(title, arguments["max_time"] + BESIDE, None, arguments["viewer"]) as callbacks:
+        found = solve_graded(
+            problem, mesh=mesh_of(lifted), start=lifted, refine=refine, **callbacks, **settings
+        )
     iterations = sum(one.iterations for one in found.rounds)
     return found.solution, [f"whole robot: solved from the reduced motion, {iterations} iterations"]
 

@@ -10,7 +10,7 @@ import click
 from trajopt.cli.aim import aim_options, solve_aimed, wants_aim
 from trajopt.cli.diagnose import diagnose_option, diagnosis_of
 from trajopt.cli.file_names import file_of_settings
-from trajopt.cli.grade import SOLVER_SETTINGS, grade_options, solve_to_grade, solve_whole, wants_grade
+from trajopt.cli.grade import grade_options, solve_to_grade, solve_whole, wants_grade
 from trajopt.cli.input import (
     COUNT,
     NOT_REACHED,
@@ -136,8 +136,7 @@ def solve_command(
     solution = solved.solution
     whole: list[str] = []
     if scene:
-        own = {key: arguments[key] for key in SOLVER_SETTINGS}
-        solution, whole = solve_whole(loaded, scene.lift(solution), **own)
+        solution, whole = solve_whole(loaded, scene.lift(solution), arguments)
     file, notes = _saved(solution, target)
     report = _checked(solution, notes)
     diagnosis = diagnosis_of(solved.solution, asked) if diagnosed else None

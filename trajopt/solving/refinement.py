@@ -91,8 +91,9 @@ class Refinement:
         while solution is not None:
             own = self._examine(solution)
             look = self.exchange.look(solution)
-            if self.exchange.depth(look) <= 0:
-                look = self.exchange.look(solution, self._times_in_bodies(own.found.report))
+            times = self._times_in_bodies(own.found.report)
+            if times and self.exchange.depth(look) <= 0:  # between the moments that were looked at
+                look = self.exchange.look(solution, times)
             near = self.exchange.depth(look)
             if self._used(own) <= 1 and near <= 0 and self.settled:
                 return "the grade is reached"
