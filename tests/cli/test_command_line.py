@@ -237,6 +237,7 @@ def test_output_is_refused_before_anything_else_of_the_solve(tmp_path: Path) -> 
         tmp_path: "it is a folder",
         Path("/dev/null"): "not a regular file",
         tmp_path / ("n" * 250): "too long",
+        file: "it is there and is no solution file; allowed: another name",
     }
     for place, words in places.items():
         assert_refused(invoke(*HOP, "--solver", "unknown", "--output", place), words)

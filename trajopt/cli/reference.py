@@ -10,7 +10,7 @@ import click
 from trajopt.cli.file_names import file_of_settings
 from trajopt.cli.input import NOT_REACHED, chosen_problem, default_option, function_options, json_option
 from trajopt.cli.report import to_json
-from trajopt.solution.output import check_output
+from trajopt.solution.output import check_solution_output
 
 if TYPE_CHECKING:
     from trajopt.solving.reference import MeshSolve
@@ -50,7 +50,7 @@ def reference_command(
     from trajopt.solving.reference import Agreement, NoReferenceError, converged_reference
 
     loaded = chosen_problem(problem, settings)
-    target = check_output(output or file_of_settings(click.get_current_context(), "reference"))
+    target = check_solution_output(output or file_of_settings(click.get_current_context(), "reference"))
     bounds = Agreement(objective=objective, distance=distance)
 
     def show(rung: MeshSolve) -> None:

@@ -9,7 +9,7 @@ import click
 
 from trajopt.cli.input import COUNT, NOT_REACHED, default_option, json_option
 from trajopt.cli.report import to_json
-from trajopt.solution.output import check_apart, check_output
+from trajopt.solution.output import check_apart, check_output, check_solution_output
 
 
 @click.command("simulate")
@@ -40,15 +40,15 @@ def simulate_command(
     from trajopt.solution.solution import Solution
 
     check_apart([output, html], [file])
-    targets = [None if path is None else check_output(path) for path in (output, html)]
+    motion, page = output and check_solution_output(output), html and check_output(html)
     plan = Solution.load(file)
     simulated = simulate(plan, **settings)
-    if targets[0] is not None:
-        simulated.as_solution().save(targets[0])
-    if targets[1] is not None:
+    if motion is not None:
+        simulated.as_solution().save(motion)
+    if page is not None:
         from trajopt.view.replay.show import replay
 
-        replay([plan, simulated.as_solution()], html=targets[1], labels=["plan", "simulation"])
+        replay([plan, simulated.as_solution()], html=page, labels=["plan", "simulation"])
     report = simulated.report
     click.echo(to_json(report.to_dict()) if as_json else report.table())
     return 0 if report.passed else NOT_REACHED

@@ -28,7 +28,7 @@ from trajopt.cli.report import failed_figures, solve_dict, solve_summary, to_jso
 from trajopt.cli.warm import solve_warm, warm_options
 from trajopt.cli.watch import open_viewer, show_until_interrupted, watch_options
 from trajopt.errors import InputError, TrajoptError
-from trajopt.solution.output import check_apart, check_output
+from trajopt.solution.output import check_apart, check_solution_output
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -103,7 +103,7 @@ def solve_command(
     """
     options = options_of(solver_options)
     loaded = chosen_problem(problem, settings)
-    target = check_output(output or file_of_settings(click.get_current_context()))
+    target = check_solution_output(output or file_of_settings(click.get_current_context()))
     if arguments["log"] not in (None, "-"):  # the solution may overwrite the start file, the table may not
         start, log = arguments.get("start"), Path(arguments["log"])
         check_apart([target, log], [])

@@ -11,6 +11,8 @@ from pathlib import Path
 from trajopt.errors import InputError
 
 ALLOWED = "allowed: a file in an existing folder that can be written"
+# First bytes of solution files.
+ARCHIVE = b"PK"
 
 
 def check_output(path: Path) -> Path:
@@ -22,6 +24,18 @@ def check_output(path: Path) -> Path:
     except OSError as error:
         reason = _reason(target) or error.strerror or str(error)
         raise InputError(f"cannot write {target}: {reason}", ALLOWED) from None
+    return target
+
+
+def check_solution_output(path: Path) -> Path:
+    """As `check_output`, of a solution file; one that holds something else is not written over."""
+    target = check_output(path)
+    with contextlib.suppress(OSError), target.open("rb") as old:
+        start = old.read(len(ARCHIVE))
+        if start not in (b"", ARCHIVE):
+            raise InputError(
+                f"cannot write {target}: it is there and is no solution file", "allowed: another name"
+            )
     return target
 
 
