@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
+from pathlib import Path
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -250,3 +253,13 @@ def test_fatrop_reports_an_infeasible_problem(nlp, problem):
     assert result["status"] in ("LocalInfeasibility", "LineSearchFailed", "ErrorInStepComputation")
     assert any(info["restoration"] for info in seen)
     assert result["max_violation"] > 1
+
+
+def test_solves_use_one_thread_of_blas(nlp, problem, solver):
+    loaded = Path(ca.__file__).parent / "libcasadi-tp-openblas.so.0"
+    if not loaded.exists():
+        pytest.skip("the wheel of casadi brings no such OpenBLAS here")
+    blas = ctypes.CDLL(str(loaded))
+    blas.openblas_set_num_threads(2)
+    SOLVERS[solver](nlp, problem)
+    assert blas.openblas_get_num_threads() == 1

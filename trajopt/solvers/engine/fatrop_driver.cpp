@@ -186,6 +186,7 @@ class Run {
 
 Outcome solve_fatrop(trajopt::Nlp& nlp, const Stages& stages, const Reals& x0, const Bounds& bounds,
                      const Options& options, const Callback& callback, const Reals& lambda_g) {
+  use_one_blas_thread();
   nlp.reset_timings();
   const auto start = Clock::now();
   const StageMap map(nlp.problem(), stages, bounds);

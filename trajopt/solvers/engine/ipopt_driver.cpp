@@ -180,6 +180,7 @@ void take_statistics(Outcome& outcome, Ipopt::IpoptApplication& application) {
 
 Outcome solve_ipopt(Nlp& nlp, const Reals& x0, const Bounds& bounds, const Options& options, const Callback& callback,
                     const Multipliers& multipliers) {
+  use_one_blas_thread();
   nlp.reset_timings();
   const auto start = std::chrono::steady_clock::now();
   Ipopt::SmartPtr<Ipopt::IpoptApplication> application = new Ipopt::IpoptApplication(false, false);

@@ -3,6 +3,9 @@
 #include <algorithm>
 #include <cmath>
 
+// Of the BLAS that the solvers' wheels bring along, where that is OpenBLAS.
+extern "C" [[gnu::weak]] void openblas_set_num_threads(int);
+
 namespace trajopt {
 
 namespace {
@@ -20,6 +23,10 @@ double violation(const Reals& values, const Reals& lower, const Reals& upper) {
 
 bool all_finite(const Reals& values) {
   return std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); });
+}
+
+void use_one_blas_thread() {
+  if (openblas_set_num_threads) openblas_set_num_threads(1);
 }
 
 void complete(Outcome& outcome, Nlp& nlp, const Bounds& bounds, std::chrono::steady_clock::time_point start) {

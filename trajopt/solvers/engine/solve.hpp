@@ -48,6 +48,9 @@ struct Outcome {
 // Fills in what is recomputed from x alone, and the times since `start`.
 void complete(Outcome& outcome, Nlp& nlp, const Bounds& bounds, std::chrono::steady_clock::time_point start);
 
+// Fronts are small: BLAS with two threads is no faster, waits where another process runs, and rounds otherwise.
+void use_one_blas_thread();
+
 bool all_finite(const Reals& values);
 
 Outcome solve_ipopt(Nlp& nlp, const Reals& x0, const Bounds& bounds, const Options& options, const Callback& callback,
